@@ -14,7 +14,7 @@ import numpy as np
 
 from hesr_model.audit.certificate import proven
 from hesr_model.forward.simulation import Simulator
-from hesr_model.forward.windows import RUN_IN, Logs, Windows, joined, weightless, windows_of
+from hesr_model.forward.windows import RUN_IN, Logs, Windows, joined, weightless, whole, windows_of
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.stops.form import OLDEST
 from hesr_model.logs.signals import Motion
@@ -29,6 +29,7 @@ MOST_TORQUE = 1.02  # largest allowed ratio of a joint's torque error to that be
 MOST_COEFFICIENTS = 64  # of laws that are refined
 _STEP = 1e-3  # finite-difference step, relative
 _TORQUE = 0.5  # weight of the mean square torque error
+_TORQUE_OF_ONE = 0.05  # of one joint: its noisy acceleration favours too small a mass
 _DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping of each round, relative to the curvature
 _MOST = 0.7  # largest change of a parameter, relative or logarithmic
 _SPREAD = 0.15  # relative spread of further starts
@@ -72,13 +73,15 @@ def refine(
     """Refine friction, and the body unless it is fixed, by output error.
 
     The best of several random starts continues for `rounds` damped Gauss-Newton steps. Every other
-    block of `LONG` is left out in turn; the result counts if these improve. Laws proven passive
-    remain so. Raises SimulationError if a log is too short.
+    block of `LONG` is left out in turn; the result counts if these improve. Without gravity, whole
+    logs in open loop must not become worse. Laws proven passive remain so. Raises SimulationError
+    if a log is too short.
     """
     logs = [motion_records(motion, robot, body) for motion in motions]
     sets = [windows_of(logs, LENGTH)]
     longest = max(float(log[0].t[-1] - log[0].t[0]) for log in logs)
-    if longest >= RUN_IN + 4.0 * LONG and weightless(logs, robot, body):
+    free = weightless(logs, robot, body)
+    if free and longest >= RUN_IN + 4.0 * LONG:
         sets.append(windows_of(logs, LONG))
     problem = _Problem(robot, body, friction, motions, logs, sets, with_body=with_body)
     halves = [problem.of_blocks(k) for k in range(2)]
@@ -90,6 +93,7 @@ def refine(
         after = _rms(np.array([half.sizes(change) for half, change in pairs]))
     if not _rms(after / before, axis=None) < 1.0:
         return Refined(body=body, friction=friction, ratio=1.0, before=before, left_out=before)
+    problem.whole = [whole(log) for log in logs] if free else []
     return problem.refined(problem.solved(rounds, starts, seed), before, after)
 
 
@@ -107,6 +111,7 @@ class _Problem:
     ) -> None:
         self._robot, self._body, self._friction = robot, body, friction
         self._motions, self._logs, self.sets = motions, logs, sets
+        self.whole: list[Windows] = []  # logs whose open loop must not become worse
         self._proven = [proven(law) for law in friction.laws]
         self.columns = [k for k in body.base if with_body and body.parameters[k] != 0.0]
         self._names = [
@@ -169,6 +174,8 @@ class _Problem:
 
         Joints whose proof fails keep their friction.
         """
+        still = np.zeros_like(theta)
+        open_loop = self._open_loop(still)
         for share in _SHARES:
             change = share * theta
             laws = self._moved(change).laws
@@ -177,9 +184,17 @@ class _Problem:
             change[len(self.columns) :][[joint in lost for joint in of_joints]] = 0.0
             ratio = _rms(self.sizes(change) / self.position_sizes, axis=None)
             enough = _rms(self._torque(change)) <= MOST_TORQUE * self._torque_sizes
-            if np.all(enough) and ratio < 1.0:
+            if np.all(enough) and ratio < 1.0 and self._open_loop(change) <= open_loop:
                 return change
-        return np.zeros_like(theta)
+        return still
+
+    def _open_loop(self, change: Array) -> float:
+        """Return the RMS position error over whole logs, relative to that over windows."""
+        body, friction = self._moved_body(change), self._moved(change)
+        one = Simulator(robot=self._robot, parameters=body.parameters, friction=friction)
+        errors = [(one.run(w) - w.q) / self.position_sizes[0] for w in self.whole]
+        found = float(_rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
+        return found if np.isfinite(found) else np.inf
 
     def refined(self, change: Array, before: Array, left_out: Array) -> Refined:
         """Return body and friction after a change."""
@@ -212,7 +227,8 @@ class _Problem:
             for part, sizes in zip(positions, self.position_sizes, strict=True)
         ]
         torque = (self._torque(theta) / self._torque_sizes).ravel()
-        return np.concatenate([*scaled, np.sqrt(_TORQUE / torque.size) * torque])
+        weight = _TORQUE if self._robot.n > 1 else _TORQUE_OF_ONE
+        return np.concatenate([*scaled, np.sqrt(weight / torque.size) * torque])
 
     def _position(self, theta: Array) -> list[Array]:
         """Return the position errors (M, W, K + 1, n) of (M, P) changes by length."""

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import JointProperties, Properties, PropertyResult
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit, fit_joint
+from hesr_model.forward.output_error import Refined
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator
@@ -492,3 +494,45 @@ def test_helpful_data_are_named(
     assert found == ([] if advice is None else [advice])
     more = list(_improve(model, known, new, gear_ratio=False))
     assert more == [*found, "Add gear_ratio to the robot file to also fit motor ripple."]
+
+
+def refined(model: FrictionModel, ratio: float, *errors: float) -> Refined:
+    left_out = np.array([errors])
+    body: Any = None  # unused
+    return Refined(body=body, friction=model, ratio=ratio, before=left_out, left_out=left_out)
+
+
+def test_a_verdict_names_the_law_for_simulation(scores, models, trained, tested) -> None:
+    of_laws = {
+        "lugre": refined(models["lugre"], 1.0, 2e-3, 8e-3),
+        "stribeck": refined(models["stribeck"], 0.9, 1e-3, 4e-3),
+    }
+    found = judged(scores, models, trained, tested, refined=of_laws)
+    assert found.simulation is not None
+    assert found.simulation.errors == pytest.approx({"lugre": 4e-3, "stribeck": 2e-3})
+    assert found.sentences[1] == (
+        "Recommended for simulation: fmus/stribeck.fmu (Stribeck): it has the lowest position "
+        "error on left-out windows of the training logs, 0.50 times that of LuGre; output error "
+        "improved 1 of 2 laws."
+    )
+
+
+def test_a_verdict_without_left_out_windows_says_so(scores, models, trained, tested) -> None:
+    of_laws = {law: refined(model, 1.0, np.nan) for law, model in models.items()}
+    found = judged(scores, models, trained, tested, refined=of_laws)
+    assert found.simulation is None
+    assert any("too short to choose a law for simulation" in line for line in found.sentences)
+
+
+@pytest.mark.parametrize(
+    ("joints", "asked", "shown"), [(1, False, True), (1, True, False), (2, False, False)]
+)
+def test_output_error_is_suggested_for_one_joint(
+    joints: int, asked: bool, shown: bool, trained: list[list[FrictionRecord]]
+) -> None:
+    records, seen = trained[:1] * joints, (TrainedRange.of(trained[0]),) * joints
+    models = {"lugre": replace(model_of("lugre", joints), trained=seen)}
+    scores = made({"lugre": [1.0] * joints})
+    found = judged({"t": scores}, models, records, records, refined={} if asked else None)
+    said = 'To choose and refine a law for simulation, add refinement = "output_error".'
+    assert (said in found.sentences) == shown

@@ -212,3 +212,40 @@ def test_windows_cover_a_log_after_its_run_in() -> None:
     assert windows.t.shape == (14, 51)
     np.testing.assert_array_equal(windows.q[:7, 0, 0], 3.0 * t[100:450:50])
     np.testing.assert_array_equal(windows.t[7:], windows.t[:7] + 7.0)
+
+
+def test_windows_of_alternate_blocks_share_no_row(carriage: Robot) -> None:
+    t = 1000.0 + np.arange(0, 9.1, 0.01)
+    log = [axis_record(t, 0.0 * t, 0.0 * t, np.sin(t))]
+    halves: list[set[float]] = [set(), set()]
+    for length in (0.5, 2.0):
+        cut = windows_of([log, log], length)
+        blocks = cut.blocks(2.0)
+        assert set(blocks) == {0.0, 1.0, 2.0, 3.0, 4.0}  # those of the second log begin at 1
+        first = np.array([part == 0 for part, _ in cut.places])
+        for k, half in enumerate(halves):
+            some = cut.some(first & (blocks % 2 == k))
+            assert len(some.t) == len(some.places) > 0
+            half |= set(some.t[:, :-1].ravel())
+    assert not halves[0] & halves[1]
+
+
+def test_one_joint_under_gravity_is_simulated_at_each_position(tmp_path: Path) -> None:
+    """A pendulum: its weight changes with position, that of a carriage does not."""
+    hinge = SLIDE.replace('type="slide" axis="1 0 0"', 'type="hinge" axis="0 1 0"')
+    hanging = hinge.replace('<inertial pos="0 0 0"', '<inertial pos="0 0 -1"')
+    (tmp_path / "slide.xml").write_text(hanging, encoding="utf-8")
+    description = RobotDescription(
+        name="axis", model=tmp_path / "slide.xml", joints=("axis",), rotor_inertia=False,
+        log=LogFormat(),
+    )  # fmt: skip
+    robot = Robot(description)
+    t = np.arange(0, 0.3, 1e-3)
+    start = np.full_like(t, 0.5)
+    model = stribeck(sigma_2=1e-6)
+    window = whole([axis_record(t, 0.0 * t, 0.0 * t, start)])
+    found = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=model).run(window)
+    swing = 5.0 * 9.81 / (5.0 + 1.0)  # weight over inertia
+    expected = 0.5 - 0.5 * swing * np.sin(0.5) * t**2  # at first
+    np.testing.assert_allclose(found[0, :50, 0], expected[:50], atol=5e-4)
+    assert found[0, -1, 0] < 0.5 - 0.1
