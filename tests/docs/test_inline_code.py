@@ -31,6 +31,7 @@ FOREIGN_NAMES = {
 }
 
 GENERATED_NAMES = {"band_floor", "band_slow", "friction_begin", "friction_side_by_side"}
+GENERATED_NAMES |= {"thermal_coldest", "thermal_warmest"}
 """Names composed by HESR: parameters, and functions with a prefix."""
 
 
