@@ -88,7 +88,7 @@ def fit_joint(
     with threadpool_limits(1):
         try:
             fitted = configured.fit(records, np.random.default_rng(seed))
-        except ArtifactError as error:
+        except (ArtifactError, np.linalg.LinAlgError) as error:
             said = str(error).rstrip(".")
             raise FitError(
                 f"joint '{records[0].joint}': {said}; its torque does not determine the law."

@@ -1,16 +1,19 @@
 """A law of other days, adapted to seconds of a new day of the UR10e."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from hesr_model.audit.certificate import certify
+from hesr_model.errors import FitError
 from hesr_model.fitting.adaptation import adapt, prior_of
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import Robot
+from hesr_model.robots.robot import Robot, RobotDescription
 
 Records = list[list[FrictionRecord]]  # [joint][log]
 
@@ -36,6 +39,36 @@ def errors(model: FrictionModel, of_joints: Records) -> np.ndarray:
 
 def mean(ratios: np.ndarray) -> float:
     return float(np.exp(np.mean(np.log(ratios))))
+
+
+@pytest.mark.ci
+def test_half_a_minute_of_work_keeps_what_other_days_know(
+    id_logs: list[Log], unseen_logs: list[Log], ur10e_model: Robot
+) -> None:
+    """The full fit is that to all training logs, 100 s of excitation; tested on Fourier motions."""
+    *fourier, work = unseen_logs
+    body = identify(id_logs, ur10e_model)
+    full = fitted(records(id_logs, ur10e_model, body))
+    seconds = records([first(work, 30.0)], ur10e_model, body)
+    model, _ = adapt(prior_of([full]), seconds)
+    unseen = [records([log], ur10e_model, body) for log in fourier]
+    own, best, alone = (
+        np.concatenate([errors(one, log) for log in unseen])
+        for one in (model, full, fitted(seconds))
+    )
+    assert mean(own / best) <= 1.10
+    assert mean(own / alone) <= 0.80
+
+
+@pytest.mark.ci
+def test_logs_that_do_not_determine_a_law_are_refused(
+    ur10e_data: Path, ur10e: RobotDescription, id_logs: list[Log], ur10e_model: Robot
+) -> None:
+    files = [ur10e_data / f"friction_sine_joint{k}.csv" for k in range(1, 7)]
+    heads = [first(Log.read(file, ur10e), 5.5) for file in files]
+    body = identify(id_logs, ur10e_model)
+    with pytest.raises(FitError, match="its torque does not determine the law"):
+        fitted(records(heads, ur10e_model, body))
 
 
 @pytest.mark.ci
