@@ -113,7 +113,8 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
     covariance = law.covariance
     if covariance is None:
         raise TypeError("a law without a covariance is no prior")
-    limits = _limits(law, covariance.names)
+    if not (limits := _limits(law, covariance.names)):
+        return law
     names, (low, high) = tuple(limits), np.array(list(limits.values())).T
     first = np.array([law.values[n] for n in names])
     known = covariance.of_another_log

@@ -18,6 +18,7 @@ from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
+from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = true_law(
@@ -114,6 +115,16 @@ def test_several_days_give_mean_and_spread() -> None:
     assert both.standard_errors["tau_0"] >= spread
     assert both.standard_errors["tau_0"] <= 1.2 * spread
     assert prior_of(days[:1]) is days[0]
+
+
+def test_a_law_without_free_coefficients_stays() -> None:
+    prior = fitted("stribeck", day(0))
+    (own,) = prior.laws
+    none = Covariance(
+        names=(), within=np.zeros((0, 0)), between=1.0, degrees=0.0, carried=np.zeros((0, 0))
+    )
+    bare = replace(prior, laws=(replace(own, covariance=none, standard_errors={}),))
+    assert adapt(bare, [[day(7)]])[0].laws == bare.laws
 
 
 def test_priors_that_cannot_be_adapted_are_refused(prior: FrictionModel) -> None:
