@@ -93,7 +93,7 @@ class RefinementStudy(Config):
     @model_validator(mode="before")
     @classmethod
     def _a_name_is_a_kind(cls, data: Any) -> Any:
-        return {"kind": data} if isinstance(data, str) else data
+        return {"kind": data, "rounds": 3} if isinstance(data, str) else data
 
     @model_validator(mode="after")
     def _a_law_refines_in_turn(self) -> Self:
