@@ -253,6 +253,8 @@ class Job:
             return found, {}
         training, law = {name: logs[name] for name in self.study.logs.training}, refinement.law
         laws = self.laws
+        if not law and model.n > 1:
+            return found, {}
         for _ in range(refinement.rounds):
             records = {
                 name: [friction_records(part, model, found) for part in log.parts()]
@@ -260,11 +262,10 @@ class Job:
             }
             what = "refining the rigid body"
             if not law:  # every law is refined later, with this body
-                if model.n == 1:
-                    tried = self.fit(records, laws, what, {}, left_out=lambda *_: None)
-                    both = self.refine(training, model, found, tried, with_body=True)
-                    laws = (min(both, key=lambda name: both[name].size),)
-                    found = both[laws[0]].body
+                tried = self.fit(records, laws, what, {}, left_out=lambda *_: None)
+                both = self.refine(training, model, found, tried, with_body=True)
+                laws = (min(both, key=lambda name: both[name].size),)
+                found = both[laws[0]].body
                 continue
             friction = self.fit(records, (law,), what, {})[law]
             if refinement.kind == "output_error":
