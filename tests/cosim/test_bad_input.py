@@ -201,10 +201,10 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
         "column 't', row 52: time must increase, but",
     ),
     "time that goes back": (shifted(500, -0.5), "column 't', row 500: time must increase, but"),
-    "a short row": (lambda rows: rows[41].pop(), "row 42 has 9 cells; the header has 10 columns."),
+    "a short row": (lambda rows: rows[41].pop(), "row 42 has 12 cells; the header has 13 columns."),
     "a long row": (
         lambda rows: rows[41].append("1"),
-        "row 42 has 11 cells; the header has 10 columns.",
+        "row 42 has 14 cells; the header has 13 columns.",
     ),
     "more joints than the robot": (
         fourth_joint,

@@ -26,7 +26,7 @@ def test_both_limits_of_a_band_are_drawn() -> None:
     t = 0.01 * np.arange(200)
     dq = np.cos(t)
     torques = {"t": t, "dq1": dq, "q1": np.sin(t), "tau_rb1": 0.0 * t, "lugre.tau_f1": 10.0 * dq}
-    shown = SimpleNamespace(models={"lugre": model})
+    shown = SimpleNamespace(models={"lugre": model}, joints=("J1",))
     lower, upper = band(shown, "lugre", 1, torques)
     half = np.sqrt(0.7**2 + (0.5 * dq) ** 2)
     assert upper.y == pytest.approx(10.0 * dq + half, rel=1e-9)
