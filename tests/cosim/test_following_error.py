@@ -21,6 +21,7 @@ from hesr_model.errors import ConfigError, FitError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.guess import guess
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.identification import RigidBody, identify
@@ -201,3 +202,32 @@ def test_commands_of_a_file(tmp_path: Path) -> None:
         path, np.column_stack(list(columns.values())), delimiter=",", header=header, comments=""
     )
     assert guess(read_table(path)).columns["q_cmd"] == ("target_q_0",)
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "word"])
+@pytest.mark.parametrize("missing", ["refuse", "drop"])
+def test_unusable_commands_do_not_count(
+    recorded: Recording, robot: Robot, tmp_path: Path, cell: str, missing: str
+) -> None:
+    path, own = tmp_path / "log.csv", robot.description
+    recorded.log.rows(slice(400)).write(path)
+    header, first, *rest = path.read_text().splitlines()
+    *others, _ = first.split(",")
+    path.write_text("\n".join([header, ",".join([*others, cell]), *rest]) + "\n")
+    log = own.log.model_copy(update={"missing": missing})
+    found = Log.read(path, own.model_copy(update={"log": log}))
+    assert found.dq_cmd is None
+    assert len(found.t) == 400
+
+
+def test_commands_of_other_joints_do_not_count(
+    recorded: Recording, robot: Robot, tmp_path: Path
+) -> None:
+    path, own = tmp_path / "log.csv", robot.description
+    recorded.log.write(path)
+    names = {name: (f"{name}1", f"{name}2") for name in ("q", "dq", "tau")}
+    columns = own.log.columns.model_copy(update=names)
+    log = own.log.model_copy(update={"columns": columns})
+    two = own.model_copy(update={"joints": own.joints[:2], "log": log, "gear_ratio": None})
+    assert Log.read(path, two).dq_cmd is None
+    assert Log.read(path, own).dq_cmd is not None

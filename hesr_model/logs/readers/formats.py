@@ -1,6 +1,7 @@
 """Formats of log files, also of other packages (see `docs/add-a-log-format.md`)."""
 
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -67,8 +68,15 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
 
 def _optional(table: LogTable, quantity: str, robot: RobotDescription) -> Array | None:
     columns = getattr(robot.log.columns, quantity)
-    there = set(column_names(columns, robot.joints)) & set(table.names)
-    return None if columns == OPTIONAL[quantity] and not there else _joints(table, columns, robot)
+    default = columns == OPTIONAL[quantity]
+    if default and not set(column_names(columns, robot.joints)) & set(table.names):
+        return None
+    if not default or quantity == "temperature":
+        return _joints(table, columns, robot)
+    with suppress(LogError):  # commands that were not asked for must not make a log unreadable
+        if np.isfinite(found := _joints(table, columns, robot)).all():
+            return found
+    return None
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
