@@ -28,6 +28,7 @@ from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.rigid_body.servo import cascade, identify_servo
 from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.robots.transmission import Transmission
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import models_folder
 
@@ -185,6 +186,14 @@ def test_torque_of_other_commands(recorded: Recording, robot: Robot) -> None:
     log = replace(recorded.log, dq_cmd=recorded.log.dq_cmd[::-1])
     with pytest.raises(FitError, match="of joint 'joint1' does not follow from its commands"):
         identify_servo(log, robot, robot.nominal_parameters)
+
+
+def test_coupled_motors(recorded: Recording, robot: Robot) -> None:
+    matrix = ((50.0, 0.0, 0.0), (0.0, 80.0, 0.0), (0.0, 80.0, 60.0))
+    own = {**dict(robot.description), "gear_ratio": None}
+    coupled = Robot(RobotDescription(**{**own, "transmission": Transmission(matrix=matrix)}))
+    with pytest.raises(FitError, match="servos of coupled motors are not identified"):
+        identify_servo(recorded.log, coupled, robot.nominal_parameters)
 
 
 def test_useless_feed_forward() -> None:
