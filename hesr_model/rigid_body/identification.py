@@ -240,7 +240,8 @@ def identify_motions(
             f"robot '{model.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
     everything = [*motions, *reversed_motions]
-    forms = gear_forms(everything, model, observations.used_rows(everything, model))
+    used = observations.used_rows(everything, model) if everything else []
+    forms = gear_forms(everything, model, used)
     if forms and (physical or method == "paper"):
         raise FitError(
             f"robot '{model.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
