@@ -88,7 +88,8 @@ def test_servo_with_position_commands(
 ) -> None:
     kp, latency, share, step = (30.0, 40.0, 25.0), 0.007, 0.6, 1e-3
     fmu = tmp_path / "Plant.fmu"
-    export_plant(table1, fmu, body=PlantBody.of(robot), kv=KV, ki=KI, kp=kp, bare=True)
+    gains = {"kv": np.array(KV), "ki": np.array(KI), "kp": np.array(kp)}
+    export_plant(table1, fmu, body=PlantBody.of(robot), **gains, bare=True)
     t = np.arange(0.0, 12.0, step)
     q_cmd = np.column_stack([np.interp(t, recorded.log.t, q) for q in recorded.desired.T])
     with FmuInstance(fmu, name="plant") as plant:
