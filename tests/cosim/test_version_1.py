@@ -51,6 +51,7 @@ def test_the_scores_of_a_run_are_read() -> None:
             assert all(ratio.pop("p") is ratio.pop("others") is None for ratio in ratios)
         assert found["ratios"].pop("references") == {}
         assert found["ratios"].pop("by_joint") == {}
+        assert all(not scores.pop("rmse_rest") for scores in found["laws"].values())
         newer = {"leading": [], "per_log": None, "bands": {}, "detectable": [], "seconds": []}
         assert found == data | newer | {"zero_phase": {}}
 
