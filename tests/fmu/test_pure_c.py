@@ -110,7 +110,8 @@ def test_a_zero_step_changes_nothing(math) -> None:
 LAWS = """
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
-enum { JOINTS = 1, COUPLED = 0, MAX_INPUTS = 4, MAX_STATES = 1, MAX_OUTPUTS = 1, EULER = 2 };
+enum { JOINTS = 1, COUPLED = 0, BAND = 0, EULER = 2 };
+enum { MAX_INPUTS = 4, MAX_STATES = 1, MAX_OUTPUTS = 1 };
 static const double forward[1][1] = {{1.0}}, backward[1][1] = {{1.0}};
 enum { INERTIA, RATIO, STIFFNESS, DAMPING, TAU_MOTOR, TAU_LOAD, Q_LINK, DQ_LINK, DISCRETISATION,
        FIRST, VARIABLES, SLOPES = DQ_LINK + 1 };
