@@ -47,9 +47,7 @@ def test_trajectories(arm_model: Robot, unchanged: Unchanged) -> None:
 
 
 def test_a_simulated_arm(make_motion: MakeMotion, arm_model: Robot, unchanged: Unchanged) -> None:
-    motion = make_motion(name="run", seconds=4.0, friction=2.0)
-    tau = motion.tau + 0.1 * np.random.default_rng(2).normal(size=motion.tau.shape)
-    log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=tau)
+    log, longer = (noisy(make_motion(name="run", seconds=s, friction=2.0)) for s in (4.0, 10.0))
     body = identify([log], arm_model)
     records = friction_records(log, arm_model, body)
     model = fit_models(["stribeck"], [[r] for r in records], robot="a", seed=0, workers=1)[
@@ -62,7 +60,13 @@ def test_a_simulated_arm(make_motion: MakeMotion, arm_model: Robot, unchanged: U
             robot=arm_model, parameters=body.parameters, friction=model, as_plant=as_plant
         )
         found[str(as_plant)] = position_errors(simulator.run(windows), windows)
-    refined = refine(
-        arm_model, body, model, [smooth(log, arm_model.description.log.filter_cutoff)], rounds=2
-    )
+    cutoff = arm_model.description.log.filter_cutoff
+    refined = refine(arm_model, body, model, [smooth(longer, cutoff)], rounds=2)
+    assert refined.ratio < 1.0
+    assert refine(arm_model, body, model, [smooth(log, cutoff)]).ratio == 1.0  # none left out
     unchanged({"errors": found, "windows": windows, "refined": refined}, rtol=1e-2)
+
+
+def noisy(motion: Motion) -> Log:
+    tau = motion.tau + 0.1 * np.random.default_rng(2).normal(size=motion.tau.shape)
+    return Log(name=motion.name, t=motion.t, q=motion.q, dq=motion.dq, tau=tau)

@@ -243,19 +243,22 @@ def test_costs_of_an_output_error(
     motion: Motion, arm_model: Robot, friction: FrictionModel, body: RigidBody,
     unchanged: Unchanged,
 ) -> None:  # fmt: skip
-    problem = output_error._Problem(arm_model, body, friction, [motion])
+    logs = [motion_records(motion, arm_model, body)]
+    sets = [windows_of(logs, output_error.LENGTH)]
+    problem = output_error._Problem(arm_model, body, friction, [motion], logs, sets, with_body=True)
     theta = 0.05 * np.random.default_rng(0).normal(size=(3, problem.size))
     residuals, slopes = problem.linearised(theta[0])
     # Coefficients of 0 have no relative change.
     assert problem.size == len(problem.columns) + sum(
         value != 0.0 for law in friction.laws for value in law.values.values()
     )
-    away = problem.accepted(np.full(problem.size, 0.6))
+    change = problem._allowed(np.full(problem.size, 0.6))
+    away = problem.refined(change, problem.position_sizes, problem.position_sizes)
     assert away.ratio <= 1.0
     unchanged({
         "size": problem.size, "costs": problem.costs(theta),
         "residuals": residuals, "slopes": slopes[::211].tolist(),
-        "position": problem._position_sizes, "torque": problem._torque_sizes,
+        "position": problem.position_sizes[0], "torque": problem._torque_sizes,
         "moved": [law.values for law in problem._moved(theta[1]).laws],
         "body": problem._moved_body(theta[1]).parameters, "away": away.ratio,
     }, rtol=1e-3, atol=1e-6)  # fmt: skip
@@ -263,7 +266,7 @@ def test_costs_of_an_output_error(
 
 def test_trials_of_an_output_error() -> None:
     of = output_error
-    assert (of.WINDOW, of.MOST_TORQUE, of._STEP, of._TORQUE) == (0.5, 1.02, 1e-3, 0.5)
+    assert (of.LENGTH, of.MOST_TORQUE, of._STEP, of._TORQUE) == (0.5, 1.02, 1e-3, 0.5)
     assert (of._MOST, of._SPREAD, of._LEAST) == (0.7, 0.15, 1e-3)
     assert of._DAMPING == (1e-3, 1e-2, 1e-1, 1.0, 1e1)
     assert of._SHARES == (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
