@@ -161,3 +161,11 @@ def test_names_occur_in_the_sources() -> None:
         if not {name, re.sub(r"^[A-Z]+", "", name)} & known and not name.isupper()
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_readme_prints_the_means_over_joints() -> None:
+    rows = (ROOT / "docs/results_tables/robots.csv").read_text(encoding="utf-8").splitlines()[1:]
+    means = [row.rsplit(",", 5)[1:] for row in rows if row.split(",")[1] == "mean"]
+    table = (ROOT / "README.md").read_text(encoding="utf-8").split("| robot | recommended |")[1]
+    printed = [line.strip("| ").split(" | ")[2:] for line in table.splitlines()[2:7]]
+    assert printed == [[f"{float(x):.2f}" if x else "–" for x in row] for row in means]
