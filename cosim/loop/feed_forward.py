@@ -25,7 +25,7 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.rigid_body.servo import ServoFit, cascade, commanded, identify_servo
 from hesr_model.robots.robot import Robot
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, rms
 from hesr_model.support.files import scratch_folder
 
 AS_LOGGED, AHEAD = "commands as logged", "commands sent ahead by the latency"
@@ -70,8 +70,8 @@ def _predicted(
 ) -> Following:
     commands = dict(feed_forward(log, robot, body, models, servo))
     kv, ki, kp = (tuple(map(float, gains)) for gains in cascade(servo.factors))
-    own = PlantBody.of(robot, body)
-    export_plant(plant, fmu, body=own, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
+    arm = PlantBody.of(robot, body)
+    export_plant(plant, fmu, body=arm, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
     error = commanded(log)[0] - log.q
     missed = _missed(log, robot, body, plant)
     generator = np.random.default_rng(0)
@@ -87,14 +87,15 @@ def _predicted(
         bases = [run(AS_LOGGED, nothing, factors) for factors in drawn]
         base = run(AS_LOGGED, missed)
         for name in commands:
-            runs = [run(name, nothing, factors) for factors in drawn]
+            own = (run(name, nothing, factors) for factors in drawn)
+            runs = bases if name == AS_LOGGED else list(own)
             free = [error + b - q for b, q in zip(bases, runs, strict=True)]
             held = error + base - run(name, missed)
             moved = error + base - run(name, _moved(log, missed, runs[0]))
             if log.q_cmd is None:  # a velocity command fixes no position
                 moved, held, *free = (e - e.mean(axis=0) for e in (moved, held, *free))
-            middle, *others = (_rms(e) for e in (moved, *free))
-            missing = np.maximum(_rms(moved - held), _rms(moved - free[0]))
+            middle, *others = (rms(e) for e in (moved, *free))
+            missing = np.maximum(rms(moved - held), rms(moved - free[0]))
             spread = np.hypot(missing, _WIDTH * np.std(others, axis=0))
             low, high = np.maximum(middle - spread, 0.0), middle + spread
             one, below, above = (tuple(map(float, values)) for values in (middle, low, high))
@@ -141,10 +142,6 @@ def _missed(log: Log, robot: Robot, body: RigidBody, law: FrictionModel) -> Arra
     records = friction_records(log, robot, body)
     missed = np.column_stack([record.tau for record in records]) - law.predict(records)
     return smooth(replace(log, q=missed, dq=None), robot.description.log.filter_cutoff).q
-
-
-def _rms(errors: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
 def _moved(log: Log, missed: Array, q: Array) -> Array:

@@ -263,7 +263,7 @@ class Job:
             what = "refining the rigid body"
             if not law:  # every law is refined later, with this body
                 tried = self.fit(records, laws, what, {}, left_out=lambda *_: None)
-                both = self.refine(training, model, found, tried, with_body=True)
+                both = self.refine(logs, model, found, tried, with_body=True)
                 laws = (min(both, key=lambda name: both[name].size),)
                 found = both[laws[0]].body
                 continue
@@ -277,7 +277,7 @@ class Job:
 
     def refine(
         self,
-        training: Mapping[str, Log],
+        logs: Mapping[str, Log],
         model: Robot,
         body: RigidBody,
         models: Mapping[str, FrictionModel],
@@ -285,7 +285,7 @@ class Job:
         with_body: bool = False,
     ) -> dict[str, Refined]:
         """Refine laws by output error on the training logs."""
-        motions = smoothed(list(training.values()), model)
+        motions = smoothed([logs[name] for name in self.study.logs.training], model)
         own = partial(refine, model, body, motions=motions, with_body=with_body)
         jobs = [partial(own, friction, seed=self.study.seed) for friction in models.values()]
         costs = [friction.size for friction in models.values()]
@@ -303,8 +303,7 @@ class Job:
         """Refine every law by output error if the study does; else return nothing."""
         if self.study.refinement is None or self.study.refinement.law:
             return {}
-        training = {name: logs[name] for name in self.study.logs.training}
-        return self.refine(training, model, body, models)
+        return self.refine(logs, model, body, models)
 
     def fit(
         self,

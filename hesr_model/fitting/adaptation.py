@@ -112,7 +112,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
     law = prior.laws[k]
     covariance = law.covariance
     if covariance is None:
-        raise TypeError("a law without a covariance is no prior")
+        raise TypeError("the prior needs a covariance")
     if not (limits := _limits(law, covariance.names)):
         return law
     names, (low, high) = tuple(limits), np.array(list(limits.values())).T

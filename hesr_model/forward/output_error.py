@@ -21,7 +21,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import Robot
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, rms
 
 LENGTH = 0.5  # [s] windows
 LONG = 2.0  # [s] further windows without gravity, and the blocks of left-out windows
@@ -53,7 +53,7 @@ class Refined:
 
     @property
     def size(self) -> float:
-        """Geometric mean of the errors on left-out windows; infinite if there are none."""
+        """Geometric mean of the errors on left-out windows; infinite without windows."""
         with np.errstate(all="ignore"):
             found = float(np.exp(np.mean(np.log(self.left_out))))
         return found if np.isfinite(found) else np.inf
@@ -88,10 +88,10 @@ def refine(
     before = after = np.full((len(sets), robot.n), np.nan)
     if all(len(windows.t) for half in halves for windows in half.sets):
         changes = [half.solved(rounds, starts, seed) for half in halves]
-        before = _rms(np.array([half.position_sizes for half in halves]))
+        before = rms(np.array([half.position_sizes for half in halves]))
         pairs = zip(halves, reversed(changes), strict=True)
-        after = _rms(np.array([half.sizes(change) for half, change in pairs]))
-    if not _rms(after / before, axis=None) < 1.0:
+        after = rms(np.array([half.sizes(change) for half, change in pairs]))
+    if not rms(after / before, axis=None) < 1.0:
         return Refined(body=body, friction=friction, ratio=1.0, before=before, left_out=before)
     problem.whole = [whole(log) for log in logs] if free else []
     return problem.refined(problem.solved(rounds, starts, seed), before, after)
@@ -128,7 +128,7 @@ class _Problem:
         ]
         still = np.zeros(self.size)
         self.position_sizes = self.sizes(still)
-        self._torque_sizes = _rms(self._torque(still))
+        self._torque_sizes = rms(self._torque(still))
 
     def of_blocks(self, k: int) -> "_Problem":
         """Return the problem with the windows of every other block of time."""
@@ -182,8 +182,8 @@ class _Problem:
             lost = {j for j, was in enumerate(self._proven) if was and not proven(laws[j])}
             of_joints = [joint for joint, _ in self._names]
             change[len(self.columns) :][[joint in lost for joint in of_joints]] = 0.0
-            ratio = _rms(self.sizes(change) / self.position_sizes, axis=None)
-            enough = _rms(self._torque(change)) <= MOST_TORQUE * self._torque_sizes
+            ratio = rms(self.sizes(change) / self.position_sizes, axis=None)
+            enough = rms(self._torque(change)) <= MOST_TORQUE * self._torque_sizes
             if np.all(enough) and ratio < 1.0 and self._open_loop(change) <= open_loop:
                 return change
         return still
@@ -193,12 +193,12 @@ class _Problem:
         body, friction = self._moved_body(change), self._moved(change)
         one = Simulator(robot=self._robot, parameters=body.parameters, friction=friction)
         errors = [(one.run(w) - w.q) / self.position_sizes[0] for w in self.whole]
-        found = float(_rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
+        found = float(rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
         return found if np.isfinite(found) else np.inf
 
     def refined(self, change: Array, before: Array, left_out: Array) -> Refined:
         """Return body and friction after a change."""
-        torque = _rms(self._torque(change))
+        torque = rms(self._torque(change))
         known = self._friction.left_out_rmse or ()
         friction = replace(
             self._moved(change),
@@ -208,14 +208,14 @@ class _Problem:
         return Refined(
             body=self._moved_body(change),
             friction=friction,
-            ratio=float(_rms(self.sizes(change) / self.position_sizes, axis=None)),
+            ratio=float(rms(self.sizes(change) / self.position_sizes, axis=None)),
             before=before,
             left_out=left_out,
         )
 
     def sizes(self, change: Array) -> Array:
         """Return the RMS position errors by length and joint [rad; m]."""
-        return np.array([_rms(part[0], axis=(0, 1)) for part in self._position(change[None])])
+        return np.array([rms(part[0], axis=(0, 1)) for part in self._position(change[None])])
 
     def _rows(self, theta: Array) -> list[Array]:
         positions = zip(*self._position(theta), strict=True)
@@ -282,8 +282,3 @@ class _Problem:
             for law, own in zip(self._friction.laws, values, strict=True)
         ]
         return replace(self._friction, laws=tuple(laws))
-
-
-def _rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:
-    with np.errstate(all="ignore"):
-        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=axis)))

@@ -5,7 +5,7 @@
 Commands act late; the servo compensates a share of gravity. With q_cmd it is a PID in the position.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,6 +77,8 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
         raise FitError("no log has commanded positions or velocities (log.columns.q_cmd, dq_cmd)")
     if robot.description.coupling is not None:
         raise FitError("servos of coupled motors are not identified")
+    dq = smooth(log).dq if log.dq is None else log.dq
+    log = replace(log, dq=dq, dq_cmd=commanded(log)[1])  # once, for all latencies
     still = np.zeros_like(log.q)
     gravity = robot.torque(parameters, log.q, still, still)
     span = log.t[-1] - log.t[0]
@@ -126,7 +128,7 @@ def _problems(
     past = t - latency
     rows = t >= min(_LATEST, 0.1 * t[-1])
     place = np.maximum(np.searchsorted(t, past + 1e-9, side="right") - 1, 0)
-    dq = smooth(log).dq if log.dq is None else log.dq
+    assert log.dq is not None
 
     def acting(values: Array, joint: int) -> Array:
         one = values[:, joint]
@@ -140,7 +142,7 @@ def _problems(
         error = (np.interp(past, t, own) if line else own[place]) - log.q[:, j]
         steps = 0.5 * (error[1:] + error[:-1]) * np.diff(t)
         sums = np.append(0.0, np.cumsum(steps)) * (log.q_cmd is not None)
-        rate = acting(speed, j) - dq[:, j]
+        rate = acting(speed, j) - log.dq[:, j]
         every = [rate, error, sums, np.ones_like(t), gravity[:, j]]
         columns.append(np.column_stack(every)[rows])
         targets.append(log.tau[rows, j])

@@ -20,3 +20,9 @@ def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integ
     found = {name: getattr(record, name) for name in columns}
     some: Record = replace(whole, **{n: v[rows] for n, v in found.items() if v is not None})
     return some
+
+
+def rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:
+    """Return the root mean square over axes, silently infinite or NaN."""
+    with np.errstate(all="ignore"):
+        return np.asarray(np.sqrt(np.mean(np.square(errors), axis=axis)))
