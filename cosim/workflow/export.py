@@ -52,6 +52,7 @@ class ExportOptions(TypedDict, total=False):
 
 _PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki", "kp", "torque_constants")
 _OF_ROBOTS = ("plant", "observer")  # formats with the dynamics of the robot
+_BATTERY = ("hesr.tests", "properties")
 _OF_ARMS, _OF_SYSTEMS = ("signals",), ("ssp",)
 _log = logging.getLogger(__name__)
 
@@ -396,10 +397,11 @@ def _completed(
     if format == "drive" and "inertia" not in done:
         raise ArgumentError("'format' drive needs 'inertia', the inertia of the rotors in kg.m2.")
     if done.get("properties"):
-        from cosim.properties.battery import Subject, run_battery
+        from hesr_model.audit.properties import Subject
+        from hesr_model.support import plugins
 
-        subject = Subject(name=model.law, model=model)
-        [done["properties"]] = run_battery([subject], progress=partial(progress, "testing the law"))
+        subject, battery = Subject(name=model.law, model=model), plugins.find(*_BATTERY)
+        [done["properties"]] = battery([subject], progress=partial(progress, "testing the law"))
     return done
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
-KINDS = ("prediction", "passivity", "properties")  # kinds of HESR's own tests
+KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -238,7 +238,11 @@ def test(
         report = _certified(report, alone=kinds == ("passivity",))
     if "properties" in kinds:
         report = _checked(report, inertia, load, file, progress)
-    others = {name: plugged[name].load()(tested, logs) for name in kinds if name not in KINDS}
+    others = {
+        name: plugged[name].load()(tested, logs)
+        for name in kinds
+        if name not in (*KINDS, "properties")
+    }
     return replace(report, others=others)
 
 
@@ -327,9 +331,9 @@ def _checked(
     report: LawReport, inertia: PerJoint | None, load: float, output: Path | None, progress: Stages
 ) -> LawReport:
     """Add the physics checks, each law in a process of its own."""
-    from cosim.properties.battery import Subject, run_battery
     from cosim.workflow.arguments import listed
-    from hesr_model.audit.properties import write_properties
+    from hesr_model.audit.properties import Subject, write_properties
+    from hesr_model.support import plugins
     from hesr_model.support.files import written_whole
 
     values = None if inertia is None else tuple(listed(inertia))
@@ -339,7 +343,8 @@ def _checked(
     with ExitStack() as cleanup:
         # Check that the file can be written before the run.
         file = cleanup.enter_context(written_whole(output)) if output else None
-        found = run_battery(subjects, load=load, progress=partial(progress, "testing the laws"))
+        battery = plugins.find("hesr.tests", "properties")
+        found = battery(subjects, load=load, progress=partial(progress, "testing the laws"))
         named = {law.name: of_law for law, of_law in zip(report.laws, found, strict=True)}
         if file:
             write_properties(file, named)

@@ -1,4 +1,4 @@
-"""Results of the physics checks and their file; the experiments are in `cosim.properties`."""
+"""Subjects and results of the physics checks, which are a plug-in, and their file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator
 
 from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.friction.model import FrictionModel
 from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joint
 
@@ -16,6 +17,16 @@ FORMAT = "hesr-friction-properties-1"
 PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]
 """Not applicable to the law; this is not a defect."""
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """A model or FMU to examine."""
+
+    name: str  # display name without a model
+    model: FrictionModel | None  # None if unknown
+    fmu: Path | None = None  # exported from the model by default
+    inertia: tuple[float, ...] | None = None  # [kg.m2]
 
 
 @dataclass(frozen=True, kw_only=True)

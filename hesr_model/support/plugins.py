@@ -12,7 +12,7 @@ GROUPS = {
     "hesr.laws": "law",  # module that registers the estimator of this name
     "hesr.logs": "log format",  # FileFormat
     "hesr.exports": "export format",  # function (model, output, *, platform, **options)
-    "hesr.tests": "test",  # function of laws and logs
+    "hesr.tests": "test",  # function of laws and logs; `properties` one of subjects
     "hesr.refinements": "refinement",  # function of a fitted law and its records
     "hesr.jobs": "job",  # object with `key`, `read` and `run`
     "hesr.motions": "planner",  # function (robot, output, *, purpose, time, ..)
@@ -84,7 +84,9 @@ def find(group: str, name: str) -> Any:
     """Import and return a plug-in's object, or raise ConfigError."""
     known = load(group)
     if name not in known:
-        raise ConfigError(f"{GROUPS[group]} '{name}' is unknown; known are {', '.join(known)}.")
+        raise ConfigError(
+            f"{GROUPS[group]} '{name}' is unknown; known are {', '.join(known) or 'none'}."
+        )
     return known[name].load()
 
 

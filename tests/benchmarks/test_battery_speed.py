@@ -6,7 +6,7 @@ from dataclasses import replace
 from pytest_benchmark.fixture import BenchmarkFixture
 from registry_models import models_of_registry
 
-from cosim.properties.battery import Subject, run_battery
+from hesr.extras.properties.battery import Subject, run_battery
 
 JOINTS = 3
 

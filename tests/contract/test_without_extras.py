@@ -116,6 +116,27 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
     assert "'format' is modelica; allowed are" in found.stderr.splitlines()[-1]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("test", "uf850-table1", "--kind", "properties"),
+            "--kind is properties; allowed are prediction, passivity.",
+        ),
+        (
+            ("export", "uf850-table1", "-o", "F.fmu", "--properties"),
+            "test 'properties' is unknown; known are none.",
+        ),
+    ],
+)
+def test_parts_of_extras_are_refused(
+    arguments: tuple[str, ...], message: str, site: Path, tmp_path: Path
+) -> None:
+    found = hesr(site, *arguments, cwd=tmp_path)
+    assert (found.returncode, found.stderr) == (2, f"hesr: {message}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:
     for arguments in (("export", "uf850-table1", "-o", "F.fmu"), ("check", "F.fmu")):
         found = hesr(site, *arguments, cwd=tmp_path)

@@ -9,10 +9,10 @@ from zipfile import ZipFile
 import pytest
 from small_study import Hesr, hesr_here, uf850
 
-from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
 from fmu_src.pages.properties_sheet import section
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.properties.battery import Subject, measure
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.properties.battery import Subject, run_battery
 from fmu_src import export_fmu
 from fmu_src.check.run import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr.extras.modelica.modelica_package import export_modelica
+from hesr.extras.properties.battery import Subject, run_battery
 from hesr_model.fitting import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

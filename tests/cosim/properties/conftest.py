@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from subjects import INERTIA, bristle, law, model, slip
 
-from cosim.properties.battery import Subject, measure
 from fmu_src import model_file
+from hesr.extras.properties.battery import Subject, measure
 from hesr_model.audit.properties import Properties
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

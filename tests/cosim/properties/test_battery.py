@@ -10,8 +10,8 @@ import pytest
 import sympy
 from subjects import INERTIA, SPEED, bristle, law, model
 
-from cosim.properties.battery import Subject, measure, run_battery
 from fmu_src import export_fmu, model_file
+from hesr.extras.properties.battery import Subject, measure, run_battery
 from hesr_model.audit.audit import audit
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import Properties, PropertyResult

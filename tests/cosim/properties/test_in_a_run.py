@@ -9,8 +9,8 @@ import pinocchio
 import pytest
 from small_study import Run
 
-from cosim.properties.battery import Subject, run_battery
-from cosim.properties.scale import INERTIA, standing_inertia
+from hesr.extras.properties.battery import Subject, run_battery
+from hesr.extras.properties.scale import INERTIA, standing_inertia
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import read_properties, write_properties
 from hesr_model.friction.model import FrictionModel

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from subjects import bristle, model
 
-from cosim.properties.battery import Subject, measure
 from fmu_src import export_fmu
+from hesr.extras.properties.battery import Subject, measure
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import Properties
 

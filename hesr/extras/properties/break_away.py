@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from cosim.properties.bench import DriveBench
-from cosim.properties.findings import curve, judged, plot
-from cosim.properties.scale import Scale
+from hesr.extras.properties.bench import DriveBench
+from hesr.extras.properties.findings import curve, judged, plot
+from hesr.extras.properties.scale import Scale
 from hesr_model.audit.expectations import FALLS, HELD
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from cosim.properties.bench import FrictionBench
-from cosim.properties.findings import curve, judged, plot
-from cosim.properties.scale import Scale
+from hesr.extras.properties.bench import FrictionBench
+from hesr.extras.properties.findings import curve, judged, plot
+from hesr.extras.properties.scale import Scale
 from hesr_model.audit.attack import loaded_motions
 from hesr_model.audit.cycles import (
     AMPLITUDES,

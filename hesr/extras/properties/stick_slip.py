@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from cosim.properties.bench import DriveBench
-from cosim.properties.findings import curve, figures, plot
-from cosim.properties.scale import CREEP, Scale
+from hesr.extras.properties.bench import DriveBench
+from hesr.extras.properties.findings import curve, figures, plot
+from hesr.extras.properties.scale import CREEP, Scale
 from hesr_model.audit.expectations import WEAKENING
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from math import isfinite
@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.properties.bench import DriveBench, FrictionBench
-from cosim.properties.break_away import breakaway, dither, hold
-from cosim.properties.coupling import coupling
-from cosim.properties.dissipation import dissipation
-from cosim.properties.presliding import memory, presliding
-from cosim.properties.scale import INERTIA, Scale, measure_scale
-from cosim.properties.sliding import chatter, lag, start, work
-from cosim.properties.stick_slip import stick_slip
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.properties.bench import DriveBench, FrictionBench
+from hesr.extras.properties.break_away import breakaway, dither, hold
+from hesr.extras.properties.coupling import coupling
+from hesr.extras.properties.dissipation import dissipation
+from hesr.extras.properties.presliding import memory, presliding
+from hesr.extras.properties.scale import INERTIA, Scale, measure_scale, standing_inertia
+from hesr.extras.properties.sliding import chatter, lag, start, work
+from hesr.extras.properties.stick_slip import stick_slip
 from hesr_model.audit.audit import loads_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (
@@ -31,6 +31,7 @@ from hesr_model.audit.properties import (
     JointProperties,
     Properties,
     PropertyResult,
+    Subject,
     read_properties,
     write_properties,
 )
@@ -38,6 +39,8 @@ from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -55,28 +58,25 @@ _NO_INERTIA = "Not run: the inertia of the joints is unknown; give it with --ine
 _NO_MODEL = "Not run: the FMU contains no law, which a JointDrive needs."
 
 
-@dataclass(frozen=True, kw_only=True)
-class Subject:
-    """A model or FMU to examine."""
-
-    name: str  # display name without a model
-    model: FrictionModel | None  # None if unknown
-    fmu: Path | None = None  # exported from the model by default
-    inertia: tuple[float, ...] | None = None  # [kg.m2]
-
-
 def run_battery(
     subjects: Sequence[Subject],
     *,
     load: float = 0.0,
+    body: tuple[Robot, RigidBody] | None = None,
     workers: int | None = None,
     progress: Progress = silent,
     kept: Path | None = None,
 ) -> list[Properties]:
     """Examine models or FMUs in parallel under a constant load [N.m] of every joint.
 
-    `kept` is a folder of finished results. Raises ConfigError if an inertia is not valid.
+    The inertia of models is that of a given body. `kept` is a folder of finished results. Raises
+    ConfigError if an inertia is not valid.
     """
+    if body is not None:
+        subjects = [
+            replace(one, inertia=standing_inertia(*body, one.model)) if one.model else one
+            for one in subjects
+        ]
     for subject in subjects:
         _require_inertia(subject)
     jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.properties.bench import FrictionBench
+from hesr.extras.properties.bench import FrictionBench
 from hesr_model.audit.cycles import ENCODER
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from cosim.properties.bench import FrictionBench
-from cosim.properties.findings import curve, figures, plot
-from cosim.properties.scale import SLIDING, Scale
+from hesr.extras.properties.bench import FrictionBench
+from hesr.extras.properties.findings import curve, figures, plot
+from hesr.extras.properties.scale import SLIDING, Scale
 from hesr_model.audit.expectations import STEP
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.errors import SimulationError
