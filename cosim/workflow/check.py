@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shortened
 from hesr_model.errors import ArgumentError, HesrError
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
-Kind = Literal["static", "references", "hostile", "convention"]
+KINDS = ("static", "references", "convention")  # kinds of HESR's own checks
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -81,7 +81,7 @@ class FmuReport(Answer):
 def check(
     fmus: FmuArgs,
     *,
-    kind: Sequence[Kind] = ("static",),
+    kind: Sequence[str] = ("static",),
     vdmcheck: PathArg | None = None,
     junit: PathArg | None = None,
     sarif: PathArg | None = None,
@@ -144,10 +144,12 @@ def check(
     from fmu_src.check.convention import judge, measure
     from fmu_src.check.run import check as check_fmu
     from fmu_src.run.archive import opened
+    from hesr_model.support import plugins
     from hesr_model.support.files import path_of
 
+    plugged = plugins.names("hesr.checks")
     for one in kind:
-        require_choice("kind", one, get_args(Kind))
+        require_choice("kind", one, (*KINDS, *plugged))
     paths = paths_of(fmus, "an FMU")
     systems = [path for path in paths if path.suffix.lower() == ".ssp"]
     if systems and set(kind) - {"static", "references"}:
@@ -164,7 +166,7 @@ def check(
         report = (
             check_ssp(path, vdmcheck=folder)
             if path in systems
-            else check_fmu(path, vdmcheck=folder, hostile="hostile" in kind)
+            else check_fmu(path, vdmcheck=folder, kinds=[one for one in plugged if one in kind])
         )
         reports.append(_with_references(report) if "references" in kind else report)
     conventions = {}

@@ -116,6 +116,8 @@ RULES: Mapping[str, Rule] = {
 }
 """Rules by identifier."""
 
+_FOREIGN = Rule("error", "findings of another package's check", "the package")
+
 
 def findings(problems: Iterable[Problem]) -> list[Finding]:
     """Return the findings of one check, without repetitions and at most `MOST_PROBLEMS`."""
@@ -138,7 +140,7 @@ def findings(problems: Iterable[Problem]) -> list[Finding]:
 
 def rule_of(name: str) -> Rule:
     """Return the rule of a finding."""
-    return RULES[name.partition(":")[0]]
+    return RULES.get(name.partition(":")[0], _FOREIGN)
 
 
 def with_rule(name: str, texts: Iterable[str]) -> Iterator[Problem]:

@@ -13,7 +13,6 @@ from fmu_src.check import (
     binaries,
     external,
     general,
-    hostile,
     markup,
     paths,
     rules,
@@ -24,9 +23,10 @@ from fmu_src.check import (
 )
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
-from fmu_src.check.rules import Problem, with_rule
+from fmu_src.check.rules import Problem
 from hesr_model.errors import ConfigError
 from hesr_model.findings import SEVERITIES, Finding, errors_first
+from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain, quoted
 from hesr_model.support.typed_json import to_json
@@ -64,8 +64,8 @@ class Report:
         }
 
 
-def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) -> Report:
-    """Check an FMU; `hostile` also runs it under an adverse master.
+def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()) -> Report:
+    """Check an FMU, also by the plug-ins `kinds`.
 
     Raises ArtifactError if the file is unreadable, ConfigError if VDMCheck2 is not in its folder.
     """
@@ -75,7 +75,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
         files, folder = Path(temporary, "files"), Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
-        found = _Found(folder, vdmcheck, hostile=hostile)
+        found = _Found(folder, vdmcheck, kinds)
         found.check(archive.unpack(path, files))
     return Report(
         path=path, problems=tuple(errors_first(found.problems)), skipped=tuple(found.skipped)
@@ -83,10 +83,10 @@ def check(path: Path, *, vdmcheck: Path | None = None, hostile: bool = False) ->
 
 
 class _Found:
-    def __init__(self, folder: Path, vdmcheck: Path | None, *, hostile: bool) -> None:
+    def __init__(self, folder: Path, vdmcheck: Path | None, kinds: Iterable[str]) -> None:
         self._folder = folder
         self._vdmcheck = vdmcheck
-        self._hostile = hostile
+        self._kinds = kinds
         self.problems: list[Finding] = []
         self.skipped: list[str] = []
 
@@ -126,11 +126,8 @@ class _Found:
             )
         else:
             self._run_others(contents, version, len(about.variables))
-        if self._hostile and (version != "2.0" or damaged):
-            self.skipped.append("Hostile master: not run; it needs FMI 2.0 and a valid archive.")
-        elif self._hostile:
-            said, skipped = hostile.problems(about, contents, self._folder)
-            self._add_run((list(with_rule("hostile", said)), skipped))
+        for kind in self._kinds:
+            self._add_run(plugins.find("hesr.checks", kind)(about, contents, self._folder))
 
     def _check_rules(self, about: ParsedDescription, contents: Contents) -> None:
         more = variables.RULES_2 if about.fmi == 2 else variables.RULES_3

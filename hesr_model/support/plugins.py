@@ -12,6 +12,7 @@ GROUPS = {
     "hesr.laws": "law",  # module that registers the estimator of this name
     "hesr.logs": "log format",  # FileFormat
     "hesr.exports": "export format",  # function (model, output, *, platform, **options)
+    "hesr.checks": "check",  # function (description, contents, folder) of an FMU
     "hesr.tests": "test",  # function of laws and logs; `properties` one of subjects
     "hesr.refinements": "refinement",  # function of a fitted law and its records
     "hesr.jobs": "job",  # object with `key`, `read` and `run`

@@ -37,6 +37,7 @@ ONLY_IN = {
     "fmpy": (
         "fmu_src/run/*",
         "fmu_src/check/*",
+        "hesr/extras/hostile/scenarios.py",
         "fmu_src/export/package.py",
         "cosim/systems/container.py",
     ),

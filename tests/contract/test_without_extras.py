@@ -114,6 +114,11 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
     code = "import hesr; hesr.export('uf850-table1', 'f.mo', format='modelica')"
     found = python(site, "-c", code, cwd=tmp_path)
     assert "'format' is modelica; allowed are" in found.stderr.splitlines()[-1]
+    found = hesr(site, "check", "F.fmu", "--kind", "hostile", cwd=tmp_path)
+    assert found.returncode == 2
+    assert found.stderr == (
+        "hesr: 'kind' is hostile; allowed are static, references, convention.\n"
+    )
 
 
 @pytest.mark.parametrize(

@@ -288,7 +288,7 @@ def test_readers_of_untrusted_files_have_few_rights_too(
     (tmp_path / "secret").write_text("secret")
     monkeypatch.setenv("TARGET", str(tmp_path / "secret"))
     monkeypatch.setenv("DEED", f"fmi2DoStep try {deed}")
-    (hostile,) = check(hostile_lag, hostile=True).problems[-1:]
+    (hostile,) = check(hostile_lag, kinds=["hostile"]).problems[-1:]
     assert f"exit code {REFUSED[deed]}" in str(hostile.found)
 
 

@@ -12,7 +12,7 @@ from fmu_src.check.run import check
 
 
 def complaints(fmu: Path) -> list[str]:
-    report = check(fmu, hostile=True)
+    report = check(fmu, kinds=["hostile"])
     assert not any(reason.startswith("Hostile") for reason in report.skipped)
     return [problem.found for problem in report.problems]
 

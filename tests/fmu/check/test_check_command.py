@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import pytest
 from fmu_files import changed
+from plugin_packages import lay_package
 
+from cosim.workflow.check import check
 from fmu_src import export_fmu
 
 
@@ -99,3 +101,18 @@ def test_hostile_masters_are_simulated(make_law, make_model, tmp_path):
     found = hesr("check", fmu, "--kind", "hostile", "--json", tmp_path / "o.json")
     assert found == Answer(0, [f"{fmu}: no finding.", f"  {NO_VDMCHECK}"], "")
     assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["passed"]
+
+
+OWN_CHECK = """
+def problems(about, contents, folder):
+    return [("my-rule", f"it has {len(about.variables)} variables.")], ["My second check: no time."]
+"""
+
+
+def test_checks_of_other_packages_are_run(source_fmu, tmp_path, monkeypatch):
+    points = {"hesr.checks": {"mine": "my_checks:problems"}}
+    monkeypatch.syspath_prepend(lay_package(tmp_path, points, modules={"my_checks": OWN_CHECK}))
+    found = check(source_fmu, kind=["mine"])
+    (finding,) = [f for f in found.findings if f.check == "my-rule"]
+    assert (finding.severity, finding.found) == ("error", "it has 64 variables.")
+    assert "My second check: no time." in found.reports[0].skipped

@@ -9,11 +9,11 @@ from fmu_files import changed, texts
 from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu
-from fmu_src.check import hostile
 from fmu_src.check.run import check
 from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export import package
 from fmu_src.friction.friction_fmu import export_bare
+from hesr.extras.hostile import master as hostile
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.stops.form import Structure
@@ -54,7 +54,7 @@ def python_fmu(tmp_path: Path) -> Callable[[str], Path]:
 
 
 def found(fmu: Path) -> list[str]:
-    return texts(check(fmu, hostile=True), "hostile")
+    return texts(check(fmu, kinds=["hostile"]), "hostile")
 
 
 # --- our FMUs ----------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def found(fmu: Path) -> list[str]:
 @pytest.mark.parametrize("law", ["lugre", "viscous", "elements"])
 def test_friction_laws_pass(law, make_law, make_model, tmp_path):
     model = make_model(make_law(law), make_law(law))
-    report = check(export_fmu(model, tmp_path / "F.fmu"), hostile=True)
+    report = check(export_fmu(model, tmp_path / "F.fmu"), kinds=["hostile"])
     assert report.problems == ()
     assert not any("ostile" in reason for reason in report.skipped)
 
@@ -193,7 +193,7 @@ def test_only_declared_step_sizes_are_used(python_fmu, tmp_path):
     def fixed(xml):
         xml.find("CoSimulation").set("canHandleVariableCommunicationStepSize", "false")
 
-    report = check(changed(python_fmu(LAG), tmp_path / "Fixed.fmu", fixed), hostile=True)
+    report = check(changed(python_fmu(LAG), tmp_path / "Fixed.fmu", fixed), kinds=["hostile"])
     assert texts(report, "hostile") == []
     assert (
         "Hostile steps: canHandleVariableCommunicationStepSize is false, so only steps of 0.01 s "
@@ -232,6 +232,6 @@ def test_an_endless_step_is_reported(python_fmu, monkeypatch):
 
 
 def test_a_missing_binary_is_reported(source_fmu):
-    report = check(source_fmu, hostile=True)
+    report = check(source_fmu, kinds=["hostile"])
     assert report.problems == ()
     assert "Hostile master: a binary for this platform, linux64, is missing." in report.skipped

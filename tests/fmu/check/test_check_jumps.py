@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fmu_src.check.description import ParsedVariable
-from fmu_src.check.hostile import _excitation, _Master, _Run, _run, _scale
+from hesr.extras.hostile.master import _excitation, _Master, _Run, _run, _scale
 
 STEP = 0.1
 

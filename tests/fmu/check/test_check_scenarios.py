@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_fmus import lag
 
-from fmu_src.check.hostile_scenarios import outcome
+from hesr.extras.hostile.scenarios import outcome
 
 U, Y, T = 0, 1, 4  # value references
 STEP, STEPS = 0.1, 10

@@ -22,6 +22,7 @@ from fmu_src.check.description import (
     integer,
     real,
 )
+from fmu_src.check.rules import Problem, rule_of, with_rule
 from fmu_src.run.instance import PLATFORM, SUFFIX, DiedError
 from fmu_src.run.sandbox import NONSENSE, Sandbox
 from hesr_model.support.arrays import Array
@@ -29,7 +30,7 @@ from hesr_model.support.text import plain, quoted
 
 SECONDS = 300.0  # for a scenario
 STEPS = 200  # of the nominal run
-_SCENARIO = "fmu_src.check.hostile_scenarios:outcome"
+_SCENARIO = "hesr.extras.hostile.scenarios:outcome"
 _STEP = 0.01  # [s], unless the FMU prefers one
 _ERRORS = 5.0  # threshold of a jump, in step errors of the nominal run
 _LEAST = 0.02  # added to it, relative to the range of an output
@@ -70,8 +71,11 @@ class _Run:
 
 def problems(
     about: ParsedDescription, contents: Contents, folder: Path
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[Problem], list[str]]:
     """Run an FMU of FMI 2.0; return findings, and reasons for scenarios that were not run."""
+    damaged = any(rule_of(name).severity == "error" for name, _ in contents.problems)
+    if damaged or about.attributes.get("fmiVersion") != "2.0":
+        return [], ["Hostile master: not run; it needs FMI 2.0 and a valid archive."]
     own = f"binaries/{PLATFORM}/"
     kinds = {
         kind.element: kind
@@ -86,7 +90,7 @@ def problems(
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(file.read_bytes())
     master = _Master(about, kinds, folder)
-    return list(master.findings()), master.skipped
+    return list(with_rule("hostile", master.findings())), master.skipped
 
 
 class _Master:

@@ -23,7 +23,7 @@ class RefusedError(Exception):
 
 
 def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
-    """Run a scenario of a plan of `fmu_src.check.hostile` and return its times and values."""
+    """Run a scenario of a plan of `hesr.extras.hostile.master` and return its times and values."""
     run: _Run | None = None
     try:
         run = _Run(plan, exchange=scenario in _EXCHANGES)

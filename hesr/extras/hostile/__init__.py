@@ -1,0 +1,1 @@
+"""Check of FMUs under adverse masters, in the sandbox."""
