@@ -3,11 +3,9 @@
 import shutil
 from pathlib import Path
 
-from cosim.systems.contents import read_contents
-from cosim.systems.ssp import write_ssp
-from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec, write_system
 from hesr_model.errors import ArtifactError
+from hesr_model.support import plugins
 from hesr_model.support.files import folder_written_whole, models_folder
 
 _LOOPS = ("closed_loop.toml", "plant_loop.toml")
@@ -15,10 +13,11 @@ _SCRIPT = "simulate.py"
 
 
 def complete_loops(folder: Path) -> None:
-    """Write the SSP of each loop in a folder, and the script that runs the loops."""
+    """Write the script that runs the loops in a folder, and their SSPs if that is possible."""
+    ssp = plugins.load("hesr.systems").get("ssp")
     for path in _loops(folder):
-        with opened_system(path) as spec:
-            write_ssp(read_contents(spec, path), path.with_suffix(".ssp"))
+        if ssp:
+            ssp.load()(SystemSpec.read(path), path, path.with_suffix(".ssp"))
         shutil.copyfile(models_folder() / "loop" / _SCRIPT, folder / _SCRIPT)
 
 

@@ -1,14 +1,16 @@
-"""Systems of FMUs in a TOML file."""
+"""Systems of FMUs in a TOML file, or in an SSP, whose formats are plug-ins."""
 
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from fmu_src.run.master import Order
+from hesr_model.support import plugins
 from hesr_model.support.config import Config, RelativePath
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import toml
@@ -103,6 +105,23 @@ def _multiple_of(time: float, step: float, what: str) -> None:
         raise ValueError(
             f"{what} is {time:g} s; it must be a multiple of the communication step, {step:g} s"
         )
+
+
+@contextmanager
+def opened_system(
+    path: Path,
+    times: Mapping[str, float | None] | None = None,
+    values: Mapping[str, Any] | None = None,
+) -> Iterator[SystemSpec]:
+    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
+
+    `times` [s] (start, stop, step) and start values by hierarchical name replace those of an SSP.
+    """
+    if path.suffix.lower() != ".ssp":
+        yield SystemSpec.read(path)
+        return
+    with plugins.find("hesr.systems", "ssp-reader")(path, times or {}, values or {}) as spec:
+        yield spec
 
 
 def write_system(spec: SystemSpec, path: Path) -> Path:

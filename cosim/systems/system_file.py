@@ -8,8 +8,7 @@ from weakref import finalize
 
 from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
-from cosim.systems.ssp_reader import opened_system
-from cosim.systems.system import SystemSpec
+from cosim.systems.system import SystemSpec, opened_system
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Progress, silent
 

@@ -139,7 +139,6 @@ def check(
     True
     """
     from cosim.report.check_files import write_junit, write_sarif
-    from cosim.systems.ssp_check import check_ssp
     from cosim.workflow.arguments import paths_of, remember_trust, require_choice
     from fmu_src.check.convention import judge, measure
     from fmu_src.check.run import check as check_fmu
@@ -164,7 +163,7 @@ def check(
     reports = []
     for path in counted(paths, partial(progress, "checking"), lambda path: path.name):
         report = (
-            check_ssp(path, vdmcheck=folder)
+            plugins.find("hesr.systems", "ssp-check")(path, vdmcheck=folder)
             if path in systems
             else check_fmu(path, vdmcheck=folder, kinds=[one for one in plugged if one in kind])
         )
@@ -188,12 +187,13 @@ def check(
 
 def _with_references(report: Report) -> Report:
     """Return a report extended by the comparison with the reference results in the file."""
-    from cosim.systems.ssp_results import verify_ssp
     from fmu_src.check.rules import findings, with_rule
     from fmu_src.run.reference_results import verify
+    from hesr_model.support import plugins
 
     system = report.path.suffix.lower() == ".ssp"
-    found = (verify_ssp if system else verify)(report.path)
+    run = plugins.find("hesr.systems", "ssp-references") if system else verify
+    found = run(report.path)
     return replace(
         report,
         problems=(*findings(with_rule("references", found.problems)), *report.problems),

@@ -267,10 +267,8 @@ def _write_system(
     given: Mapping[str, Any],
 ) -> None:
     """Write a system of FMUs as an SSP or as one FMU."""
-    from cosim.systems.container import write_container
-    from cosim.systems.contents import read_contents
-    from cosim.systems.ssp import left_out, write_ssp
-    from cosim.systems.ssp_reader import opened_system
+    from cosim.systems.system import opened_system
+    from hesr_model.support import plugins
 
     _refuse_others(given, _OF_SYSTEMS, "friction laws, not for a system")
     if platform is not None:
@@ -281,13 +279,8 @@ def _write_system(
     if kind == "fmu" and "ssp" in given:
         raise ArgumentError("'ssp' is the version of a file in .ssp; the output is an FMU.")
     with opened_system(system) as spec:
-        contents = read_contents(spec, system)
-        if kind == "fmu":
-            write_container(contents, output)
-        else:
-            write_ssp(contents, output, version=given.get("ssp", "1.0"))
-            if note := left_out(contents):
-                _log.warning("%s", note)
+        if note := plugins.find("hesr.systems", kind)(spec, system, output, **given):
+            _log.warning("%s", note)
 
 
 def _write_law(
@@ -359,9 +352,7 @@ def _write_law(
     else:
         write()
     if given.get("band"):
-        from cosim.systems.parameter_set import export_ssv
-
-        export_ssv(model_given(law), output.with_suffix(".ssv"))
+        plugins.find("hesr.exports", "ssv")(model_given(law), output.with_suffix(".ssv"))
 
 
 def _motors(body: BodyArg) -> dict[str, Any]:

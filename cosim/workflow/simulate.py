@@ -97,7 +97,7 @@ def simulate(
     0.0
     """
     from cosim.systems.simulation import Master
-    from cosim.systems.ssp_reader import opened_system
+    from cosim.systems.system import opened_system
     from cosim.workflow.arguments import remember_trust
     from cosim.workflow.jobs import find_job
     from hesr_model.support.files import path_of, written_whole

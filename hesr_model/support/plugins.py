@@ -14,6 +14,7 @@ GROUPS = {
     "hesr.exports": "export format",  # function (model, output, *, platform, **options)
     "hesr.checks": "check",  # function (description, contents, folder) of an FMU
     "hesr.tests": "test",  # function of laws and logs; `properties` one of subjects
+    "hesr.systems": "system format",  # reader, writers and checks of files of systems
     "hesr.refinements": "refinement",  # function of a fitted law and its records
     "hesr.jobs": "job",  # object with `key`, `read` and `run`
     "hesr.motions": "planner",  # function (robot, output, *, purpose, time, ..)
@@ -85,9 +86,8 @@ def find(group: str, name: str) -> Any:
     """Import and return a plug-in's object, or raise ConfigError."""
     known = load(group)
     if name not in known:
-        raise ConfigError(
-            f"{GROUPS[group]} '{name}' is unknown; known are {', '.join(known) or 'none'}."
-        )
+        others = f"unknown; known are {', '.join(known)}" if known else "not installed"
+        raise ConfigError(f"{GROUPS[group]} '{name}' is {others}.")
     return known[name].load()
 
 

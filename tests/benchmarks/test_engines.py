@@ -15,9 +15,9 @@ from interop.engine import Engine, SkippedError, Tools
 from interop.engines import ENGINES
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from cosim.systems.container import write_container
-from cosim.systems.contents import read_contents
 from cosim.systems.simulation import Master
+from hesr.extras.ssp.container import write_container
+from hesr.extras.ssp.contents import read_contents
 from hesr_model.support.files import models_folder
 
 sys.path.append(str(Path(__file__).parents[1] / "interop"))

@@ -15,11 +15,11 @@ from closed_loop import Bench, build
 from fmpy import simulate_fmu
 
 from cosim.loop.closed_loop import Scheme
-from cosim.systems.container import write_container
-from cosim.systems.contents import read_contents
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, write_system
 from fmu_src import model_file
+from hesr.extras.ssp.container import write_container
+from hesr.extras.ssp.contents import read_contents
 from hesr.extras.sweep.run import run_sweep
 from hesr_model.friction.model import FrictionModel
 

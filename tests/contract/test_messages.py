@@ -21,11 +21,11 @@ SNAPSHOTS = {kind: Path(__file__).with_name(f"{kind}.txt") for kind in KINDS}
 PACKAGES = ("hesr", "hesr_model", "fmu_src", "cosim")
 # Modules by kind of their sentences, except those of errors and log records.
 FINDINGS = re.compile(
-    r"cosim/(properties/|study/verdict)|fmu_src/check/|hesr_model/(audit/(attack|certificate)|health/)"
-    r"|hesr/extras/mjcf/parts"
+    r"cosim/study/verdict|fmu_src/check/|hesr_model/(audit/(attack|certificate)|health/)"
+    r"|hesr/extras/(mjcf/parts|properties/)"
 )
 DESCRIPTIVE = re.compile(
-    r"cosim/report/|cosim/loop/(closed_loop|robustness)|cosim/systems/ssp_results"
+    r"cosim/report/|cosim/loop/(closed_loop|robustness)|hesr/extras/ssp/ssp_results"
     r"|fmu_src/(blocks|drive|export|friction|pages)/|fmu_src/arm/(parts|truth)"
     r"|fmu_src/run/reference_|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
     r"|hesr/extras/(laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"

@@ -64,6 +64,15 @@ reversed = ["excitation_reversed"]
 test.unseen = ["trial"]
 """
 
+SYSTEM = """
+step = 0.01
+stop = 1.0
+
+[[components]]
+name = "gain"
+fmu = "gain.fmu"
+"""
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -130,16 +139,21 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
         ),
         (
             ("export", "uf850-table1", "-o", "F.fmu", "--properties"),
-            "test 'properties' is unknown; known are none.",
+            "test 'properties' is not installed.",
         ),
+        (("simulate", "loop.ssp"), "system format 'ssp-reader' is not installed."),
+        (("check", "loop.ssp"), "system format 'ssp-check' is not installed."),
+        (("export", "system.toml", "-o", "loop.ssp"), "system format 'ssp' is not installed."),
+        (("export", "system.toml", "-o", "loop.fmu"), "system format 'fmu' is not installed."),
     ],
 )
 def test_parts_of_extras_are_refused(
     arguments: tuple[str, ...], message: str, site: Path, tmp_path: Path
 ) -> None:
+    (tmp_path / "system.toml").write_text(SYSTEM, encoding="utf-8")
     found = hesr(site, *arguments, cwd=tmp_path)
     assert (found.returncode, found.stderr) == (2, f"hesr: {message}\n")
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["system.toml"]
 
 
 def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:

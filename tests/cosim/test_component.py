@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.systems.contents import read_contents
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.ssp.contents import read_contents
 from hesr_model.errors import ConfigError, SimulationError
 
 

@@ -18,7 +18,6 @@ from fleets import write_fleet
 from pyarrow import parquet
 
 import hesr
-from cosim.systems.parameter_set import export_ssv
 from fmu_src.run.replay import replay
 from hesr.cli import main
 from hesr.extras.fleet.comparison import changed, compared
@@ -26,6 +25,7 @@ from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.run import run_fleet, write_types
 from hesr.extras.fleet.study import FleetStudy, members
+from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel

@@ -15,15 +15,14 @@ from hostile import archived
 from small_fmus import LAGS
 from small_study import Hesr, contents, hesr_here
 
-from cosim.systems.contents import read_contents
 from cosim.systems.simulation import Master
-from cosim.systems.ssp import write_ssp
-from cosim.systems.ssp_reader import opened_system
-from cosim.systems.system import SystemSpec
+from cosim.systems.system import SystemSpec, opened_system
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.variables import model_description
+from hesr.extras.ssp.contents import read_contents
+from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.errors import ArtifactError, HesrError
 
 FEW, MANY = 200, 2000

@@ -6,9 +6,9 @@ import pytest
 from closed_loop import Bench
 
 from cosim.loop.closed_loop import Compensation, Scheme
-from cosim.systems.container import write_container
-from cosim.systems.contents import read_contents
 from fmu_src.check.run import check
+from hesr.extras.ssp.container import write_container
+from hesr.extras.ssp.contents import read_contents
 
 
 def complaints(fmu: Path) -> list[str]:

@@ -11,11 +11,11 @@ from hostile import archived
 from test_foreign_fmus import linux
 
 import hesr
-from cosim.systems.contents import read_contents
-from cosim.systems.ssp import write_ssp
 from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.fmu import remember
+from hesr.extras.ssp.contents import read_contents
+from hesr.extras.ssp.ssp import write_ssp
 
 TELL = """
 #include <stdio.h>

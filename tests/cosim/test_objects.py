@@ -11,9 +11,9 @@ import pytest
 from small_fmus import LAGS
 
 import hesr
-from cosim.systems.contents import read_contents
-from cosim.systems.ssp import write_ssp
 from fmu_src.run.fmu import is_ours
+from hesr.extras.ssp.contents import read_contents
+from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.tables import read_table
 

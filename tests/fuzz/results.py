@@ -265,9 +265,9 @@ def _fmu(path: Path) -> object:
 def _write_ssp(path: Path) -> None:
     from small_fmus import LAGS, lag
 
-    from cosim.systems.contents import read_contents
-    from cosim.systems.ssp import write_ssp
     from cosim.systems.system import SystemSpec
+    from hesr.extras.ssp.contents import read_contents
+    from hesr.extras.ssp.ssp import write_ssp
 
     file = path.with_name("lags.toml")
     file.write_text(LAGS.replace("FMU", str(lag(path.parent))), encoding="utf-8")
@@ -275,8 +275,8 @@ def _write_ssp(path: Path) -> None:
 
 
 def _ssp(path: Path) -> object:
-    from cosim.systems.contents import read_contents
-    from cosim.systems.ssp_reader import opened_system
+    from cosim.systems.system import opened_system
+    from hesr.extras.ssp.contents import read_contents
 
     with opened_system(path) as spec:
         return read_contents(spec, path)

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.systems.contents import read_contents
-from cosim.systems.ssp import write_ssp
-from cosim.systems.ssp_reader import opened_system
-from cosim.systems.system import SystemSpec
+from cosim.systems.system import SystemSpec, opened_system
 from cosim.systems.wiring import Wiring
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.ssp.contents import read_contents
+from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.support.arrays import Array
 
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")

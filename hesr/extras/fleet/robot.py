@@ -12,10 +12,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cosim.study.scores import by_joint
-from cosim.systems.parameter_set import export_ssv
 from fmu_src.friction.friction_component import exposed
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
+from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
 from hesr_model.findings import Finding
 from hesr_model.fitting.day_offsets import own_of_log

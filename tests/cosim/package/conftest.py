@@ -9,9 +9,9 @@ from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 
 from cosim.loop.closed_loop import Scheme
-from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.trajectory import start_values
+from hesr.extras.ssp.contents import SystemContents, read_contents
 
 Write = Callable[..., Path]
 

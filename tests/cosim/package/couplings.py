@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.systems.contents import SystemContents
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import Element
+from hesr.extras.ssp.contents import SystemContents
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ import pytest
 from couplings import error, refreshed
 from fmpy.model_description import read_model_description
 
-from cosim.systems.container import write_container
-from cosim.systems.contents import SystemContents, read_contents
 from cosim.systems.system import SystemSpec
 from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.ssp.container import write_container
+from hesr.extras.ssp.contents import SystemContents, read_contents
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 
 Write = Callable[..., Path]

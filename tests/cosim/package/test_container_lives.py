@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from fmpy.model_description import read_model_description
 
-from cosim.systems.container import holding_sources, write_container
-from cosim.systems.contents import SystemContents
+from hesr.extras.ssp.container import holding_sources, write_container
+from hesr.extras.ssp.contents import SystemContents
 
 HERE = Path(__file__).parents[2] / "fmu"
 FLAGS = ("gcc", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -10,11 +10,11 @@ from couplings import refreshed
 from fmpy import simulate_fmu
 from pythonfmu.builder import FmuBuilder
 
-from cosim.systems.container import write_container
-from cosim.systems.contents import read_contents
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.ssp.container import write_container
+from hesr.extras.ssp.contents import read_contents
 from hesr_model.errors import ConfigError
 
 

@@ -13,10 +13,10 @@ from closed_loop import build
 from fmpy.model_description import read_model_description
 
 from cosim.loop.closed_loop import Scheme
-from cosim.systems.container import write_container
-from cosim.systems.contents import read_contents
 from fmu_src import model_file
 from fmu_src.export.toolchain import TARGETS
+from hesr.extras.ssp.container import write_container
+from hesr.extras.ssp.contents import read_contents
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c

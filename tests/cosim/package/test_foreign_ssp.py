@@ -10,15 +10,14 @@ import pytest
 from fakes import description, variable
 from small_study import Hesr
 
-from cosim.systems.contents import read_contents
-from cosim.systems.markup import SSD
-from cosim.systems.ssp import write_ssp
-from cosim.systems.ssp_graph import Unit, in_unit_of
-from cosim.systems.ssp_names import safe_names
-from cosim.systems.ssp_reader import opened_system
-from cosim.systems.system import SystemSpec
+from cosim.systems.system import SystemSpec, opened_system
 from cosim.systems.system_file import System
 from fmu_src.run.variables import SI, Variables
+from hesr.extras.ssp.contents import read_contents
+from hesr.extras.ssp.markup import SSD
+from hesr.extras.ssp.ssp import write_ssp
+from hesr.extras.ssp.ssp_graph import Unit, in_unit_of
+from hesr.extras.ssp.ssp_names import safe_names
 from hesr_model.errors import ConfigError
 
 Write = Callable[..., Path]

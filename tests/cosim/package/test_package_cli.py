@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from small_study import Hesr, contents
 
-from cosim.systems.contents import SystemContents
-from cosim.systems.ssp import write_ssp
 from cosim.systems.system import write_system
+from hesr.extras.ssp.contents import SystemContents
+from hesr.extras.ssp.ssp import write_ssp
 
 SSD = "SystemStructure.ssd"
 Edit = Callable[..., Path]

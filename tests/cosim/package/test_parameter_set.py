@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from cosim.systems.parameter_set import COVARIANCE, export_ssv
 from cosim.workflow.export import export
 from fmu_src import model_file
+from hesr.extras.ssp.parameter_set import COVARIANCE, export_ssv
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.inference.covariance import Covariance

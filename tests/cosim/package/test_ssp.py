@@ -14,12 +14,11 @@ from fmpy.ssp.ssd import Parameter, ParameterSet, read_ssd
 from lxml import etree
 from small_study import Hesr
 
-from cosim.systems.contents import SystemContents, read_contents
-from cosim.systems.markup import Version
-from cosim.systems.ssp import write_ssp
-from cosim.systems.ssp_reader import opened_system
-from cosim.systems.system import SystemSpec
+from cosim.systems.system import SystemSpec, opened_system
 from cosim.systems.system_file import System
+from hesr.extras.ssp.contents import SystemContents, read_contents
+from hesr.extras.ssp.markup import Version
+from hesr.extras.ssp.ssp import write_ssp
 
 Write = Callable[..., Path]
 

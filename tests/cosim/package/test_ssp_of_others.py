@@ -10,8 +10,8 @@ import pytest
 from pythonfmu.builder import FmuBuilder
 
 import hesr
-from cosim.systems.ssp_check import check_ssp
 from fmu_src.check.run import check
+from hesr.extras.ssp.ssp_check import check_ssp
 from hesr_model.errors import ConfigError, SimulationError
 
 UNITS = """<ssd:Units><ssc:Unit name="1"><ssc:BaseUnit/></ssc:Unit>

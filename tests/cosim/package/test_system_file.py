@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from cosim.systems.contents import SystemContents
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec, write_system
+from hesr.extras.ssp.contents import SystemContents
 from hesr_model.errors import ArtifactError
 
 

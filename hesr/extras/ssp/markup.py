@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import UnitExponents
 from fmu_src.run.variables import SI
+from hesr.extras.ssp.contents import UnitExponents
 from hesr_model.errors import ConfigError
 
 SSD = "SystemStructure.ssd"

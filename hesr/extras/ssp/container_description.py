@@ -7,10 +7,10 @@ from importlib.metadata import version as installed
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import SystemContents, UnitExponents
-from cosim.systems.markup import add_units, text_of
 from fmu_src.export.description import to_bytes
 from fmu_src.run.master import Element
+from hesr.extras.ssp.contents import SystemContents, UnitExponents
+from hesr.extras.ssp.markup import add_units, text_of
 
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)

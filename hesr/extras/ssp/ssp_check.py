@@ -5,14 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from cosim.systems.markup import SSD
-from cosim.systems.ssp_reader import UnsupportedError, opened_system
 from cosim.systems.wiring import Wiring
 from fmu_src.check import archive, markup
 from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
 from fmu_src.run.variables import Variables, model_description
+from hesr.extras.ssp.markup import SSD
+from hesr.extras.ssp.ssp_reader import UnsupportedError, opened_ssp
 from hesr_model.errors import HesrError
 from hesr_model.findings import errors_first
 
@@ -52,7 +52,7 @@ def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
 
 def _structure(path: Path) -> Iterator[Problem]:
     try:
-        with opened_system(path, {"stop": 1.0, "step": 1.0, "start": 0.0}) as spec:
+        with opened_ssp(path, {"stop": 1.0, "step": 1.0, "start": 0.0}, {}) as spec:
             about = {c.name: (c.fmu, model_description(c.fmu)) for c in spec.components}
             Wiring(spec, {name: Variables(*own) for name, own in about.items()}, path)
     except UnsupportedError as error:

@@ -17,9 +17,7 @@ from pathlib import Path
 from posixpath import normpath
 from typing import Any
 
-from cosim.systems.container_description import Exposed, exposed_variables, to_description
-from cosim.systems.contents import SystemContents
-from cosim.systems.markup import text_of
+from cosim.systems.system import SystemSpec
 from fmu_src.export.interface import literal
 from fmu_src.export.package import own_source, write_archive
 from fmu_src.export.toolchain import TARGETS, build
@@ -27,6 +25,9 @@ from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import is_ours, remember
 from fmu_src.run.master import Element
 from fmu_src.run.reference_results import Stimuli, result_files
+from hesr.extras.ssp.container_description import Exposed, exposed_variables, to_description
+from hesr.extras.ssp.contents import SystemContents, read_contents
+from hesr.extras.ssp.markup import text_of
 from hesr_model.errors import ConfigError, ExportError
 from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
@@ -37,6 +38,11 @@ _RUNTIMES = {"linux64": ("x86_64-linux", ".so"), "win64": ("x86_64-windows", ".d
 _RUNTIME = "container_fmu"
 _LICENSE = "documentation/licenses/fmpy.txt"
 _TYPES = {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int32"}
+
+
+def export_container(spec: SystemSpec, path: Path, output: Path) -> None:
+    """Write the system of a file as one FMU."""
+    write_container(read_contents(spec, path), output)
 
 
 def write_container(contents: SystemContents, path: Path) -> Path:

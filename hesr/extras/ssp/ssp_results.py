@@ -9,9 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cosim.systems.contents import SystemContents
 from cosim.systems.simulation import Master
-from cosim.systems.ssp_reader import opened_system
 from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import is_ours
@@ -25,6 +23,8 @@ from fmu_src.run.reference_results import (
     judged,
     table,
 )
+from hesr.extras.ssp.contents import SystemContents
+from hesr.extras.ssp.ssp_reader import opened_ssp
 from hesr_model.errors import HesrError, SimulationError
 
 TOLERANCE = 1e-9
@@ -87,7 +87,7 @@ def verify_ssp(path: Path) -> Verified:
     with Archive(path, "SSP") as archive:
         stored = experiments(archive, found)
     if stored:
-        with opened_system(path) as spec:
+        with opened_ssp(path, {}, {}) as spec:
             for experiment in stored:
                 _judge(spec, experiment, found)
     return found

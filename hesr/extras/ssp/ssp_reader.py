@@ -1,4 +1,4 @@
-"""Systems of FMUs read from a TOML file, or from an SSP of any tool."""
+"""Systems of FMUs read from an SSP of any tool."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -11,8 +11,11 @@ from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
-from cosim.systems.markup import NAMESPACES, SSD, read_units
-from cosim.systems.ssp_graph import (
+from cosim.systems.system import Conversion, SystemSpec
+from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
+from fmu_src.run.variables import Variables, model_description
+from hesr.extras.ssp.markup import NAMESPACES, SSD, read_units
+from hesr.extras.ssp.ssp_graph import (
     TRUE,
     ConnectorGraph,
     ConnectorName,
@@ -25,10 +28,7 @@ from cosim.systems.ssp_graph import (
     shown,
     transformation_of,
 )
-from cosim.systems.ssp_names import safe_names
-from cosim.systems.system import Conversion, SystemSpec
-from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
-from fmu_src.run.variables import Variables, model_description
+from hesr.extras.ssp.ssp_names import safe_names
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.files import scratch_folder
 
@@ -49,23 +49,17 @@ class UnsupportedError(ConfigError):
 
 
 @contextmanager
-def opened_system(
-    path: Path,
-    times: Mapping[str, float | None] | None = None,
-    values: Mapping[str, Any] | None = None,
+def opened_ssp(
+    path: Path, times: Mapping[str, float | None], values: Mapping[str, Any]
 ) -> Iterator[SystemSpec]:
-    """Yield the system of a file; the FMUs of an SSP are unpacked meanwhile.
+    """Yield the system of an SSP; see `opened_system`.
 
-    `times` [s] (start, stop, step) and start values by hierarchical name replace those of an SSP.
     Nested systems become one level; all outputs with a connector are observed.
     """
-    if path.suffix.lower() != ".ssp":
-        yield SystemSpec.read(path)
-        return
     with Archive(path, "SSP") as archive, scratch_folder() as folder:
         reader = _Reader(path, archive, Path(folder))
         try:
-            content = reader.system(times or {}, values or {})
+            content = reader.system(times, values)
         except ConfigError as error:
             if str(error).startswith(str(path)):
                 raise

@@ -14,11 +14,11 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from cosim.systems.markup import NAMESPACES, add_units
 from fmu_src.export.description import si_exponents, to_bytes
 from fmu_src.friction.friction_component import exposed, place, scales
 from fmu_src.friction.validity import require_numbers
 from fmu_src.run.variables import SI
+from hesr.extras.ssp.markup import NAMESPACES, add_units
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole

@@ -6,9 +6,9 @@ from math import isfinite, nan
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import UnitExponents
 from cosim.systems.system import Conversion
 from fmu_src.run.variables import SI, Variables
+from hesr.extras.ssp.contents import UnitExponents
 from hesr_model.errors import ConfigError, SimulationError
 
 TRUE = ("true", "1")

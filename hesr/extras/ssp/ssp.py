@@ -9,13 +9,13 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from cosim.systems.contents import SystemContents, UnitExponents
-from cosim.systems.markup import NAMESPACES, SSD, Version, add_units, text_of
-from cosim.systems.ssp_results import result_files
-from cosim.systems.system import ComponentSpec
+from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.export.description import to_bytes
 from fmu_src.export.package import zip_members
 from fmu_src.run.master import Element
+from hesr.extras.ssp.contents import SystemContents, UnitExponents, read_contents
+from hesr.extras.ssp.markup import NAMESPACES, SSD, Version, add_units, text_of
+from hesr.extras.ssp.ssp_results import result_files
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import listed
@@ -30,6 +30,13 @@ _ENGINES = {
     "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
 _TOLERANCE = "0.0001"  # required by OMSimulator; FMUs with a fixed step ignore it
+
+
+def export_ssp(spec: SystemSpec, path: Path, output: Path, *, ssp: Version = "1.0") -> str | None:
+    """Write the system of a file as an SSP; return a sentence on missing parts, if any."""
+    contents = read_contents(spec, path)
+    write_ssp(contents, output, version=ssp)
+    return left_out(contents)
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:

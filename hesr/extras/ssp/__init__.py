@@ -1,0 +1,1 @@
+"""Systems of FMUs as SSPs and as one FMU, for other tools."""
