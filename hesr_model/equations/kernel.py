@@ -118,6 +118,11 @@ class KernelRun(ProgramRun):
         self.begin(numbers)
         return self.factors(numbers, non_negative, weights, keep=keep)
 
+    def products(self, numbers: Array, weights: Array | None = None) -> Array:
+        """Return the upper triangle (K + 1, K + 1) of products of results and target, last."""
+        self.begin(numbers)
+        return self.multiply(numbers, weights)
+
 
 def _in_doubles(values: Array) -> Array:
     found = np.asarray(values, dtype=np.float64)

@@ -194,16 +194,22 @@ class ProgramRun:
         self, numbers: Array, non_negative: int, weights: Array | None, *, keep: bool
     ) -> tuple[Array, float] | None:
         """See `KernelRun.solved`; `keep` also writes the results."""
+        at = self._at
+        self.multiply(numbers, weights, keep=keep)
+        determined = library().solve(
+            at["gram"], len(self._x), non_negative, at["factors"], at["x"], at["squares"]
+        )
+        return (self._x.copy(), float(self._squares[0])) if determined else None
+
+    def multiply(self, numbers: Array, weights: Array | None, *, keep: bool = False) -> Array:
+        """Return the upper triangle (K + 1, K + 1) of products of results and target."""
         own, at = self._program, self._at
         column = None if weights is None else self._column(weights)
         own.first, own.stop = 0, self._rows
         own.weights = None if column is None else _address(column)
         own.gram, own.out = at["gram"], at["out"] if keep else None
         self._run(numbers)
-        determined = library().solve(
-            at["gram"], len(self._x), non_negative, at["factors"], at["x"], at["squares"]
-        )
-        return (self._x.copy(), float(self._squares[0])) if determined else None
+        return self.gram.reshape(len(self._x) + 1, -1)
 
     def _run(self, numbers: Array) -> None:
         self._given[self._numbers[0]] = numbers[self._numbers[1]]

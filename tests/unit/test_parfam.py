@@ -107,8 +107,11 @@ def test_features_match_the_law_on_every_record(features: HysteresisFeatures) ->
 def test_derivatives_of_the_state_agree_with_differences(
     features: HysteresisFeatures, alpha: float, beta: float
 ) -> None:
-    x, dh, ddh = features.with_derivatives(alpha, beta)
-    np.testing.assert_array_equal(x, features.columns(alpha, beta))
+    run = features.slopes(None)
+    by_h, by_dh = np.zeros(11), np.zeros(11)  # laws tau = h and tau = dh
+    by_h[[0, 1, 4]] = by_dh[[0, 1, 5]] = alpha, beta, 1.0
+    dh, ddh = (run.at(numbers)[:, :2].copy() for numbers in (by_h, by_dh))
+    np.testing.assert_allclose(run.found[:, 2:6], features.columns(alpha, beta), atol=1e-11)
     for i, (by_alpha, by_beta) in enumerate([(1e-5 * alpha, 0.0), (0.0, 1e-5 * beta)]):
         above = features.columns(alpha + by_alpha, beta + by_beta)
         below = features.columns(alpha - by_alpha, beta - by_beta)
@@ -328,13 +331,13 @@ def test_the_jacobian_agrees_with_differences(
     rows = features.samples.record != 1
     problem = refine.Refinement(features, start, rows)
     point = problem.pack()
-    jacobian = problem.jacobian(point)
+    jacobian, _ = problem.slopes(point)
     assert jacobian.shape == (rows.sum(), len(point))
     step = 1e-6
     for i in range(len(point)):
         shift = np.zeros(len(point))
         shift[i] = step
-        above, below = problem.residual(point + shift), problem.residual(point - shift)
+        above, below = (problem.slopes(point + k * shift)[1].copy() for k in (1.0, -1.0))
         difference = (above - below) / (2.0 * step)
         scale = max(np.abs(difference).max(), 1e-3)
         np.testing.assert_allclose(jacobian[:, i], difference, rtol=0, atol=1e-6 * scale)
@@ -365,7 +368,7 @@ def test_euler_is_stable_at_every_point_of_the_search(features: HysteresisFeatur
 def test_refinement_finds_the_generating_coefficients() -> None:
     features = features_of(record(2000, 0, noise=0.0))
     start = candidate(alpha=9.0, beta=18.0, gain=3.0, c=np.array([0.0, 1.0, 4.0, 0.0]))
-    found, statistics = refine.Refinement(features, start).run(100)
+    found = refine.Refinement(features, start).run(100)
     truth = candidate()
     assert np.sqrt(found.cost) < 1e-9
     assert found.alpha == pytest.approx(ALPHA, rel=1e-6)
@@ -373,7 +376,7 @@ def test_refinement_finds_the_generating_coefficients() -> None:
     np.testing.assert_allclose(found.c, truth.c, rtol=1e-4)
     np.testing.assert_allclose(found.theta, truth.theta, rtol=1e-4)
     assert found.gain == pytest.approx(5.0, rel=1e-4)
-    assert statistics.shape == (11,)
+    assert refine.Refinement(features, found).statistics().shape == (11,)
 
 
 def test_a_truly_zero_coefficient_is_pruned() -> None:
@@ -411,7 +414,7 @@ def test_pruning_does_not_spoil_a_fit(g: str) -> None:
     columns = features.columns(cell.alpha, cell.beta)
     with threadpool_limits(1):
         start = paper.search(cell, g, columns, data.tau, np.random.default_rng(0))
-    whole = refine.Refinement(features, start).run(refine.LONG)[0]
+    whole = refine.Refinement(features, start).run(refine.LONG)
     assert refine.prune(features, start).cost < 1.5 * whole.cost
 
 
@@ -455,7 +458,7 @@ def test_the_best_predictor_of_left_out_rows_is_chosen() -> None:
     costs = [refine.left_out_cost(features, k, folds) for k in found]
     assert costs[0] < costs[1]
     # An honest out-of-sample error is not below the in-sample one.
-    assert costs[0] >= refine.Refinement(features, candidate()).run(60)[0].cost
+    assert costs[0] >= refine.Refinement(features, candidate()).run(60).cost
 
 
 # --- the estimator ----------------------------------------------------------------------------

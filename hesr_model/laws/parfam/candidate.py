@@ -9,13 +9,14 @@ import numpy as np
 from hesr_model.equations.memory import Discretisation
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.laws.parfam import family
+from hesr_model.laws.parfam.features import LARGEST_EXPONENT
 from hesr_model.support.arrays import Array
 
 UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array], Array]]] = {
     "tanh": (np.tanh, lambda _, g: 1.0 - g**2),
     "sin": (np.sin, lambda x, _: np.cos(x)),
     "cos": (np.cos, lambda x, _: -np.sin(x)),
-    "exp": (lambda x: np.exp(np.minimum(x, 50.0)), lambda _, g: g),
+    "exp": (lambda x: np.exp(np.minimum(x, LARGEST_EXPONENT)), lambda _, g: g),
 }
 """g and its derivative as functions of argument and value of g."""
 

@@ -69,15 +69,19 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
     columns = np.column_stack([features, *unit])
     solution = least_squares(columns, tau)
     cost = float(np.mean((tau - columns @ solution) ** 2))
+    gain, arguments = float(solution[4]) if g else 0.0, np.full(4, bool(g))
+    if g == "exp":  # the gain has its offset
+        gain, theta = gain * float(np.exp(theta[0])), theta * [0.0, 1.0, 1.0, 1.0]
+        arguments[0] = False
     return Candidate(
         g=g,
         alpha=cell.alpha,
         beta=cell.beta,
         c=solution[:4],
         theta=theta,
-        gain=float(solution[4]) if g else 0.0,
+        gain=gain,
         c_active=np.ones(4, bool),
-        theta_active=np.full(4, bool(g)),
+        theta_active=arguments,
         cost=cost,
     )
 

@@ -1,12 +1,52 @@
 """The hysteresis state of eq. 9 over all rows of a joint, with its derivatives."""
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
+import sympy
 
-from hesr_model.equations.memory import Discretisation
+from hesr_model.equations.functions import larger, over
+from hesr_model.equations.kernel import Kernel, KernelRun
+from hesr_model.equations.memory import DT, Discretisation, Relaxation, Slow
 from hesr_model.fitting.joint_rows import JointRows
+from hesr_model.friction.inputs import DQ
+from hesr_model.friction.law import SETTLING
+from hesr_model.laws.parfam.family import FUNCTIONS
 from hesr_model.support.arrays import Array
+
+NUMBERS = sympy.symbols("alpha beta c:4 gain theta:4", real=True)
+"""Symbols of a candidate's numbers, in the order of its slopes."""
+LARGEST_EXPONENT = 50.0
+
+
+@cache
+def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
+    """Return the slopes of a candidate's torque by `NUMBERS`, and its residual.
+
+    The slopes of h are states of their own, exact for the sampled h.
+    """
+    alpha, beta, *c, gain = NUMBERS[:7]
+    theta, tau, argument = NUMBERS[7:], sympy.Symbol("tau", real=True), sympy.Symbol("argument")
+    target = sympy.tanh(beta * DQ)
+    h = Relaxation(name="h", unit="1", drive=alpha * target, rate=alpha)
+    lag, rise = target - h.state, DQ * (1 - target**2)
+    z = alpha * DT
+    before = 1 / (1 - z) if discretisation == "euler" else over(z, 1 - sympy.exp(-z), 1)
+    by_alpha = Slow(name="h_alpha", unit="s", drive=lag * before, rate=alpha)
+    by_beta = Relaxation(name="h_beta", unit="rad/s", drive=alpha * rise, rate=alpha)
+    x = (sympy.S.One, DQ, h.state, alpha * lag)
+    inner = sympy.Add(*(t * e for t, e in zip(theta, x, strict=True)))
+    if g == "exp":
+        inner = -larger(-inner, -LARGEST_EXPONENT)
+    unit = FUNCTIONS[g](argument) if g else sympy.S.Zero
+    value, slope = (e.xreplace({argument: inner}) for e in (unit, gain * unit.diff(argument)))
+    of_h, of_dh = (a + slope * t for a, t in zip(c[2:], theta[2:], strict=True))
+    a, b = by_alpha.state, by_beta.state
+    states = (of_h * a + of_dh * (lag - alpha * a), of_h * b + of_dh * alpha * (rise - b))
+    torque = sympy.Add(gain * value, *(k * e for k, e in zip(c, x, strict=True)))
+    wanted = (*states, *x, value, *(slope * e for e in x), torque - tau)
+    return Kernel((h, by_alpha, by_beta), NUMBERS, (DQ, tau), wanted, SETTLING)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,26 +60,31 @@ class HysteresisFeatures:
     def alpha_limit(self) -> float:
         """Upper limit of alpha [1/s]: alpha * step < 1, for Euler at the longest step (eq. 10)."""
         steps = self.samples.dt[~self.samples.begins]
-        return 1.0 / float(steps.max() if self.discretisation == "euler" else np.median(steps))
+        if self.discretisation == "euler":
+            return (1.0 - 1e-9) / float(steps.max())
+        return 1.0 / float(np.median(steps))
 
     def columns(self, alpha: float, beta: float) -> Array:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
         return self._columns(alpha, np.tanh(beta * self.samples.dq), self._decay(alpha))
 
-    def with_derivatives(self, alpha: float, beta: float) -> tuple[Array, Array, Array]:
-        """Return (N, 4) features and (N, 2) derivatives of h and dh by (alpha, beta), SI units."""
-        s = self.samples
-        target = np.tanh(beta * s.dq)
-        a = self._decay(alpha)
-        features = self._columns(alpha, target, a)
-        h = features[:, 2]
-        slope = s.dq * (1.0 - target**2)
-        before = np.concatenate([[0.0], h[:-1]])
-        a_by_alpha = -s.dt * a if self.discretisation == "exact" else -s.dt
-        by_alpha = s.recurrence(a, a_by_alpha * (before - target), np.zeros_like(a))
-        by_beta = s.recurrence(a, (1.0 - a) * slope, slope)
-        ddh = np.stack([target - h - alpha * by_alpha, alpha * (slope - by_beta)], axis=1)
-        return features, np.stack([by_alpha, by_beta], axis=1), ddh
+    @cached_property
+    def _runs(self) -> dict[str | None, KernelRun]:
+        return {}
+
+    def slopes(self, g: str | None) -> KernelRun:
+        """Return the run of a candidate's slopes by `NUMBERS` and of its residual, (N, 12)."""
+        if g not in self._runs:
+            s = self.samples
+            self._runs[g] = KernelRun(
+                _kernel(g, self.discretisation),
+                (s.dq, s.tau),
+                s.dt,
+                np.flatnonzero(s.begins),
+                euler=self.discretisation == "euler",
+                target=s.tau,
+            )
+        return self._runs[g]
 
     def _decay(self, alpha: float) -> Array:
         """Return the (N,) factor a of h+ = a h + (1 - a) tanh(beta dq)."""

@@ -13,7 +13,7 @@ from hesr_model.fitting.ties import first_best
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.laws.parfam.calibrate import bounds
-from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
+from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
@@ -49,7 +49,7 @@ def select(
         for k in looked:
             share = (i + len(refined) / len(looked)) / len(ROUNDS)
             step(round(1000 * (1.0 + share)), 2000)
-            refined.append(Refinement(features, k).run(evaluations)[0])
+            refined.append(Refinement(features, k).run(evaluations))
         looked = distinct(refined)[:keep]
     best = looked[0].cost
     hopeful = [k for k in looked if k.cost <= HOPEFUL * best]
@@ -85,7 +85,8 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
 
     A coefficient stays if the fit without it is worse than predicted.
     """
-    refined, statistics = Refinement(features, candidate).run(LONG)
+    refined = Refinement(features, candidate).run(LONG)
+    statistics = Refinement(features, refined).statistics()
     needed = np.zeros(11, bool)
     while True:
         removable = np.r_[False, False, refined.c_active, False, refined.theta_active] & ~needed
@@ -94,9 +95,9 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
         weakest = first_best(np.where(removable, statistics, np.inf), SAME)
         if not removable.any() or statistics[weakest] >= SIGNIFICANCE:
             return refined
-        smaller, its_statistics = Refinement(features, _without(refined, weakest)).run(PRUNED)
+        smaller = Refinement(features, _without(refined, weakest)).run(PRUNED)
         if smaller.cost <= _still_as_good(features, refined):
-            refined, statistics = smaller, its_statistics
+            refined, statistics = smaller, Refinement(features, smaller).statistics()
         else:
             needed[weakest] = True
 
@@ -105,10 +106,10 @@ def settled(
     features: HysteresisFeatures, candidate: Candidate, portions: int, rows: Mask
 ) -> Candidate:
     """Refine on a mask (N,) of rows until `FOLD` evaluations lower the cost by less than `SAME`."""
-    found = Refinement(features, candidate, rows).run(FOLD)[0]
+    found = Refinement(features, candidate, rows).run(FOLD)
     for _ in range(1, portions):
         before = found.cost
-        found = Refinement(features, found, rows).run(FOLD)[0]
+        found = Refinement(features, found, rows).run(FOLD)
         if found.cost >= before * (1.0 - SAME):
             break
     return found
@@ -159,12 +160,14 @@ class Refinement:
         self.features = features
         self.start = start
         self.rows = rows
-        self.tau = features.samples.tau[rows]
+        self.weights = rows.astype(float) if isinstance(rows, np.ndarray) else None
+        self.count = len(features.samples.tau[rows])
         (a_low, a_high), (b_low, b_high) = bounds(features)
         self.low = np.log([a_low, b_low])
         self.span = np.log([a_high, b_high]) - self.low
         columns = features.columns(start.alpha, start.beta)
         self.scale = np.concatenate([[1.0], np.maximum(columns[:, 1:].std(axis=0), 1e-12)])
+        self.run_of_slopes = features.slopes(start.g)
         self.active = np.r_[True, True, start.c_active, start.g is not None, start.theta_active]
 
     def pack(self) -> Array:
@@ -189,39 +192,52 @@ class Refinement:
             cost=cost,
         )
 
-    def residual(self, point: Array) -> Array:
-        """Return the residual (rows,) [N.m] at a search vector."""
-        candidate = self.unpack(point)
-        columns = self.features.columns(candidate.alpha, candidate.beta)[self.rows]
-        return candidate.torque(columns) - self.tau
+    def slopes(self, point: Array) -> tuple[Array, Array]:
+        """Return the (rows, parameters) slopes of the residual at a search vector, and itself."""
+        numbers, factors = self._at(point)
+        found = self.run_of_slopes.at(numbers)[self.rows]
+        return found[:, :-1][:, self.active] * factors[self.active], found[:, -1]
 
-    def jacobian(self, point: Array) -> Array:
-        """Return the (rows, parameters) Jacobian of the residual at a search vector."""
+    def _at(self, point: Array) -> tuple[Array, Array]:
+        """Return all numbers at a search vector, and the slopes (11,) of each by its unknown."""
         k = self.unpack(point)
-        x, dh, ddh = (e[self.rows] for e in self.features.with_derivatives(k.alpha, k.beta))
-        scaled = x / self.scale
-        full = np.empty((len(x), 11), order="F")
-        full[:, 2:6] = scaled
-        by_h, by_dh = k.c[2], k.c[3]
-        if k.g is not None:
-            g, dg = UNIT_FUNCTIONS[k.g]
-            argument = x @ k.theta
-            full[:, 6] = g(argument)
-            slope = k.gain * dg(argument, full[:, 6])
-            full[:, 7:] = slope[:, None] * scaled
-            by_h, by_dh = (c + slope * t for c, t in zip(k.c[2:], k.theta[2:], strict=True))
-        place = (np.log([k.alpha, k.beta]) - self.low) / self.span
+        place = expit(point[:2])
         chain = np.array([k.alpha, k.beta]) * self.span * place * (1.0 - place)
-        for i in range(2):
-            full[:, i] = (by_h * dh[:, i] + by_dh * ddh[:, i]) * chain[i]
-        return full if self.active.all() else full[:, self.active]
+        factors = np.concatenate([chain, 1.0 / self.scale, [1.0], 1.0 / self.scale])
+        return np.r_[k.alpha, k.beta, k.c, k.gain, k.theta], factors
 
-    def run(self, evaluations: int) -> tuple[Candidate, Array]:
-        """Return the refined candidate and its t-statistics (11,)."""
+    def _reduced(self, point: Array) -> Array:
+        """Return a square R with R'R = A'A, where A has the slopes and, last, the residual.
+
+        Levenberg-Marquardt depends on inner products alone, so it takes the same steps with R.
+        """
+        numbers, factors = self._at(point)
+        products = self.run_of_slopes.products(numbers, self.weights)[:-1, :-1]
+        used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
+        gram = (products * np.outer(factors, factors))[np.ix_(used, used)]
+        sizes = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+        gram /= np.outer(sizes, sizes)
+        try:
+            root = np.linalg.cholesky(gram, upper=True)
+        except np.linalg.LinAlgError:  # dependent columns
+            squares, ways = np.linalg.eigh(gram, UPLO="U")
+            root = np.sqrt(np.maximum(squares, 0.0))[:, None] * ways.T
+        return np.asarray(root * sizes)
+
+    def run(self, evaluations: int) -> Candidate:
+        """Return the refined candidate."""
+        last = (np.empty(0), np.empty(0))
+
+        def reduced(point: Array) -> Array:
+            nonlocal last
+            if not np.array_equal(point, last[0]):
+                last = (point.copy(), self._reduced(point))
+            return last[1]
+
         solution = least_squares(
-            self.residual,
+            lambda point: reduced(point)[:, -1],
             self.pack(),
-            jac=self.jacobian,
+            jac=lambda point: reduced(point)[:, :-1],
             method="lm",
             max_nfev=evaluations,
             xtol=1e-15,
@@ -229,7 +245,12 @@ class Refinement:
             gtol=1e-15,
             x_scale="jac",
         )
+        return self.unpack(solution.x, float(np.sum(solution.fun**2)) / self.count)
+
+    def statistics(self) -> Array:
+        """Return the t-statistics (11,) of the start, 0 of absent coefficients."""
+        point = self.pack()
         statistics = np.zeros(11)
-        errors = standard_errors(solution.jac, solution.fun)
-        statistics[self.active] = np.abs(solution.x) / np.maximum(errors, 1e-300)
-        return self.unpack(solution.x, float(np.mean(solution.fun**2))), statistics
+        errors = standard_errors(*self.slopes(point))
+        statistics[self.active] = np.abs(point) / np.maximum(errors, 1e-300)
+        return statistics
