@@ -12,7 +12,7 @@ from fmpy import read_model_description
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from fmu_src import model_file
-from fmu_src.drive.drive_fmu import export_drive
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.friction.model import FrictionModel
 
 INERTIA = [3.0, 3.0, 0.6]

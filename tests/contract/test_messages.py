@@ -22,13 +22,13 @@ PACKAGES = ("hesr", "hesr_model", "fmu_src", "cosim")
 # Modules by kind of their sentences, except those of errors and log records.
 FINDINGS = re.compile(
     r"cosim/study/verdict|fmu_src/check/|hesr_model/(audit/(attack|certificate)|health/)"
-    r"|hesr/extras/(mjcf/parts|properties/)"
+    r"|hesr/extras/(hostile/|properties/|mjcf/parts)"
 )
 DESCRIPTIVE = re.compile(
     r"cosim/report/|cosim/loop/(closed_loop|robustness)|hesr/extras/ssp/ssp_results"
-    r"|fmu_src/(blocks|drive|export|friction|pages)/|fmu_src/arm/(parts|truth)"
+    r"|fmu_src/(blocks|export|friction|pages)/|fmu_src/arm/(parts|truth)"
     r"|fmu_src/run/reference_|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
-    r"|hesr/extras/(laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"
+    r"|hesr/extras/(drive|laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"
 )
 LOGGED = {"debug", "info", "warning", "error"}
 # Literals that are code, markup or patterns, not sentences.

@@ -12,11 +12,11 @@ from cosim.report.tables.laws import convention
 from cosim.report.tables.terminal import Drawn
 from fmu_src import model_file
 from fmu_src.check.convention import measure, run
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, torques
 from fmu_src.run.replay import replay
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.typed_json import to_json

@@ -9,14 +9,14 @@ import pytest
 
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.check.run import check
-from fmu_src.drive.drive_fmu import content as drive
-from fmu_src.drive.drive_fmu import motors as motors_of
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_component import friction_equations
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.friction.reference import reference_files
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
+from hesr.extras.drive.drive_fmu import content as drive
+from hesr.extras.drive.drive_fmu import motors as motors_of
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.one_file.c_header import export_c

@@ -20,11 +20,11 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.blocks.velocity import velocity
 from fmu_src.check.run import check
-from fmu_src.drive.drive_fmu import content as drive
-from fmu_src.drive.drive_fmu import motors
 from fmu_src.export.package import Content, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.reference_results import Verified, verify
+from hesr.extras.drive.drive_fmu import content as drive
+from hesr.extras.drive.drive_fmu import motors
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder

@@ -12,9 +12,9 @@ from fmpy import read_model_description
 from fmu_src import export_fmu
 from fmu_src.arm.truth import true_friction
 from fmu_src.check.run import check
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.errors import ExportError

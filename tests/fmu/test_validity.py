@@ -8,9 +8,9 @@ import sympy
 from registry_models import live_of
 
 from fmu_src import export_fmu
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.validity import require_numbers
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.equations.functions import absolute

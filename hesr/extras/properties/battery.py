@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.properties.bench import DriveBench, FrictionBench
 from hesr.extras.properties.break_away import breakaway, dither, hold
 from hesr.extras.properties.coupling import coupling

@@ -10,9 +10,9 @@ from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu
 from fmu_src.check.run import check
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export import package
 from fmu_src.friction.friction_fmu import export_bare
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.hostile import master as hostile
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange

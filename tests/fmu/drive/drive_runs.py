@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.drive.drive_fmu import content, motors
 from fmu_src.export.package import write_fmu
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.drive.drive_fmu import content, motors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 

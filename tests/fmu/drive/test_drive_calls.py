@@ -17,8 +17,8 @@ from binary import Binary
 from c_hosts import LINUX
 from drive_runs import drive, model_of
 
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.inputs import DQ
 from hesr_model.support.compiler import compile_c

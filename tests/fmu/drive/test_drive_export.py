@@ -16,10 +16,10 @@ from fmpy import read_model_description
 from cosim.systems.system_file import System
 from fmu_src.blocks.controller import controller
 from fmu_src.check.run import check
-from fmu_src.drive.drive_fmu import export_drive
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD
