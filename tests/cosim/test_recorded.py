@@ -14,15 +14,12 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.export.package import zip_members
 from fmu_src.run.reference_results import ROWS, TOLERANCE, Stimuli, result_files, verify
-<<<<<<< HEAD
+from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.ssp.container import write_container
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
 from hesr.extras.ssp.ssp_results import _run, verify_ssp
 from hesr.extras.ssp.ssp_results import result_files as result_files_of
-=======
-from hesr.extras.drive.drive_fmu import export_drive
->>>>>>> 71463dbb (Move the drive's FMU to the extras)
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier
