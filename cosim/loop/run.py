@@ -8,7 +8,6 @@ import numpy as np
 
 from cosim.loop.closed_loop import ARM, Gains, Tracking
 from cosim.loop.loops import StudyLoop, assemble, build, example, require_reachable, run_tracking
-from cosim.loop.robustness import run_overcompensation, run_sweeps
 from cosim.loop.traces import TRACES, LoopOutcome, write_traces
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec, write_system
@@ -22,6 +21,7 @@ from hesr_model.findings import Finding, caution
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
+from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
 
@@ -73,7 +73,7 @@ def run_loop(
     """Build the FMUs of a loop in ``folder/fmus``, next to Arm.fmu, and run it.
 
     Writes one loop with the arm and one with the generated plant, and the positions along the first
-    motion as `TRACES`. A `quick` run has few rows; see `run_tracking`.
+    motion as `TRACES`. A `quick` run has few rows, see `run_tracking`, and no robustness.
     """
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
@@ -89,11 +89,14 @@ def run_loop(
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, quick=quick)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in tables if t.trace])
+    sweeps, overcompensation = [], []
+    if robustness := None if quick else plugins.load("hesr.studies").get("robustness"):
+        sweeps, overcompensation = robustness.load()(loop, robot, body, fmus, tables)
     return LoopOutcome(
         tracking=tables,
         long=long,
-        sweeps=[] if quick else run_sweeps(loop, robot, body, fmus, tables),
-        overcompensation=[] if quick else run_overcompensation(loop),
+        sweeps=sweeps,
+        overcompensation=overcompensation,
         findings=[*findings, *([] if quick else check_masters(loop, plant, signals))],
     )
 

@@ -224,3 +224,30 @@ def read_findings(folder: Path) -> list[Finding]:
         return []
     data = read_json(path, HEALTH_FORMAT)
     return list(from_json(_Findings, data, path, "what checks found").findings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """A mean over draws and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedScores:
+    """Errors of laws on one test set over draws, by law, one per joint."""
+
+    rmse: Mapping[str, tuple[Spread, ...]]  # mean [N.m]
+    ratios: Mapping[str, tuple[Spread, ...]]  # geometric mean over the reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seeds:
+    """Scores over draws."""
+
+    seeds: int
+    joints: tuple[str, ...]
+    reference: str  # reference of the ratios
+    tests: Mapping[str, SeedScores]

@@ -231,13 +231,15 @@ class Job:
         return found
 
     def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
-        """Score laws on the alternative plants of the twin; empty if the study names none."""
-        if self.study.twin is None or not self.study.twin.truths:
+        """Score laws on the alternative plants of the twin, if there are any, and a plug-in."""
+        under_truths = plugins.load("hesr.studies").get("truths")
+        if under_truths is None or self.study.twin is None or not self.study.twin.truths:
             return {}
-        from cosim.study.seeds import under_truths
-
         progress = partial(self.progress, "trying alternative plants")
-        return under_truths(self.study, self.path, laws, progress=progress)
+        found: dict[str, Errors] = under_truths.load()(
+            self.study, self.path, laws, progress=progress
+        )
+        return found
 
     def rigid_body(
         self, logs: Mapping[str, Log], model: Robot

@@ -15,8 +15,8 @@ from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
+    from cosim.study.results import Seeds
     from cosim.study.run import Outcome
-    from cosim.study.seeds import Seeds
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
@@ -201,10 +201,10 @@ def run(
     """
     from cosim.study.results import read_findings
     from cosim.study.run import run_study, unfinished
-    from cosim.study.seeds import run_seeds
     from cosim.study.study import Study
     from cosim.workflow.jobs import find_job
     from hesr_model.friction.registry import laws_with
+    from hesr_model.support import plugins
     from hesr_model.support.files import models_folder, path_of
     from hesr_model.support.typed_json import to_json, write_json
 
@@ -219,7 +219,9 @@ def run(
     folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
     if seeds is not None:
         laws = laws_with("quick") if quick else ()
-        spread = run_seeds(path, seeds, laws=laws, progress=partial(progress, "running draws"))
+        run_seeds = plugins.find("hesr.studies", "seeds")
+        progress = partial(progress, "running draws")
+        spread: Seeds = run_seeds(path, seeds, laws=laws, progress=progress)
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "seeds.json", to_json(spread))
         return spread

@@ -141,6 +141,7 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
             ("export", "uf850-table1", "-o", "F.fmu", "--properties"),
             "test 'properties' is not installed.",
         ),
+        (("run", "--quick", "--seeds", "2"), "part of a study 'seeds' is not installed."),
         (("simulate", "loop.ssp"), "system format 'ssp-reader' is not installed."),
         (("check", "loop.ssp"), "system format 'ssp-check' is not installed."),
         (("export", "system.toml", "-o", "loop.ssp"), "system format 'ssp' is not installed."),

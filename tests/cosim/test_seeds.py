@@ -8,8 +8,8 @@ import pytest
 from small_study import STUDY, hesr_here
 from small_twin import MOTIONS
 
-from cosim.study.seeds import one_draw, run_seeds
 from cosim.study.study import Study
+from hesr.extras.studies.seeds import one_draw, run_seeds
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import models_folder
 

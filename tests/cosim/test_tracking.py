@@ -19,7 +19,6 @@ from cosim.loop.loops import (
     require_reachable,
 )
 from cosim.loop.motions import Motions
-from cosim.loop.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
 from cosim.loop.run import check_masters
 from cosim.loop.traces import Tracked
 from cosim.loop.tracking import track
@@ -31,6 +30,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import true_friction
+from hesr.extras.studies.robustness import CYCLING, FACTORS, run_overcompensation, run_sweeps
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody, identify

@@ -19,8 +19,8 @@ from cosim.report.tables.table import ResultTable, decimals, fixed, number, row_
 from cosim.report.tables.terminal import Drawn
 from cosim.report.tables.text import csv_text, markdown
 from cosim.study.position_errors import PositionErrors
+from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
-from cosim.study.seeds import Seeds, SeedScores, Spread
 from cosim.workflow.run import over_draws
 from fmu_src.check.convention import Convention
 from fmu_src.friction.settings import Error

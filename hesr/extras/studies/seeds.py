@@ -1,7 +1,6 @@
 """Prediction part of a twin's study over random draws, and on alternative plants."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from cosim.loop.excite import Recording, recorded, recordings
 from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
 from cosim.loop.twin import export_twin, loaded_arm, twin_plant
 from cosim.study import scores
+from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, by_joint
 from cosim.study.study import Study, Twin
 from fmu_src.arm.plant import Plant, servo_signals
@@ -33,33 +33,6 @@ LEVEL, VISCOSITY = 0.15, 0.3
 _AMPLITUDE = 0.8  # minimum, of motions other than Fourier series
 _TRIES = 100  # draws of a Fourier motion within the limits
 _UPPER = 0.975  # quantile
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spread:
-    """A mean over draws and its 95 % interval."""
-
-    mean: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class SeedScores:
-    """Errors of laws on one test set over draws, by law, one per joint."""
-
-    rmse: Mapping[str, tuple[Spread, ...]]  # mean [N.m]
-    ratios: Mapping[str, tuple[Spread, ...]]  # geometric mean over the reference
-
-
-@dataclass(frozen=True, kw_only=True)
-class Seeds:
-    """Scores over draws."""
-
-    seeds: int
-    joints: tuple[str, ...]
-    reference: str  # reference of the ratios
-    tests: Mapping[str, SeedScores]
 
 
 def run_seeds(

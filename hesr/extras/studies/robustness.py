@@ -31,6 +31,13 @@ _AS_IT_IS = "as it is"
 _MOTIONS = 3
 
 
+def run_robustness(
+    loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, known: Sequence[Tracked]
+) -> tuple[list[Tracked], list[Overcompensation]]:
+    """Return the results of `run_sweeps` and `run_overcompensation`."""
+    return run_sweeps(loop, robot, body, folder, known), run_overcompensation(loop)
+
+
 def run_sweeps(
     loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, known: Sequence[Tracked]
 ) -> list[Tracked]:
