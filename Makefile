@@ -2,9 +2,9 @@
 # make test       set everything up and run the tests for every change, in minutes
 # make test-all   run all tests but those of `make soak`
 # make contract   run the contract tests of all laws and modules
-# make hard       run the tests of hostile files, foreign FMUs, full disks and killed processes
+# make hard       run the tests of hostile files, foreign FMUs, full disks and interrupts as a
+#                 background job does, with SIGINT ignored
 # make kernels    run the tests of fits with other kernels of OpenBLAS, which round differently
-# make interrupts run the tests of interrupts as a background job does, with SIGINT ignored
 # make durations  run all tests and record their CPU seconds in tests/durations.toml
 # make soak       run the tests that take too long for daily use
 # make lint       formatting, static checks, types, and the pipelines
@@ -24,20 +24,19 @@ SPREAD := -n 3 --dist loadfile --no-loadscope-reorder
 C_FILES := $(wildcard hesr_model/equations/*.[ch] fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c tests/benchmarks/*.c)
 
 # As many test processes as cores: more threads of linear algebra would wait for each other.
-test test-all contract hard kernels interrupts durations soak: export OMP_NUM_THREADS = 1
+test test-all contract hard kernels durations soak: export OMP_NUM_THREADS = 1
 
 # Tests start many processes, which would compile all modules again without bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
-HARD := tests/fuzz tests/unit/test_cache.py tests/fmu/test_state.py tests/fmu/test_blocks.py \
-  $(patsubst %,tests/cosim/test_%.py,hard_to_break full_disks hostile_archives foreign_fmus workers replay)
+HARD := tests/fuzz tests/unit/test_cache.py tests/unit/test_files.py $(patsubst %,tests/cosim/test_%.py, \
+  hard_to_break full_disks hostile_archives foreign_fmus workers replay cli_interrupts)
 
 FITS := tests/numbers $(patsubst %,tests/unit/test_%.py, \
   classic_laws dahl least_squares lugre_load networks parfam parfam_edges parfam_extended parfam_s \
   parfam_velocity per_log refinement ripple separable strain_wave stribeck)
-INTERRUPTS := tests/unit/test_files.py $(patsubst %,tests/cosim/test_%.py,cli_interrupts foreign_fmus workers)
 
-.PHONY: run test test-all contract hard kernels interrupts durations soak mutate messages lint format docs \
+.PHONY: run test test-all contract hard kernels durations soak mutate messages lint format docs \
   pipelines dist interop benchmark clean
 
 run: $(VENV)/installed
@@ -50,17 +49,14 @@ test-all: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak"
 
 contract: $(VENV)/installed
-	$(BIN)/pytest tests/contract -n 2 --dist worksteal -m "not soak"
+	$(BIN)/pytest tests/contract $(SPREAD) -m "not soak"
 
 hard: $(VENV)/installed
-	$(BIN)/pytest $(HARD) $(SPREAD) -m "not soak"
+	(trap "" INT; exec $(BIN)/pytest $(HARD) $(SPREAD) -m "not soak") & wait $$!
 
 kernels: export OPENBLAS_CORETYPE = Prescott
 kernels: $(VENV)/installed
 	$(BIN)/pytest $(FITS) $(SPREAD) -m "not soak"
-
-interrupts: $(VENV)/installed
-	(trap "" INT; exec $(BIN)/pytest $(INTERRUPTS) $(SPREAD) -m "not soak") & wait $$!
 
 durations: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --record-cpu tests/durations.toml
