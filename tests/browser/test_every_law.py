@@ -107,25 +107,18 @@ EVERY = ("table1", *STUDIED)
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_the_module_matches_python(
+def test_the_module_matches_python_and_follows_its_first_slider(
     name: str, models: dict[str, FrictionModel], live: Callable[[str], dict[str, Any]],
     page_of: Callable[[str], "Page"], tmp_path: Path,
 ) -> None:  # fmt: skip
-    model = models[name]
+    model, page = models[name], page_of(name)
     motion = reference_motion(model)
-    found = in_browser(page_of(name), live(name), motion, model.sample_time)
+    found = in_browser(page, live(name), motion, model.sample_time)
     assert error(found, torques(model, motion, "direct")) < SAME
     if name == "table1":
         fmu = export_fmu(model, tmp_path / "F.fmu")
         assert error(found, in_binary(fmu, motion, model.sample_time)) < SAME
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_every_law_follows_its_first_slider(
-    name: str, models: dict[str, FrictionModel], live: Callable[[str], dict[str, Any]],
-    page_of: Callable[[str], "Page"],
-) -> None:  # fmt: skip
-    law, page = models[name].laws[0], page_of(name)
+    law = model.laws[0]
     first = live(name)["joints"][0]["coefficients"][0]["name"]
     slider(page, first).fill("0.8")
     value = float(field(page, first).input_value())

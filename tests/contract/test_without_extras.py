@@ -33,7 +33,7 @@ import sys
 
 sys.modules.update(dict.fromkeys(("bokeh", "h5py", "openpyxl", "pandas", "pyarrow", "rosbags")))
 """
-"""The same for packages of extras."""
+"""The same for optional packages."""
 
 VERBS = ("new", "inspect", "excite", "identify", "fit", "export", "check", "simulate", "run",
          "report")  # fmt: skip
@@ -164,16 +164,6 @@ def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.ci
-def test_a_quick_run(site: Path, tmp_path: Path) -> None:
-    (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
-    found = hesr(site, "run", "study.toml", "-o", "results", "--quick", cwd=tmp_path)
-    assert found.returncode == 0, found.stderr
-    assert {path.stem for path in (tmp_path / "results" / "fmus").glob("*.fmu")} >= {"parfam_h"}
-    assert (tmp_path / "results" / "report.html").is_file()
-
-
-@pytest.mark.ci
 def test_laws_of_the_paper_table_are_fitted(site: Path, tmp_path: Path) -> None:
     laws = f"laws = {json.dumps(laws_of_paper())}\n"
     (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
@@ -187,7 +177,7 @@ def test_laws_of_the_paper_table_are_fitted(site: Path, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("base")
-    (folder / "sitecustomize.py").write_text(NO_PACKAGES, encoding="utf-8")
+    (folder / "sitecustomize.py").write_text(NO_EXTRAS + NO_PACKAGES, encoding="utf-8")
     return folder
 
 
@@ -211,8 +201,8 @@ def test_logs_need_no_optional_package(base: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.ci
-def test_a_twin_needs_no_optional_package(base: Path, tmp_path: Path) -> None:
-    """The main path: a project, its run, the report and a simulation."""
+def test_a_twin_needs_no_extra_and_no_optional_package(base: Path, tmp_path: Path) -> None:
+    """The main path: a project, its quick run, the report and a simulation."""
     for arguments in (
         ("new", "project", "--twin"),
         ("run", "--quick"),
@@ -225,6 +215,7 @@ def test_a_twin_needs_no_optional_package(base: Path, tmp_path: Path) -> None:
         "hesr: figures of the report do not zoom: pip install 'hesr[report]'.\n"
     )
     results = tmp_path / "results" / "uf850"
+    assert {path.stem for path in (results / "fmus").glob("*.fmu")} >= {"parfam_h"}
     page = (results / "report.html").read_text(encoding="utf-8")
     assert "Figures zoom after <code>pip install 'hesr[report]'</code>" in page
     assert 'class="to-zoom"' not in page

@@ -2,14 +2,13 @@
 
 import json
 import shlex
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from documents import ROOT
+from small_study import hesr_here
 
 import hesr
 from cosim.study.forecast import FORMAT, SUFFIX, Forecast
@@ -41,18 +40,20 @@ def commands(text: str) -> list[list[str]]:
 
 
 @pytest.mark.ci
-def test_the_circle_closes_without_an_edit(tmp_path: Path) -> None:
+def test_the_circle_closes_without_an_edit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "twin"
     made = hesr.new(folder, twin=True)
     assert made.joints == ("joint1", "joint2", "joint3")
     circle = commands((folder / "README.txt").read_text(encoding="utf-8"))
     assert [words[1] for words in circle] == [*["excite", "simulate", "inspect", "run"] * 2]
     assert circle == commands((ROOT / "docs" / "measure.md").read_text(encoding="utf-8"))[1:]
+    call = hesr_here(capsys, monkeypatch)
+    monkeypatch.chdir(folder)
     for words in circle:
-        done = subprocess.run(
-            [sys.executable, "-m", *words], cwd=folder, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, f"{words}: {done.stderr}"
+        answer = call(*words[1:])
+        assert answer.code == 0, f"{words}: {answer.err}"
     plan = folder / "logs" / f"next_friction{SUFFIX}"
     assert plan.read_bytes() == (folder / f"next_friction{SUFFIX}").read_bytes()
     expected = Forecast.of([folder / "logs" / "next_friction.csv"])

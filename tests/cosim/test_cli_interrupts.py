@@ -57,8 +57,9 @@ def one_sentence(text: str, beginning: str) -> None:
     assert text.endswith(".\n")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("seconds", [0.2, 0.7, 1.5])
+@pytest.mark.parametrize(
+    ("number", "seconds"), [(signal.SIGINT, 0.2), (signal.SIGTERM, 0.7), (signal.SIGINT, 1.5)]
+)
 def test_interrupts_work_from_the_first_import_to_the_build(
     number: signal.Signals, seconds: float, tmp_path: Path, empty_cache: Path
 ) -> None:

@@ -2,8 +2,9 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,13 @@ def exact(tmp_path_factory: pytest.TempPathFactory) -> Log:
 
 
 @pytest.fixture(scope="module")
+def body_of(exact: Log) -> Callable[[int], RigidBody]:
+    """Return the body of the log with the noise of a seed, identified once."""
+    model = Robot(UF850 / "robot.toml")
+    return cache(lambda seed: identify([noisy(exact, seed)], model))
+
+
+@pytest.fixture(scope="module")
 def files(exact: Log, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A noisy log as CSV, and the robot file that names its link encoders."""
     folder = tmp_path_factory.mktemp("files")
@@ -141,15 +149,14 @@ def test_stiffness_and_friction_are_those_of_the_plant(
     assert re.search(r"Gear of joint2 \[SI\]: stiffness (29|30)\d+ \+- \d+, damping", text)
 
 
-def test_intervals_cover_the_truth(exact: Log) -> None:
-    model = Robot(UF850 / "robot.toml")
-    found = np.array([scores(identify([noisy(exact, seed)], model).gears) for seed in range(4)])
+def test_intervals_cover_the_truth(body_of: Callable[[int], RigidBody]) -> None:
+    found = np.array([scores(body_of(seed).gears) for seed in range(4)])
     assert np.mean(np.abs(found) < 1.96) >= 0.9
     assert np.sqrt(np.mean(found**2)) > 0.4  # the intervals are not just wide
 
 
-def test_hysteresis_and_play_are_those_of_the_plant(exact: Log) -> None:
-    gear = identify([noisy(exact, 1)], Robot(UF850 / "robot.toml")).gears[1]
+def test_hysteresis_and_play_are_those_of_the_plant(body_of: Callable[[int], RigidBody]) -> None:
+    gear = body_of(1).gears[1]
     widths, torques = np.transpose(gear.elements)
     stops = widths > 0.0
     assert np.sum(torques[stops]) == pytest.approx(6.0, rel=0.1)
@@ -157,9 +164,8 @@ def test_hysteresis_and_play_are_those_of_the_plant(exact: Log) -> None:
     assert np.sum(torques[~stops]) == pytest.approx(-1.5, rel=0.1)  # stiffness times half the play
 
 
-def test_a_refined_body_keeps_its_gears(exact: Log) -> None:
-    log, model = noisy(exact, 1), Robot(UF850 / "robot.toml")
-    body = identify([log], model)
+def test_a_refined_body_keeps_its_gears(exact: Log, body_of: Callable[[int], RigidBody]) -> None:
+    log, model, body = noisy(exact, 1), Robot(UF850 / "robot.toml"), body_of(1)
     law = hesr.fit(log, robot=model, rigid_body=body, law="stribeck")
     refined = identify_again([log], model, body, law)
     assert refined.gears == body.gears
@@ -270,8 +276,10 @@ def test_methods_for_rigid_gears_are_refused(exact: Log, options: dict[str, Any]
 # --- drives --------------------------------------------------------------------------------------
 
 
-def test_a_drive_has_the_identified_gears(exact: Log, tmp_path: Path) -> None:
-    body = identify([noisy(exact, 1)], Robot(UF850 / "robot.toml"))
+def test_a_drive_has_the_identified_gears(
+    body_of: Callable[[int], RigidBody], tmp_path: Path
+) -> None:
+    body = body_of(1)
     body.write(tmp_path / "body.json")
     options = {"format": "drive", "rigid_body": tmp_path / "body.json"}
     drive = hesr.export("uf850-table1", tmp_path / "D.fmu", **options)

@@ -512,7 +512,7 @@ def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None
             "import sys\nfrom pathlib import Path\n"
             "from hesr.extras.view.runs import ViewOptions, choose\n"
             "from hesr.extras.view.window import show\n"
-            "choice = ViewOptions(speed=0.2)\n"
+            "choice = ViewOptions(speed=1.0)\n"
             "show(choose(Path(sys.argv[1]), choice), choice, turns=1)"
         )
         done = subprocess.run(
@@ -537,7 +537,7 @@ def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None
             text=True,
             env=variables,
         )
-        time.sleep(8.0)
+        time.sleep(4.0)
         assert viewing.poll() is None  # it runs until it is closed
         viewing.send_signal(signal.SIGINT)
         _, err = viewing.communicate(timeout=30)

@@ -109,12 +109,18 @@ def every_law() -> list[FrictionModel]:
     return found
 
 
-@pytest.mark.ci
+@pytest.mark.parametrize(
+    "steps",
+    [
+        pytest.param(20_000, marks=pytest.mark.ci),
+        pytest.param(1_000_000, marks=pytest.mark.soak),
+    ],
+)
 def test_torques_of_every_law_are_those_of_the_fmu(
-    every_law: list[FrictionModel], plugins: Path
+    every_law: list[FrictionModel], plugins: Path, steps: int
 ) -> None:
     for model in every_law:
-        found = dict(zip(model.joints, differences(model, plugins, 100_000), strict=True))
+        found = dict(zip(model.joints, differences(model, plugins, steps), strict=True))
         assert max(found.values()) <= 1e-12, found
 
 

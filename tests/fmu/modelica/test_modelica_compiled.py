@@ -35,12 +35,15 @@ def joint(request):
     return EVERY.index(request.param) + 1
 
 
-in_motion = pytest.mark.parametrize(
-    "joint",
-    [pytest.param(name, marks=pytest.mark.soak if name in STOPS else ()) for name in EVERY],
-    indirect=True,
-)
-"""Stops are stiff: nine digits take solvers minutes for half a second."""
+def in_motion(*laws):
+    """Stops are stiff: nine digits take solvers minutes for half a second."""
+    names = [pytest.param(name, marks=pytest.mark.soak if name in STOPS else ()) for name in laws]
+    return pytest.mark.parametrize("joint", names, indirect=True)
+
+
+BEARINGS, INERTIAS = EVERY[::2], ("stribeck", *EVERY[1::2])
+"""Laws whose examples with a bearing or an inertia are simulated: they differ in the law only, and
+each law is simulated alone."""
 
 
 @pytest.fixture
@@ -115,7 +118,7 @@ def test_blocks_compile_without_any_library(joint, law, block):
     assert {c.name: c.unit for c in law.form.coefficients}.items() <= units.items()
 
 
-@in_motion
+@in_motion(*EVERY)
 def test_modelica_fmu_and_python_agree(joint, law, package, rumoca, simulated, fmu):
     text = package.read_text(encoding="utf-8") + MODELICA.format(block=f"Every.Joint{joint}")
     model = rumoca.Session().loads(text, model="Reference")
@@ -135,7 +138,7 @@ def test_the_published_laws_agree(table1, table1_fmu, rumoca, simulated, load, t
         assert relative(fmu_torque(fmu, joint, law), expected) <= 1e-9
 
 
-@in_motion
+@in_motion(*BEARINGS)
 def test_examples_move_a_bearing_with_the_torque_of_the_law(joint, law, coupled, simulated):
     model = coupled(f"Examples.Joint{joint}Speed")
     amplitude, load = (value(model, name) for name in ("sine.amplitude", "load.k"))
@@ -159,7 +162,7 @@ def test_examples_move_a_bearing_with_the_torque_of_the_law(joint, law, coupled,
     assert np.allclose(found["bearing.lossPower"], found["bearing.law.tau"] * found["bearing.w"])
 
 
-@in_motion
+@in_motion(*INERTIAS)
 def test_examples_drive_an_inertia_against_the_law(joint, law, coupled, simulated):
     if law.form.stops:
         pytest.skip("rumoca holds its end points to 1e-13, which the corner of a clip misses")
