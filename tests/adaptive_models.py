@@ -5,8 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hesr.extras.adaptive.component import adaptive_component
-from hesr.extras.adaptive.tuning import Tuning
+from hesr.extras.adaptive.component import Tuning, adaptive_component
 from hesr_model.equations.recurrence import recurrence
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.law import FrictionLaw

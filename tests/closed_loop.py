@@ -14,10 +14,9 @@ from fmu_src import export_fmu
 from fmu_src.arm.native import arm
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.signals import signals_of
-from fmu_src.blocks.controller import controller
+from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
-from fmu_src.blocks.velocity import velocity
 from fmu_src.export.package import write_fmu
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import random_fourier

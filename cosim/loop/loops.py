@@ -14,10 +14,9 @@ from cosim.loop.tracking import LoopMotion, LoopRow, track
 from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
-from fmu_src.blocks.controller import controller
+from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
-from fmu_src.blocks.velocity import velocity
 from fmu_src.export.package import Content, write_fmu
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel

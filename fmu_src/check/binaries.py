@@ -1,19 +1,51 @@
-"""Checks of shared libraries: format, functions and dependencies."""
+"""Checks of shared libraries: format, functions (by the headers of FMI) and dependencies."""
 
 import posixpath
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from fmu_src.check import functions
+import fmpy
+
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
 from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
 from hesr_model.support.text import listed, plain, quoted
+
+
+def _declared(version: int) -> list[list[str]]:
+    header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
+    sections = re.split(r"^(?:Common )?Functions", header.read_text("utf-8"), flags=re.MULTILINE)
+    found = [re.findall(rf"FMI{version}_Export\s+\w+\s+(\w+);", section) for section in sections]
+    return [names for names in found if names]
+
+
+_COMMON, _EXCHANGE, _SIMULATION = _declared(2)
+
+REQUIRED = {"ModelExchange": _COMMON + _EXCHANGE, "CoSimulation": _COMMON + _SIMULATION}
+REQUIRED_3 = list(chain(*_declared(3)))
+"""The standard requires all of them, even for unsupported features."""
+
+KNOWN = frozenset((*_COMMON, *_EXCHANGE, *_SIMULATION, *REQUIRED_3))
+
+PROMISED = {
+    "canGetAndSetFMUstate": ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate"),
+    "canSerializeFMUstate": (
+        "fmi2SerializedFMUstateSize",
+        "fmi2SerializeFMUstate",
+        "fmi2DeSerializeFMUstate",
+    ),
+    "providesDirectionalDerivative": ("fmi2GetDirectionalDerivative",),
+    "canInterpolateInputs": ("fmi2SetRealInputDerivatives",),
+    "canRunAsynchronuously": ("fmi2CancelStep", "fmi2GetStatus"),
+}
+"""Functions that hosts call because of a flag."""
+
 
 SECONDS = 30.0
 _READER = "fmu_src.check.readers:inspect"
@@ -171,18 +203,18 @@ def _exports(
     if about.fmi == 2:
         for kind in kinds:
             yield from _missing(kind, exports)
-    elif missing := [name for name in functions.REQUIRED_3 if name not in exports]:
-        text = f"it does not export {listed(missing)}; FMI 3.0 requires all of its functions."
+    elif missing := [name for name in REQUIRED_3 if name not in exports]:
+        text = f"it does not export {listed(missing)}; FMI 3.0 requires all of its "
         yield "binary-functions", text
     # One library may serve several versions of FMI.
     own = f"fmi{about.fmi}"
-    if strange := sorted(n for n in exports if n.startswith(own) and n not in functions.KNOWN):
+    if strange := sorted(n for n in exports if n.startswith(own) and n not in KNOWN):
         text = f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
         yield "binary-unknown", text
 
 
 def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
-    missing = [name for name in functions.REQUIRED[kind.element] if name not in exports]
+    missing = [name for name in REQUIRED[kind.element] if name not in exports]
     if prefixed := [name for name in missing if f"{kind.identifier}_{name}" in exports]:
         yield (
             "binary-functions",
@@ -191,7 +223,7 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
         )
         return
     promised: set[str] = set()
-    for capability, names in functions.PROMISED.items():
+    for capability, names in PROMISED.items():
         broken = [name for name in names if name in missing]
         if broken and kind.can(capability):
             promised.update(broken)

@@ -19,11 +19,8 @@ from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.friction_page import to_html
-from fmu_src.pages.live.body import PageBody
-from fmu_src.pages.live.log_section import log_section
-from fmu_src.pages.live.page import live_assets, live_section
-from fmu_src.pages.live.section import live_data
-from fmu_src.pages.live.wasm import wasm
+from fmu_src.pages.live.body import PageBody, wasm
+from fmu_src.pages.live.section import live_assets, live_data, live_section, log_section
 from fmu_src.pages.picture import model_png
 from fmu_src.pages.properties_sheet import section
 from hesr_model.audit.properties import Properties

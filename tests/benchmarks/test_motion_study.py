@@ -15,9 +15,8 @@ from cosim.loop.excite import Recording, record
 from cosim.loop.motions import Motions
 from cosim.loop.twin import export_twin, loaded_arm, twin_plant
 from cosim.study.study import Twin
-from hesr.extras.excite.guard import Guard, MotionSettings
 from hesr.extras.excite.motion import PlannedMotion, moved
-from hesr.extras.excite.planner import Planner
+from hesr.extras.excite.planner import Guard, MotionSettings, Planner
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

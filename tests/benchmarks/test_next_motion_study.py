@@ -13,8 +13,7 @@ from test_motion_study import LAWS, LIMITS, TRUTHS, Twins
 
 from cosim.loop.excite import record
 from cosim.loop.twin import loaded_arm
-from hesr.extras.excite.guard import Guard, MotionSettings
-from hesr.extras.excite.planner import Planner
+from hesr.extras.excite.planner import Guard, MotionSettings, Planner
 from hesr.extras.excite.sequel import MIXES, Knowledge, rows_of
 from hesr_model.fitting.fit import fit_models
 

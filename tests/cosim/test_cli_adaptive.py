@@ -11,7 +11,7 @@ from fmpy import read_model_description
 from small_study import Run, hesr_here, uf850
 
 from cosim.workflow.fit import fit
-from hesr.extras.adaptive.tuning import TUNING
+from hesr.extras.adaptive.component import TUNING
 from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel

@@ -15,11 +15,11 @@ import pytest
 import hesr
 from cosim.report.sections import inputs
 from cosim.report.tables.laws import rigid_body
-from fmu_src.arm.alternative_plants import Truth, write_truth
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.simulation import Simulation
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.table import SignalTable
+from fmu_src.arm.truth import Truth, write_truth
 from hesr_model.errors import ArgumentError, ConfigError, FitError, LogError, RobotError
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.elasticity import ElasticGear

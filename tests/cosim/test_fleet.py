@@ -20,10 +20,9 @@ from pyarrow import parquet
 import hesr
 from fmu_src.run.replay import replay
 from hesr.cli import main
-from hesr.extras.fleet.comparison import changed, compared
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.robot import look_at, read_result
-from hesr.extras.fleet.run import run_fleet, write_types
+from hesr.extras.fleet.run import changed, compared, run_fleet, write_types
 from hesr.extras.fleet.study import FleetStudy, members
 from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, ConfigError

@@ -10,7 +10,7 @@ from small_fmus import lag
 
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec
-from fmu_src.blocks.velocity import velocity
+from fmu_src.blocks.controller import velocity
 from fmu_src.export.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance, is_ours

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from hesr.cli.app import app
 from hesr.extras.excite.motion import PlannedMotion
-from hesr.extras.excite.setpoints import HEAD, write_motion
+from hesr.extras.excite.plan import HEAD, write_motion
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.logs.tables import read_table
 from hesr_model.support.files import models_folder

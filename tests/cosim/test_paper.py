@@ -16,9 +16,8 @@ from joint_data import law as law_of
 from small_study import hesr_here
 
 from hesr.extras.paper import measures
-from hesr.extras.paper.evidence import Number
+from hesr.extras.paper.evidence import Number, PaperStudy
 from hesr.extras.paper.report import OPEN, REFUTED, REPRODUCED, verdict
-from hesr.extras.paper.study import PaperStudy
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.support.files import models_folder

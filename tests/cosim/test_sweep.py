@@ -130,7 +130,7 @@ def test_a_sobol_design_changes_one_input_in_each_block():
 
 def test_sensitivities_match_a_known_function():
     """Ishigami's function; indices by Sobol and Levitan (1999)."""
-    from hesr.extras.sweep.sensitivity import sensitivities
+    from hesr.extras.sweep.plan import sensitivities
 
     inputs = [{"variables": [f"a.{n}"], "low": -np.pi, "high": np.pi} for n in "pqr"]
     outputs = [{"name": name, "signal": f"a.{name}"} for name in ("y", "failed")]

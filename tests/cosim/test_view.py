@@ -30,8 +30,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr.extras.view.runs import ViewOptions, choose
-from hesr.extras.view.skeleton import Paint, arm
-from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
+from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, arm
 from hesr.extras.view.video import RATE, drawing, write_video
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.model import FrictionModel
@@ -511,7 +510,7 @@ def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None
         program = (
             "import sys\nfrom pathlib import Path\n"
             "from hesr.extras.view.runs import ViewOptions, choose\n"
-            "from hesr.extras.view.window import show\n"
+            "from hesr.extras.view.report import show\n"
             "choice = ViewOptions(speed=1.0)\n"
             "show(choose(Path(sys.argv[1]), choice), choice, turns=1)"
         )

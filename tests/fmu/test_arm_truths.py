@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from mjcf_models import HOME, OUTPUTS, STEP, UF850, Unpacked, assert_goes_on, run
 
-from fmu_src.arm.alternative_plants import GearElasticity, Truth, write_truth
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.simulation import Simulation
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.table import Losses, LossTable, OutputTable, SignalTable, StartTable
-from fmu_src.arm.truth import true_friction
+from fmu_src.arm.truth import GearElasticity, Truth, true_friction, write_truth
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError
 from hesr_model.friction.predict import predict

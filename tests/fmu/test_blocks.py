@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmu_src.blocks.controller import controller
+from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import HARMONICS, start_values, trajectory
-from fmu_src.blocks.velocity import velocity
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
 from fmu_src.run.fmu import FmuInstance

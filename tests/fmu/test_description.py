@@ -10,7 +10,7 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from fmu_src import export_fmu
-from fmu_src.blocks.velocity import velocity
+from fmu_src.blocks.controller import velocity
 from fmu_src.export.description import si_exponents
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ExportError

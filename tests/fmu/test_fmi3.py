@@ -15,10 +15,9 @@ from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
-from fmu_src.blocks.controller import controller
+from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
-from fmu_src.blocks.velocity import velocity
 from fmu_src.check.run import check
 from fmu_src.export.package import Content, write_fmu
 from fmu_src.friction.friction_fmu import export_bare

@@ -26,10 +26,8 @@ from fmu_src.friction.friction_fmu import export_fmu
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
-from hesr.extras.observer.export import export_observer, header_of
-from hesr.extras.observer.limits import ObserverLimits, law_limits
-from hesr.extras.observer.observation import observed_logs
-from hesr.extras.observer.observer_fmu import content, has_wrench
+from hesr.extras.observer.observation import export_observer, header_of, observed_logs
+from hesr.extras.observer.observer_fmu import ObserverLimits, content, has_wrench, law_limits
 from hesr_model.errors import ExportError, HesrError, LogError
 from hesr_model.friction.band import Band
 from hesr_model.friction.inputs import DQ

@@ -229,7 +229,7 @@ def _folder_of_sweep(folder: Path) -> object:
 
 def _write_fmu(path: Path) -> None:
     """All readable parts of an FMU of FMI 3.0 with reference results but no binaries."""
-    from fmu_src.blocks.velocity import velocity
+    from fmu_src.blocks.controller import velocity
     from fmu_src.export.description3 import to_xml3
     from fmu_src.friction.embedded_model import EMBEDDED_MODEL
     from fmu_src.friction.reference import reference_files

@@ -9,13 +9,12 @@ from interop.drive import driven
 from systems import closed_system, observed_system, observer_content, open_system
 
 from fmu_src import export_fmu, model_file
-from fmu_src.blocks.controller import controller
+from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
-from fmu_src.blocks.velocity import velocity
 from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from hesr.extras.adaptive.adaptive_fmu import adaptive_content, export_adaptive
+from hesr.extras.adaptive.follow import adaptive_content, export_adaptive
 from hesr.extras.drive.drive_fmu import content as drive
 from hesr.extras.drive.drive_fmu import motors
 from hesr_model.friction.law import FrictionLaw

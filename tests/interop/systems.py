@@ -11,7 +11,7 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.export.package import Content, write_fmu
 from fmu_src.plant.plant_fmu import PlantBody
-from hesr.extras.observer.limits import ObserverLimits
+from hesr.extras.observer.observer_fmu import ObserverLimits
 from hesr.extras.observer.observer_fmu import content as observer
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import Robot

@@ -10,8 +10,7 @@ from mpmath import mp, mpf
 from oracles.intervals import reach
 from unchanged import Unchanged
 
-from hesr.extras.adaptive.component import adaptive_component
-from hesr.extras.adaptive.tuning import TUNING, Tuning
+from hesr.extras.adaptive.component import TUNING, Tuning, adaptive_component
 from hesr_model.equations import functions
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Relaxation, Stop

@@ -5,8 +5,8 @@ import pytest
 
 from fmu_src.plant.dynamics import moved
 from fmu_src.plant.plant_fmu import PlantBody
-from hesr.extras.observer.limits import ObserverLimits
 from hesr.extras.observer.observation import limits_of, observed_logs
+from hesr.extras.observer.observer_fmu import ObserverLimits
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from adaptive_models import NOISE, SPEED, STEP, coloured, lugre, model, motion, stops, truth
 
-from hesr.extras.adaptive.component import adaptive_component
+from hesr.extras.adaptive.component import TUNING, adaptive_component
 from hesr.extras.adaptive.follow import Followed, Follower, adaptive_components
-from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.audit.certificate import certify, least_viscosity, storage
 from hesr_model.equations.stepping import ComponentRun, Steps
 from hesr_model.errors import ExportError, SimulationError

@@ -7,8 +7,8 @@ import pytest
 from adaptive_models import lugre, model, motion, truth
 
 from hesr.extras.adaptive.answer import Monitoring
+from hesr.extras.adaptive.component import TUNING
 from hesr.extras.adaptive.monitor import Alarm, State, shared_signs, watch
-from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.rigid_body.residual import FrictionRecord
 
 MODEL = model(lugre(), lugre(), lugre())

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from oracles.stepper import Stepper
 from scipy.integrate import solve_ivp
 
-from fmu_src.blocks.controller import controller_equations
-from fmu_src.blocks.velocity import velocity_equations
+from fmu_src.blocks.controller import controller_equations, velocity_equations
 from hesr_model.equations.component import Component, Equation, Quantity, previous
 from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
 from hesr_model.equations.kernel import Kernel, KernelRun

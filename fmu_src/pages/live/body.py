@@ -1,15 +1,36 @@
-"""Rigid body in the page of a friction FMU: the C of the InverseDynamics FMU."""
+"""FMUs as WebAssembly modules for pages, and that of a rigid body: the InverseDynamics FMU."""
 
-from collections.abc import Sequence
+import base64
+import re
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
-from fmu_src.export.package import Content, translation_unit
-from fmu_src.pages.live.wasm import packed, wasm
+from fmu_src.export.package import Content, own_source, translation_unit
+from fmu_src.export.toolchain import build_wasm
 from hesr_model.errors import ExportError
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
+from hesr_model.support.files import scratch_folder
+
+
+def wasm(sources: Mapping[str, str]) -> bytes:
+    """Compile the C files of `package.translation_unit` to a WebAssembly module without imports.
+
+    It exports the functions of `c/live.c` around those of FMI.
+    """
+    with scratch_folder() as folder:
+        for name, text in (*sources.items(), ("live.c", own_source("live.c"))):
+            (folder / name).write_text(text, encoding="utf-8")
+        powers = any(re.search(r"\bpow\(", text) for text in sources.values())
+        return build_wasm(folder / "live.c", powers=powers)
+
+
+def packed(module: bytes) -> str:
+    """Return a module as text for embedding in pages."""
+    return base64.b64encode(zlib.compress(module, 9)).decode()
 
 
 @dataclass(frozen=True, kw_only=True)

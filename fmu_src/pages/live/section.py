@@ -1,6 +1,10 @@
-"""Data of the interactive section of a page: module, knobs and joints of a friction model."""
+"""Interactive sections of pages: a friction model with knobs, and a measured log with its drift.
 
-from collections.abc import Iterator
+A page may have any number of them, with one shared script and style.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
 from math import floor, log10
@@ -11,13 +15,87 @@ import sympy
 from fmu_src.export.interface import Interface
 from fmu_src.friction.friction_component import place, scales_of
 from fmu_src.friction.reference import trained_speed
-from fmu_src.pages.live.wasm import packed
+from fmu_src.pages.html import TEMPLATES, rendered
+from fmu_src.pages.live.body import PageBody, packed
 from fmu_src.pages.mathml import symbol
+from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.units import unit_of_joint
+from hesr_model.logs.guess import vocabulary
+from hesr_model.logs.log_format import LogFormat
+from hesr_model.units import OTHERS, SLIDING, TURNING, unit_of_joint
+
+_LOAD = ("load", "rigid", "gravity")
+_FRICTION = ("friction", "fric")  # words in the names of columns that exist only in processed logs
+
+
+def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:
+    """Return the section of a page that takes a log; with a body it computes the rigid-body torque.
+
+    It needs a live section of the same key before it and `live_assets(log=True)` after it.
+    """
+    return rendered("log.html.j2", data=_data(model, body), key=key)
+
+
+def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
+    # With coupled joints, ranges and errors are those of motors.
+    own = model.coupling is None
+    count = len(model.joints)
+    trained = model.trained if own and model.trained else (None,) * count
+    noise = model.training_rmse if own and model.training_rmse else (None,) * count
+    used = {s.name for law in model.laws for s in law.form.inputs}
+    return {
+        "words": {**vocabulary(), "load": _LOAD, "friction": _FRICTION},
+        "units": {"t": OTHERS["t"], **_units(model)},
+        "cutoff": body.cutoff if body else LogFormat().filter_cutoff,
+        "body": body.data(model.joints) if body else None,
+        "change": CHANGE,
+        "shift": CHANGE_OF_OFFSET,
+        "joints": [
+            {
+                "name": name,
+                "uses": sorted({s.name for s in law.form.inputs} if own else used),
+                "speeds": seen.dq if seen else None,
+                "noise": error,
+            }
+            for name, law, seen, error in zip(model.joints, model.laws, trained, noise, strict=True)
+        ],
+    }
+
+
+def _units(model: FrictionModel) -> dict[str, dict[str, float]]:
+    """Return units by quantity, SI first; only SI if joints of both kinds exist."""
+    kinds = [SLIDING if slides else TURNING for slides in set(model.slides)]
+    if len(kinds) == 1:
+        return {quantity: dict(units) for quantity, units in kinds[0].items()}
+    return {quantity: {"SI": 1.0} for quantity in TURNING}
+
+
+def live_section(data: Mapping[str, Any], key: str = "live") -> str:
+    """Return the section of a friction model; `live_assets` must follow it on the page.
+
+    The colours are the page's --ink, --soft, --line, --paper, --card and --accent. The key is the
+    prefix of identifiers.
+    """
+    return rendered("live.html.j2", data=data, key=key)
+
+
+def live_assets(*, log: bool = False) -> str:
+    """Return the style and script of all interactive sections of a page, to follow them."""
+    scripts = ["live_plot.js", "live.js"]
+    if log:
+        scripts += ["fit.js", "log_table.js", "log_motion.js", "log_score.js", "log.js"]
+    style = "".join(_text(name) for name in ("live.css", *(["log.css"] if log else [])))
+    whole = '(() => {\n"use strict";\n' + "\n".join(map(_text, scripts)) + "})();"
+    return f"<style>\n{style}</style>\n<script>\n{whole}\n</script>\n"
+
+
+def _text(name: str) -> str:
+    bare = re.sub(r"/\*.*?\*/\n?", "", (TEMPLATES / name).read_text("utf-8"), flags=re.DOTALL)
+    return re.sub(r"^\s+", "", bare, flags=re.MULTILINE)
+
 
 _FACTOR = 5.0  # range of a coefficient's slider, as a factor in both directions
 _SLOWEST, _FASTEST = 0.05, 5.0  # [Hz]

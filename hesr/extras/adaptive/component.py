@@ -14,18 +14,57 @@ CUSUM on the innovations over their density detects changes of friction and of t
     c+ = max(0, c + d p e w - d^2/2 p^2 w),    alarm at c > h
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import sympy
 
-from hesr.extras.adaptive.tuning import Tuning
 from hesr_model.equations.component import Component, Equation, Parameter, Quantity, previous
 from hesr_model.equations.functions import absolute, clip, exceeds, larger, positive
 from hesr_model.equations.memory import DT
-from hesr_model.friction.factors import parts
+from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET, parts
 from hesr_model.friction.inputs import DQ, TORQUE
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning:
+    """Settings of the adaptation and thresholds of its alarms.
+
+    correlation_time : of the unexplained torque [s].
+    forgetting_time : memory of the filter [s].
+    level_sd, viscosity_sd : initial and largest standard deviations.
+    offset, offset_sd, offset_rate [1/s] : limits relative to the noise.
+    rest : share of the largest speed below which nothing is learned.
+    outlier, clipped : limits of innovations in standard deviations.
+    hold : time without learning after an outlier [s].
+    carried : share of the learned factors in the next log.
+    change, change_of_offset : smallest detected change.
+    alarm : threshold of the log-likelihood ratio.
+    """
+
+    correlation_time: float = 0.5
+    forgetting_time: float = 60.0
+    level_sd: float = 0.05
+    viscosity_sd: float = 0.4
+    offset_sd: float = 0.1
+    level: tuple[float, float] = (0.5, 2.0)
+    viscosity: tuple[float, float] = (0.3, 3.0)
+    offset: float = 3.0
+    offset_rate: float = 0.05
+    rest: float = 0.02
+    outlier: float = 6.0
+    clipped: float = 3.0
+    hold: float = 0.5
+    carried: float = 0.25
+    change: float = CHANGE
+    change_of_offset: float = CHANGE_OF_OFFSET
+    alarm: float = 20.0
+
+
+TUNING = Tuning()
+"""Chosen on training logs of the UR10e: laws of one or two logs, followed over the others."""
+
 
 MEASURED = Quantity(name="tau_meas", unit="N.m", description="measured {effort} of {joint}")
 RIGID = Quantity(

@@ -1,12 +1,16 @@
-"""Adaptation over logs."""
+"""Adaptive friction FMUs, which estimate friction from measured torques, and runs over logs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from hesr.extras.adaptive.component import adaptive_component
-from hesr.extras.adaptive.tuning import TUNING, Tuning
+from fmu_src.export.package import Content, Version, check_request, write_fmu
+from fmu_src.friction.discrete_fmu import discrete_equations
+from fmu_src.friction.friction_fmu import about_model, bare_content
+from fmu_src.friction.validity import require_numbers
+from hesr.extras.adaptive.component import ADAPT, TUNING, Tuning, adaptive_component
 from hesr_model.audit.certificate import least_viscosity
 from hesr_model.equations.component import Component, Parameter
 from hesr_model.equations.stepping import Steps
@@ -16,6 +20,28 @@ from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal_law import inputs_over
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
+from hesr_model.support.progress import Progress, silent
+
+
+def export_adaptive(
+    model: FrictionModel,
+    path: Path,
+    *,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Progress = silent,
+    fmi: Version = 2,
+) -> Path:
+    """Write a friction model with stops or bristles as an adaptive FMU, without pages."""
+    check_request(path, platforms)
+    return write_fmu(adaptive_content(model), path, platforms=platforms, progress=progress, fmi=fmi)
+
+
+def adaptive_content(model: FrictionModel) -> Content:
+    """Return the adaptive FMU before compilation."""
+    about = about_model(model, "adaptive", "that adapts to measured torques")
+    equations = discrete_equations(model, adaptive_components(model), (ADAPT,))
+    require_numbers(model)
+    return bare_content(model, about, *equations)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hesr.extras.adaptive.component import TUNING
 from hesr.extras.adaptive.follow import Followed, Follower
-from hesr.extras.adaptive.tuning import TUNING
 from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord

@@ -10,9 +10,8 @@ import numpy as np
 
 from cosim.report.results import Results
 from cosim.study.forecast import Forecast
-from hesr.extras.excite.guard import Guard
 from hesr.extras.excite.motion import PlannedMotion
-from hesr.extras.excite.planner import Mix, Planner
+from hesr.extras.excite.planner import Guard, Mix, Planner
 from hesr_model.errors import ConfigError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict

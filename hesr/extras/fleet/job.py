@@ -7,8 +7,7 @@ from typing import Any
 
 from cosim.report.tables.table import ResultTable
 from cosim.workflow.answer import Answer, shortened
-from hesr.extras.fleet import tables
-from hesr.extras.fleet.result import Fleet
+from hesr.extras.fleet.result import Fleet, all_tables
 from hesr.extras.fleet.study import FleetStudy
 from hesr_model.findings import Finding
 from hesr_model.support.progress import Stages, silent
@@ -77,7 +76,7 @@ class FleetResult(Answer, Fleet):
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the tables."""
-        return list(tables.all_tables(self))
+        return list(all_tables(self))
 
     def result(self) -> Any:
         """Return deviations, changes and unusable logs."""

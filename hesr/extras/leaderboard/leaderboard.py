@@ -13,12 +13,19 @@ from cosim.workflow.arguments import telling_apart
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.fmu import FmuInstance, is_ours
 from fmu_src.run.replay import replay
-from hesr.extras.leaderboard.board_file import KINDS, BoardFile, Ground, Kind, read_grounds
-from hesr.extras.leaderboard.score import Interval, Judge
-from hesr.extras.properties.battery import Subject, measure
+from hesr.extras.leaderboard.board_file import (
+    KINDS,
+    BoardFile,
+    Ground,
+    Interval,
+    Judge,
+    Kind,
+    read_grounds,
+)
+from hesr.extras.properties.battery import measure
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import standing_inertia
-from hesr_model.audit.properties import Properties
+from hesr_model.audit.properties import Properties, Subject
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord

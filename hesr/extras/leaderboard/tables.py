@@ -4,9 +4,8 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from cosim.report.tables import table
-from hesr.extras.leaderboard.board_file import Kind
+from hesr.extras.leaderboard.board_file import Interval, Kind
 from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredRobot, Standing
-from hesr.extras.leaderboard.score import Interval
 from hesr_model.units import unit_of_joints
 
 _HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rests": "rests"}

@@ -9,8 +9,7 @@ from cosim.report.figures.style import INK, SERIES, Stroke
 from cosim.report.page import Chapter
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, row_of
-from hesr.extras.observer.limits import ObserverLimits, law_limits
-from hesr.extras.observer.observer_fmu import BANDWIDTH, HERE
+from hesr.extras.observer.observer_fmu import BANDWIDTH, HERE, ObserverLimits, law_limits
 from hesr_model.equations.low_pass import low_passed
 from hesr_model.errors import ExportError
 from hesr_model.friction.band import shapes

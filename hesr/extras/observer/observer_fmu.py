@@ -1,7 +1,10 @@
-"""Observer FMU: motion and motor torque in, external torque with its limits out."""
+"""Observer FMU: motion and motor torque in, external torque with its limits out.
+
+Limits are half-widths at 95 % over the motion, and the threshold of a contact.
+"""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +17,60 @@ from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.drive_page import law_entries
+from fmu_src.pages.drive_page import holding_torque, law_entries
 from fmu_src.pages.friction_page import title
 from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.plant.dynamics import dynamics_header, jacobian_header
 from fmu_src.plant.plant_fmu import PlantBody, at_joint, inertial_parameters, require_fitting
 from fmu_src.run.reference_results import Stimuli, waves
-from hesr.extras.observer.limits import NAMES, ObserverLimits
 from hesr_model.errors import ExportError
+from hesr_model.friction.band import LEVEL, NUMBERS
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters
 from hesr_model.robots.robot import Robot
+
+HOUR = 3600.0  # time in which one false alarm is allowed [s]
+NAMES = NUMBERS[:6]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserverLimits:
+    """Numbers of the half-widths (6, n) in the order of `NAMES`, and threshold over half-width.
+
+    `duration` [s] and `logs` are those of the calibration, 0 and none for those of a law's bands.
+    """
+
+    numbers: tuple[tuple[float, ...], ...]
+    factor: float
+    duration: float = 0.0
+    logs: Sequence[str] = ()
+
+    @property
+    def text(self) -> str:
+        """Statement on the origin of the limits."""
+        if self.logs:
+            return (
+                f"Limits contain {100 * LEVEL:g} % of the errors in {self.duration / 60.0:.1f} min "
+                "of free motion; the stated rate of false alarms is 1 per hour, from their maxima."
+            )
+        return "Limits are those of the bands of the law; the rate of false alarms is unknown."
+
+
+def law_limits(model: FrictionModel) -> ObserverLimits:
+    """Return the limits that follow from the bands of a law; ExportError if it has none."""
+    rows, factors = [], []
+    tries = HOUR / model.sample_time * len(model.laws)
+    for law in model.laws:
+        if law.band is None or model.coupling:  # bands are those of motors
+            raise ExportError(f"friction model '{model.law}' has no band; give 'calibration'.")
+        own = list(astuple(law.band)[: len(NAMES)])
+        if law.band.envelope:  # without measured rests friction is anywhere between both directions
+            own[3] = max(own[3], 2.0 * holding_torque(law))
+        rows.append(own)
+        factors.append((-np.log(tries) / np.log(1.0 - LEVEL)) ** law.band.tail)
+    return ObserverLimits(numbers=tuple(zip(*rows, strict=True)), factor=float(max(factors)))
+
 
 _THERMAL = 5  # parameters of a thermal model with measured temperatures, the leading ones
 BANDWIDTH = 15.0  # default cut-off of the observer [Hz]

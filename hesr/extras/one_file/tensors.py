@@ -12,7 +12,7 @@ from sympy.printing.precedence import PRECEDENCE
 from fmu_src.equations.printer import LanguagePrinter
 from fmu_src.friction.validity import discretisation_of, require_exportable
 from fmu_src.pages.html import code_templates
-from hesr.extras.one_file.reference import TEMPLATES, write_beside
+from hesr.extras.one_file.c_header import TEMPLATES, write_beside
 from hesr_model.equations.component import Component
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import (

@@ -1,13 +1,15 @@
-"""Evidence on the claims: logs, laws, torques and closed loops."""
+"""Files of the study, and evidence on its claims: logs, laws, torques and closed loops."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic import Field
 
-from cosim.loop.closed_loop import Scheme, StandIn
+from cosim.loop.closed_loop import PerJoint, Scheme, StandIn, Tracking
 from cosim.loop.excite import Recording, recordings
 from cosim.loop.loops import assemble, build, motions, require_reachable
 from cosim.loop.motions import Motions
@@ -15,10 +17,10 @@ from cosim.loop.traces import Tracked
 from cosim.loop.twin import export_twin, twin_plant
 from cosim.study.scores import LogRecords, predict_models, records_of, within
 from cosim.study.steps import Job
+from cosim.study.study import Study, Twin
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from fmu_src.friction.friction_fmu import export_bare
-from hesr.extras.paper.study import PaperStudy
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -28,7 +30,37 @@ from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
+from hesr_model.support.config import Config
 from hesr_model.support.progress import Stages
+
+Limit = float | tuple[float, ...]  # for all values of a claim, or one for each
+
+
+class Claim(Config):
+    """A claim of the paper, and the measure and limits that decide on it."""
+
+    number: int = Field(ge=1)
+    text: str
+    where: str  # section, table or figure
+    printed: str  # figures of the paper
+    test: str  # meaning of the values
+    measure: str = ""  # function of `hesr.extras.paper.measures`; none if not testable
+    options: Mapping[str, Any] = {}  # its arguments
+    joint: str = ""  # the only one, such as J2
+    at_least: Limit | None = None
+    at_most: Limit | None = None
+
+
+class PaperStudy(Study):
+    """Study of a twin whose laws are trained on the sweep, and on a sine of one joint at a time."""
+
+    claims: tuple[Claim, ...] = Field(min_length=1)
+    sine: tuple[str, ...] = Field(min_length=1)  # log that trains each joint
+    literal: str  # the paper's own law, a variant
+    controllers: Mapping[str, Mapping[str, PerJoint | float]]  # changed gains by name
+    twin: Twin
+    tracking: Tracking
+
 
 TWIN, LUGRE = "twin", "LuGre"  # true frictions
 SINE, SWEEP = "sine", "sweep"  # training motions

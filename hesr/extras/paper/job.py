@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.workflow.answer import Written
-from hesr.extras.paper.study import PaperStudy
+from hesr.extras.paper.evidence import PaperStudy
 from hesr_model.errors import ArgumentError
 from hesr_model.support import parallel
 from hesr_model.support.files import folder_written_whole

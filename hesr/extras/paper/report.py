@@ -15,8 +15,7 @@ from cosim.report.tables.text import markdown
 from cosim.study.scores import Ratio
 from fmu_src.pages.html import code_templates
 from hesr.extras.paper import measures
-from hesr.extras.paper.evidence import LUGRE, TWIN, Evidence, Number
-from hesr.extras.paper.study import Claim, Limit
+from hesr.extras.paper.evidence import LUGRE, TWIN, Claim, Evidence, Limit, Number
 from hesr_model.errors import ArgumentError
 from hesr_model.support.files import written_together
 from hesr_model.support.typed_json import from_json, read_json

@@ -8,8 +8,7 @@ from pathlib import Path
 from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
-from hesr.extras.sweep.plan import Plan, SweepRuns, planned
-from hesr.extras.sweep.sensitivity import sensitivities
+from hesr.extras.sweep.plan import Plan, SweepRuns, planned, sensitivities
 from hesr.extras.sweep.store import ABOUT, RUNS, Store, taken
 from hesr.extras.sweep.work import RunOutputs, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError

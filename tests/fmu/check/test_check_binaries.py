@@ -5,7 +5,7 @@ from c_hosts import LINUX
 from fmu_files import BINARY, changed, check, members, said, texts
 
 from fmu_src.check import binaries
-from fmu_src.check.functions import KNOWN
+from fmu_src.check.binaries import KNOWN
 from fmu_src.export.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
