@@ -234,7 +234,8 @@ def test_a_second_parser_reads_the_package(package, compilers):
     )
     reference = compilers("pymoca.ast").ComponentRef.from_string
     for joint, _ in enumerate(EVERY, start=1):
-        for name in (f"Joint{joint}", f"Joint{joint}Bearing", f"Examples.Joint{joint}Speed"):
+        example = (f"Joint{joint}Bearing", f"Examples.Joint{joint}Speed")[joint % 2]
+        for name in (f"Joint{joint}", example):
             flat = compilers("pymoca.tree").flatten(tree, reference(f"Every.{name}"))
             assert flat.classes[f"Every.{name}"].equations
 
