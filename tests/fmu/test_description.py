@@ -33,14 +33,6 @@ def test_fmpy_finds_no_problem(law, make_model, tmp_path):
     assert validate_fmu(str(export_bare(make_model(law), tmp_path / "F.fmu"))) == []
 
 
-@pytest.mark.ci
-def test_fmpy_finds_no_problem_with_any_registered_law(fitted, table1_fmu, make_model, tmp_path):
-    assert validate_fmu(str(table1_fmu)) == []
-    for name, law in fitted.items():
-        fmu = export_bare(make_model(law), tmp_path / f"{name}.fmu")
-        assert validate_fmu(str(fmu)) == [], name
-
-
 def test_every_law_has_the_same_connectors(law, make_model, tmp_path):
     about = described(export_bare(make_model(law, law), tmp_path / "F.fmu"))
     connectors = [
