@@ -35,6 +35,7 @@ typedef struct {
     double slope[SLOPES]; /* of inputs over the next step [unit/s], maintained by the glue */
     double time;          /* [s], maintained by the glue */
     double may_end_early; /* whether a step may end at an event, maintained by the glue */
+    double continuous;    /* whether a solver integrates the states, maintained by the glue */
     double done;          /* completed length of the last step [s] */
     double event;         /* whether the last step ended at an event */
     double changed; /* whether more than inputs was set since the component cleared this flag */

@@ -1,4 +1,4 @@
-/* For components without events, on-demand variables and derivatives. */
+/* For components without events and on-demand variables, and, unless WITH_TANGENT, derivatives. */
 #ifndef COMPONENT_PLAIN_H
 #define COMPONENT_PLAIN_H
 
@@ -18,8 +18,10 @@ static bool component_indicators(const Component *component, double rest, double
     return true;
 }
 
+#ifndef WITH_TANGENT
 static void component_tangent(const Component *component, const double *seed, double *tangent) {
     (void)component, (void)seed, (void)tangent;
 }
+#endif
 
 #endif

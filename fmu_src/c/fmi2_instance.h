@@ -217,6 +217,7 @@ static void set_start_values(Memory *memory, int type) {
     }
     memory->stop = INFINITY;
     memory->type = type;
+    memory->component.continuous = type == fmi2ModelExchange;
     memory->mode = INSTANTIATED;
     memory->stale = true;
 }

@@ -99,9 +99,12 @@ static void derive(Instance *instance) {
     Component *component = &instance->memory.component;
     Component other = *component;
     Message why;
+    other.continuous = 1.0;
     component_output(&other, instance->workspace, &why);
     for (int i = 0; i < STATES; i++) {
-        component->v[derivatives[i]] = other.v[derivatives[i]];
+        if (variables[derivatives[i]].role == DERIVATIVE) {
+            component->v[derivatives[i]] = other.v[derivatives[i]];
+        }
     }
 }
 
@@ -312,6 +315,15 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
     return none(c, MAY_GET_SLOPES, "fmi2GetRealOutputDerivatives", n);
 }
 
+/* Also outputs may be states. */
+static bool is_state(fmi2ValueReference vr) {
+    int i = 0;
+    while (i < STATES && (fmi2ValueReference)states[i] != vr) {
+        i++;
+    }
+    return i < STATES;
+}
+
 /* Whether these derivatives exist. Until initialisation ends, states follow from start values. */
 static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference unknowns[], size_t n_unknown,
@@ -328,7 +340,8 @@ static bool differentiable(const Instance *instance, const char *function,
     }
     for (size_t i = 0; i < n_known; i++) {
         const Role role = variable_of(knowns[i])->role;
-        if (role != INPUT && role != TUNABLE && role != (initialising ? FIXED : STATE)) {
+        if (role != INPUT && role != TUNABLE &&
+            !(initialising ? role == FIXED : is_state(knowns[i]))) {
             complain(instance, "%s: derivatives with respect to %s are not available.", function,
                      variable_of(knowns[i])->name);
             return false;

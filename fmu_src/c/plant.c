@@ -16,13 +16,13 @@
 #include <stdio.h>
 #include <string.h>
 
+#define WITH_TANGENT
 #include "component_alone.h"
 #include "component_plain.h"
 #include "coupling.h"
 #include "equations.h"
+#include "plant_flow.h"
 #include "plant_servo.h"
-#include "regroup.h"
-#include "tool.h"
 
 /* Maximum number of inner steps in a step. */
 #define MOST_PARTS 1e7
@@ -30,7 +30,6 @@
 /* Longest motion of a joint in an inner step [rad or m], since M and b are those of its middle. */
 #define LONGEST_MOTION 0.01
 
-/* Sums over `matrix` or its transpose, or a copy without a coupling. */
 static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const double *from,
                   double *to) {
     memcpy(to, from, JOINTS * sizeof *to);
@@ -95,7 +94,7 @@ static void open_solver(const Component *component, double h, Solver *solver) {
     copy_to_lanes(solver);
 }
 
-static void store(Component *component, const Solver *solver) {
+static bool store(Component *component, const Solver *solver) {
     double q[JOINTS], dq[JOINTS], ddq[JOINTS], load[JOINTS], friction[JOINTS], stop[JOINTS];
     double *v = component->v, *own = component->own, motor[JOINTS], unused = 0.0;
     for (int i = 0; i < JOINTS; i++) {
@@ -119,26 +118,15 @@ static void store(Component *component, const Solver *solver) {
         mixed(forward, true, motor, &v[TAU_MOTOR]);
     }
     store_tool(v, q);
-    mixed(backward, true, q, &v[Q]);
-    mixed(backward, true, dq, &v[DQ]);
+    if (component->continuous == 0.0) { /* else they belong to the solver */
+        mixed(backward, true, q, &v[Q]);
+        mixed(backward, true, dq, &v[DQ]);
+    }
     mixed(backward, true, ddq, &v[DDQ]);
     mixed(forward, true, load, &v[TAU_LOAD]);
     mixed(forward, true, friction, &v[TAU_FRICTION]);
     mixed(forward, true, stop, &v[TAU_STOP]);
-}
-
-/* Derivatives of the states; the glue asks for them when they are read. */
-static void derive_states(Component *component) {
-    double *v = component->v, u[MAX_INPUTS];
-    for (int i = 0; i < JOINTS; i++) {
-        const Joint *joint = &joints[i];
-        double *x = &v[joint->first_state];
-        for (int j = 0; j < joint->inputs; j++) {
-            u[j] = input_of(v, i, j);
-        }
-        const double *k = joint->constants ? joint->constants : &v[joint->first_parameter];
-        joint->solved_derivatives(k, u, x, x + joint->states);
-    }
+    return true;
 }
 
 /* Make an inner step of length h that ends at `time`. Two of half the length replace one without a
@@ -188,7 +176,7 @@ static bool sound(int variable, double value, bool right, const char *needed, Me
 
 /* Motion, friction and acceleration at the start values. */
 static bool start(Component *component, Message *why) {
-    double *v = component->v, q[JOINTS], dq[JOINTS], zero[JOINTS] = {0.0};
+    double *v = component->v, q[JOINTS], dq[JOINTS], zero[JOINTS] = {0.0}, u[MAX_INPUTS];
     Solver solver;
     memcpy(&v[Q], &v[Q_START], JOINTS * sizeof *v);
     memcpy(&v[DQ], &v[DQ_START], JOINTS * sizeof *v);
@@ -198,44 +186,19 @@ static bool start(Component *component, Message *why) {
     open_solver(component, 0.0, &solver);
     mixed(forward, false, &v[Q], q);
     mixed(forward, false, &v[DQ], dq);
-    if (SERVO) {
-        weigh(component, &solver, q);
-    }
     evaluate(component, &solver, q, dq);
-    double rest[JOINTS];
     for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver.axis[i];
-        const Joint *joint = axis->step.joint;
-        double u[MAX_INPUTS];
-        axis->step.u[LOAD] = solver.bias[i];
-        memcpy(axis->from.x, &v[joint->first_start], (size_t)joint->states * sizeof *v);
-        see(&axis->step, q[i], dq[i], u);
+        const Step *step = &solver.axis[i].step;
+        const Joint *joint = step->joint;
+        double *x = &v[joint->first_state];
+        memcpy(x, &v[joint->first_start], (size_t)joint->states * sizeof *x);
+        see(step, q[i], dq[i], u);
+        u[LOAD] = solver.bias[i];
         if (joint->states > 0 && v[START_MODE] == STEADY) {
-            joint->begin(axis->step.k, u, axis->from.x);
+            joint->begin(step->k, u, x);
         }
-        attempt(&axis->step, &axis->from, dq[i], &axis->trial);
-        axis->slope = NEVER_SMOOTH;
-        axis->from.tau_f = axis->trial.tau_f;
-        axis->from.tau_link = axis->trial.tau_link;
-        axis->weight = 1.0;
-        axis->held = false;
-        rest[i] = mixed_at(component, true, TAU, i, 0.0) - solver.bias[i] - torque_of(axis);
-        if (SERVO) {
-            rest[i] += hold_start(component, i, q[i], rest[i] + axis->support, axis);
-        }
-        axis->inertial = rest[i];
     }
-    if (!solved(&solver, zero, rest)) {
-        snprintf(why->text, sizeof why->text,
-                 "The mass matrix is not positive definite at the start posture; check masses, "
-                 "inertias and the payload.");
-        return false;
-    }
-    for (int i = 0; i < JOINTS; i++) {
-        solver.axis[i].from.ddq = rest[i];
-    }
-    store(component, &solver);
-    return true;
+    return flow(component, &solver, why) && store(component, &solver);
 }
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
@@ -266,14 +229,15 @@ static bool component_initialise(Component *component, void *workspace, Message 
 }
 
 /* Before the first step, outputs follow start values and inputs; then they are those of the last
- * step. */
+ * step, or, in model exchange, those of the motion. */
 static bool component_output(Component *component, void *workspace, Message *why) {
+    Solver solver;
     (void)workspace;
-    if (component->own[STARTED] == 0.0 && !start(component, why)) {
-        return false;
+    if (component->own[STARTED] == 0.0) {
+        return start(component, why);
     }
-    derive_states(component);
-    return true;
+    return component->continuous == 0.0 ||
+           (flow(component, &solver, why) && store(component, &solver));
 }
 
 static bool component_step(Component *component, void *workspace, double step, Message *why) {

@@ -23,6 +23,7 @@ from hesr_model.equations.program import (
     change_of,
     changes_along,
     derivatives,
+    event_free,
     first_readings,
     initial_symbol,
     moved,
@@ -35,6 +36,8 @@ SIGNATURES: Mapping[str, str] = {
     "switches": "IN(k), IN(u), OUT(z)",
     "read": "IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r)",
     "solved_derivatives": "IN(k), IN(u), IN(x), OUT(dx)",
+    "flow": "IN(k), IN(u), IN(x), OUT(dx), OUT(y)",
+    "flow_tangent": "IN(k), IN(u), IN(x), IN(dk), IN(du), IN(tx), OUT(tdx), OUT(ty)",
     "start": "IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(y), OUT(r)",
     "invariants": "IN(k), double dt, double euler, OUT(c)",
     "step": "IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, double *x, OUT(y), OUT(r)",
@@ -162,6 +165,20 @@ class Functions:
         own = derivatives(self.component.memory)
         return self._written("solved_derivatives", own, self._derivative_targets)
 
+    @cached_property
+    def _flow(self) -> Assignments:
+        return readings(event_free(self.component))
+
+    def flow(self) -> str:
+        """Write state derivatives dx and outputs y of the event-free form."""
+        return self._written(
+            "flow", self._flow, self._derivative_targets | _array("y", self._outputs)
+        )
+
+    def flow_tangent(self) -> str:
+        """Write their changes along dk, du and tx."""
+        return self._with_changes("flow_tangent", self._flow, self._tangent_targets, self._seeds)
+
     def start(self) -> str:
         """Write y and r before the first step, and the previous values p for it."""
         own, starts = first_readings(self.component), self.component.starts
@@ -253,9 +270,12 @@ class Functions:
     def tangent(self) -> str:
         """Write the changes of dx and y along dk, du and tx."""
         own = self.jumps.held(readings(self.component))
+        return self._with_changes("tangent", own, self._tangent_targets, self._seeds, held=True)
+
+    @property
+    def _tangent_targets(self) -> dict[str, sympy.Symbol]:
         targets = {f"t{to}": change_of(s) for to, s in self._derivative_targets.items()}
-        targets |= _array("ty", map(change_of, self._outputs))
-        return self._with_changes("tangent", own, targets, self._seeds, held=True)
+        return targets | _array("ty", map(change_of, self._outputs))
 
     @property
     def _input_seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:

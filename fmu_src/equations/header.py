@@ -49,7 +49,7 @@ FRICTION = (
 SOLVER = ("rates", "begin", "attempt", "solved_derivatives")
 """Functions called by a solver inside an FMU."""
 
-SOLVER_OF_ALL = (*SOLVER, "attempts")
+SOLVER_OF_ALL = ("begin", "begin_tangent", "attempt", "attempts", "flow", "flow_tangent")
 """Functions called by a solver for all joints."""
 
 

@@ -143,16 +143,28 @@ class Interface:
 
     def initially(self, variable: Variable) -> tuple[str, ...]:
         """Return the names, without states, that determine a variable at the start."""
-        states = {v.name: v.initial_dependencies for v in self.variables if v.role == "state"}
-        direct = (*variable.dependencies, *variable.initial_dependencies)
-        return tuple(dict.fromkeys(own for n in direct for own in states.get(n, (n,))))
+        ahead = [*variable.dependencies, *variable.initial_dependencies]
+        found: dict[str, None] = {}
+        for name in ahead:  # grows by what determines states
+            if name not in found and self._is_state(name):
+                ahead += self.variables[self.places[name]].initial_dependencies
+            found[name] = None
+        return tuple(name for name in found if not self._is_state(name))
+
+    def _is_state(self, name: str) -> bool:
+        return name in self._states or self.variables[self.places[name]].role == "state"
+
+    @cached_property
+    def _states(self) -> frozenset[str | None]:
+        return frozenset(v.derivative_of for v in self.derivatives)
 
     def made_of(
         self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
     ) -> list[str]:
         """Return the names in `dependencies`, or in `initially`, of variables with some roles."""
         names = self.initially(variable) if initially else variable.dependencies
-        return [name for name in names if self.variables[self.places[name]].role in roles]
+        of = ("state" if self._is_state(n) else self.variables[self.places[n]].role for n in names)
+        return [name for name, role in zip(names, of, strict=True) if role in roles]
 
     def first(self, names: Sequence[str]) -> int:
         """Index of the first of `names`, which must be consecutive."""
@@ -205,11 +217,12 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
         kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else _bounds(v)
         kind = "LOGICAL, 0, 1" if v.boolean else kind
         counts = int(v.role != "input" or v.name in used)
-        role = "DERIVATIVE" if v.derivative_of else v.role.upper()
+        own_derivative = v.derivative_of and v.role == "local"
+        role = "DERIVATIVE" if own_derivative else v.role.upper()
         kinds.append((f"{role}, {kind}, {counts}", f'"{v.name}", {literal(v.start)}'))
         if v.role == "input":
             inputs.append(i)
-        elif v.role in ("output", "local", "state") and not v.derivative_of:
+        elif v.role in ("output", "local", "state") and not own_derivative:
             watched.append(i)
     for kind, group in groupby(kinds, lambda pair: pair[0]):
         own = [start for _, start in group]

@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import sympy
@@ -14,9 +14,8 @@ from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.friction.validity import discretisation_of
 from hesr_model.audit.certificate import scale_limits
 from hesr_model.equations.component import Component, Equation, Quantity
-from hesr_model.equations.functions import clip, sgn
 from hesr_model.equations.memory import Element, Relaxation
-from hesr_model.equations.program import Jumps, initial_state, initial_symbol, sources
+from hesr_model.equations.program import event_free, initial_state, initial_symbol, sources
 from hesr_model.friction.band import (
     COVERAGE,
     GREATEST,
@@ -53,10 +52,6 @@ STEADY, GIVEN = 1.0, 2.0
 START_MODE = "start_mode"  # name of the parameter that selects the initial state
 
 _CRAWL = 0.1  # speed of the steady state that defines the nominal value of a state [rad/s]
-
-STEEP = 1e-3  # half width of a jump without event [rad/s]
-
-_Part = TypeVar("_Part", Element, Equation)
 
 _EFFORT = {False: "torque", True: "force"}
 
@@ -131,22 +126,7 @@ def component(
     own = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
-    if events:
-        return own
-    jumps = Jumps(replace(own, reversing=())).expressions
-    steep = {sgn(e): clip(e / STEEP, 1) for e in jumps}
-    return replace(
-        own,
-        events=False,
-        memory=tuple(_replaced(m, steep) for m in own.memory),
-        equations=tuple(_replaced(e, steep) for e in own.equations),
-    )
-
-
-def _replaced(part: _Part, swap: Mapping[sympy.Expr, sympy.Expr]) -> _Part:
-    parts = {f.name: getattr(part, f.name) for f in fields(part)}
-    new = {name: e.xreplace(swap) for name, e in parts.items() if isinstance(e, sympy.Basic)}
-    return replace(part, **new)
+    return own if events else event_free(own)
 
 
 def friction_equations(

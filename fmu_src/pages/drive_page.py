@@ -33,6 +33,7 @@ def to_html(
         template,
         about=about,
         model=model,
+        exchange=table.model_exchange,
         titles=list(dict.fromkeys(title(law) for law in model.laws)),
         substep=table.variables[table.places["substep"]].start,
         discretisation=model.laws[0].discretisation,

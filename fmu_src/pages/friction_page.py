@@ -9,7 +9,7 @@ import sympy
 
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface
-from fmu_src.friction.friction_component import DISCRETISATION, STEEP, exposed
+from fmu_src.friction.friction_component import DISCRETISATION, exposed
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import SETTINGS, Error
 from fmu_src.pages import datasheet
@@ -17,7 +17,7 @@ from fmu_src.pages.datasheet import ModelAudit, figure, spelled
 from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations, symbol
 from hesr_model.equations.functions import sgn
-from hesr_model.equations.program import Jumps
+from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.errors import HesrError
 from hesr_model.friction.equation import equations as equations_with_numbers
 from hesr_model.friction.equation import form_lines

@@ -5,7 +5,7 @@ Newton-Euler and composite bodies in link frames whose joint axis is z. Everythi
 ten parameters of a link remain; `table` gives them as a linear map of the robot's parameters.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -192,13 +192,24 @@ class _Arm:
         terms = (x * float(f) for x, f in zip(names, self.slopes[link], strict=True))
         return _sum(self.graph, terms) + (float(self.offsets[link]) if motion == "q" else 0.0)
 
+    def along(self, stores: Mapping[str, Expression]) -> list[str]:
+        """Return C statements that store changes of expressions along tq, tdq, tp and so on."""
+        moving = ("q[", "dq[", "p[", "rotor[", "spring[", "gravity[")
+        names = {n.name for n in self.graph.nodes if n.name.startswith(moving)}
+        seeds = {name: self.graph.name(f"t{name}") for name in sorted(names)}
+        for i, joint in enumerate(self.joints):
+            turn = self.followed("tq", i)
+            seeds |= {f"cosine[{i}]": -joint.sine * turn, f"sine[{i}]": joint.cosine * turn}
+        found = self.graph.changes(seeds)
+        return self.graph.to_c({place: found[e.index] for place, e in stores.items()})
+
     def on_joints(self, links: Sequence[Expression], column: int) -> Expression:
         """Return a torque of all links' joints on a coordinate."""
         pairs = zip(links, self.slopes[:, column], strict=True)
         return _sum(self.graph, (x * float(f) for x, f in pairs))
 
-    def bias(self) -> list[Expression]:
-        """Return the torques of all links' joints without acceleration, by Newton and Euler."""
+    def torques(self, *, accelerated: bool = False) -> list[Expression]:
+        """Return the torques on all coordinates, without rotors, by Newton and Euler."""
         graph = self.graph
         zeros = [graph.constant(0.0)] * 3
         base = (zeros, zeros, [-graph.name(f"gravity[{k}]") for k in range(3)])
@@ -209,11 +220,12 @@ class _Arm:
             carried = _plus(_cross(turn, joint.arm), _cross(w, _cross(w, joint.arm)))
             w, turn, a = joint.down(w), joint.down(turn), joint.down(_plus(a, carried))
             dq = self.followed("dq", i)
+            ddq = self.followed("ddq", i) if accelerated else zeros[0]
             across = [w[1] * dq, -(w[0] * dq), zeros[0]]  # w x z dq
             if joint.link.prismatic:
-                a = _plus(a, _scaled(across, 2.0))
+                a = _plus(_plus(a, _scaled(across, 2.0)), [*zeros[:2], ddq])
             else:
-                turn = _plus(turn, across)
+                turn = _plus(_plus(turn, across), [*zeros[:2], ddq])
                 w = [w[0], w[1], w[2] + dq]
             states.append((w, turn, a))
             m, h, inertia = self._body(i)
@@ -221,7 +233,8 @@ class _Arm:
             forces.append(_plus(_scaled(a, m), centre))
             gyro = _plus(_apply(inertia, turn), _cross(w, _apply(inertia, w)))
             moments.append(_plus(gyro, _cross(h, a)))
-        return self._collected(forces, moments)
+        links = _plus(self._collected(forces, moments), self.spring_torques())
+        return [self.on_joints(links, j) for j in range(self.robot.n)]
 
     def _collected(self, forces: list[Vector], moments: list[Vector]) -> list[Expression]:
         torques = []
@@ -285,6 +298,18 @@ class _Arm:
         return m + own, _plus(h, _plus(first, _scaled(t, own))), _plus(inertia, moved_up)
 
 
+def change_header(robot: Robot) -> str:
+    """Return change.h: the change of M ddq + bias along motions and parameters, ddq held."""
+    arm = _Arm(robot, of_joints=False)
+    ddq = [arm.graph.name(f"ddq[{j}]") for j in range(robot.n)]
+    stores = {
+        f"change[{i}]": one + _sum(arm.graph, (_rotors(arm, i, j) * a for j, a in enumerate(ddq)))
+        for i, one in enumerate(arm.torques(accelerated=True))
+    }
+    statements = "\n".join(f"    {line}" for line in arm.along(stores))
+    return _CHANGE.format(angles=_angles(arm), statements=statements)
+
+
 def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
     """Return dynamics.h: the function `dynamics`, and the map to its parameters.
 
@@ -292,9 +317,9 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
     """
     arm = _Arm(robot, of_joints=of_joints)
     n = range(robot.n)
-    bias, mass = _plus(arm.bias(), arm.spring_torques()), arm.mass_matrix()
+    torques, mass = arm.torques(), arm.mass_matrix()
     half = [[arm.on_joints(row, j) for j in n] for row in mass]  # M G
-    stores = {f"bias[{i}]": arm.on_joints(bias, i) for i in n}
+    stores = {f"bias[{i}]": one for i, one in enumerate(torques)}
     for i in n:
         for j in range(i + 1):
             links = arm.on_joints([row[j] for row in half], i)
@@ -373,7 +398,8 @@ def tool_header(robot: Robot, place: int | None) -> str:
     nothing.
     """
     if place is None:
-        return _TOOL.format(angles="", statements="    (void)v, (void)q;")
+        none = "    (void)v, (void)q;"
+        return _TOOL.format(angles="", statements=none, changes=f"{none}\n    (void)tq;")
     arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
     at = _last(robot)
@@ -383,11 +409,13 @@ def tool_header(robot: Robot, place: int | None) -> str:
         joint = arm.joints[at]
         origin, axes = _plus(joint.arm, joint.up(origin)), [joint.up(axis) for axis in axes]
         at = joint.link.parent
-    stores = dict(enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place))
-    statements = arm.graph.to_c({f"v[{k}]": value for k, value in stores.items()})
-    return _TOOL.format(
-        angles=_angles(arm), statements="\n".join(f"    {line}" for line in statements)
+    pose = enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place)
+    stores = {f"v[{k}]": value for k, value in pose}
+    statements, changes = (
+        "\n".join(f"    {line}" for line in lines)
+        for lines in (arm.graph.to_c(stores), arm.along(stores))
     )
+    return _TOOL.format(angles=_angles(arm), statements=statements, changes=changes)
 
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
@@ -433,6 +461,30 @@ static void dynamics(const double *restrict p, const double *restrict rotor,
 #endif
 """
 
+_CHANGE = """\
+/* Generated: change of the torque that a motion needs. */
+#ifndef CHANGE_H
+#define CHANGE_H
+
+#include "dynamics.h"
+
+/* Change of M ddq + bias with ddq held, along tq, tdq and changes of the parameters. */
+SELDOM static void torque_change(const double *restrict p, const double *restrict rotor,
+                                 const double *restrict spring, const double *restrict gravity,
+                                 const double *restrict q, const double *restrict dq,
+                                 const double *restrict ddq, const double *restrict tp,
+                                 const double *restrict trotor, const double *restrict tspring,
+                                 const double *restrict tgravity, const double *restrict tq,
+                                 const double *restrict tdq, double *restrict change) {{
+{angles}
+    (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq, (void)ddq;
+    (void)tp, (void)trotor, (void)tspring, (void)tgravity, (void)tq, (void)tdq;
+{statements}
+}}
+
+#endif
+"""
+
 _JACOBIAN = """\
 /* Generated: Jacobian of the origin of the last joint's frame, in axes of the base. */
 #ifndef JACOBIAN_H
@@ -458,6 +510,12 @@ _TOOL = """\
 static void store_tool(double *v, const double *q) {{
 {angles}
 {statements}
+}}
+
+/* Store the change along tq. */
+SELDOM static void change_tool(double *v, const double *q, const double *tq) {{
+{angles}
+{changes}
 }}
 
 #endif

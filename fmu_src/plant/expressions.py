@@ -75,6 +75,19 @@ class Expressions:
             return self.nodes[node.left].value, node.right
         return 1.0, index
 
+    def changes(self, seeds: Mapping[str, "Expression"]) -> list["Expression"]:
+        """Return the change of every node along changes of names, by the rule of products."""
+        found: list[Expression] = []
+        for node in tuple(self.nodes):
+            left, right = (Expression(self, i) for i in (node.left, node.right))
+            if node.kind == "add":
+                found.append(found[node.left] + found[node.right])
+            elif node.kind == "mul":
+                found.append(found[node.left] * right + left * found[node.right])
+            else:
+                found.append(seeds.get(node.name, self.constant(0.0)))
+        return found
+
     def to_c(self, stores: Mapping[str, "Expression"]) -> list[str]:
         """Return C statements that store expressions."""
         needed = self._needed(e.index for e in stores.values())

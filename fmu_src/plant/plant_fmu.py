@@ -30,7 +30,7 @@ from fmu_src.friction.friction_component import (
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.drive_page import to_html
-from fmu_src.plant.dynamics import dynamics_header, tool_header
+from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TAU_LOAD, TORQUE
@@ -105,8 +105,8 @@ class PlantBody:
 _OUTPUTS = (
     ("q", "rad", "position"),
     ("dq", "rad/s", "speed"),
-    ("ddq", "rad/s2", "acceleration over the last inner step"),
-    ("tau_friction", "N.m", "friction torque over the last inner step"),
+    ("ddq", "rad/s2", "acceleration, in co-simulation over the last inner step"),
+    ("tau_friction", "N.m", "friction torque, in co-simulation over the last inner step"),
     (TAU_LOAD.name, "N.m", "torque that the rigid bodies need"),
     ("tau_stop", "N.m", "torque of the stops at the limits of the joint"),
 )
@@ -116,6 +116,7 @@ _OF_TOOL = (
     ("tool_rotation", "1", "rotation of that frame, row by row", 9),
 )
 _START = ("q_start", "dq_start")
+_INTEGRAL_OF = {"dq": "q", "ddq": "dq"}
 
 
 def _inputs(servo: "ServoGains | None") -> dict[str, tuple[str, str]]:
@@ -229,20 +230,25 @@ def _interface(
     zeros = (0.0,) * len(laws)
     starts, own_parameters = list(_parameters(body)), list(inertial_parameters(body))
     inertial = tuple(v.name for v in own_parameters)
-    start = tuple(f"{name}[{i}]" for name in _START for i in numbers)
-    gravity = (*start, *inertial)
+    motion = tuple(f"{name}[{i}]" for name in ("q", "dq") for i in numbers)
+    own_servo = list(servo.parameters()) if servo else []
+    commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
+    stops = tuple(v.name for v in starts if v.name.startswith(("q_m", "stop")))
     torque = sympy.Symbol(TORQUE, real=True)
 
     def sources(i: int) -> dict[str, tuple[str, ...]]:
-        moving = {n: mixed(f"{n}_start", i, model.coupling) for n in ("dq", "q")}
-        return {**moving, TAU_LOAD.name: gravity}
+        moving = {n: mixed(n, i, model.coupling) for n in ("dq", "q")}
+        return {**moving, TAU_LOAD.name: (*commands, *motion, *stops, *inertial)}
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
-    stops = tuple(v.name for v in starts)
-    own_servo = list(servo.parameters()) if servo else []
-    commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
-    gains = tuple(v.name for v in own_servo)
-    everything = (*commands, *stops, *inertial, *gains, *(n for one in friction for n in one))
+    everything = (
+        *commands,
+        *motion,
+        *stops,
+        *inertial,
+        *(v.name for v in own_servo),
+        *(n for one in friction for n in one),
+    )
     at_start = {"q_cmd": [v.start for v in starts[: len(laws)]]}
     found = [
         v
@@ -252,31 +258,39 @@ def _interface(
     for name, unit, text in (*_OUTPUTS, *(_OF_SERVO if servo else ())):
         for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
             made_of = {
-                "q": (f"q_start[{i}]",),
-                "dq": (f"dq_start[{i}]",),
+                "q": (f"q[{i}]",),
+                "dq": (f"dq[{i}]",),
                 "ddq": everything,
                 "tau_friction": tuple(
                     n for k in adding(i, model.coupling) for n in friction[k - 1]
                 ),
                 TAU_LOAD.name: everything,
-                "tau_stop": (*start, *stops),
+                "tau_stop": (*motion, *stops),
                 "tau_motor": everything,
             }[name]
-            found.append(replace(one, dependencies=tuple(dict.fromkeys(made_of))))
+            found.append(
+                replace(
+                    one,
+                    dependencies=tuple(dict.fromkeys(made_of)),
+                    initial_dependencies=(f"{name}_start[{i}]",) if name in ("q", "dq") else (),
+                    derivative_of=f"{of}[{i}]" if (of := _INTEGRAL_OF.get(name)) else None,
+                )
+            )
     for name, unit, text, size in _OF_TOOL if tool else ():
         own_pose = vector(name, "output", unit, text, (0.0,) * size)
-        found += [replace(v, dependencies=start[: len(laws)]) for v in own_pose]
+        found += [replace(v, dependencies=motion[: len(laws)]) for v in own_pose]
     found += starts + own_servo
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     how = "how the states of the friction are relaxed over an inner step"
     found += [discretisation(model, how), start_mode(), *own_parameters, *scales(model)]
     for i, (law, own) in enumerate(zip(model.laws, laws, strict=True), start=1):
         found += law_variables(law, i, own, sources(i))
+    found = [at_joint(v, model.slides) for v in found]
     return Interface(
-        variables=tuple(of_the_last_step(at_joint(v, model.slides), commands) for v in found),
+        variables=tuple(of_the_last_step(v, commands) if servo else v for v in found),
         own=_memory(len(laws), body.robot.links, servo),
-        model_exchange=False,
-        directional_derivatives=False,
+        model_exchange=servo is None,
+        directional_derivatives=servo is None,
         inner_steps=True,
     )
 
@@ -318,11 +332,11 @@ def export_plant(
     fmi: Version = 2,
     bare: bool = False,
 ) -> Path:
-    """Write a robot under a friction model as an FMU for co-simulation.
+    """Write a robot under a friction model as an FMU for co-simulation and model exchange.
 
-    With `kv` (n,) it includes a servo with a speed command, with `kp` (n,) also a position command.
-    With `tool` it has the pose of the last joint's frame. Raises ExportError if the friction model
-    belongs to another robot, or a gain is negative.
+    With `kv` (n,) it includes a servo with a speed command, with `kp` (n,) also a position command,
+    and is for co-simulation only. With `tool` it has the pose of the last joint's frame. Raises
+    ExportError if the friction model belongs to another robot, or a gain is negative.
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
@@ -384,6 +398,7 @@ def content(
         "coupling.h",
         "law_math.h",
         "plant.c",
+        "plant_flow.h",
         "plant_servo.h",
         "plant_solver.h",
         "regroup.h",
@@ -396,6 +411,7 @@ def content(
     found |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
     kinds = {"SERVO": int(servo is not None), "POSITION": int(position)}
     sources |= {"dynamics.h": dynamics_header(body.robot), "equations.h": header}
+    sources |= {"change.h": change_header(body.robot)}
     sources |= {"servo.h": places(table, "SERVO_H", found, **kinds)}
     sources |= {"tool.h": tool_header(body.robot, table.places.get("tool_position[1]"))}
     members = {}

@@ -1,16 +1,21 @@
 """Straight-line programs of a component: ordered assignments."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import TypeVar
 
 import sympy
 
-from hesr_model.equations.component import Component, in_order
-from hesr_model.equations.functions import absolute, positive, sgn
+from hesr_model.equations.component import Component, Equation, in_order
+from hesr_model.equations.functions import absolute, clip, positive, sgn
 from hesr_model.equations.memory import Element, Prompt
 
 Assignments = Mapping[sympy.Symbol, sympy.Expr]
+
+STEEP = 1e-3  # half width of a jump without event [rad/s]
+
+_Part = TypeVar("_Part", Element, Equation)
 
 
 def moved(element: Element) -> sympy.Symbol:
@@ -144,6 +149,24 @@ class Jumps:
             return dict(assignments)
         swap = {sgn(e): s for e, s in zip(self.expressions, self.signs, strict=True)}
         return {symbol: e.xreplace(swap) for symbol, e in assignments.items()}
+
+
+def event_free(component: Component) -> Component:
+    """Return a component without events, whose jumps are steep lines."""
+    jumps = Jumps(replace(component, reversing=())).expressions
+    steep = {sgn(e): clip(e / STEEP, 1) for e in jumps}
+    return replace(
+        component,
+        events=False,
+        memory=tuple(_replaced(m, steep) for m in component.memory),
+        equations=tuple(_replaced(e, steep) for e in component.equations),
+    )
+
+
+def _replaced(part: _Part, swap: Mapping[sympy.Expr, sympy.Expr]) -> _Part:
+    parts = {f.name: getattr(part, f.name) for f in fields(part)}
+    new = {name: e.xreplace(swap) for name, e in parts.items() if isinstance(e, sympy.Basic)}
+    return replace(part, **new)
 
 
 def _jumps(expression: sympy.Expr, z: sympy.Expr) -> bool:

@@ -11,10 +11,9 @@ from fmpy.fmi2 import FMU2Model
 from registry_models import STUDIED
 from scipy.integrate import DOP853, solve_ivp
 
-from fmu_src.friction.friction_component import STEEP
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.equations.functions import lowered
-from hesr_model.equations.program import Jumps
+from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.registry import estimator

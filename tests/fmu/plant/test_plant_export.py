@@ -188,7 +188,7 @@ def test_base_parameters_become_those_of_bodies(
         ({"stop_damping[2]": -1.0}, "stop_damping[2] is -1; it must not be negative."),
         ({"q_max[1]": -9.0}, "q_max[1] is -9; it must not be below the lower limit."),
         ({"payload.m": -50.0, "payload.com[1]": 2.0},
-         "The mass matrix is not positive definite at the start posture"),
+         "The mass matrix is not positive definite at this posture"),
     ],
 )  # fmt: skip
 def test_bad_start_values_are_refused(start, sentence: str, fmus: dict[int, Path]) -> None:

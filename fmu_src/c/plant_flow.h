@@ -1,0 +1,212 @@
+/* Continuous form of a plant: acceleration at a motion, without events, and derivatives. */
+#ifndef PLANT_FLOW_H
+#define PLANT_FLOW_H
+
+#include "change.h"
+#include "plant_servo.h"
+#include "regroup.h"
+#include "tool.h"
+
+/* Sums over `matrix` or its transpose, or a copy without a coupling. */
+static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const double *from,
+                  double *to);
+
+/* Gather motion, laws and limits of the axes for a step of length h. */
+static void open_solver(const Component *component, double h, Solver *solver);
+
+/* Residual of a load that counts as zero, as a share of the torques, and most iterations. */
+#define EVEN 1e-14
+enum { MOST_LOADS = 50 };
+
+static const double no_change[MAX_PARAMETERS + MAX_INPUTS + MAX_STATES] = {0.0};
+static const double along_load[MAX_INPUTS] = {[LOAD] = 1.0};
+
+/* Set friction, stop and the derivatives dx of an axis under a load, or, in model exchange, under
+ * what friction and stop leave of the torque. */
+static bool rub(const Component *component, int i, double load, Axis *axis, double *dx,
+                Message *why) {
+    const double torque = mixed_at(component, true, TAU, i, 0.0);
+    double u[MAX_INPUTS], y[MAX_OUTPUTS], tdx[MAX_STATES], ty[MAX_OUTPUTS], unused = 0.0;
+    Step *step = &axis->step;
+    Motion *at = &axis->from;
+    see(step, at->q, at->dq, u);
+    u[LOAD] = load;
+    at->tau_link = stop_torque(step, u, u, &unused);
+    for (int n = 0; n < MOST_LOADS; n++) {
+        step->joint->flow(step->k, u, at->x, dx, y);
+        step->u[LOAD] = u[LOAD];
+        at->tau_f = y[0];
+        const double missing = torque - y[0] - at->tau_link - u[LOAD];
+        const double size = fabs(torque) + fabs(y[0]) + fabs(at->tau_link);
+        if (SERVO || component->continuous == 0.0 || !(fabs(missing) > EVEN * size)) {
+            return true;
+        }
+        step->joint->flow_tangent(step->k, u, at->x, no_change, along_load, no_change, tdx, ty);
+        u[LOAD] += missing / (1.0 + ty[0]);
+    }
+    snprintf(why->text, sizeof why->text,
+             "%s: no load was found that balances friction and torque; look at the coefficients.",
+             variables[TAU_FRICTION + i].name);
+    return false;
+}
+
+/* Set acceleration, torques and derivatives of the friction's states at the motion in `v`. */
+static bool flow(Component *component, Solver *solver, Message *why) {
+    double *v = component->v, q[JOINTS], dq[JOINTS], rest[JOINTS], zero[JOINTS] = {0.0};
+    if (component->changed != 0.0) {
+        regroup(component);
+    }
+    open_solver(component, 0.0, solver);
+    for (int i = 0; i < JOINTS; i++) {
+        q[i] = solver->axis[i].from.q;
+        dq[i] = solver->axis[i].from.dq;
+    }
+    if (SERVO) {
+        weigh(component, solver, q);
+    }
+    evaluate(component, solver, q, dq);
+    for (int i = 0; i < JOINTS; i++) {
+        Axis *axis = &solver->axis[i];
+        const Joint *joint = axis->step.joint;
+        const double load = SERVO && component->own[STARTED] != 0.0
+                                ? mixed_at(component, true, TAU_LOAD, i, 0.0)
+                                : solver->bias[i];
+        if (!rub(component, i, load, axis, &v[joint->first_state + joint->states], why)) {
+            return false;
+        }
+        axis->slope = NEVER_SMOOTH;
+        axis->trial.v = dq[i];
+        axis->held = false;
+        rest[i] = mixed_at(component, true, TAU, i, 0.0) - solver->bias[i];
+        rest[i] -= axis->from.tau_f + axis->from.tau_link;
+        if (SERVO) {
+            rest[i] += hold_start(component, i, q[i], rest[i] + axis->support, axis);
+        }
+        axis->inertial = rest[i];
+    }
+    if (!solved(solver, zero, rest)) {
+        snprintf(why->text, sizeof why->text,
+                 "The mass matrix is not positive definite at this posture; check masses, inertias "
+                 "and the payload.");
+        return false;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        solver->axis[i].from.ddq = rest[i];
+    }
+    return true;
+}
+
+/* Change of the parameters of dynamics.h along `seed`. */
+static void change_table(const double *v, const double *seed, double *tp) {
+    const double *c = &v[PAYLOAD_COM], *tc = &seed[PAYLOAD_COM];
+    const double m = v[PAYLOAD_M], tm = seed[PAYLOAD_M];
+    double load[10] = {tm}, squared = 0.0, change = 0.0;
+    for (int i = 0; i < 3; i++) {
+        load[1 + i] = tm * c[i] + m * tc[i];
+        squared += c[i] * c[i];
+        change += 2.0 * c[i] * tc[i];
+    }
+    for (int k = 0; k < 6; k++) {
+        const int i = pair[k][0], j = pair[k][1];
+        load[4 + k] = seed[PAYLOAD_INERTIA + k] - tm * c[i] * c[j];
+        load[4 + k] -= m * (tc[i] * c[j] + c[i] * tc[j]);
+        load[4 + k] += i == j ? tm * squared + m * change : 0.0;
+    }
+    gather(seed, load, tp);
+}
+
+/* Change of the torque of stop i along `seed` and the change du of the inputs u. */
+static double change_stop(const Step *step, int i, const double *seed, const double *u,
+                          const double *du) {
+    const double side = u[1] < step->q_link ? -1.0 : 1.0;
+    const double to_limit[] = {du[0], du[1] - seed[side > 0.0 ? Q_MAX + i : Q_MIN + i]};
+    const double deep = side * (u[1] - step->q_link) - step->clearance;
+    double slope = 0.0;
+    if (stop_torque(step, u, to_limit, &slope) == 0.0) {
+        return 0.0;
+    }
+    return slope + side * seed[STIFFNESS + i] * deep +
+           seed[DAMPING + i] * fmin(1.0, deep / DEPTH) * u[0];
+}
+
+/* Until initialisation ends, motion and states follow from start values, and outside of model
+ * exchange the law's load is the bias. */
+SELDOM static void component_tangent(const Component *component, const double *seed,
+                                     double *tangent) {
+    const bool started = component->own[STARTED] != 0.0;
+    const double zero[JOINTS] = {0.0};
+    double q[JOINTS], dq[JOINTS], ddq[JOINTS], tq[JOINTS], tdq[JOINTS], tp[10 * LINKS];
+    double moved[JOINTS], settled[JOINTS], rest[JOINTS], load[JOINTS];
+    double friction[JOINTS], stop[JOINTS];
+    Component at = *component;
+    Solver solver;
+    Message why;
+    at.continuous = started ? 1.0 : component->continuous;
+    if (!flow(&at, &solver, &why)) {
+        for (int i = 0; i < VARIABLES; i++) {
+            tangent[i] = NAN;
+        }
+        return;
+    }
+    for (int i = 0; i < JOINTS; i++) {
+        q[i] = solver.axis[i].from.q;
+        dq[i] = solver.axis[i].from.dq;
+        ddq[i] = solver.axis[i].from.ddq;
+    }
+    mixed(forward, false, &seed[started ? Q : Q_START], tq);
+    mixed(forward, false, &seed[started ? DQ : DQ_START], tdq);
+    change_table(at.v, seed, tp);
+#define CHANGE(acceleration, to)                                                                   \
+    torque_change(&at.own[TABLE], &at.v[ROTORS], &at.v[SPRINGS], &at.v[GRAVITY], q, dq,            \
+                  acceleration, tp, &seed[ROTORS], &seed[SPRINGS], &seed[GRAVITY], tq, tdq, to)
+    CHANGE(zero, settled);
+    CHANGE(ddq, moved);
+    for (int i = 0; i < JOINTS; i++) {
+        const Axis *axis = &solver.axis[i];
+        const Joint *joint = axis->step.joint;
+        const double *k = axis->step.k, *x = axis->from.x;
+        const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
+        double u[MAX_INPUTS], du[MAX_INPUTS] = {tdq[i], tq[i]}, y[MAX_OUTPUTS];
+        double *tx = &tangent[joint->first_state], *tdx = tx + joint->states, ldx[MAX_STATES];
+        double slope[MAX_OUTPUTS], torque = 0.0;
+        see(&axis->step, q[i], dq[i], u);
+        for (int m = 0; m < JOINTS; m++) {
+            torque += COUPLED ? share_of(true, i, m) * seed[TAU + m] : m == i ? seed[TAU + m] : 0.0;
+        }
+        for (int j = LOAD + 1; j < joint->inputs; j++) {
+            du[j] = seed[joint->input[j]];
+        }
+        memcpy(tx, &seed[started ? joint->first_state : joint->first_start],
+               (size_t)joint->states * sizeof *tx);
+        u[LOAD] = solver.bias[i];
+        du[LOAD] = settled[i];
+        if (!started && joint->states > 0 && at.v[START_MODE] == STEADY) {
+            joint->begin_tangent(k, u, &at.v[joint->first_start], dk, du, tx);
+        }
+        u[LOAD] = axis->step.u[LOAD];
+        stop[i] = change_stop(&axis->step, i, seed, u, du);
+        du[LOAD] = at.continuous != 0.0 ? 0.0 : settled[i];
+        joint->flow_tangent(k, u, x, dk, du, tx, tdx, y);
+        friction[i] = y[0];
+        if (at.continuous != 0.0) {
+            joint->flow_tangent(k, u, x, no_change, along_load, no_change, ldx, slope);
+            const double more = (torque - y[0] - stop[i]) / (1.0 + slope[0]);
+            friction[i] += slope[0] * more;
+            for (int j = 0; j < joint->states; j++) {
+                tdx[j] += ldx[j] * more;
+            }
+        }
+        load[i] = torque - friction[i] - stop[i];
+        rest[i] = load[i] - moved[i];
+    }
+    solved(&solver, zero, rest);
+    change_tool(tangent, q, tq);
+    mixed(backward, true, tq, &tangent[Q]);
+    mixed(backward, true, tdq, &tangent[DQ]);
+    mixed(backward, true, rest, &tangent[DDQ]);
+    mixed(forward, true, load, &tangent[TAU_LOAD]);
+    mixed(forward, true, friction, &tangent[TAU_FRICTION]);
+    mixed(forward, true, stop, &tangent[TAU_STOP]);
+}
+
+#endif
