@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from small_twin import GAINS, MOTIONS
 
-from cosim.loop import robustness
 from cosim.study.run import run_study
+from hesr.extras.studies import robustness
 from hesr_model.support.files import models_folder
 
 STUDY = """
