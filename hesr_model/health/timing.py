@@ -176,8 +176,8 @@ def lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
     between those of fits with and without it. Friction with memory comes close to the lag of most
     joints together.
     """
-    held = {j: delay(rows, j) for j in joints}
-    plain = {j: delay(rows, j, memory=False) for j in joints}
+    both = {j: delays(rows, j) for j in joints}
+    held, plain = ({j: of[k] for j, of in both.items()} for k in range(2))
     wide = [_SYSTEMATIC * abs(plain[j].value - held[j].value) for j in joints]
     late, other = (common_delay(list(lags.values()), wide) for lags in (held, plain))
     early = max(late, other, key=lambda lag: lag.value)
@@ -217,22 +217,27 @@ def common_delay(lags: Sequence[Estimate], systematic: Sequence[float]) -> Estim
     return Estimate(value=middle, error=float(np.sqrt(spread + 1.0 / np.sum(errors**-2.0))))
 
 
-def delay(rows: LagRows, j: int, *, memory: bool = True) -> Estimate:
-    """Return the lag of a torque [s]; its error is infinite at an end of the search range.
+def delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
+    """Return the lag of a torque [s] with memory of friction, and with friction of velocity only.
 
-    Without `memory`, friction depends on the velocity only.
+    The error is infinite at an end of the search range.
     """
-    from scipy.optimize import nnls
-
     count = 2 * len(_WIDTHS) + 2
     known = rows.known[:, j]
     rubs, others = np.split(rows.rubs[j][known], [count], axis=1)
     others = np.hstack([(rows.still + rows.moving)[known, j], others])
     if len(others) <= others.shape[1] + count:
-        return Estimate(value=0.0, error=np.inf)
-    targets = np.hstack([rubs[:, 0 if memory else -2 :], rows.torques[known, :, j]])
-    left = _project_out(others, targets)
-    rubs, torques = np.split(left, [left.shape[1] - len(_shifts())], axis=1)
+        return (Estimate(value=0.0, error=np.inf),) * 2
+    left = _project_out(others, np.hstack([rubs, rows.torques[known, :, j]]))
+    rubs, torques = np.split(left, [count], axis=1)
+    used = others.shape[1]
+    return _delay(rubs, torques, used), _delay(rubs[:, -2:], torques, used)
+
+
+def _delay(rubs: Array, torques: Array, used: int) -> Estimate:
+    """Return the lag whose torques (N, S) friction (N, K) fits best, `used` unknowns besides."""
+    from scipy.optimize import nnls
+
     # Friction of negative weight would imitate a lag.
     q, corner = np.linalg.qr(rubs)
     fits = np.array([nnls(corner, column, maxiter=1000)[0] for column in (q.T @ torques).T]).T
@@ -241,7 +246,7 @@ def delay(rows: LagRows, j: int, *, memory: bool = True) -> Estimate:
     k = int(np.argmin(squares))
     if k in (0, len(squares) - 1):
         return Estimate(value=float(_shifts()[k]), error=np.inf)
-    free = max(len(left) - others.shape[1] - rubs.shape[1], 1)
+    free = max(len(left) - used - rubs.shape[1], 1)
     independent = free / correlation_length(left[:, k])
     before, at, after = 0.5 * independent * np.log(np.maximum(squares[k - 1 : k + 2], 1e-300))
     bend = max(before - 2.0 * at + after, 1e-12)

@@ -19,7 +19,7 @@ from hesr_model.health.timing import (
     _rubs,
     _wrong_rate,
     check_clocks,
-    delay,
+    delays,
     stamps_rate,
 )
 from hesr_model.logs.robot_log import Log
@@ -71,9 +71,9 @@ def test_clocks(
             "rows": rows,
             "coupled": LagRows.of(log, coupled, base),
             "delays": [
-                [delay(LagRows.of(moved(k, k, k).log, arm_model, base), j, memory=memory)
+                [delays(LagRows.of(moved(k, k, k).log, arm_model, base), j)[kind]
                  for k in (-12, 0, 9, 20)]
-                for j in every for memory in (True, False)
+                for j in every for kind in range(2)
             ],
             "rates": [stamps_rate(LagRows.of(x, arm_model, base), every)
                       for x in (log, slowed(1.5).log, slowed(0.6).log, noisy)],
