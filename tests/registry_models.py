@@ -7,8 +7,7 @@ import numpy as np
 
 from fmu_src.export.package import translation_unit
 from fmu_src.friction.friction_fmu import _component
-from fmu_src.pages.live.body import wasm
-from fmu_src.pages.live.section import live_data
+from fmu_src.pages.live import live_data, wasm
 from hesr_model.fitting.estimator import Estimator
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel

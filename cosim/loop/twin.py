@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from cosim.loop.closed_loop import ARM
 from cosim.study.study import Twin
 from fmu_src.arm.native import export_mjcf
-from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.plant import Plant, joint_limits, servo_signals
-from fmu_src.arm.table import SignalTable
+from fmu_src.arm.table import ArmSignals, SignalTable
 from fmu_src.arm.truth import write_truth
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through

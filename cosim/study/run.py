@@ -20,7 +20,7 @@ from cosim.study.verdict import Verdict, verdict, write_verdict
 from fmu_src.export.toolchain import get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
-from fmu_src.pages.live.body import PageBody
+from fmu_src.pages.live import PageBody
 from hesr_model.audit.properties import combined
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError

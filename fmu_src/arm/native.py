@@ -11,9 +11,17 @@ from typing import Any
 import mujoco
 
 from fmu_src.arm.library import library
-from fmu_src.arm.parts import LATENCY, PAYLOAD, SCALE, SEED, ArmSignals, noise_name, variables
 from fmu_src.arm.signals import signals_of
-from fmu_src.arm.table import SignalTable
+from fmu_src.arm.table import (
+    LATENCY,
+    PAYLOAD,
+    SCALE,
+    SEED,
+    ArmSignals,
+    SignalTable,
+    noise_name,
+    variables,
+)
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface, literal
 from fmu_src.export.package import Content, check_request, own_source, write_fmu

@@ -7,9 +7,15 @@ import mujoco
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from fmu_src.arm.parts import ArmSignals
 from fmu_src.arm.signals import SENSORS_OF_JOINT, named_signals, passive_motors
-from fmu_src.arm.table import InputTable, OutputTable, SignalTable, StartTable, require_entries
+from fmu_src.arm.table import (
+    ArmSignals,
+    InputTable,
+    OutputTable,
+    SignalTable,
+    StartTable,
+    require_entries,
+)
 from fmu_src.arm.truth import Truth, TruthName
 from hesr_model.errors import ConfigError
 from hesr_model.robots.mjcf import compiled

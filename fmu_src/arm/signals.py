@@ -9,8 +9,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from fmu_src.arm.parts import ArmInput, ArmOutput, ArmSignals, ArmStart, Loss
-from fmu_src.arm.table import LossTable, OutputTable, SignalTable, StartTable
+from fmu_src.arm.table import (
+    ArmInput,
+    ArmOutput,
+    ArmSignals,
+    ArmStart,
+    Loss,
+    LossTable,
+    OutputTable,
+    SignalTable,
+    StartTable,
+)
 from hesr_model.errors import ConfigError
 from hesr_model.robots.mjcf import compiled, compiled_spec
 

@@ -14,11 +14,9 @@ from fmu_src.check import (
     external,
     general,
     markup,
-    paths,
     rules,
     sources,
     structure,
-    terminals,
     variables,
 )
 from fmu_src.check.archive import Contents
@@ -33,7 +31,7 @@ from hesr_model.support.typed_json import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
-_OTHER_XML = (terminals.FILE, _BUILD)
+_OTHER_XML = (structure.TERMINALS, _BUILD)
 
 
 @dataclass(frozen=True)
@@ -105,8 +103,8 @@ class _Found:
         if not contents.names and contents.problems:
             self.skipped.append("All other checks: not run; the archive could not be read.")
             return
-        self._add(paths.problems(contents))
-        self.skipped += paths.skipped(contents)
+        self._add(sources.machine_paths(contents))
+        self.skipped += sources.skipped_libraries(contents)
         root, texts = _model(contents)
         broken = self._add(texts)
         if root is None:
@@ -133,10 +131,10 @@ class _Found:
         more = variables.RULES_2 if about.fmi == 2 else variables.RULES_3
         every = (*general.RULES, *variables.RULES, *structure.RULES, *more)
         self._add(chain.from_iterable(rule(about) for rule in every))
-        if terminals.FILE in contents.files:
-            connected, _ = markup.parse(terminals.FILE, contents.files[terminals.FILE])
+        if structure.TERMINALS in contents.files:
+            connected, _ = markup.parse(structure.TERMINALS, contents.files[structure.TERMINALS])
             if connected is not None:
-                self._add(terminals.problems(connected, about, contents))
+                self._add(structure.terminal_problems(connected, about, contents))
         self._add(sources.problems(about, contents))
         self._add(binaries.problems(about, contents, self._folder))
         self.skipped += binaries.skipped(about, contents)

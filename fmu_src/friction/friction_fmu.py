@@ -17,12 +17,10 @@ from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
-from fmu_src.pages.datasheet import ModelAudit
+from fmu_src.pages.datasheet import ModelAudit, properties_section
 from fmu_src.pages.friction_page import to_html
-from fmu_src.pages.live.body import PageBody, wasm
-from fmu_src.pages.live.section import live_assets, live_data, live_section, log_section
+from fmu_src.pages.live import PageBody, live_assets, live_data, live_section, log_section, wasm
 from fmu_src.pages.picture import model_png
-from fmu_src.pages.properties_sheet import section
 from hesr_model.audit.properties import Properties
 from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
@@ -123,7 +121,7 @@ def content(
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))
         live += log_section(model, body) + live_assets(log=True)
-    page = section(properties, sliding=model.sliding) if properties else ""
+    page = properties_section(properties, sliding=model.sliding) if properties else ""
     html = to_html(model, bare.table, bare.about, live=live, properties=page, audit=audit)
     members = {
         "model.png": picture,

@@ -29,7 +29,7 @@ from fmu_src.friction.friction_component import (
 )
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.drive_page import to_html
+from fmu_src.pages.friction_page import drive_html
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
@@ -416,7 +416,7 @@ def content(
     sources |= {"tool.h": tool_header(body.robot, table.places.get("tool_position[1]"))}
     members = {}
     if not bare:
-        page = to_html(model, table, about, template="plant.html.j2").encode()
+        page = drive_html(model, table, about, template="plant.html.j2").encode()
         members = {"documentation/index.html": page, **embedding(model)}
     inputs = waves(
         {f"{name}[{i}]": 1.0 for name in _inputs(servo) for i in range(1, len(joints) + 1)}

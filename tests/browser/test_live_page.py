@@ -13,7 +13,7 @@ import sympy
 from live_page import SAME, alive, error, expected, field, saved, settle, slider
 from registry_models import live_of
 
-from fmu_src.pages.live.section import live_assets, live_section
+from fmu_src.pages.live import live_assets, live_section
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm

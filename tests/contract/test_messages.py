@@ -26,9 +26,9 @@ FINDINGS = re.compile(
 )
 DESCRIPTIVE = re.compile(
     r"cosim/report/|cosim/loop/closed_loop|hesr/extras/(ssp/ssp_results|studies/robustness)"
-    r"|fmu_src/(blocks|export|friction|pages)/|fmu_src/arm/(parts|truth)"
+    r"|fmu_src/(blocks|export|friction|pages)/|fmu_src/arm/(table|truth)"
     r"|fmu_src/run/reference_|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
-    r"|hesr/extras/(drive|laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|tables)"
+    r"|hesr/extras/(drive|laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|result|tables)"
 )
 LOGGED = {"debug", "info", "warning", "error"}
 # Literals that are code, markup or patterns, not sentences.

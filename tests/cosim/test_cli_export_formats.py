@@ -10,7 +10,7 @@ import pytest
 from small_study import Hesr, hesr_here, uf850
 
 from fmu_src import model_file
-from fmu_src.pages.properties_sheet import section
+from fmu_src.pages.datasheet import properties_section
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.properties.battery import Subject, measure
 from hesr_model.friction.law import FrictionLaw
@@ -110,7 +110,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
     with ZipFile(fmu) as archive:
         page = archive.read("documentation/index.html").decode()
     found = measure(Subject(name=TABLE_1, model=FrictionModel.read(model_file(TABLE_1))))
-    assert section(found) in page
+    assert properties_section(found) in page
 
 
 @pytest.mark.parametrize(

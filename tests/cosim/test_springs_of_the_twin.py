@@ -10,8 +10,8 @@ import pytest
 
 from cosim.loop.excite import record
 from cosim.loop.twin import loaded_arm
-from fmu_src.arm.parts import ArmSignals, ArmStart
 from fmu_src.arm.plant import Plant, servo_signals
+from fmu_src.arm.table import ArmSignals, ArmStart
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.motions.trajectories import Fourier, random_fourier

@@ -14,7 +14,7 @@ import pytest
 from registry_models import live_of
 
 from fmu_src.friction.friction_component import friction_equations
-from fmu_src.pages.live.section import ends, live_section
+from fmu_src.pages.live import ends, live_section
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange

@@ -13,7 +13,7 @@ from mujoco import rollout
 from registry_models import models_of_registry
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.pages.drive_page import holding_torque
+from fmu_src.pages.friction_page import holding_torque
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr.extras.mujoco_plugin import plugin_library

@@ -200,8 +200,7 @@ RUNS = np.random.default_rng(4).normal(size=(20, 2))
 
 
 def _write_runs(path: Path) -> None:
-    from hesr.extras.sweep.store import Store
-    from hesr.extras.sweep.work import RunOutputs
+    from hesr.extras.sweep.work import RunOutputs, Store
 
     store = Store(path.parent, INPUTS, OUTPUTS)
     store.file(0).parent.mkdir()
@@ -212,7 +211,7 @@ def _write_runs(path: Path) -> None:
 
 def _runs(folder: Path) -> object:
     """Damaged runs are repeated, others are read."""
-    from hesr.extras.sweep.store import Store
+    from hesr.extras.sweep.work import Store
 
     store = Store(folder, INPUTS, OUTPUTS)
     if not store.has(0, RUNS):
@@ -221,7 +220,7 @@ def _runs(folder: Path) -> object:
 
 
 def _folder_of_sweep(folder: Path) -> object:
-    from hesr.extras.sweep.store import ABOUT, taken
+    from hesr.extras.sweep.work import ABOUT, taken
 
     with taken(folder, "runs", ABOUT, {"key": "7f", "runs": 20}):
         return None

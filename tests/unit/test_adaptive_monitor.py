@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, truth
 
-from hesr.extras.adaptive.answer import Monitoring
 from hesr.extras.adaptive.component import TUNING
 from hesr.extras.adaptive.monitor import Alarm, State, shared_signs, watch
+from hesr.extras.adaptive.page import Monitoring
 from hesr_model.rigid_body.residual import FrictionRecord
 
 MODEL = model(lugre(), lugre(), lugre())

@@ -17,7 +17,7 @@ from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, TableCell, number, row_of, title
 from cosim.study.scores import MEASURED_START, REFERENCE
 from fmu_src.friction.friction_component import exposed
-from fmu_src.pages.live.section import live_assets, live_section
+from fmu_src.pages.live import live_assets, live_section
 from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
 from fmu_src.run.archive import Archive

@@ -9,7 +9,7 @@ from cosim.report.tables import table
 from cosim.report.tables.laws import audit as audit_table
 from cosim.report.tables.properties import properties as properties_table
 from fmu_src.pages.datasheet import certified
-from fmu_src.pages.properties_sheet import section as sheet
+from fmu_src.pages.datasheet import properties_section as sheet
 from hesr_model.audit.cycles import ENCODER
 from hesr_model.audit.properties import combined
 

@@ -9,9 +9,8 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from fmu_src.arm.native import description, licences, model_name
-from fmu_src.arm.parts import variables
 from fmu_src.arm.signals import signals_of
-from fmu_src.arm.table import SignalTable
+from fmu_src.arm.table import SignalTable, variables
 from fmu_src.export.description import RELEASED, to_xml
 from fmu_src.export.interface import Interface
 from fmu_src.export.package import check_request, write_archive

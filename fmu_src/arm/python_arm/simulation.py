@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_src.arm.parts import LATENCY, PAYLOAD, SCALE, SEED, ArmSignals, Loss, noise_name, variables
+from fmu_src.arm.table import LATENCY, PAYLOAD, SCALE, SEED, ArmSignals, Loss, noise_name, variables
 from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array

@@ -70,9 +70,8 @@ def monitor(
 
     from cosim.workflow.arguments import body_of, checked_logs, listed, model_given
     from cosim.workflow.jobs import find_job
-    from hesr.extras.adaptive.answer import Monitoring
     from hesr.extras.adaptive.monitor import watch
-    from hesr.extras.adaptive.page import write_monitor
+    from hesr.extras.adaptive.page import Monitoring, write_monitor
     from hesr_model.support.files import path_of
 
     folder = None if output is None else path_of(output, "an output")

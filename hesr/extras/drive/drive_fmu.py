@@ -18,7 +18,7 @@ from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.drive_page import to_html
+from fmu_src.pages.friction_page import drive_html
 from fmu_src.run.reference_results import ROWS, Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TORQUE
@@ -234,7 +234,7 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
     sources = {name: own_source(name) for name in names}
     members = {}
     if not bare:
-        page = to_html(model, table, about).encode()
+        page = drive_html(model, table, about).encode()
         members = {"documentation/index.html": page, **embedding(model)}
     return Content(
         table=table,

@@ -14,7 +14,6 @@ from cosim.report.markup import Section, joined, paragraph, table, write_section
 from fmu_src import export_fmu
 from fmu_src.friction.friction_component import exposed
 from hesr.extras.adaptive.monitor import POINTS_TO, shared_signs
-from hesr.extras.fleet.parquet import write_table
 from hesr.extras.fleet.result import (
     BODY,
     Change,
@@ -23,10 +22,11 @@ from hesr.extras.fleet.result import (
     JointResult,
     RobotResult,
     all_tables,
+    write_table,
 )
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.study import FleetStudy, members
-from hesr.extras.sweep.store import taken
+from hesr.extras.sweep.work import taken
 from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.registry import estimator

@@ -17,8 +17,7 @@ from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.drive_page import holding_torque, law_entries
-from fmu_src.pages.friction_page import title
+from fmu_src.pages.friction_page import holding_torque, law_entries, title
 from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.plant.dynamics import dynamics_header, jacobian_header
 from fmu_src.plant.plant_fmu import PlantBody, at_joint, inertial_parameters, require_fitting

@@ -9,8 +9,8 @@ from cosim.report.tables.table import ResultTable
 from cosim.workflow.answer import Answer, Written, shortened
 from hesr.extras.sweep import tables
 from hesr.extras.sweep.plan import SweepRuns
-from hesr.extras.sweep.store import RUNS
 from hesr.extras.sweep.study import SweepStudy
+from hesr.extras.sweep.work import RUNS
 from hesr_model.support.progress import Stages, silent
 
 

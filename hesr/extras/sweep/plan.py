@@ -15,9 +15,8 @@ from scipy.special import ndtri
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
-from hesr.extras.sweep.store import RunTable
 from hesr.extras.sweep.study import MOST_RUNS, Correlated, SweepInput, SweepStudy
-from hesr.extras.sweep.work import Task, VariedVariable
+from hesr.extras.sweep.work import RunTable, Task, VariedVariable
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256

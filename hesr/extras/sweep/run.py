@@ -9,8 +9,7 @@ from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from hesr.extras.sweep.plan import Plan, SweepRuns, planned, sensitivities
-from hesr.extras.sweep.store import ABOUT, RUNS, Store, taken
-from hesr.extras.sweep.work import RunOutputs, release, run_rows
+from hesr.extras.sweep.work import ABOUT, RUNS, RunOutputs, Store, release, run_rows, taken
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, silent

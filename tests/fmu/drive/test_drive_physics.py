@@ -16,7 +16,7 @@ from registry_models import STUDIED
 from scipy.integrate import cumulative_simpson, solve_ivp
 
 from fmu_src.pages.datasheet import EULER
-from fmu_src.pages.drive_page import holding_torque, stopping_torque
+from fmu_src.pages.friction_page import holding_torque, stopping_torque
 from hesr_model.audit.audit import audit
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw

@@ -1,1 +1,0 @@
-"""Interactive pages: the FMU's own C, compiled to WebAssembly, with sliders, without a network."""
