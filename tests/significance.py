@@ -1,6 +1,6 @@
 """Significance of law comparisons, with Holm's adjustment over all joints."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from cosim.study.results import Scored
 from cosim.study.scores import records_of
 from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, holm, law_errors
+from hesr_model.inference.covariance import Moments, long_run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,3 +55,16 @@ def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") 
         found |= {(law, j): ratios[law] for law in laws}
     known = {key: one.p for key, one in found.items() if one.p is not None}
     return Against(found=found, adjusted=holm(known))
+
+
+def long_run_of(influences: Sequence[np.ndarray], rows: int = 100) -> list[np.ndarray]:
+    """Return `long_run` of whole logs, fed in pieces."""
+    moments = [Moments(psi.shape[1]) for psi in influences]
+    pieces = [
+        (log, psi[k : k + rows])
+        for log, psi in enumerate(influences)
+        for k in range(0, len(psi), rows)
+    ]
+    for log, piece in pieces:
+        moments[log].add(piece)
+    return long_run(moments, pieces)

@@ -11,8 +11,10 @@ Monahan 1992). The factor is the additional spread of estimates with each log le
 1986). `carried` is the covariance of earlier estimates.
 """
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
@@ -136,8 +138,35 @@ def covariance(
     """
     own = np.sum(hessians, axis=0)
     whole = own if known is None else own + known
+    parts = [Part(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
+    return covariance_of_parts(names, lambda: parts, whole, known=known, carried=carried)
+
+
+class Part(NamedTuple):
+    """Gradients (N, P) of successive rows of a log, and their share (P, P) of the Hessian."""
+
+    label: int
+    gradients: Array
+    hessian: Array
+
+
+def covariance_of_parts(
+    names: Sequence[str],
+    parts: Callable[[], Iterable[Part]],
+    whole: Array,
+    *,
+    known: Array | None = None,
+    carried: Array | None = None,
+) -> Covariance:
+    """Return `covariance` with the Hessian `whole` (P, P); `parts` is called once or twice."""
     inverse = _inverse(whole, whole)
-    influences = [gradients[labels == k] @ inverse for k in range(len(hessians))]
+    found: dict[int, Moments] = defaultdict(lambda: Moments(len(whole)))
+    hessians: dict[int, Array] = defaultdict(lambda: np.zeros_like(whole))
+    for part in parts():
+        found[part.label].add(part.gradients @ inverse)
+        hessians[part.label] += part.hessian
+    logs = sorted(found)
+    moments = [found[k] for k in logs]
     given = np.zeros_like(inverse) if known is None else inverse @ known @ inverse
     if carried is not None:
         spread = inverse @ carried
@@ -145,14 +174,13 @@ def covariance(
     one = Covariance(
         names=tuple(names), within=np.zeros_like(inverse), between=1.0, degrees=0.0, carried=given
     )
-    if len(influences) >= ENOUGH:
-        sums = np.array([psi.sum(axis=0) for psi in influences])
+    if len(logs) >= ENOUGH:
+        sums = np.array([log.total for log in moments])
         return replace(one, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
-    parts = long_run(influences)
-    between, degrees = _between(influences, parts, hessians, whole)
-    within = np.sum(parts, axis=0) * _for_few_rows(influences)
-    logs = len(influences)
-    return replace(one, within=within, between=between, degrees=degrees, logs=logs)
+    variances = long_run(moments, ((logs.index(p.label), p.gradients @ inverse) for p in parts()))
+    between, degrees = _between(moments, variances, [hessians[k] for k in logs], whole)
+    within = np.sum(variances, axis=0) * _for_few_rows(moments)
+    return replace(one, within=within, between=between, degrees=degrees, logs=len(logs))
 
 
 def covariance_of_fit(
@@ -173,32 +201,78 @@ def covariance_of_fit(
     return covariance(names, gradients, hessians, labels, carried=carried)
 
 
-def long_run(influences: Sequence[Array]) -> list[Array]:
-    """Return each log's covariance (P, P) of the sum of its rows (N, P)."""
-    memory = _memory(influences)
-    white = [np.concatenate([psi[:1], psi[1:] - memory * psi[:-1]]) for psi in influences]
-    bandwidth = _bandwidth(white)
-    back = np.outer(1.0 / (1.0 - memory), 1.0 / (1.0 - memory))
-    return [back * _bartlett(psi, bandwidth) for psi in white]
+class Moments:
+    """Sums over the influences (N, P) of a log, which come in parts."""
+
+    def __init__(self, size: int) -> None:
+        self.rows = 0
+        self.total, self.squares, self.fourths, self.lag1, self.lag2 = np.zeros((5, size))
+        self.last = np.zeros((2, size))  # last two rows
+
+    def add(self, psi: Array) -> None:
+        """Add the next rows."""
+        longer = np.concatenate([self.last, psi])
+        self.rows += len(psi)
+        self.total += psi.sum(axis=0)
+        self.squares += np.sum(psi**2, axis=0)
+        self.fourths += np.sum(psi**4, axis=0)
+        self.lag1 += np.sum(psi * longer[1:-1], axis=0)
+        self.lag2 += np.sum(psi * longer[:-2], axis=0)
+        self.last = longer[-2:]
+
+    def whitened(self, memory: Array) -> tuple[Array, Array]:
+        """Return the squares and lag-1 products of psi[k] - memory psi[k - 1]."""
+        before = self.squares - self.last[1] ** 2
+        squares = self.squares - 2.0 * memory * self.lag1 + memory**2 * before
+        product = self.lag1 - self.last[0] * self.last[1]
+        return squares, self.lag1 - memory * (before + self.lag2) + memory**2 * product
 
 
-def _for_few_rows(influences: Sequence[Array]) -> Array:
+def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]) -> list[Array]:
+    """Return each log's covariance (P, P) of the sum of its rows.
+
+    The `influences` are numbers of logs with their next rows (N, P). Bartlett's kernel with weights
+    1 - lag / width is the mean product of sums over windows of that width.
+    """
+    memory = _memory([(log.squares, log.lag1) for log in moments])
+    width = 1 + _bandwidth([log.whitened(memory) for log in moments], moments)
+    size = len(memory)
+    last, held = np.zeros((len(moments), 1, size)), np.zeros((len(moments), width, size))
+    totals = np.zeros((len(moments), size, size))
+
+    def add(log: int, white: Array) -> None:
+        longer = np.concatenate([held[log], white])
+        sums = np.cumsum(longer, axis=0)
+        windows = sums[width:] - sums[:-width]
+        totals[log] += windows.T @ windows
+        held[log] = longer[-width:]
+
+    for log, psi in influences:
+        longer = np.concatenate([last[log], psi])
+        add(log, psi - memory * longer[:-1])
+        last[log] = longer[-1]
+    for log in range(len(moments)):
+        add(log, np.zeros((width - 1, size)))
+    return list(totals / width / np.outer(1.0 - memory, 1.0 - memory))
+
+
+def _for_few_rows(moments: Sequence[Moments]) -> Array:
     """Return the factor (P, P) for covariances that few rows around reversals determine.
 
     Student's quantile over the normal one, with Satterthwaite's degrees of freedom of a sum of
     squared influences (Bell and McCaffrey 2002).
     """
-    squares = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
-    fourths = np.sum([np.sum(psi**4, axis=0) for psi in influences], axis=0)
+    squares = np.sum([log.squares for log in moments], axis=0)
+    fourths = np.sum([log.fourths for log in moments], axis=0)
     degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)
     ratio = stdtrit(degrees, _UPPER) / ndtri(_UPPER)
     return np.outer(ratio, ratio)
 
 
 def _between(
-    influences: Sequence[Array],
+    moments: Sequence[Moments],
     parts: Sequence[Array],
-    hessians: Sequence[Array] | Array,
+    hessians: Sequence[Array],
     whole: Array,
 ) -> tuple[float, float]:
     """Compare each log's estimate with that of the others by one Gauss-Newton step each.
@@ -206,20 +280,20 @@ def _between(
     Returns the mean square difference over its variance by `parts`, and the number of independent
     differences.
     """
-    if len(influences) < 2:
+    if len(moments) < 2:
         return 1.0, 0.0
     every = np.sum(parts, axis=0)
     squares = []
-    for psi, part, hessian in zip(influences, parts, hessians, strict=True):
+    for log, part, hessian in zip(moments, parts, hessians, strict=True):
         alone, others = (_inverse(h, whole) @ whole for h in (hessian, whole - hessian))
-        difference = (alone + others) @ psi.sum(axis=0)
+        difference = (alone + others) @ log.total
         variance = np.diag(alone @ part @ alone.T + others @ (every - part) @ others.T)
         squares.append(difference**2 / np.maximum(variance, 1e-300))
     size = np.sqrt(np.maximum(np.diag(every), 1e-300))
     alike = every / np.outer(size, size)
     np.fill_diagonal(alike, 1.0)
     independent = len(size) ** 2 / float(np.sum(alike**2))
-    return float(np.mean(squares)), (len(influences) - 1) * independent
+    return float(np.mean(squares)), (len(moments) - 1) * independent
 
 
 def _inverse(hessian: Array, whole: Array) -> Array:
@@ -228,25 +302,16 @@ def _inverse(hessian: Array, whole: Array) -> Array:
     return np.asarray(scaled / np.outer(size, size))
 
 
-def _memory(influences: Sequence[Array]) -> Array:
-    """Return the first-order autoregression of each column (P,), pooled over logs."""
-    above = np.sum([np.sum(psi[1:] * psi[:-1], axis=0) for psi in influences], axis=0)
-    below = np.sum([np.sum(psi**2, axis=0) for psi in influences], axis=0)
+def _memory(sums: Sequence[tuple[Array, Array]]) -> Array:
+    """Return the first-order autoregression of each column (P,) from squares and products."""
+    below, above = np.sum(sums, axis=0)
     return np.asarray(np.clip(above / np.maximum(below, 1e-300), -_MOST_MEMORY, _MOST_MEMORY))
 
 
-def _bandwidth(white: Sequence[Array]) -> int:
+def _bandwidth(white: Sequence[tuple[Array, Array]], moments: Sequence[Moments]) -> int:
     """Return the bandwidth of Bartlett's kernel [rows] (Andrews 1991, eq. 6.2 and 6.4)."""
     rho = _memory(white)
     above = np.sum(4.0 * rho**2 * (1.0 - rho**2) ** 2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2))
     below = np.sum((1.0 - rho**2) ** 2 / (1.0 - rho) ** 4)
-    rows = np.mean([len(psi) for psi in white])
+    rows = np.mean([log.rows for log in moments])
     return int(np.ceil(1.1447 * (above / below * rows) ** (1.0 / 3.0)))
-
-
-def _bartlett(psi: Array, bandwidth: int) -> Array:
-    total = psi.T @ psi
-    for lag in range(1, min(bandwidth, len(psi) - 1) + 1):
-        product = psi[lag:].T @ psi[:-lag]
-        total += (1.0 - lag / (bandwidth + 1.0)) * (product + product.T)
-    return np.asarray(total)

@@ -6,7 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import qr
 
-from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance, left_out
+from hesr_model.inference.covariance import (
+    Covariance,
+    Part,
+    blocks_of_time,
+    covariance_of_parts,
+    left_out,
+)
 from hesr_model.support.arrays import Array, Integers, Mask
 
 _REWEIGHTINGS = 2
@@ -93,21 +99,32 @@ def solve_factors(
 def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers) -> Covariance:
     """Return the covariance from residuals summed by sample; `labels` are log numbers."""
     labels = blocks_of_time(labels)
-    size, logs = len(solution.x), int(np.max(labels)) + 1
-    gradients, hessians = np.zeros((len(labels), size)), np.zeros((logs, size, size))
-    weighted = [
-        (weight * block.matrix, weight * (block.target - block.matrix @ solution.x))
-        for block, weight in zip(blocks, solution.weights, strict=True)
-    ]
-    known = np.diag(solution.pull**2)
-    for block, (rows, _) in zip(blocks, weighted, strict=True):
+    hessian = sum(
+        (w**2 * b.matrix.T @ b.matrix for b, w in zip(blocks, solution.weights, strict=True)),
+        start=np.diag(solution.pull**2),
+    )
+    parts = parts_of_blocks(blocks, solution, labels, hessian)
+    return covariance_of_parts(
+        ("",) * len(hessian), lambda: parts, hessian, known=np.diag(solution.pull**2)
+    )
+
+
+def parts_of_blocks(
+    blocks: Sequence[Block], solution: Solution, labels: Integers, hessian: Array
+) -> list[Part]:
+    """Return gradients and Hessians of each log or block of time, given the `hessian` of all."""
+    gradients = np.zeros((len(labels), len(solution.x)))
+    found = np.unique(labels)
+    hessians = np.zeros((len(found), *hessian.shape))
+    for block, weight in zip(blocks, solution.weights, strict=True):
+        rows = weight * block.matrix
+        residual = weight * (block.target - block.matrix @ solution.x)
+        gradients[block.samples] += rows * left_out(rows, residual, hessian)[:, None]
         own = labels[block.samples]
-        for log in range(logs):
-            hessians[log] += rows[own == log].T @ rows[own == log]
-    whole = hessians.sum(axis=0) + known
-    for block, (rows, residual) in zip(blocks, weighted, strict=True):
-        gradients[block.samples] += rows * left_out(rows, residual, whole)[:, None]
-    return covariance(("",) * size, gradients, hessians, labels, known=known)
+        for k, log in enumerate(found):
+            hessians[k] += rows[own == log].T @ rows[own == log]
+    logs = zip(found.tolist(), hessians, strict=True)
+    return [Part(log, gradients[labels == log], own) for log, own in logs]
 
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask) -> Solution:

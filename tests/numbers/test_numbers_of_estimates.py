@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from joint_data import law
 from scipy.signal import lfilter
+from significance import long_run_of
 from unchanged import Unchanged
 
 from hesr_model.fitting import calibration, uncertainty
@@ -17,7 +18,6 @@ from hesr_model.inference.covariance import (
     blocks_of_time,
     covariance,
     left_out,
-    long_run,
     pooled,
 )
 from hesr_model.inference.deviation import deviations, trend
@@ -57,7 +57,7 @@ def test_a_covariance(logs: int, unchanged: Unchanged) -> None:
         "plain": plain, "factor": plain.factor, "matrix": plain.matrix,
         "errors": plain.standard_errors, "known": known, "of known": known.matrix,
         "mapped": known.mapped("de", np.array([[1.0, 0.1, 2.0], [0.0, 1.0, -50.0]])).matrix,
-        "sums": [m.tolist() for m in long_run(np.split(gradients, labels[-1] + 1)
+        "sums": [m.tolist() for m in long_run_of(np.split(gradients, labels[-1] + 1)
                                               if logs > 1 else [gradients])],
     })  # fmt: skip
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 from scipy.stats import t as student
+from significance import long_run_of
 
 from hesr_model.inference.covariance import (
     ENOUGH,
@@ -14,7 +15,6 @@ from hesr_model.inference.covariance import (
     blocks_of_time,
     covariance,
     left_out,
-    long_run,
     pooled,
 )
 
@@ -104,7 +104,7 @@ def test_few_influential_rows_widen_the_errors() -> None:
     gradients = np.tile([[1.0], [-1.0]], (5, 1))
     labels = np.repeat([0, 1], 5)
     found = covariance(("a",), gradients, [np.full((1, 1), 0.5)] * 2, labels).within[0, 0]
-    plain = float(np.sum(long_run([gradients[:5], gradients[5:]])))
+    plain = float(np.sum(long_run_of([gradients[:5], gradients[5:]])))
     assert found / plain == pytest.approx((student.ppf(0.975, 30.0) / norm.ppf(0.975)) ** 2)
 
 
@@ -139,5 +139,5 @@ def test_the_long_run_variance_of_a_known_process(memory: float) -> None:
     """Variance of the sum of n values of x[k] = a x[k-1] + noise is n / (1 - a)^2."""
     rng = np.random.default_rng(5)
     made = [lfilter([1.0], [1.0, -memory], rng.normal(size=(2000, 1)), axis=0) for _ in range(6)]
-    found = np.mean([part[0, 0] for part in long_run(made)])
+    found = np.mean([part[0, 0] for part in long_run_of(made)])
     assert found == pytest.approx(2000.0 / (1.0 - memory) ** 2, rel=0.25)
