@@ -16,6 +16,7 @@ from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.findings import Finding, log_findings
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import checked
+from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import Log, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
@@ -39,6 +40,8 @@ FmuArgs = PathArg | Sequence[PathArg]
 ResultArgs = PathArg | Sequence[PathArg]
 PerJoint = float | Sequence[float]
 """One number for each joint, or one for all."""
+
+MOST_CELLS, _CELL = 2**22, 8  # numbers of logs held in memory, and their size [B]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +87,23 @@ def robot_of(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     if found is None:
         raise ArgumentError("the logs do not name their robot; give 'robot'.")
     return model_of(found)
+
+
+def long_logs(logs: Sequence[LogArg], robot: RobotArg | None) -> list[LongLog]:
+    """Return all logs to be read in pieces, or none if they fit into memory together."""
+    sources = [log if isinstance(log, Log) else path_of(log, "a log") for log in logs]
+    cells = [
+        3 * log.q.size if isinstance(log, Log) else log.stat().st_size / _CELL
+        for log in sources
+        if isinstance(log, Log) or log.is_file()  # a missing file is refused by its reader
+    ]
+    own = robot or next((log.robot for log in sources if isinstance(log, Log) and log.robot), None)
+    if own is None or sum(cells) <= MOST_CELLS:
+        return []
+    known = model_of(own).description
+    if known.log.columns.q_link or known.log.sort:  # need all rows at once
+        return []
+    return [LongLog(source, known) for source in sources]
 
 
 def checked_logs(

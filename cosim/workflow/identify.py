@@ -73,7 +73,9 @@ def identify(
 
     Notes
     -----
-    Equations 5 to 7 of the paper; `method` paper is its section II.
+    Equations 5 to 7 of the paper; `method` paper is its section II. Logs of more than 4 million
+    numbers are read in pieces, with memory that does not grow with the rows, except with
+    `method` paper, `physical`, `friction` or `payload`; the checks then read eight pieces.
 
     Examples
     --------
@@ -91,11 +93,13 @@ def identify(
         body_of,
         checked_logs,
         listed,
+        long_logs,
         model_given,
         require_choice,
     )
     from hesr_model.findings import log_findings
     from hesr_model.health.fit_checks import check_body
+    from hesr_model.rigid_body.accumulation import identify_long
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
@@ -111,8 +115,11 @@ def identify(
         )
     if physical and friction is not None:
         raise ArgumentError("'physical' excludes 'friction'; give one of them.")
-    forward_logs = listed(logs)
-    read = checked_logs([*forward_logs, *listed(reversed_logs)], robot, accept, progress)
+    forward_logs, backward_logs = listed(logs), listed(reversed_logs)
+    plain = method == "stacked" and not physical and friction is None and payload is None
+    if longs := long_logs([*forward_logs, *backward_logs], robot) if plain else []:
+        forward_logs, backward_logs = [part for log in longs for part in log.stretches], []
+    read = checked_logs([*forward_logs, *backward_logs], robot, accept, progress)
     forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]
     progress("identifying", 0, 1)
     files = [*read.files, *_paths(payload, friction, rigid_body)]
@@ -125,6 +132,8 @@ def identify(
     elif friction is not None and rigid_body is not None:
         law, body = model_given(friction), body_of(rigid_body, (), read.robot)
         found = identify_again(forward, read.robot, body, law, reversed_logs=backward)
+    elif longs:
+        found = identify_long(longs, read.robot)
     else:
         found = identify_body(
             forward, read.robot, method=method, reversed_logs=backward, physical=physical

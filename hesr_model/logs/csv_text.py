@@ -10,6 +10,7 @@ import re
 import warnings
 import zlib
 from array import array
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -57,7 +58,13 @@ def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = Non
     _require_length(path, path.stat().st_size)
     content = _content(path) if content is None else content
     _require_length(path, len(content or b""))
-    return _table(_dialect(path, content, names))
+    return _joined(path, _chunks(_dialect(path, content, names)))
+
+
+def text_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
+    """Yield the tables of successive lines, up to `rows` each; raises LogError."""
+    text = _dialect(path, _content(path), names)
+    yield from (_joined(path, [chunk]) for chunk in _chunks(text, rows) if chunk.numbers)
 
 
 def _require_length(path: Path, length: int) -> None:
@@ -230,7 +237,15 @@ def _no_csv(path: Path) -> LogError:
     return LogError(f"{path}: cannot be read as CSV text.")
 
 
-def _table(text: _Text) -> LogTable:
+@dataclass(frozen=True, eq=False)
+class _Chunk:
+    names: list[str]
+    numbers: list[int]  # of the lines
+    cells: list[Any]  # by column
+    decimal: str
+
+
+def _chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
     try:
         with _as_text(text.path, text.content, newline="") as file:
             lines = _lines(file)
@@ -240,19 +255,27 @@ def _table(text: _Text) -> LogTable:
             if not names:
                 raise LogError(f"{text.path}: is empty; a log needs a header and rows of data.")
             require_columns(text.path, len(names))
-            columns, numbers = [Column() for _ in names], array("q")
+            yield _Chunk(names, [], [], text.decimal)
             below = enumerate(lines, start=text.data)
-            while chunk := list(islice(below, max(1, _CHUNK // len(names)))):
+            while chunk := list(islice(below, size or max(1, _CHUNK // len(names)))):
                 rows = {k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _MARKS}
-                found = _cells_of(rows, text, len(names)) if rows else ()
-                for column, cells in zip(columns, found, strict=bool(rows)):
-                    column.add(cells, len(numbers), text.decimal)
-                numbers.extend(rows)
+                if rows:
+                    found = list(_cells_of(rows, text, len(names)))
+                    yield _Chunk(names, list(rows), found, text.decimal)
     except (UnicodeDecodeError, csv.Error) as error:
         raise _no_csv(text.path) from error
-    arrays = [column.whole() for column in columns]
-    row = numbers.__getitem__
-    return LogTable(text.path, tuple(names), len(numbers), arrays.__getitem__, row=row)
+
+
+def _joined(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
+    numbers, names = array("q"), list[str]()
+    columns: dict[int, Column] = defaultdict(Column)
+    for chunk in chunks:
+        names = chunk.names
+        for k, cells in enumerate(chunk.cells):
+            columns[k].add(cells, len(numbers), chunk.decimal)
+        numbers.extend(chunk.numbers)
+    arrays = {k: column.whole() for k, column in columns.items()}
+    return LogTable(path, tuple(names), len(numbers), arrays.__getitem__, number=numbers)
 
 
 def _cells_of(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]:

@@ -31,7 +31,8 @@ class LogTable:
     """An open table file; messages on missing columns mention `others`.
 
     Columns (N,) of `arrays` hold integers, floats (NaN for empty cells), times or durations; a
-    `TextCell` replaces any other column. `row` is the row of a sample; a CSV's header is row 1.
+    `TextCell` replaces any other column. The lines of a CSV have a `number`, its header's is 1. A
+    piece of a file has rows `before` it and the `first` piece, whose first date is the origin.
     """
 
     path: Path
@@ -39,7 +40,9 @@ class LogTable:
     rows: int
     arrays: Callable[[int], Array | TextCell]
     others: tuple[str, ...] = ()
-    row: Callable[[int], int] = lambda index: index + 1
+    number: Sequence[int] = ()
+    before: int = 0
+    first: "LogTable | None" = None
 
     def __post_init__(self) -> None:
         if twice := [name for name, count in Counter(self.names).items() if count > 1]:
@@ -58,6 +61,10 @@ class LogTable:
             )
         return replace(self, names=tuple(names))
 
+    def row(self, index: int) -> int:
+        """Return the row of a sample in the file, from 1."""
+        return self.number[index] if self.number else self.before + index + 1
+
     @property
     def listing(self) -> str:
         """Columns of the file, for messages."""
@@ -70,6 +77,13 @@ class LogTable:
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
         """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one."""
+        stamps, unit = self._stamps(name, unit, missing)
+        first = stamps if self.first is None else self.first._stamps(name, unit, missing)[0]
+        known = first[np.isfinite(first)]
+        since = known[0] if len(known) and abs(float(known[0])) * unit > _SINCE_1970 else 0
+        return np.asarray((stamps - since) * unit, dtype=float)
+
+    def _stamps(self, name: str, unit: float, missing: bool) -> tuple[Any, float]:
         cells: Any = self._column(name)
         if _kind(cells) in "mM":
             unit = _UNITS[np.datetime_data(cells.dtype)[0]]
@@ -77,10 +91,7 @@ class LogTable:
             cells = np.where(empty, np.nan, cells) if empty.any() else cells
         # Nanoseconds since 1970 exceed the digits of a float: subtract before.
         whole = _kind(cells) in "iu"
-        stamps = cells if whole else self._floats(name, cells, missing=missing)
-        known = stamps[np.isfinite(stamps)]
-        since = known[0] if len(known) and abs(float(known[0])) * unit > _SINCE_1970 else 0
-        return np.asarray((stamps - since) * unit, dtype=float)
+        return (cells if whole else self._floats(name, cells, missing=missing)), unit
 
     def _column(self, name: str) -> Array | TextCell:
         if name not in self.names:

@@ -1,7 +1,7 @@
 """Robot logs, converted to SI and checked."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,9 @@ from hesr_model.support import frames, html
 from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
-_LONGEST_GAP = 10.0  # gap in usual steps; friction states are unknown after it
-_USUAL = 0.95  # share of the shortest steps, whose mean is usual
-_SHORTEST_PART = 1.0  # minimum duration of a part [s]
+LONGEST_GAP = 10.0  # gap in usual steps; friction states are unknown after it
+USUAL = 0.95  # share of the shortest steps, whose mean is usual
+SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
 _LEAST_TWIST, _MOST_TWIST = 1e-12, 0.1  # of a gear [rad], and over the joint's motion
@@ -99,8 +99,8 @@ class Log:
     def longest_step(self) -> float:
         """Step [s] above which there is a gap: ten usual steps."""
         steps = np.diff(self.t)
-        usual = steps[steps <= np.quantile(steps, _USUAL, method="lower")]
-        return _LONGEST_GAP * max(self.period, float(np.mean(usual)))
+        usual = steps[steps <= np.quantile(steps, USUAL, method="lower")]
+        return LONGEST_GAP * max(self.period, float(np.mean(usual)))
 
     @property
     def rate(self) -> float:
@@ -124,7 +124,12 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, ("t", "load", *self._signals), rows)
+        return some_rows(self, self.arrays, rows)
+
+    @property
+    def arrays(self) -> tuple[str, ...]:
+        """Names of the arrays along time."""
+        return ("t", *(("load",) if self.load is not None else ()), *self._signals)
 
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s.
@@ -138,12 +143,9 @@ class Log:
         if len(ends) == 2:
             return (self,)
         parts = [self.rows(slice(first, last)) for first, last in pairwise(ends)]
-        kept = tuple(part for part in parts if np.ptp(part.t) >= _SHORTEST_PART)
+        kept = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
         if not kept:
-            raise LogError(
-                f"{self.where}: its {len(parts) - 1} gaps of more than {self.longest_step:.4g} s, "
-                f"{_LONGEST_GAP:g} usual steps, leave no part of {_SHORTEST_PART:g} s."
-            )
+            raise without_parts(self.where, len(parts) - 1, self.longest_step)
         return kept
 
     @classmethod
@@ -171,11 +173,15 @@ class Log:
         path, robot = path_of(path, "a log"), description_of(robot)
         robot.require_one_per_joint()
         logged = format_of(path).read(path, robot)
-        samples = logged.arranged(
-            drop=robot.log.missing == "drop",
-            sort=robot.log.sort,
-            first=robot.log.duplicates == "first",
-        )
+        samples = logged.arranged(robot.log)
+        dropped = len(logged.t) - len(samples.t)
+        log = replace(cls.of(path, samples, robot), sha256=sha256(path), dropped=dropped)
+        require_steady_time(log, samples, robot)
+        return log
+
+    @classmethod
+    def of(cls, path: Path, samples: LogSamples, robot: RobotDescription) -> "Log":
+        """Convert samples of a file to SI; errors as `read`, but for time stamps."""
         units, n = robot.log.units, len(robot.joints)
         _require_reasonable(path, samples, robot.joints)
 
@@ -191,7 +197,7 @@ class Log:
         else:
             tau, load = robot.log.cylinder.forces(samples.effort)
         q = of_joints("q", samples.q)
-        log = cls(
+        return cls(
             name=path.stem,
             t=samples.t,
             q=q,
@@ -205,12 +211,8 @@ class Log:
             else samples.temperature - units.zero_of_temperature,
             q_link=_q_link(path, samples, q, robot),
             path=path,
-            sha256=sha256(path),
-            dropped=len(logged.t) - len(samples.t),
             robot=robot,
         )
-        _require_steady_time(log, samples, robot)
-        return log
 
     @property
     def _signals(self) -> dict[str, Array]:
@@ -264,6 +266,14 @@ def parts_of(logs: Iterable[Log]) -> list[Log]:
     return [part for log in logs for part in log.parts()]
 
 
+def without_parts(where: str, gaps: int, longest: float) -> LogError:
+    """Return the error of a log whose gaps of more than `longest` [s] leave nothing."""
+    return LogError(
+        f"{where}: its {gaps} gaps of more than {longest:.4g} s, {LONGEST_GAP:g} usual steps, "
+        f"leave no part of {SHORTEST_PART:g} s."
+    )
+
+
 def require_different(logs: Sequence[Log]) -> None:
     """Raise LogError if a log is given twice, as it would count double."""
     seen: dict[tuple[str, float, float], Log] = {}
@@ -279,10 +289,15 @@ def require_different(logs: Sequence[Log]) -> None:
 def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
     """Raise LogError if a joint moves in no log."""
     travel = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
+    require_travel(", ".join(log.where for log in logs), travel, joints)
+
+
+def require_travel(where: str, travel: Array, joints: Sequence[str]) -> None:
+    """Raise LogError if the `travel` (n,) [rad, m] of a joint is that of noise."""
     for joint, moved in zip(joints, travel, strict=True):
         if moved < _LEAST_TRAVEL:
             raise LogError(
-                f"{', '.join(log.where for log in logs)}: the position of joint '{joint}' is "
+                f"{where}: the position of joint '{joint}' is "
                 f"constant (it moves by {moved:.2g} rad); at least one log must move it."
             )
 
@@ -347,7 +362,8 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
         )
 
 
-def _require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription) -> None:
+def require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription) -> None:
+    """Raise LogError if time does not increase, or with another rate than the robot file's."""
     if len(log.t) < 2:
         raise LogError(f"{log.where}: has {len(log.t)} rows of data; at least 2 are needed.")
     steps = np.diff(log.t)

@@ -8,16 +8,15 @@ first.
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import count, pairwise
-from typing import Any
 
 import numpy as np
 
 from hesr_model.logs.phases import MOVING, near_reversals
 from hesr_model.logs.signals import Motion
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, joined
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
 
@@ -73,7 +72,7 @@ class Sample:
                 groups[-1].append(window)
             else:
                 groups.append([window])
-        return [_joined([window.motion for window in group]) for group in groups]
+        return [joined([w.motion for w in group], group[0].motion.columns) for group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
         t, n = motion.t, motion.q.shape[1]
@@ -95,7 +94,7 @@ class Sample:
                         if kind != "near" or code:
                             rows[joint, kind, int(code)] = int(k)
             # A view would keep the whole log in memory.
-            yield _joined([motion.rows(slice(first, last))]), rows
+            yield joined([motion.rows(slice(first, last))], motion.columns), rows
 
     def _shrink(self) -> None:
         if sum(len(window.motion.t) for window in self._windows) <= self._most:
@@ -129,11 +128,3 @@ class Sample:
 def _uniform(seed: int, log: str, t: float) -> float:
     digest = hashlib.sha256(f"{seed} {log} {float(t)!r}".encode()).digest()
     return (int.from_bytes(digest[:6], "big") + 0.5) / 2.0**48
-
-
-def _joined(motions: Sequence[Motion]) -> Motion:
-    first = motions[0]
-    whole: dict[str, Any] = {
-        name: np.concatenate([m.columns[name] for m in motions]) for name in first.columns
-    }
-    return replace(first, **whole)

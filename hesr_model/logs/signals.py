@@ -1,7 +1,7 @@
 """The smooth motion of a log."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -69,22 +69,16 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
             f"{log.where}: rows are missing for {np.max(np.diff(log.t)):.4g} s before row "
             f"{log.gaps[0] + 1} of its data; its 'parts()' can be used one by one."
         )
-    period = log.period
-    highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
-    if cutoff > highest:
-        raise LogError(
-            f"{log.where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
-            f"filter_cutoff can be at most {highest:.3g} Hz."
-        )
-    grid, padding = _grid(log.t, cutoff)
-    if len(grid) <= padding + 1:
-        raise LogError(
-            f"{log.where}: has {len(log.t)} rows; a low pass at {cutoff:g} Hz needs more than "
-            f"{padding + 1} at this rate."
-        )
-    position = zero_phase(log.t, log.q, cutoff)
-    velocity = position.derivative() if log.dq is None else zero_phase(log.t, log.dq, cutoff)
-    link = None if log.q_link is None else zero_phase(log.t, log.q_link, cutoff)
+    grid = Grid.of(log.t)
+    grid.require(log.where, len(log.t), cutoff)
+    return filtered(log, cutoff, grid)
+
+
+def filtered(log: Log, cutoff: float, grid: "Grid") -> Motion:
+    """Filter rows of a log without gaps on `grid`, unchecked."""
+    position = zero_phase(log.t, log.q, cutoff, grid)
+    velocity = position.derivative() if log.dq is None else zero_phase(log.t, log.dq, cutoff, grid)
+    link = None if log.q_link is None else zero_phase(log.t, log.q_link, cutoff, grid)
     return Motion(
         name=log.name,
         t=log.t,
@@ -102,24 +96,74 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
     )
 
 
-def zero_phase(t: Array, values: Array, cutoff: float) -> Any:
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Even time stamps `first` to `last` of those from `start` to `end` [s] in `steps` steps."""
+
+    period: float
+    start: float
+    end: float
+    steps: int
+    first: int
+    last: int
+
+    @classmethod
+    def of(cls, t: Array) -> "Grid":
+        """Return the grid over the time stamps t (N,) [s]."""
+        return cls.over(float(np.median(np.diff(t))), float(t[0]), float(t[-1]))
+
+    @classmethod
+    def over(cls, period: float, start: float, end: float) -> "Grid":
+        """Return the grid with steps of at most about a period [s]."""
+        steps = max(int(np.ceil((end - start) / period)), 1)
+        return cls(period=period, start=start, end=end, steps=steps, first=0, last=steps)
+
+    def between(self, first: float, last: float) -> "Grid":
+        """Return the stamps from `first` to `last` [s]."""
+        at = [(t - self.start) / (self.end - self.start) * self.steps for t in (first, last)]
+        return replace(self, first=int(np.ceil(at[0])), last=int(at[1]))
+
+    @property
+    def t(self) -> Array:
+        """Time stamps [s], with the digits of `np.linspace`."""
+        step = (self.end - self.start) / self.steps
+        t = np.arange(self.first, self.last + 1) * step + self.start
+        if self.last == self.steps:
+            t[-1] = self.end
+        return np.asarray(t)
+
+    def padding(self, cutoff: float) -> int:
+        """Return the number of mirrored rows for a low pass [Hz]."""
+        return int(np.ceil(_PADDING_PERIODS / (cutoff * self.period)))
+
+    def require(self, where: str, rows: int, cutoff: float) -> None:
+        """Raise LogError unless rows at this rate are enough for a low pass [Hz]."""
+        period, padding = self.period, self.padding(cutoff)
+        highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
+        if cutoff > highest:
+            raise LogError(
+                f"{where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
+                f"filter_cutoff can be at most {highest:.3g} Hz."
+            )
+        if self.steps <= padding:
+            raise LogError(
+                f"{where}: has {rows} rows; a low pass at {cutoff:g} Hz needs more than "
+                f"{padding + 1} at this rate."
+            )
+
+
+def zero_phase(t: Array, values: Array, cutoff: float, grid: Grid | None = None) -> Any:
     """Return the spline of low-passed values (N, ..) at t (N,) [s], for a `cutoff` [Hz]."""
     from scipy.interpolate import make_interp_spline
     from scipy.signal import butter, sosfiltfilt
 
-    grid, padding = _grid(t, cutoff)
-    sos = butter(_ORDER, cutoff, fs=(len(grid) - 1) / (grid[-1] - grid[0]), output="sos")
-    even = make_interp_spline(t, values, k=3)(grid)
+    grid = grid or Grid.of(t)
+    stamps, padding = grid.t, grid.padding(cutoff)
+    sos = butter(_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
+    even = make_interp_spline(t, values, k=3)(stamps)
     longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])
     found = sosfiltfilt(sos, longer, axis=0, padlen=0)[padding:-padding]
-    return make_interp_spline(grid, found, k=5)
-
-
-def _grid(t: Array, cutoff: float) -> tuple[Array, int]:
-    """Return even time stamps, and the number of mirrored rows."""
-    period = float(np.median(np.diff(t)))
-    steps = max(int(np.ceil((t[-1] - t[0]) / period)), 1)
-    return np.linspace(t[0], t[-1], steps + 1), int(np.ceil(_PADDING_PERIODS / (cutoff * period)))
+    return make_interp_spline(stamps, found, k=5)
 
 
 def measured_velocity(log: Log) -> Array:

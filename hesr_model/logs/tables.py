@@ -1,7 +1,7 @@
 """Tables of numbers in files that pandas and Arrow write."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.csv_text import Column, read_text
+from hesr_model.logs.csv_text import Column, read_text, text_pieces
 from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, require_columns
 from hesr_model.support.arrays import Array
 
 _CHUNK = 10_000  # rows written at once
+_BATCH = 2**16  # rows read at once
 _PARQUET, _FEATHER = {".parquet", ".pq"}, {".feather", ".arrow", ".ipc"}
 
 
@@ -28,7 +29,22 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     suffix = path.suffix.lower()
     if suffix not in _PARQUET | _FEATHER:
         return read_text(path, names)
-    data = _read_arrow(path, "Parquet" if suffix in _PARQUET else "Feather")
+    batches = list(_batches(path, "Parquet" if suffix in _PARQUET else "Feather"))
+    return _table(path, arrow().concat_tables(batches))
+
+
+def table_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
+    """Yield the tables of successive rows of such a file; raises LogError."""
+    require_content(path)
+    suffix = path.suffix.lower()
+    if suffix not in _PARQUET | _FEATHER:
+        yield from text_pieces(path, names, rows)
+        return
+    batches = _batches(path, "Parquet" if suffix in _PARQUET else "Feather", rows)
+    yield from (_table(path, data) for data in batches if data.num_rows)
+
+
+def _table(path: Path, data: Any) -> LogTable:
     return LogTable(path, tuple(data.column_names), data.num_rows, lambda k: _array(data.column(k)))
 
 
@@ -82,20 +98,26 @@ def _array(cells: Any) -> Array | TextCell:
     return column.whole()
 
 
-def _read_arrow(path: Path, kind: str) -> Any:
+def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
+    """Yield tables of up to `rows` rows, the first one maybe empty."""
     pa = arrow()
     try:
         if kind == "Parquet":
-            with pa.parquet.ParquetFile(path) as file:
+            with pa.parquet.ParquetFile(path, pre_buffer=False) as file:
                 _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
-                return file.read()
-        batches, rows = [], 0
+                yield file.schema_arrow.empty_table()
+                for batch in file.iter_batches(rows):
+                    yield pa.Table.from_batches([batch])
+            return
+        count = 0
         with pa.ipc.open_file(path) as file:
+            yield file.schema.empty_table()
             for k in range(file.num_record_batches):
-                batches.append(file.get_batch(k))
-                rows += batches[-1].num_rows
-                _require_size(path, rows, len(file.schema))
-            return pa.Table.from_batches(batches, file.schema)
+                batch = file.get_batch(k)
+                count += batch.num_rows
+                _require_size(path, count, len(file.schema))
+                for first in range(0, batch.num_rows, rows):
+                    yield pa.Table.from_batches([batch.slice(first, rows)])
     except LogError:
         raise
     except Exception as error:  # many kinds

@@ -1,18 +1,31 @@
 """Identification motion by motion, with bounded memory.
 
 Least squares needs only triangular factors (Golub and Van Loan, Matrix Computations, sec. 5.3 and
-6.5): the estimate is that of `identification.identify`, with a conservative covariance.
+6.5): the estimate is that of `identification.identify`. Its covariance needs the motions twice
+again; that of a sample of them is conservative.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from itertools import chain
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hesr_model.inference.covariance import BLOCKS, Covariance, Part, covariance_of_parts
+from hesr_model.logs.long_log import LongLog
+from hesr_model.logs.robot_log import require_travel
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import identification, observations
 from hesr_model.rigid_body.base_parameters import unknown_columns
-from hesr_model.rigid_body.least_squares import Block, Factor, covariance_of, solve_factors
+from hesr_model.rigid_body.least_squares import (
+    Block,
+    Factor,
+    Solution,
+    covariance_of,
+    parts_of_blocks,
+    solve_factors,
+)
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
@@ -54,8 +67,13 @@ class Streamed:
                 rows = zip(self._factors, blocks, strict=True)
                 self._factors = [factor.with_rows(block) for factor, block in rows]
 
-    def body(self, sample: Sequence[Motion], where: str) -> identification.RigidBody:
-        """Return the rigid body, its covariance from `sample`; raises FitError."""
+    def body(
+        self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
+    ) -> identification.RigidBody:
+        """Return the rigid body; raises FitError.
+
+        Its covariance is that of `motions`: a sample, or a function that returns all of them again.
+        """
         model, base, friction = self._model, self._base, self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         identification.require_speed(where, self._peaks, model)
@@ -64,7 +82,11 @@ class Streamed:
             loose = identification.loose_of(model, base, friction)
             solution = solve_factors(self._factors, scale=scale, weighted=True, loose=loose)
             identification.tell_ridge(where, solution)
-            covariance = covariance_of(self._blocks(sample), solution, observations.logs_of(sample))
+            if callable(motions):
+                covariance = self._covariance(motions, solution)
+            else:
+                blocks, labels = self._blocks(motions), observations.logs_of(motions)
+                covariance = covariance_of(blocks, solution, labels)
         return identification.body_of(
             solution,
             covariance,
@@ -80,3 +102,46 @@ class Streamed:
     def _blocks(self, motions: Sequence[Motion]) -> list[Block]:
         left = observations.without_known(motions, self._model)
         return observations.stacked(left, self._model, self._base, self._friction, self._used)
+
+    def _covariance(
+        self, motions: Callable[[], Iterable[Motion]], solution: Solution
+    ) -> Covariance:
+        known = np.diag(solution.pull**2)
+        weighted = zip(self._factors, solution.weights, strict=True)
+        rows = np.concatenate([weight * factor.triangle[:, :-1] for factor, weight in weighted])
+        whole = rows.T @ rows + known
+        parts = partial(self._parts, motions, solution, whole)
+        return covariance_of_parts(("",) * len(whole), parts, whole, known=known)
+
+    def _parts(
+        self, motions: Callable[[], Iterable[Motion]], solution: Solution, whole: Array
+    ) -> Iterator[Part]:
+        logs, row = list(self._logs), 0
+        for motion in motions():
+            for first in range(0, len(motion.t), identification.AT_ONCE):
+                some = motion.rows(slice(first, first + identification.AT_ONCE))
+                labels = (row + np.arange(len(some.t))) * BLOCKS // self.rows
+                if len(logs) > 1:
+                    labels = np.full(len(some.t), logs.index(motion.name))
+                yield from parts_of_blocks(self._blocks([some]), solution, labels, whole)
+                row += len(some.t)
+
+
+def identify_long(logs: Sequence[LongLog], model: Robot) -> identification.RigidBody:
+    """Identify as `identification.identify` by the stacked method, with bounded memory."""
+    names = dict.fromkeys(log.stretches[0].where for log in logs)
+    travel = np.max([log.travel for log in logs], axis=0)
+    require_travel(", ".join(names), travel, model.description.joints)
+
+    def motions() -> Iterator[Motion]:
+        return chain.from_iterable(log.motions() for log in logs)
+
+    slow = None
+    while True:
+        stream = Streamed(model, slow)
+        for motion in motions():
+            stream.add(motion)
+        if stream.fits:
+            break
+        slow = stream.slow
+    return stream.body(motions, "log " + ", ".join(log.stretches[0].name for log in logs))

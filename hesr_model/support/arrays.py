@@ -1,6 +1,6 @@
 """Types of arrays; shapes and units are documented with each variable."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -20,6 +20,14 @@ def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integ
     found = {name: getattr(record, name) for name in columns}
     some: Record = replace(whole, **{n: v[rows] for n, v in found.items() if v is not None})
     return some
+
+
+def joined(records: Sequence[Record], columns: Iterable[str]) -> Record:
+    """Return the first data class with its arrays `columns` followed by those of the others."""
+    first: Any = records[0]
+    parts = {name: [getattr(record, name) for record in records] for name in columns}
+    whole: Record = replace(first, **{n: np.concatenate(p) for n, p in parts.items()})
+    return whole
 
 
 def rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:

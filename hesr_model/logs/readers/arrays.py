@@ -1,13 +1,17 @@
 """Arrays in files, as columns along time; NumPy archives."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable, most_bytes, table_of
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
@@ -35,10 +39,14 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Array], time: str) -> LogTa
         if rows not in array.shape:
             others.append(f"{name} ({' x '.join(map(str, array.shape)) or '1'})")
             continue
-        flat = np.moveaxis(array, array.shape.index(rows), 0).reshape(rows, -1)
-        one = array.ndim == 1
-        columns |= {name if one else f"{name}{k}": x for k, x in enumerate(flat.T, start=1)}
+        columns |= _columns(name, np.moveaxis(array, array.shape.index(rows), 0))
     return table_of(path, columns, others)
+
+
+def _columns(name: str, array: Array) -> dict[str, Array]:
+    flat = array.reshape(len(array), -1)
+    one = array.ndim == 1
+    return {name if one else f"{name}{k}": x for k, x in enumerate(flat.T, start=1)}
 
 
 def numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
@@ -71,7 +79,11 @@ def load_arrays(path: Path) -> dict[str, Any]:
     except LogError:
         raise
     except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as NumPy arrays without objects.") from error
+        raise _unreadable(path) from error
+
+
+def _unreadable(path: Path) -> LogError:
+    return LogError(f"{path}: cannot be read as NumPy arrays without objects.")
 
 
 def load_table(path: Path, time: str = "t") -> LogTable:
@@ -81,6 +93,44 @@ def load_table(path: Path, time: str = "t") -> LogTable:
     return table_of_arrays(path, arrays, time)
 
 
+def _pieces(path: Path, _log: LogFormat, rows: int) -> Iterator[LogTable]:
+    """Yield tables of successive rows; none of arrays that are not stored row by row."""
+    require_content(path)
+    try:
+        with ExitStack() as files:
+            if path.suffix.lower() == ".npy":
+                opened: dict[str, Any] = {"": files.enter_context(path.open("rb"))}
+            else:
+                packed = files.enter_context(ZipFile(path))
+                names = [name.removesuffix(".npy") for name in packed.namelist()]
+                opened = {k: files.enter_context(packed.open(f"{k}.npy")) for k in names}
+            heads = {name: _head(file) for name, file in opened.items()}
+            longest = max((shape[0] for shape, *_ in heads.values() if shape), default=0)
+            kept = {name: head for name, head in heads.items() if head[0][:1] == (longest,)}
+            if any(fortran for _, fortran, _ in kept.values()):
+                return
+            for first in range(0, longest, rows):
+                columns: dict[str, Array] = {}
+                for name, (shape, _, kind) in kept.items():
+                    count = min(rows, longest - first)
+                    content = opened[name].read(count * kind.itemsize * math.prod(shape[1:]))
+                    one = [count, *(length for length in shape[1:] if length > 1)]
+                    array = np.frombuffer(content, kind).reshape(one)
+                    for inner, values in numeric(array, name or ("" if kind.names else "data")):
+                        columns |= _columns(inner, values)
+                yield table_of(path, columns, [name for name in heads if name not in kept])
+    except LogError:
+        raise
+    except Exception as error:  # many kinds
+        raise _unreadable(path) from error
+
+
+def _head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    npy = np.lib.format
+    old = npy.read_magic(file) == (1, 0)
+    return npy.read_array_header_1_0(file) if old else npy.read_array_header_2_0(file)
+
+
 FORMAT = table_format(
-    "NumPy file", {".npz", ".npy"}, lambda path, log: load_table(path, log.columns.t)
+    "NumPy file", {".npz", ".npy"}, lambda path, log: load_table(path, log.columns.t), _pieces
 )

@@ -1,8 +1,8 @@
 """Formats of log files, also of other packages (see `docs/add-a-log-format.md`)."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from hesr_model.logs.log_format import OPTIONAL, Columns, LogFormat, column_name
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.bag import is_bag, read_bag
 from hesr_model.logs.readers.samples import LogSamples
-from hesr_model.logs.tables import read_table
+from hesr_model.logs.tables import read_table, table_pieces
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
@@ -26,7 +26,8 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
     log, columns = robot.log, robot.log.columns
     drop = log.missing == "drop"
     if log.rate and columns.t not in table.names:
-        t, time = np.arange(table.rows) / log.rate, f"rate {log.rate:g} Hz"
+        t = (table.before + np.arange(table.rows)) / log.rate
+        time = f"rate {log.rate:g} Hz"
     else:
         t = table.times(columns.t, float(log.units.factors("t", 1)[0]), missing=drop)
         time = f"column '{columns.t}'"
@@ -101,6 +102,9 @@ def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
     )
 
 
+Pieces = Callable[[Path, LogFormat, int], Iterator[LogTable]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class FileFormat:
     """A kind of log file.
@@ -111,16 +115,21 @@ class FileFormat:
     recognises : whether a path is a file of this format.
     read : samples of a file, with the columns and units of the robot's description.
     table : named columns of a file, which `hesr inspect` can recognise; None for other formats.
+    pieces : tables of successive rows, of at most the given number; None if read as a whole.
     """
 
     name: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, RobotDescription], LogSamples]
     table: Callable[[Path, LogFormat], LogTable] | None = None
+    pieces: Pieces | None = None
 
 
 def table_format(
-    name: str, suffixes: Collection[str], table: Callable[[Path, LogFormat], LogTable]
+    name: str,
+    suffixes: Collection[str],
+    table: Callable[[Path, LogFormat], LogTable],
+    pieces: Pieces | None = None,
 ) -> FileFormat:
     """Return the format of tables with named columns in files of some suffixes, or of any."""
 
@@ -132,12 +141,27 @@ def table_format(
         recognises=lambda path: not suffixes or path.suffix.lower() in suffixes,
         read=lambda path, robot: samples_of(opened(path, robot.log), robot),
         table=opened,
+        pieces=pieces,
     )
 
 
 BAG = FileFormat(name="ROS bag", recognises=is_bag, read=read_bag)
-COLUMNS = table_format("table", (), lambda path, log: read_table(path, log.columns.names))
+COLUMNS = table_format(
+    "table",
+    (),
+    lambda path, log: read_table(path, log.columns.names),
+    lambda path, log, rows: table_pieces(path, log.columns.names, rows),
+)
 """Fallback for every file: CSV, Parquet and Feather."""
+
+
+def sample_pieces(path: Path, robot: RobotDescription, rows: int) -> Iterator[LogSamples]:
+    """Yield the samples of successive rows; none of a format that is read as a whole."""
+    first, before, pieces = None, 0, format_of(path).pieces
+    for piece in pieces(path, robot.log, rows) if pieces else ():
+        table = replace(piece.named(robot.log.columns.names), first=first, before=before)
+        yield samples_of(table, robot)
+        first, before = first or table, before + table.rows
 
 
 @cache

@@ -1,0 +1,179 @@
+"""Logs that are read in pieces, with memory that does not grow with the rows."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from hesr_model.logs.readers.formats import sample_pieces
+from hesr_model.logs.robot_log import (
+    LONGEST_GAP,
+    SHORTEST_PART,
+    USUAL,
+    Log,
+    require_steady_time,
+    without_parts,
+)
+from hesr_model.logs.signals import Grid, Motion, filtered
+from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.arrays import Array, joined
+from hesr_model.support.files import sha256
+
+ROWS = 2**14  # rows of a piece
+_DISTINCT, _DIGITS = 2**20, 2.0**16  # steps told apart; beyond, by this many digits
+_SETTLED = 10.0  # overlap in periods of the cut-off; transients decay to 1e-19
+_SPLINE = 100  # rows after which the ends of a spline do not matter
+_STRETCHES = 8  # most pieces kept for checks
+
+
+class Steps:
+    """Distinct time steps [s] of a log, and how often they occur."""
+
+    def __init__(self) -> None:
+        self.values: Array = np.empty(0)
+        self._counts: Array = np.empty(0)
+
+    def add(self, steps: Array) -> None:
+        """Add steps (N,)."""
+        counts = np.concatenate([self._counts, np.ones(len(steps))])
+        values = np.concatenate([self.values, steps])
+        if len(values) > _DISTINCT:
+            mantissa, exponent = np.frexp(values)
+            values = np.ldexp(np.rint(mantissa * _DIGITS) / _DIGITS, exponent)
+        self.values, places = np.unique(values, return_inverse=True)
+        self._counts = np.bincount(places, counts).astype(float)
+
+    def _at(self, *places: int) -> Array:
+        return self.values[np.searchsorted(np.cumsum(self._counts), places, side="right")]
+
+    @property
+    def period(self) -> float:
+        """Median [s]."""
+        count = int(self._counts.sum())
+        return float(np.mean(self._at((count - 1) // 2, count // 2)))
+
+    @property
+    def longest(self) -> float:
+        """Step [s] above which there is a gap, as `Log.longest_step`."""
+        (most,) = self._at(int(USUAL * (self._counts.sum() - 1)))
+        usual = self.values <= most
+        mean = np.average(self.values[usual], weights=self._counts[usual])
+        return LONGEST_GAP * max(self.period, float(mean))
+
+
+@dataclass(kw_only=True)
+class _Part:
+    """Rows `first` to `last` of a log, without gaps."""
+
+    first: int
+    start: float
+    last: int = 0
+    end: float = 0.0
+    steps: Steps = field(default_factory=Steps)
+
+    @property
+    def grid(self) -> Grid:
+        return Grid.over(self.steps.period, self.start, self.end)
+
+
+class LongLog:
+    """A log that is read in pieces of at most `rows` rows, several times; errors as `Log.read`.
+
+    Formats that cannot be read in pieces are held in memory.
+    """
+
+    def __init__(self, source: Log | Path, robot: RobotDescription, rows: int = ROWS) -> None:
+        robot.require_one_per_joint()
+        self._robot, self._rows, self._sha256 = robot, rows, ""
+        if isinstance(source, Path):
+            in_pieces = next(sample_pieces(source, robot, rows), None) is not None
+            self._sha256 = sha256(source)
+            source = source if in_pieces else Log.read(source, robot)
+        self._source = source
+        self.stretches: list[Log] = []
+        low, high, every = np.array(np.inf), np.array(-np.inf), 1
+        for k, log in enumerate(self._pieces()):
+            low, high = np.minimum(low, log.q.min(axis=0)), np.maximum(high, log.q.max(axis=0))
+            if k % every == 0 and (k == 0 or 2 * len(log.t) > rows):  # checks need many rows
+                self.stretches.append(log)
+            if len(self.stretches) > _STRETCHES:
+                self.stretches, every = self.stretches[::2], 2 * every
+        self.travel: Array = high - low
+        (whole,) = parts = self._split(np.inf)
+        longest = whole.steps.longest
+        if whole.steps.values[-1] > longest:
+            parts = self._split(longest)
+        self._parts = [p for p in parts if p is whole or p.end - p.start >= SHORTEST_PART]
+        if not self._parts:
+            raise without_parts(self.stretches[0].where, len(parts) - 1, longest)
+        for part in self._parts:
+            cutoff = robot.log.filter_cutoff
+            part.grid.require(self.stretches[0].where, part.last - part.first, cutoff)
+
+    def motions(self) -> Iterator[Motion]:
+        """Yield the smooth motion piece by piece, as `signals.smoothed` of the whole log."""
+        cutoff, parts = self._robot.log.filter_cutoff, list(self._parts)
+        held, done, at = None, 0, 0  # rows held from number `at`
+        for log in self._pieces():
+            held = joined([held, log], log.arrays) if held else log
+            there, margin = at + len(held.t), 0
+            while parts:
+                part, grid = parts[0], parts[0].grid
+                margin = int(np.ceil(_SETTLED / (cutoff * grid.period))) + _SPLINE
+                complete = there >= part.last
+                first, last = max(done, part.first), part.last if complete else there - margin
+                if last <= first:
+                    break
+                low, high = max(part.first, first - margin), min(part.last, last + margin)
+                window = held.rows(slice(low - at, high - at))
+                on = grid.between(window.t[0], window.t[-1])
+                yield filtered(window, cutoff, on).rows(slice(first - low, last - low))
+                done = last
+                if not complete:
+                    break
+                parts.pop(0)
+            keep = max(done - margin, at)
+            held, at = held.rows(slice(keep - at, None)), keep
+
+    def _split(self, longest: float) -> list[_Part]:
+        """Split the rows at steps above `longest` [s]."""
+        parts: list[_Part] = []
+        rows = 0
+        for log in self._pieces():
+            steps = np.diff(log.t, prepend=parts[-1].end if parts else log.t[0])
+            starts = {*np.flatnonzero(steps > longest).tolist(), *([] if parts else [0])}
+            for first, last in pairwise(sorted({0, *starts, len(log.t)})):
+                if new := first in starts:
+                    parts.append(_Part(first=rows + first, start=float(log.t[first])))
+                part = parts[-1]
+                part.steps.add(steps[first + new : last])
+                part.last, part.end = rows + last, float(log.t[last - 1])
+            rows += len(log.t)
+        return parts
+
+    def _pieces(self) -> Iterator[Log]:
+        if isinstance(source := self._source, Log):
+            for first in range(0, len(source.t), self._rows):
+                yield source.rows(slice(first, first + self._rows))
+            return
+        last: Log | None = None
+        for read in sample_pieces(source, self._robot, self._rows):
+            samples = read.arranged(self._robot.log, after=last.t[-1] if last else -np.inf)
+            if not len(samples.t):
+                continue
+            log = replace(Log.of(source, samples, self._robot), sha256=self._sha256)
+            log = replace(log, temperature=None, q_cmd=None, dq_cmd=None)
+            checked, place = log, samples.place
+            if last is not None:
+                checked = joined([last, log], log.arrays)
+                place = partial(_one_before, place)
+            require_steady_time(checked, replace(samples, place=place), self._robot)
+            last = log.rows(slice(-1, None))
+            yield log
+
+
+def _one_before(place: Callable[[int], str], k: int) -> str:
+    return place(k - 1)

@@ -1,0 +1,190 @@
+"""Logs that are read in pieces, against the same logs in memory."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from long_logs import long_table, write_robot
+
+import hesr
+from cosim.workflow import arguments
+from hesr_model.errors import LogError
+from hesr_model.logs import long_log
+from hesr_model.logs.long_log import LongLog, Steps
+from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import smoothed
+from hesr_model.logs.tables import arrow
+from hesr_model.rigid_body.accumulation import identify_long
+from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.robots.robot import Robot, RobotDescription
+
+KINDS = ["csv", "npz", "npy", "parquet", "feather"]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> RobotDescription:
+    return RobotDescription.read(write_robot(tmp_path, joints=2))
+
+
+def with_gap(robot: RobotDescription, folder: Path, rows: int) -> np.ndarray:
+    """Return a table with jitter of the stamps and a gap."""
+    table = long_table(folder / "robot.toml", rows)
+    table[:, 0] += np.random.default_rng(1).uniform(-2e-4, 2e-4, rows)
+    table[int(0.6 * rows) :, 0] += 2.0
+    return table
+
+
+def written(path: Path, table: np.ndarray) -> Path:
+    """Write a table in the format of the suffix."""
+    names = ["t", *(f"{what}{k}" for what in ("q", "dq", "tau") for k in (1, 2))]
+    columns = dict(zip(names, table.T, strict=True))
+    if path.suffix == ".csv":
+        np.savetxt(path, table, "%.17g", ",", header=",".join(names), comments="")
+    elif path.suffix == ".npz":
+        np.savez(path, **columns)
+    elif path.suffix == ".npy":
+        np.save(path, table)
+    elif path.suffix == ".parquet":
+        pytest.importorskip("pyarrow.parquet").write_table(arrow().table(columns), path)
+    else:
+        pytest.importorskip("pyarrow.feather").write_feather(arrow().table(columns), path)
+    return path
+
+
+def assert_same(found: RigidBody, expected: RigidBody) -> None:
+    for name in ("parameters", "standard_errors", "friction", "rmse", "condition", "ridge"):
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), rtol=1e-9, err_msg=name
+        )
+    assert found.covariance is not None
+    assert expected.covariance is not None
+    size = np.outer(expected.standard_errors, expected.standard_errors)
+    difference = found.covariance.matrix - expected.covariance.matrix
+    assert np.max(np.abs(difference) / size) < 1e-9
+    for name in ("base", "rows", "logs", "names", "method", "weighting"):
+        assert getattr(found, name) == getattr(expected, name), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_body_identified_in_pieces(kind: str, robot: RobotDescription, tmp_path: Path) -> None:
+    path = written(tmp_path / f"log.{kind}", with_gap(robot, tmp_path, 2500))
+    whole, model = Log.read(path, robot), Robot(robot)
+    log = LongLog(path, robot, rows=400)
+    motions, expected = list(log.motions()), smoothed([whole], model)
+    assert len(motions) > len(expected) == 2
+    for name in expected[0].columns:
+        found, own = (np.concatenate([getattr(m, name) for m in s]) for s in (motions, expected))
+        np.testing.assert_allclose(found, own, rtol=1e-9, atol=1e-12)
+    assert_same(identify_long([log], model), identify([whole], model))
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_six_joints_in_pieces(kind: str, tmp_path: Path) -> None:
+    robot = RobotDescription.read(write_robot(tmp_path, joints=6))
+    paths, model = [], Robot(robot)
+    for k in range(2):
+        log = Log.read(written_six(tmp_path, k), robot)
+        paths.append(tmp_path / f"log{k}.{kind}")
+        if kind == "csv":
+            log.write(paths[-1])
+        else:
+            np.savez(paths[-1], t=log.t, q=log.q, dq=log.dq, tau=log.tau)
+    whole = identify([Log.read(path, robot) for path in paths], model)
+    assert_same(identify_long([LongLog(path, robot, rows=3000) for path in paths], model), whole)
+
+
+def written_six(folder: Path, seed: int) -> Path:
+    path = folder / f"raw{seed}.npy"
+    np.save(path, long_table(folder / "robot.toml", 15_000 + 1000 * seed, seed))
+    return path
+
+
+def test_identify_reads_long_logs_in_pieces(
+    robot: RobotDescription, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [tmp_path / "one.npz", tmp_path / "two.csv"]
+    for k, path in enumerate(paths):
+        written(path, long_table(tmp_path / "robot.toml", 2000, seed=k))
+    file = tmp_path / "robot.toml"
+    expected = hesr.identify(paths, robot=file)
+    monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
+    monkeypatch.setattr(long_log, "ROWS", 500)
+    used: list[LongLog] = []
+    make = arguments.LongLog
+    monkeypatch.setattr(
+        arguments, "LongLog", lambda *given: used.append(make(*given, rows=500)) or used[-1]
+    )
+    found = hesr.identify(paths, robot=file)
+    assert [len(log.stretches) for log in used] == [4, 4]
+    assert_same(found, expected)
+    assert found.provenance == expected.provenance
+    from_memory = hesr.identify([Log.read(path, robot) for path in paths])
+    assert len(used) == 4
+    assert_same(from_memory, expected)
+
+
+def test_arrays_stored_by_column_are_read_as_a_whole(
+    robot: RobotDescription, tmp_path: Path
+) -> None:
+    table = long_table(tmp_path / "robot.toml", 1500)
+    np.save(tmp_path / "log.npy", np.asfortranarray(table))
+    log = LongLog(tmp_path / "log.npy", robot, rows=400)
+    np.testing.assert_array_equal(np.concatenate([m.t for m in log.motions()]), table[:, 0])
+    assert log.stretches[0].rows(slice(0, 3)).path == tmp_path / "log.npy"
+
+
+def test_dates_and_rates_go_on_from_piece_to_piece(tmp_path: Path) -> None:
+    file = write_robot(tmp_path, joints=2)
+    table = long_table(file, 1000)
+    dated = np.datetime64("2024-05-06T00:00:00", "us") + (1e6 * table[:, 0]).astype(int)
+    with (tmp_path / "dated.csv").open("w", encoding="utf-8") as log:
+        log.write("t,q1,q2,dq1,dq2,tau1,tau2\n")
+        for stamp, row in zip(dated, table, strict=True):
+            log.write(",".join([str(stamp), *map(repr, row[1:].tolist())]) + "\n")
+    robot = RobotDescription.read(file)
+    motions = LongLog(tmp_path / "dated.csv", robot, rows=300).motions()
+    np.testing.assert_allclose(np.concatenate([m.t for m in motions]), table[:, 0], atol=1e-9)
+    text = file.read_text(encoding="utf-8").replace("[log]\n", "[log]\nrate = 250.0\n")
+    file.write_text(text.replace("'t'", "'time'"), encoding="utf-8")
+    np.save(tmp_path / "even.npy", table)
+    motions = LongLog(tmp_path / "even.npy", RobotDescription.read(file), rows=300).motions()
+    np.testing.assert_allclose(np.concatenate([m.t for m in motions]), table[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.__setitem__((600, 0), t[599, 0]), r"row 602: time must increase"),
+        (lambda t: t.__setitem__((750, 3), np.nan), r"column 'dq1', row 752: an empty cell or NaN"),
+        (lambda t: t.__setitem__((slice(None), 2), 0.5), r"position of joint 'j2' is constant"),
+        (lambda t: t.__setitem__((slice(None), 0), 0.2 * np.arange(900)), r"filter_cutoff can be"),
+    ],
+)
+def test_errors_name_the_row_of_the_file(
+    change: Callable[[np.ndarray], None], message: str, robot: RobotDescription, tmp_path: Path
+) -> None:
+    table = long_table(tmp_path / "robot.toml", 900)
+    change(table)
+    path = written(tmp_path / "log.csv", table)
+    with pytest.raises(LogError, match=message):
+        identify_long([LongLog(path, robot, rows=300)], Robot(robot))
+
+
+def test_the_median_of_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.001, 0.003, 5000))
+    log = Log(name="log", t=t, q=t[:, None], dq=None, tau=t[:, None])
+
+    def steps() -> Steps:
+        found = Steps()
+        for part in np.array_split(np.diff(t), 7):
+            found.add(part)
+        return found
+
+    assert steps().period == log.period
+    assert steps().longest == pytest.approx(log.longest_step, rel=1e-12)
+    monkeypatch.setattr(long_log, "_DISTINCT", 1000)
+    assert steps().period == pytest.approx(log.period, rel=2e-5)
+    assert len(steps().values) < 4999
