@@ -138,11 +138,11 @@ def covariance(
     """
     own = np.sum(hessians, axis=0)
     whole = own if known is None else own + known
-    parts = [Part(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
+    parts = [Gradients(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
     return covariance_of_parts(names, lambda: parts, whole, known=known, carried=carried)
 
 
-class Part(NamedTuple):
+class Gradients(NamedTuple):
     """Gradients (N, P) of successive rows of a log, and their share (P, P) of the Hessian."""
 
     label: int
@@ -152,7 +152,7 @@ class Part(NamedTuple):
 
 def covariance_of_parts(
     names: Sequence[str],
-    parts: Callable[[], Iterable[Part]],
+    parts: Callable[[], Iterable[Gradients]],
     whole: Array,
     *,
     known: Array | None = None,

@@ -29,7 +29,7 @@ _SPLINE = 100  # rows after which the ends of a spline do not matter
 _STRETCHES = 8  # most pieces kept for checks
 
 
-class Steps:
+class StepCounts:
     """Distinct time steps [s] of a log, and how often they occur."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class _Part:
     start: float
     last: int = 0
     end: float = 0.0
-    steps: Steps = field(default_factory=Steps)
+    steps: StepCounts = field(default_factory=StepCounts)
 
     @property
     def grid(self) -> Grid:

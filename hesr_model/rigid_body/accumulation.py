@@ -12,7 +12,7 @@ from itertools import chain
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model.inference.covariance import BLOCKS, Covariance, Part, covariance_of_parts
+from hesr_model.inference.covariance import BLOCKS, Covariance, Gradients, covariance_of_parts
 from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import require_travel
 from hesr_model.logs.signals import Motion
@@ -115,7 +115,7 @@ class Streamed:
 
     def _parts(
         self, motions: Callable[[], Iterable[Motion]], solution: Solution, whole: Array
-    ) -> Iterator[Part]:
+    ) -> Iterator[Gradients]:
         logs, row = list(self._logs), 0
         for motion in motions():
             for first in range(0, len(motion.t), identification.AT_ONCE):

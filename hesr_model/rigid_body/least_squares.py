@@ -8,7 +8,7 @@ from scipy.linalg import qr
 
 from hesr_model.inference.covariance import (
     Covariance,
-    Part,
+    Gradients,
     blocks_of_time,
     covariance_of_parts,
     left_out,
@@ -111,7 +111,7 @@ def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers)
 
 def parts_of_blocks(
     blocks: Sequence[Block], solution: Solution, labels: Integers, hessian: Array
-) -> list[Part]:
+) -> list[Gradients]:
     """Return gradients and Hessians of each log or block of time, given the `hessian` of all."""
     gradients = np.zeros((len(labels), len(solution.x)))
     found = np.unique(labels)
@@ -124,7 +124,7 @@ def parts_of_blocks(
         for k, log in enumerate(found):
             hessians[k] += rows[own == log].T @ rows[own == log]
     logs = zip(found.tolist(), hessians, strict=True)
-    return [Part(log, gradients[labels == log], own) for log, own in logs]
+    return [Gradients(log, gradients[labels == log], own) for log, own in logs]
 
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask) -> Solution:

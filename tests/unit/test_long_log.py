@@ -11,7 +11,7 @@ import hesr
 from cosim.workflow import arguments
 from hesr_model.errors import LogError
 from hesr_model.logs import long_log
-from hesr_model.logs.long_log import LongLog, Steps
+from hesr_model.logs.long_log import LongLog, StepCounts
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import arrow
@@ -177,8 +177,8 @@ def test_the_median_of_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     t = np.cumsum(rng.uniform(0.001, 0.003, 5000))
     log = Log(name="log", t=t, q=t[:, None], dq=None, tau=t[:, None])
 
-    def steps() -> Steps:
-        found = Steps()
+    def steps() -> StepCounts:
+        found = StepCounts()
         for part in np.array_split(np.diff(t), 7):
             found.add(part)
         return found
