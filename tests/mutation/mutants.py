@@ -69,12 +69,12 @@ def mutant(path: Path, place: tuple[int, int], variant: Variant) -> Mutant:
     else:
         end = next(end for start, end, _ in _c_faults(text) if start == occurrence)
         changed = text[:occurrence] + name + text[end:]
-    pairs = [
-        (a.strip(), b.strip())
-        for a, b in zip(text.split("\n"), changed.split("\n"), strict=True)
-        if a != b
-    ]
-    before, after = (" ".join(lines) for lines in zip(*pairs, strict=True))
+    old, new = text.split("\n"), changed.split("\n")
+    while old[0] == new[0]:
+        del old[0], new[0]
+    while old[-1] == new[-1]:  # a loop over several lines becomes one line
+        del old[-1], new[-1]
+    before, after = (" ".join(map(str.strip, lines)) for lines in (old, new))
     return Mutant(place=place, before=before, after=after, text=changed)
 
 

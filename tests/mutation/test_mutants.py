@@ -56,6 +56,14 @@ def test_python_faults_are_generated(tmp_path: Path) -> None:
     assert {before for before, _ in found} == {line, "def f(a, *, b=True):"}
 
 
+def test_a_loop_over_several_lines_has_a_fault(tmp_path: Path) -> None:
+    mutants = pytest.importorskip("mutants", reason="needs hesr[mutation]")
+    path = tmp_path / "a.py"
+    path.write_text("for a in (\n    b,\n    c,\n):\n    print(a)\n", encoding="utf-8")
+    found = [mutants.mutant(path, p, v) for p, vs in mutants.variants(path).items() for v in vs]
+    assert [(m.before, m.after) for m in found] == [("for a in ( b, c, ):", "for a in []:")]
+
+
 def test_c_faults_are_generated(tmp_path: Path) -> None:
     found = changes("a.c", C, tmp_path)
     addition = "sum += fabs(a[i]) * 2.5; /* nor here: 1 + 1 */"
