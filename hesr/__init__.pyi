@@ -1,6 +1,6 @@
 from cosim.regressor import FrictionRegressor as FrictionRegressor
 from cosim.systems.signals import Signals as Signals
-from cosim.systems.system_file import System as System
+from cosim.systems.simulation import System as System
 from cosim.workflow.check import check as check
 from cosim.workflow.excite import excite as excite
 from cosim.workflow.export import export as export

@@ -12,9 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cosim.loop.closed_loop import ARM
-from cosim.loop.excite import recordings
+from cosim.loop.excite import recordings, twin_plant
 from cosim.loop.motions import Motions
-from cosim.loop.twin import twin_plant
 from cosim.study.study import Twin
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant

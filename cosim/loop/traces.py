@@ -1,5 +1,6 @@
-"""Results of the closed loop: tracking errors, and positions over time."""
+"""Results of the closed loop: tracking errors, positions over time, and its files."""
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,53 @@ import numpy as np
 from pydantic import Field
 
 from cosim.loop.closed_loop import Law, NamedScheme, Scheme
+from cosim.systems.system import SystemSpec, write_system
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.findings import Finding
 from hesr_model.logs.readers.arrays import load_arrays
 from hesr_model.logs.tables import arrow, write_table
+from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import written_whole
+from hesr_model.support.files import folder_written_whole, models_folder, written_whole
 from hesr_model.support.typed_json import Numbers, NumbersWithGaps
+
+_LOOPS = ("closed_loop.toml", "plant_loop.toml")
+_SCRIPT = "simulate.py"
+
+
+def complete_loops(folder: Path) -> None:
+    """Write the script that runs the loops in a folder, and their SSPs if that is possible."""
+    ssp = plugins.load("hesr.systems").get("ssp")
+    for path in _loops(folder):
+        if ssp:
+            ssp.load()(SystemSpec.read(path), path, path.with_suffix(".ssp"))
+        shutil.copyfile(models_folder() / "loop" / _SCRIPT, folder / _SCRIPT)
+
+
+def _loops(folder: Path) -> list[Path]:
+    return [path for name in _LOOPS if (path := folder / name).is_file()]
+
+
+def copy_loops(results: Path, output: Path) -> Path:
+    """Copy the loops of results with all their FMUs into a folder that needs nothing else."""
+    if not (loops := _loops(results)):
+        raise ArtifactError(
+            f"{results}: has no {_LOOPS[0]}; 'hesr run' writes it for a study with [twin] and "
+            "[tracking]."
+        )
+    with folder_written_whole(output) as folder:
+        (folder / "fmus").mkdir()
+        for path in loops:
+            spec = SystemSpec.read(path)
+            for fmu in (*(c.fmu for c in spec.components), *results.glob("fmus/Velocity.fmu")):
+                shutil.copyfile(fmu, folder / "fmus" / fmu.name)
+            own = tuple(
+                c.model_copy(update={"fmu": folder / "fmus" / c.fmu.name}) for c in spec.components
+            )
+            write_system(spec.model_copy(update={"components": own}), folder / path.name)
+        complete_loops(folder)
+    return output
+
 
 TRACES, FOLLOWING = "closed_loop.npz", "following.json"
 _Errors = tuple[float, ...]  # by joint

@@ -9,11 +9,10 @@ from statistics import geometric_mean
 from cosim.loop.closed_loop import StandIn
 from cosim.report.markup import Tables
 from cosim.report.results import AREAS, Results
+from cosim.report.tables.laws import most_passed, properties
 from cosim.report.tables.loop import outcome, tracking
-from cosim.report.tables.properties import most_passed, properties
 from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths, own_friction
-from cosim.report.tables.table import ResultTable, TableRow, fixed, row_of, title
-from cosim.report.tables.text import markdown
+from cosim.report.tables.table import ResultTable, TableRow, fixed, markdown, row_of, title
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.friction.registry import papers_law

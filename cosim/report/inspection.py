@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from cosim.report.figures.chart import Line
-from cosim.report.figures.motions import JointView, joints
-from cosim.report.figures.robot import picture
+from cosim.report.figures.motions import JointView, joints, picture
 from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import Pictures, Section, render, table, write_sections
-from cosim.report.tables.robot import robot_tables
+from cosim.report.tables.laws import robot_tables
 from cosim.report.tables.table import ResultTable, row_of
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from cosim.report.figures.zoom import can_zoom, unpacked, zoom_data
-from cosim.report.tables.table import ResultTable
-from cosim.report.tables.text import csv_text
+from cosim.report.tables.table import ResultTable, csv_text
 from fmu_src.pages.html import TEMPLATES, rendered
 from hesr_model.audit.properties import MARKS
 from hesr_model.support.files import written_whole

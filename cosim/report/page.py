@@ -14,7 +14,7 @@ from markupsafe import Markup
 from cosim.report.figures.zoom import can_zoom, library
 from cosim.report.markup import TABLES, Pictures, Section, Tables, render, write_sections
 from cosim.report.results import Results
-from cosim.report.sections import inputs, laws, loop, physics, prediction
+from cosim.report.sections import inputs, laws, prediction
 from cosim.report.sections.summary import summary
 from cosim.report.tables.table import ResultTable, row_of
 from cosim.study.results import record_files
@@ -57,13 +57,13 @@ SECTIONS = {
         Chapter("loops", "Friction loops", prediction.loops),
     ),
     ("loop", "Closed loop"): (
-        Chapter("tracking", "", loop.tracking),
-        Chapter("robustness", "Robustness", loop.robustness),
-        Chapter("following", "Following error of this robot", loop.following),
+        Chapter("tracking", "", prediction.tracking),
+        Chapter("robustness", "Robustness", prediction.robustness),
+        Chapter("following", "Following error of this robot", prediction.following),
     ),
     ("physics", "Physics checks"): (
-        Chapter("properties", "", physics.properties),
-        Chapter("audit", "Passivity audit", physics.audit),
+        Chapter("properties", "", laws.properties),
+        Chapter("audit", "Passivity audit", laws.audit),
     ),
     ("data", "Data checks"): (
         Chapter("logs", "", inputs.data),

@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cosim.loop.artefact import complete_loops
-from cosim.loop.traces import Following, LoopOutcome
+from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings

@@ -132,9 +132,8 @@ class Job:
             files = {name: parts[name].log if name in parts else name for name in names}
             return {name: self.path.parent / file for name, file in files.items()}
         # Load MuJoCo for a twin only.
-        from cosim.loop.excite import excite
+        from cosim.loop.excite import excite, export_twin, twin_plant
         from cosim.loop.motions import Motions
-        from cosim.loop.twin import export_twin, twin_plant
 
         self.progress("running the arm", 0, 1)
         motions = self.study.twin.motions
@@ -193,8 +192,8 @@ class Job:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None
+        from cosim.loop.excite import twin_plant
         from cosim.loop.run import run_loop
-        from cosim.loop.twin import twin_plant
 
         plant, signals = twin_plant(self.study.twin, self.path, folder)
         assert signals is not None  # `Study` requires them with `tracking`

@@ -241,7 +241,7 @@ def _write_loop(
     progress: Stages,
 ) -> None:
     """Write the closed loop of results, or of a study, which is run first."""
-    from cosim.loop.artefact import copy_loops
+    from cosim.loop.traces import copy_loops
     from cosim.study.run import run_study
     from cosim.study.study import Study
     from hesr_model.support.files import scratch_folder

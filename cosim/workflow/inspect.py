@@ -74,7 +74,7 @@ class Inspection(Answer):
 
         shown: list[ResultTable | str] = []
         if not self.proposal.logs:
-            from cosim.report.tables.robot import robot_tables
+            from cosim.report.tables.laws import robot_tables
             from hesr_model.robots.robot import Robot
 
             shown += robot_tables(Robot(self.proposal.robot))

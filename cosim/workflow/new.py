@@ -96,8 +96,7 @@ def new(
     >>> hesr.new("my_arm", "arm.xml").joints
     ('j1', 'j2', 'j3')
     """
-    from cosim.study.bench import Bench, start_bench
-    from cosim.study.starter import start, start_twin
+    from cosim.study.starter import Bench, start, start_bench, start_twin
     from cosim.workflow.arguments import joint_names, per_joint
     from hesr_model.support.files import path_of
 

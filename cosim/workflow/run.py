@@ -56,8 +56,8 @@ class RunResult(Answer):
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return body, scores, closed loop, physics checks, findings and cache use."""
-        from cosim.report.tables import loop, properties
-        from cosim.report.tables.laws import rigid_body
+        from cosim.report.tables import loop
+        from cosim.report.tables.laws import legend, properties, rigid_body
         from cosim.report.tables.scores import MEASURES, errors, left_out, other_truths, separations
         from cosim.study.scores import input_classes
 
@@ -77,7 +77,7 @@ class RunResult(Answer):
         follow = outcome.following
         shown += filter(None, [loop.following(follow, sliding) or loop.benefit(follow, sliding)])
         if outcome.properties:
-            shown += [properties.properties(outcome.properties), properties.legend(sliding)]
+            shown += [properties(outcome.properties), legend(sliding)]
         shown.append("Scores come from running these FMUs in FMPy:")
         shown += [f"  {fmu}" for fmu in outcome.fmus.values()]
         shown += [f"{f.severity}: {f.sentence} [{f.check}]" for f in self.findings]
@@ -202,7 +202,7 @@ def run(
     from cosim.study.results import read_findings
     from cosim.study.run import run_study, unfinished
     from cosim.study.study import Study
-    from cosim.workflow.jobs import find_job
+    from cosim.workflow.answer import find_job
     from hesr_model.friction.registry import laws_with
     from hesr_model.support import plugins
     from hesr_model.support.files import models_folder, path_of

@@ -98,8 +98,8 @@ def simulate(
     """
     from cosim.systems.simulation import Master
     from cosim.systems.system import opened_system
+    from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import remember_trust
-    from cosim.workflow.jobs import find_job
     from hesr_model.support.files import path_of, written_whole
 
     path = path_of(system, "a system")

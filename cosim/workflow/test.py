@@ -105,7 +105,7 @@ class LawReport(Answer):
         return shown
 
     def _property_tables(self) -> list[ResultTable | str]:
-        from cosim.report.tables import properties as tables
+        from cosim.report.tables import laws as tables
 
         if not self.properties:
             return []
@@ -208,8 +208,8 @@ def test(
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False
     """
+    from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import laws_of, listed, remember_trust, require_choice
-    from cosim.workflow.jobs import find_job
     from hesr_model.support import plugins
     from hesr_model.support.files import path_of
 

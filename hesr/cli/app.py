@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hesr.cli.console import answer_file, command_output, shown_progress
+from hesr.cli.console import (
+    MOVED,
+    answer_file,
+    command_output,
+    refuse,
+    require_environment,
+    shown_progress,
+)
 from hesr.cli.derive import Function, command
-from hesr.cli.errors import MOVED, refuse, require_environment
 from hesr_model.errors import ArgumentError, ConfigError
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import recorded
+from cosim.loop.excite import loaded_arm, recorded
 from cosim.loop.motions import FourierMotion, Motions
-from cosim.loop.twin import loaded_arm
 from cosim.study.scores import by_joint, predict_models
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import Recording, record
+from cosim.loop.excite import Recording, export_twin, loaded_arm, record, twin_plant
 from cosim.loop.motions import Motions
-from cosim.loop.twin import export_twin, loaded_arm, twin_plant
 from cosim.study.study import Twin
 from hesr.extras.excite.motion import PlannedMotion, moved
 from hesr.extras.excite.planner import Guard, MotionSettings, Planner

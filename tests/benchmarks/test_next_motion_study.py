@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from test_motion_study import LAWS, LIMITS, TRUTHS, Twins
 
-from cosim.loop.excite import record
-from cosim.loop.twin import loaded_arm
+from cosim.loop.excite import loaded_arm, record
 from hesr.extras.excite.planner import Guard, MotionSettings, Planner
 from hesr.extras.excite.sequel import MIXES, Knowledge, rows_of
 from hesr_model.fitting.fit import fit_models

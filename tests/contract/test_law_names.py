@@ -9,7 +9,13 @@ from hesr_model.friction.registry import laws_with, registry
 
 DEFAULTS = {
     "cosim/regressor.py": {"lugre"},  # default of `FrictionRegressor(law=..)`
-    "cosim/report/paper.py": {"lugre", "parfam_h", "parfam_v", "rbfnn_h", "stribeck"},  # its tables
+    "cosim/report/tables/loop.py": {
+        "lugre",
+        "parfam_h",
+        "parfam_v",
+        "rbfnn_h",
+        "stribeck",
+    },  # its tables
     "cosim/report/sections/prediction.py": {"rbfnn_h"},  # comparison with Fig. 5 of the paper
     "cosim/study/scores.py": {"lugre", "stribeck"},  # REFERENCE and BASELINE
     "hesr/extras/fleet/study.py": {"lugre"},  # default of the key `laws`

@@ -13,7 +13,7 @@ import pytest
 from small_study import Hesr, hesr_here
 
 from hesr.cli import app
-from hesr.cli.errors import MOVED
+from hesr.cli.console import MOVED
 
 CONTEXT = click.Context(app, info_name="hesr")
 COMMANDS = {name: app.get_command(CONTEXT, name) for name in app.list_commands(CONTEXT)}

@@ -17,9 +17,12 @@ from hesr.cli.console import (
     answer_file,
     command_output,
     ended_by_signals,
+    errors_said,
+    home_where_needed,
+    plain_where_needed,
+    refuse,
     shown_progress,
 )
-from hesr.cli.errors import errors_said, home_where_needed, plain_where_needed, refuse
 from hesr_model.errors import ConfigError
 from hesr_model.support.interrupts import Interrupted
 from hesr_model.support.typed_json import write_json

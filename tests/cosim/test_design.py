@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.loop.design import design
-from cosim.loop.excite import record
-from cosim.loop.twin import loaded_arm
+from cosim.loop.excite import loaded_arm, record
 from cosim.report.figures.motions import excitation
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError, FitError, RobotError

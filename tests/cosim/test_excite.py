@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import qr
 
-from cosim.loop.excite import excite, record, recordings
+from cosim.loop.excite import excite, loaded_arm, record, recordings
 from cosim.loop.motions import Motions
-from cosim.loop.twin import loaded_arm
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant, joint_limits
 from hesr_model.errors import ConfigError

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import Recording, record
+from cosim.loop.excite import Recording, TwinArm, loaded_arm, record
 from cosim.loop.feed_forward import feed_forward, predict_following
 from cosim.loop.traces import Following, FollowingError
-from cosim.loop.twin import TwinArm, loaded_arm
 from cosim.report.tables.loop import benefit
 from cosim.study.scores import by_joint
 from fmu_src.arm.plant import Plant

@@ -18,9 +18,8 @@ from small_fmus import LAGS
 from small_study import Hesr, hesr_here
 from test_cli_interrupts import started, wait_for
 
-from cosim.systems.simulation import Master
+from cosim.systems.simulation import Master, System
 from cosim.systems.system import SystemSpec
-from cosim.systems.system_file import System
 from fmu_src.check.run import check
 from fmu_src.run import sandbox_rights
 from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember

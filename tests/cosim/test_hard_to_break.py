@@ -16,8 +16,7 @@ import pytest
 from processes import COMMAND, assert_nothing_runs, started, wait_for
 from small_study import Hesr, contents, hesr_here, uf850, write_study
 
-from cosim.loop.excite import record
-from cosim.loop.twin import loaded_arm
+from cosim.loop.excite import loaded_arm, record
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.motions.trajectories import Sine

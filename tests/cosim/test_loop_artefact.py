@@ -21,8 +21,7 @@ from cosim.loop.closed_loop import Scheme
 from cosim.loop.loops import assemble
 from cosim.loop.run import on_plant, write_loops
 from cosim.study.study import Study
-from cosim.systems.simulation import Master
-from cosim.systems.system_file import System
+from cosim.systems.simulation import Master, System
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from fmu_src.plant.plant_fmu import PlantBody, export_plant

@@ -7,9 +7,8 @@ import pytest
 from fakes import Fake
 from pythonfmu.builder import FmuBuilder
 
-from cosim.systems.simulation import Master
+from cosim.systems.simulation import Master, System
 from cosim.systems.system import SystemSpec
-from cosim.systems.system_file import System
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import ExchangeScheme
 from hesr_model.errors import ConfigError, SimulationError

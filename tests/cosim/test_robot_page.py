@@ -8,8 +8,8 @@ import pytest
 from small_study import Hesr, hesr_here
 
 import hesr as api
-from cosim.report.figures.robot import picture
-from cosim.report.tables.robot import robot_tables
+from cosim.report.figures.motions import picture
+from cosim.report.tables.laws import robot_tables
 from hesr_model.errors import ArgumentError
 from hesr_model.robots.robot import Robot
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import record
-from cosim.loop.twin import loaded_arm
+from cosim.loop.excite import loaded_arm, record
 from fmu_src.arm.plant import Plant, servo_signals
 from fmu_src.arm.table import ArmSignals, ArmStart
 from hesr_model.logs.robot_log import Log

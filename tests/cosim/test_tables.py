@@ -11,7 +11,7 @@ from rich.console import Console
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.traces import Tracked
 from cosim.report.markup import table as page
-from cosim.report.tables import loop, properties, scores
+from cosim.report.tables import laws, loop, scores
 from cosim.report.tables.table import ResultTable, TableRow, number
 from cosim.report.tables.terminal import Drawn
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
@@ -136,11 +136,11 @@ def test_thirteen_experiments_are_split_into_two_blocks(monkeypatch: pytest.Monk
     """More than fit side by side; every figure has its mark."""
     last = EXPECTATIONS["coupling"]
     more = {f"own{k}": replace(last, key=f"own{k}", short=f"own{k}") for k in range(3)}
-    monkeypatch.setattr(properties, "EXPECTATIONS", EXPECTATIONS | more)
-    keys = list(properties.EXPECTATIONS)
-    table = properties.properties(dict.fromkeys(LAWS, findings(7, keys)))
+    monkeypatch.setattr(laws, "EXPECTATIONS", EXPECTATIONS | more)
+    keys = list(laws.EXPECTATIONS)
+    table = laws.properties(dict.fromkeys(LAWS, findings(7, keys)))
     text = terminal(table)
-    shorts = [e.short for e in properties.EXPECTATIONS.values()]
+    shorts = [e.short for e in laws.EXPECTATIONS.values()]
     heads = [line.split() for line in text.splitlines() if line.startswith("law ")]
     assert len(heads) > 1
     assert [name for head in heads for name in head[1:]] == shorts
@@ -156,7 +156,7 @@ def test_unavailable_results_are_stated_once_on_a_page() -> None:
     found = findings(3, list(EXPECTATIONS))
     none = PropertyResult(verdict="not applicable", reason="No states.")
     joints = tuple(replace(j, findings={**j.findings, "hold": none}) for j in found.joints)
-    table = properties.properties({"x": replace(found, joints=joints)})
+    table = laws.properties({"x": replace(found, joints=joints)})
     assert page(table).count(">n/a<") == 1
     assert terminal(table).count("n/a") == 3
 

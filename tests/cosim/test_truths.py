@@ -7,10 +7,10 @@ import pytest
 from significance import against
 from small_study import hesr_here, uf850, write_study
 
-from cosim.loop.twin import twin_plant
+from cosim.loop.excite import twin_plant
 from cosim.report.results import Results
 from cosim.report.tables.scores import leading, other_truths
-from cosim.report.tables.text import markdown
+from cosim.report.tables.table import markdown
 from cosim.study.run import score_study
 from cosim.study.scores import ORACLE
 from cosim.study.steps import Job

@@ -5,8 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from cosim.loop.excite import record
-from cosim.loop.twin import loaded_arm
+from cosim.loop.excite import loaded_arm, record
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import FitError
 from hesr_model.motions.trajectories import random_fourier

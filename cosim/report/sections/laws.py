@@ -1,4 +1,4 @@
-"""Equations (Table I), hysteresis state (Fig. 2), ablation and interactive plots of laws."""
+"""Equations (Table I), hysteresis state (Fig. 2), ablation, plots and physics of laws."""
 
 import json
 import re
@@ -14,13 +14,27 @@ from cosim.report.figures.chart import Line, Panel
 from cosim.report.figures.plots import sheets
 from cosim.report.figures.style import Stroke, strokes
 from cosim.report.results import Results
-from cosim.report.tables.table import ResultTable, TableCell, number, row_of, title
+from cosim.report.tables.laws import audit as audit_table
+from cosim.report.tables.laws import properties as properties_table
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    fixed,
+    number,
+    on_joints,
+    row_of,
+    title,
+)
 from cosim.study.scores import MEASURED_START, REFERENCE
 from fmu_src.friction.friction_component import exposed
+from fmu_src.pages.datasheet import certified
+from fmu_src.pages.datasheet import properties_section as sheet
 from fmu_src.pages.live import live_assets, live_section
 from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
 from fmu_src.run.archive import Archive
+from hesr_model.audit.cycles import ENCODER
+from hesr_model.audit.properties import combined
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -193,3 +207,71 @@ def _live_data(fmu: Path) -> dict[str, Any] | None:
         return None
     match = _DATA.search(page)
     return json.loads(match[1]) if match else None
+
+
+_ROUNDING = 1e-6  # energy of round-off [J]
+
+
+def audit(results: Results) -> dict[str, Any] | None:
+    """Return the figures of the audit of every law."""
+    if not (found := results.audits):
+        return None
+    energy = ResultTable(
+        caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "
+        f"rest [{results.unit('N.m')}]",
+        head=(
+            "law",
+            *(f"energy {short}" for short in results.joints),
+            *(f"chatter {short}" for short in results.joints),
+        ),
+        rows=[
+            row_of(
+                title(law),
+                *(
+                    TableCell(text="none", value=0.0)
+                    if a.generated < _ROUNDING
+                    else number(a.generated, 2)
+                    for a in of_law.audits
+                ),
+                *(fixed(a.chatter, 2) for a in of_law.audits),
+            )
+            for law, of_law in found.items()
+        ],
+    )
+    proofs = ResultTable(
+        caption="Passivity of each law and joint",
+        head=("law", "joint", "certificate"),
+        rows=[
+            row_of(title(law), joint, certified(c, slides=slides))
+            for law, of_law in found.items()
+            for joint, c, slides in zip(
+                results.joints, of_law.certificates, results.models[law].slides, strict=True
+            )
+        ],
+        numeric=False,
+    )
+    return {
+        "noise": f"{1e6 * ENCODER:.0f}",
+        "energy": energy,
+        "proofs": proofs,
+        "proven": sum(
+            all(c.verdict == "proven" for c in of_law.certificates) for of_law in found.values()
+        ),
+        "passive": sum(all(a.generated < _ROUNDING for a in of.audits) for of in found.values()),
+        "audits": [
+            (law, audit_table(law, of.audits, results.sliding)) for law, of in found.items()
+        ],
+    }
+
+
+def properties(results: Results) -> dict[str, Any] | None:
+    """Return the results of the checks, and plots of the recommended law."""
+    if not results.properties:
+        return None
+    laws = results.recommended
+    of_law = combined(on_joints(laws), results.properties, laws)
+    return {
+        "properties": properties_table(results.properties, full=True),
+        "law": on_joints(laws),
+        "sheet": of_law and Markup(sheet(of_law, sliding=results.sliding)),
+    }

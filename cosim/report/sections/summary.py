@@ -12,7 +12,7 @@ from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables import table
-from cosim.report.tables.properties import most_passed
+from cosim.report.tables.laws import most_passed
 from cosim.report.tables.scores import leading, ratio_notes
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio

@@ -1,20 +1,144 @@
-"""Tables of laws: the registry, audits, conventions and trained ranges."""
+"""Tables of robots, and of laws: registry, audits, conventions, ranges, physics checks."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from cosim.report.tables.table import ResultTable, fixed, joints, row_of, title
+import numpy as np
+
+from cosim.report.tables.table import ResultTable, TableCell, fixed, joints, row_of, title
 from hesr_model.audit.audit import Audit
+from hesr_model.audit.expectations import EXPECTATIONS, Expectation
+from hesr_model.audit.properties import Properties, PropertyResult
 from hesr_model.friction.inputs import INPUT_UNITS
 from hesr_model.friction.registry import registry
 from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.friction.trained_range import Excess
 from hesr_model.rigid_body.elasticity import ElasticGear
 from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.robots.robot import Robot
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 if TYPE_CHECKING:
     from fmu_src.check.convention import Convention
+
+_DIGITS = 4  # maximum length of a figure without its sign
+_LITTLE = 1e-4  # passing figures below this are shown as 0
+
+
+def properties(found: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
+    """Return figure and verdict of each joint, by law and check; `full` names checks."""
+    return ResultTable(
+        caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
+        head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
+        rows=[
+            row_of(title(name), *(_cell(of_law, e) for e in EXPECTATIONS.values()))
+            for name, of_law in found.items()
+        ],
+    )
+
+
+def most_passed(found: Mapping[str, Properties]) -> tuple[list[str], int]:
+    """Return the laws that pass the most checks on all joints, and the number of these."""
+    most = max(of_law.passed for of_law in found.values())
+    return [name for name, of_law in found.items() if of_law.passed == most], most
+
+
+def legend(sliding: Sequence[bool] = ()) -> ResultTable:
+    """Return the meaning of the columns of `properties`."""
+    rows = []
+    for e in EXPECTATIONS.values():
+        who = "; ".join(re.sub(r" \((\d+)\):.*", r" \1", s) for s in e.sources)
+        said = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({who})"
+        rows.append(row_of(e.short, said))
+    return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
+
+
+def reasons(found: Mapping[str, Properties]) -> ResultTable:
+    """Return reasons of failures and other remarks by law."""
+    rows = []
+    for name, of_law in found.items():
+        rows.append(row_of(title(name)))
+        for key, expectation in EXPECTATIONS.items():
+            by_reason: dict[str, list[str]] = {}
+            for short, joint in zip(joints(len(of_law.joints)), of_law.joints, strict=True):
+                if said := joint.findings[key].reason:
+                    by_reason.setdefault(said, []).append(short)
+            rows += [
+                row_of(expectation.short, " ".join(where), said)
+                for said, where in by_reason.items()
+            ]
+    return ResultTable(caption="Why", head=("property", "joint", "found"), rows=rows, numeric=False)
+
+
+def _cell(of_law: Properties, expectation: Expectation) -> TableCell:
+    found = [joint.findings[expectation.key] for joint in of_law.joints]
+    return TableCell(
+        text="\n".join(_figure(one, expectation) for one in found),
+        marks=tuple(one.verdict for one in found),
+    )
+
+
+def _figure(found: PropertyResult, expectation: Expectation) -> str:
+    value = found.figures[0].value if found.figures else None
+    if value is None or found.verdict not in ("pass", "fail"):
+        return ""
+    shown = expectation.factor * value
+    little = abs(shown) < _LITTLE and found.verdict == "pass"
+    return _short(0.0 if little else shown)
+
+
+def _short(value: float) -> str:
+    for digits in (3, 2, 1):
+        text = np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
+        if len(text.removeprefix("-")) <= _DIGITS:
+            return text
+    mantissa, exponent = f"{value:.0e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def robot_tables(robot: Robot) -> tuple[ResultTable, ResultTable]:
+    """Return the tables of a robot's joints and links."""
+    return _joints(robot), _links(robot)
+
+
+def _joints(robot: Robot) -> ResultTable:
+    low, high, speed = robot.limits
+    torque = np.where(robot.torque_limits > 0.0, robot.torque_limits, np.inf)
+    gears = robot.description.gear_ratio or (np.inf,) * robot.n
+    places = zip(robot.tree, robot.places(np.zeros(robot.n)), strict=True)
+    axes = {frame.name: rotation @ frame.axis for frame, (rotation, _) in places}
+    rows = []
+    for j, (name, slides) in enumerate(zip(robot.joints, robot.slides, strict=True)):
+        stated = np.isfinite([low[j], speed[j], torque[j]]).any()
+        rows.append(
+            row_of(
+                f"{name} [{unit_of_joint('rad', slides=slides)}]",
+                " ".join(f"{x:.3g}" for x in np.round(axes[name], 6) + 0.0),
+                f"{low[j]:.4g} to {high[j]:.4g}" if np.isfinite(low[j]) else "–",
+                *map(_stated, (speed[j], torque[j])),
+                robot.description.model.name if stated else "not stated",
+                _stated(gears[j]),
+            )
+        )
+    limits = ("position limits", "speed limit", "torque limit", "source of limits")
+    head = ("joint", "axis in the base at q = 0", *limits, "gear ratio")
+    return ResultTable(caption="Joints", head=head, rows=rows, words=(1, 2, 5))
+
+
+def _stated(value: float) -> str:
+    return f"{value:.4g}" if np.isfinite(value) else "–"
+
+
+def _links(robot: Robot) -> ResultTable:
+    rows = []
+    for frame, (mass, centre, inertia) in zip(robot.tree, robot.bodies, strict=True):
+        about = inertia[np.diag_indices(3)].tolist() + inertia[np.triu_indices(3, 1)].tolist()
+        rows.append(row_of(frame.name, *(f"{x:.4g}" for x in (mass, *centre, *about))))
+    inertias = (f"I{axes} in kg.m2" for axes in ("xx", "yy", "zz", "xy", "xz", "yz"))
+    head = ("link after joint", "mass in kg", *(f"{axis} in m" for axis in "xyz"), *inertias)
+    note = "Centre of mass in the frame of the joint, inertia about it; fixed parts are included."
+    return ResultTable(caption="Links", head=head, rows=rows, note=note)
 
 
 def laws() -> ResultTable:

@@ -68,8 +68,8 @@ def monitor(
     """
     from pathlib import Path
 
+    from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import body_of, checked_logs, listed, model_given
-    from cosim.workflow.jobs import find_job
     from hesr.extras.adaptive.monitor import watch
     from hesr.extras.adaptive.page import Monitoring, write_monitor
     from hesr_model.support.files import path_of

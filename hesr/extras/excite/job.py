@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.loop.excite import record
-from cosim.loop.twin import export_twin, loaded_arm, twin_plant
+from cosim.loop.excite import export_twin, loaded_arm, record, twin_plant
 from cosim.study.forecast import SUFFIX
 from cosim.study.study import Twin
 from cosim.workflow.answer import Written

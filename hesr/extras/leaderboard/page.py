@@ -5,7 +5,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from cosim.report.markup import Section, details, joined, paragraph, table, write_sections
-from cosim.report.tables.properties import legend, properties
+from cosim.report.tables.laws import legend, properties
 from hesr.extras.leaderboard import tables
 from hesr.extras.leaderboard.leaderboard import Leaderboard
 

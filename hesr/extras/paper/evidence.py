@@ -10,11 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from cosim.loop.closed_loop import PerJoint, Scheme, StandIn, Tracking
-from cosim.loop.excite import Recording, recordings
+from cosim.loop.excite import Recording, export_twin, recordings, twin_plant
 from cosim.loop.loops import assemble, build, motions, require_reachable
 from cosim.loop.motions import Motions
 from cosim.loop.traces import Tracked
-from cosim.loop.twin import export_twin, twin_plant
 from cosim.study.scores import LogRecords, predict_models, records_of, within
 from cosim.study.steps import Job
 from cosim.study.study import Study, Twin

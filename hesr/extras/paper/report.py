@@ -10,8 +10,16 @@ import numpy as np
 from cosim.loop.closed_loop import StandIn
 from cosim.report.markup import TABLES, Section, Tables, paragraph, table, write_sections
 from cosim.report.tables.scores import ratio_notes
-from cosim.report.tables.table import ResultTable, TableCell, fixed, joints, rounded, row_of, title
-from cosim.report.tables.text import markdown
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    fixed,
+    joints,
+    markdown,
+    rounded,
+    row_of,
+    title,
+)
 from cosim.study.scores import Ratio
 from fmu_src.pages.html import code_templates
 from hesr.extras.paper import measures

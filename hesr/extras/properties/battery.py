@@ -17,13 +17,11 @@ from fmu_src.friction.reference import UNKNOWN_SPEED
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.properties.bench import DriveBench, FrictionBench
-from hesr.extras.properties.break_away import breakaway, dither, hold
+from hesr.extras.properties.break_away import breakaway, dissipation, dither, hold, stick_slip
 from hesr.extras.properties.coupling import coupling
-from hesr.extras.properties.dissipation import dissipation
 from hesr.extras.properties.presliding import memory, presliding
 from hesr.extras.properties.scale import INERTIA, Scale, measure_scale, standing_inertia
 from hesr.extras.properties.sliding import chatter, lag, start, work
-from hesr.extras.properties.stick_slip import stick_slip
 from hesr_model.audit.audit import loads_of
 from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (

@@ -1,13 +1,138 @@
-"""Experiments driven by torque: break-away, and holding a load."""
+"""Experiments driven by torque: break-away, holding a load, stick-slip, dissipation."""
 
 import numpy as np
 
 from hesr.extras.properties.bench import DriveBench
-from hesr.extras.properties.findings import curve, judged, plot
-from hesr.extras.properties.scale import Scale
-from hesr_model.audit.expectations import FALLS, HELD
+from hesr.extras.properties.scale import CREEP, Scale, curve, figures, judged, plot
+from hesr_model.audit.expectations import FALLS, HELD, PASSIVE, WEAKENING
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array
+
+AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: pre-sliding, half the level, sliding
+FREQUENCY = 1.0  # [Hz] of the torque; the load has twice as much
+PHASES = (0.5 * np.pi, 1.5 * np.pi)  # load phase [rad]
+_INNER_STEP = 4e-3  # [s] communication and inner step: rows contain all work
+_ROWS = round(1.0 / (FREQUENCY * _INNER_STEP))  # per cycle
+_CYCLES, _MEASURED = 10, 4
+_SPRING = 20.0  # stretch at the friction level, in deflections
+
+
+def dissipation(
+    bench: DriveBench, scale: Scale, peaks: Array, loaded: Array
+) -> list[PropertyResult]:
+    """Drive spring-held joints back and forth and sum up the work of their friction.
+
+    The load of `loaded` (n,) laws moves between 0 and `peaks` (n,) [N.m].
+    """
+    angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
+    dt = np.full(len(angle), _INNER_STEP)
+    worst = np.full(bench.joints, -np.inf)
+    shown: list[tuple[Array, Array]] = [(np.empty(0), np.empty(0))] * bench.joints
+    at = np.zeros(bench.joints)
+    for share in AMPLITUDES:
+        for phase in PHASES[: 2 if loaded.any() else 1]:
+            load = 0.5 * peaks * (1.0 + np.cos(2.0 * angle + phase))[:, None]
+            load = np.where(loaded, load, scale.load)
+            torque = scale.offset + share * np.sin(angle)[:, None] * scale.level
+            bench.start(
+                load=load[-1],
+                torque=scale.offset,
+                stiffness=scale.level / (_SPRING * scale.deflection),
+                substep=_INNER_STEP,
+            )
+            q, dq, tau = (
+                part[-_MEASURED * _ROWS :] for part in bench.run(dt, torque=torque, load=load)
+            )
+            # An offset does no work over a closed cycle.
+            given = -((tau - scale.offset) * dq).sum(axis=0) * _INNER_STEP / _MEASURED
+            given = np.where(np.isfinite(given), given, np.inf)
+            for j in np.flatnonzero(given > worst):
+                worst[j], at[j] = given[j], share
+                shown[j] = (q[-_ROWS:, j] - bench.places[j], tau[-_ROWS:, j])
+    return [_given(float(worst[j]), float(at[j]), *shown[j]) for j in range(bench.joints)]
+
+
+def _given(given: float, share: float, q: Array, tau: Array) -> PropertyResult:
+    said = f"Under a torque of {share:g} levels it generates {given:.3g} J per cycle."
+    return judged(
+        ("most energy given in a cycle", max(0.0, given), "J"),
+        ("amplitude of the torque, of the level", share, "1"),
+        wrong=[said] if given > PASSIVE else [],
+        plot=plot("position", "torque", curve("", 1e3 * q, tau, closed=True)),
+    )
+
+
+STRETCH = 0.2  # [rad] at the friction level
+_TIMES = 6.0  # run time in stretching times
+_STEP = 1e-2  # [s]
+_FASTEST = 0.2  # end of the examined curve, in trained speeds
+_NO_WEAKENING = 1e-3  # fall in levels; up to WEAKENING both outcomes are right
+_STICKS, _SLIPS = 0.1, 1.5  # shares of the pulling speed
+_LASTS = 0.8  # ratio of the last two quarters' amplitudes
+
+
+def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
+    """Pull the joints by springs at the speed where their steady curve falls most."""
+    pulls, falls = zip(*(_weakest(scale, j) for j in range(bench.joints)), strict=True)
+    pull = np.array(pulls)
+    seconds = _TIMES * STRETCH / float(np.min(pull))
+    bench.start(load=scale.load, torque=scale.offset, stiffness=scale.level / STRETCH)
+    rows = int(np.ceil(seconds / _STEP))
+    ahead = 0.5 * STRETCH
+    t = _STEP * np.arange(1, rows + 1, dtype=float)
+    link = bench.places + ahead + pull * t[:, None]
+    q, dq, _ = bench.run(np.full(rows, _STEP), link=link)
+    stretch = link - q
+    return [
+        _pulled(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
+        for j in range(bench.joints)
+    ]
+
+
+def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
+    """Return the speed of steepest fall of the steady curve [rad/s] and its fall."""
+    speeds = scale.speed[joint] * np.geomspace(CREEP, _FASTEST, 100)
+    torque = np.interp(speeds, scale.speeds[:, joint], scale.steady[:, joint])
+    fallen = np.max(np.maximum.accumulate(torque) - torque) / scale.level[joint]
+    slope = np.gradient(torque, speeds)
+    steepest = int(np.argmin(slope))
+    return float(speeds[steepest if slope[steepest] < 0.0 else 0]), float(fallen)
+
+
+def _pulled(
+    t: Array, stretch: Array, dq: Array, pull: float, falls: float, drives: bool
+) -> PropertyResult:
+    half, quarter = len(t) // 2, 3 * len(t) // 4
+    before, last = (float(np.ptp(part)) for part in (stretch[half:quarter], stretch[quarter:]))
+    slow, fast = float(np.min(dq[half:])), float(np.max(dq[half:]))
+    cycles = slow < _STICKS * pull and fast > _SLIPS * pull and last >= _LASTS * before
+    begins = t[half + 1 :][(dq[half:-1] <= pull) & (dq[half + 1 :] > pull)]
+    period = float(np.mean(np.diff(begins))) if cycles and len(begins) > 1 else None
+    weak, flat = falls >= WEAKENING, falls <= _NO_WEAKENING
+    does = (
+        f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
+        if cycles
+        else "It ends in steady sliding"
+    )
+    if drives:
+        right, why = False, "its steady friction drives at low speed"
+    elif weak or flat:
+        right = cycles == weak
+        why = f"its steady curve falls by {falls:.1%} of the level"
+    else:
+        right, why = True, f"its steady curve falls by only {falls:.1%}, so both are allowed"
+    return PropertyResult(
+        verdict="pass" if right else "fail",
+        figures=figures(
+            ("amplitude of the limit cycle", 0.5 * last if cycles else 0.0, "rad"),
+            ("period of the limit cycle", period, "s"),
+            ("pulling speed", pull, "rad/s"),
+            ("fall of the steady curve, of the level", falls, "1"),
+        ),
+        reason=f"{does}; {why}.",
+        plot=plot("time", "stretch", curve("", t, 1e3 * stretch, most=160)),
+    )
+
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)  # [s] up to the friction level
 LOAD = 0.5  # held load in friction levels

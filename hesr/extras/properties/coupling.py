@@ -3,8 +3,7 @@
 import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
-from hesr.extras.properties.findings import curve, figures, plot
-from hesr.extras.properties.scale import SLIDING, Scale
+from hesr.extras.properties.scale import SLIDING, Scale, curve, figures, plot
 from hesr_model.audit.expectations import STEP
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.errors import SimulationError

@@ -6,8 +6,7 @@ from functools import partial
 import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
-from hesr.extras.properties.findings import curve, judged, plot
-from hesr.extras.properties.scale import Scale
+from hesr.extras.properties.scale import Scale, curve, judged, plot
 from hesr_model.audit.expectations import CLOSED, INNER, RATE, SMOOTH
 from hesr_model.audit.properties import PropertyResult
 from hesr_model.support.arrays import Array

@@ -3,8 +3,7 @@
 import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
-from hesr.extras.properties.findings import curve, judged, plot
-from hesr.extras.properties.scale import Scale
+from hesr.extras.properties.scale import Scale, curve, judged, plot
 from hesr_model.audit.attack import loaded_motions
 from hesr_model.audit.cycles import (
     AMPLITUDES,

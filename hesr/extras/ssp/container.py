@@ -26,8 +26,7 @@ from fmu_src.run.fmu import is_ours, remember
 from fmu_src.run.master import Element
 from fmu_src.run.reference_results import Stimuli, result_files
 from hesr.extras.ssp.container_description import Exposed, exposed_variables, to_description
-from hesr.extras.ssp.contents import SystemContents, read_contents
-from hesr.extras.ssp.markup import text_of
+from hesr.extras.ssp.contents import SystemContents, read_contents, text_of
 from hesr_model.errors import ConfigError, ExportError
 from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder

@@ -9,8 +9,7 @@ from xml.etree import ElementTree as ET
 
 from fmu_src.export.description import to_bytes
 from fmu_src.run.master import Element
-from hesr.extras.ssp.contents import SystemContents, UnitExponents
-from hesr.extras.ssp.markup import add_units, text_of
+from hesr.extras.ssp.contents import SystemContents, UnitExponents, add_units, text_of
 
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
 _STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*", re.ASCII)

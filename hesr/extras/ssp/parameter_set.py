@@ -18,7 +18,7 @@ from fmu_src.export.description import si_exponents, to_bytes
 from fmu_src.friction.friction_component import exposed, place, scales
 from fmu_src.friction.validity import require_numbers
 from fmu_src.run.variables import SI
-from hesr.extras.ssp.markup import NAMESPACES, add_units
+from hesr.extras.ssp.contents import NAMESPACES, add_units
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole

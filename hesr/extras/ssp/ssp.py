@@ -13,8 +13,16 @@ from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.export.description import to_bytes
 from fmu_src.export.package import zip_members
 from fmu_src.run.master import Element
-from hesr.extras.ssp.contents import SystemContents, UnitExponents, read_contents
-from hesr.extras.ssp.markup import NAMESPACES, SSD, Version, add_units, text_of
+from hesr.extras.ssp.contents import (
+    NAMESPACES,
+    SSD,
+    SystemContents,
+    UnitExponents,
+    Version,
+    add_units,
+    read_contents,
+    text_of,
+)
 from hesr.extras.ssp.ssp_results import result_files
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole

@@ -11,7 +11,7 @@ from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
 from fmu_src.run.variables import Variables, model_description
-from hesr.extras.ssp.markup import SSD
+from hesr.extras.ssp.contents import SSD
 from hesr.extras.ssp.ssp_reader import UnsupportedError, opened_ssp
 from hesr_model.errors import HesrError
 from hesr_model.findings import errors_first

@@ -1,15 +1,49 @@
-"""Connectors of nested systems in an SSP: sources of inputs, conversions, targets of parameters."""
+"""Connectors of nested systems in an SSP: sources, conversions, parameters, names."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, count
 from math import isfinite, nan
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from cosim.systems.system import Conversion
+from pydantic import TypeAdapter, ValidationError
+
+from cosim.systems.system import Conversion, Name
 from fmu_src.run.variables import SI, Variables
 from hesr.extras.ssp.contents import UnitExponents
 from hesr_model.errors import ConfigError, SimulationError
+
+_NAME: TypeAdapter[str] = TypeAdapter(Name)
+
+
+def safe_names(names: Iterable[str]) -> dict[str, str]:
+    """Map names of components to unique names that a system allows.
+
+    Other characters become `_`; colliding names get a number.
+    """
+    names = list(dict.fromkeys(names))
+    found = {name: name for name in names if _allowed(name)}
+    taken = set(found)
+    for name in names:
+        if name in found:
+            continue
+        plain = re.sub(r"[^0-9A-Za-z_]", "_", name)
+        plain = plain if _allowed(plain) else f"_{plain}"
+        numbered = (f"{plain}_{k}" for k in count(2))
+        found[name] = next(n for n in chain([plain], numbered) if n not in taken)
+        taken.add(found[name])
+    return found
+
+
+def _allowed(name: str) -> bool:
+    try:
+        _NAME.validate_python(name)
+    except ValidationError:
+        return False
+    return True
+
 
 TRUE = ("true", "1")
 

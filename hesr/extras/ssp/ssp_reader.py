@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 from cosim.systems.system import Conversion, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables, model_description
-from hesr.extras.ssp.markup import NAMESPACES, SSD, read_units
+from hesr.extras.ssp.contents import NAMESPACES, SSD, read_units
 from hesr.extras.ssp.ssp_graph import (
     TRUE,
     ConnectorGraph,
@@ -25,10 +25,10 @@ from hesr.extras.ssp.ssp_graph import (
     between,
     in_unit_of,
     number,
+    safe_names,
     shown,
     transformation_of,
 )
-from hesr.extras.ssp.ssp_names import safe_names
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.files import scratch_folder
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from cosim.loop.excite import Recording, recorded, recordings
+from cosim.loop.excite import Recording, export_twin, loaded_arm, recorded, recordings, twin_plant
 from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
-from cosim.loop.twin import export_twin, loaded_arm, twin_plant
 from cosim.study import scores
 from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, by_joint

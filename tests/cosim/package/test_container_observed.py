@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from fmpy.model_description import read_model_description
 
+from cosim.systems.simulation import System
 from cosim.systems.system import SystemSpec
-from cosim.systems.system_file import System
 from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.ssp.container import write_container

@@ -10,14 +10,12 @@ import pytest
 from fakes import description, variable
 from small_study import Hesr
 
+from cosim.systems.simulation import System
 from cosim.systems.system import SystemSpec, opened_system
-from cosim.systems.system_file import System
 from fmu_src.run.variables import SI, Variables
-from hesr.extras.ssp.contents import read_contents
-from hesr.extras.ssp.markup import SSD
+from hesr.extras.ssp.contents import SSD, read_contents
 from hesr.extras.ssp.ssp import write_ssp
-from hesr.extras.ssp.ssp_graph import Unit, in_unit_of
-from hesr.extras.ssp.ssp_names import safe_names
+from hesr.extras.ssp.ssp_graph import Unit, in_unit_of, safe_names
 from hesr_model.errors import ConfigError
 
 Write = Callable[..., Path]

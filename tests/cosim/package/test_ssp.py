@@ -14,10 +14,9 @@ from fmpy.ssp.ssd import Parameter, ParameterSet, read_ssd
 from lxml import etree
 from small_study import Hesr
 
+from cosim.systems.simulation import System
 from cosim.systems.system import SystemSpec, opened_system
-from cosim.systems.system_file import System
-from hesr.extras.ssp.contents import SystemContents, read_contents
-from hesr.extras.ssp.markup import Version
+from hesr.extras.ssp.contents import SystemContents, Version, read_contents
 from hesr.extras.ssp.ssp import write_ssp
 
 Write = Callable[..., Path]

@@ -13,8 +13,7 @@ from click.testing import CliRunner
 
 from cosim.report.digest import file_name, short, write_digest
 from cosim.report.results import Results
-from cosim.report.tables.table import ResultTable, TableCell, TableRow, title
-from cosim.report.tables.text import markdown
+from cosim.report.tables.table import ResultTable, TableCell, TableRow, markdown, title
 from hesr.cli import app
 from hesr_model.errors import ArtifactError
 

@@ -14,10 +14,17 @@ from rich.console import Console
 
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.traces import LoopOutcome, Overcompensation, Tracked
-from cosim.report.tables import laws, loop, properties, scores
-from cosim.report.tables.table import ResultTable, decimals, fixed, number, row_of
+from cosim.report.tables import laws, loop, scores
+from cosim.report.tables.table import (
+    ResultTable,
+    csv_text,
+    decimals,
+    fixed,
+    markdown,
+    number,
+    row_of,
+)
 from cosim.report.tables.terminal import Drawn
-from cosim.report.tables.text import csv_text, markdown
 from cosim.study.position_errors import PositionErrors
 from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
@@ -191,8 +198,8 @@ def test_physics_checks(recorded: Recorded) -> None:
     }
     recorded(
         [
-            properties.properties(found), properties.properties(found, full=True),
-            properties.legend((False, True)), properties.reasons(found),
+            laws.properties(found), laws.properties(found, full=True),
+            laws.legend((False, True)), laws.reasons(found),
         ]
     )  # fmt: skip
 

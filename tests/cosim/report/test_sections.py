@@ -19,11 +19,10 @@ from pytest_regressions.file_regression import FileRegressionFixture
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.traces import LoopOutcome, Overcompensation, Trace, Tracked
 from cosim.report.figures.chart import Chart, Line
-from cosim.report.paper import table_ii, table_iii
 from cosim.report.results import Results
-from cosim.report.sections import inputs, laws, loop, physics, prediction, summary
-from cosim.report.tables.table import ResultTable
-from cosim.report.tables.text import csv_text
+from cosim.report.sections import inputs, laws, prediction, summary
+from cosim.report.tables.loop import table_ii, table_iii
+from cosim.report.tables.table import ResultTable, csv_text
 from cosim.study.results import SavedLog, SavedRun, read_torques, write_findings, write_torques
 from cosim.study.scores import ORACLE, Comparison, compare, input_classes, predict_models
 from cosim.study.study import TimeBand
@@ -241,7 +240,7 @@ def test_predictions(results: Results, recorded: Recorded) -> None:
 
 
 def test_laws_and_physics(results: Results, recorded: Recorded) -> None:
-    audit = physics.audit(results)
+    audit = laws.audit(results)
     assert audit
     table = audit.pop("proofs")
     assert not table.numeric
@@ -256,7 +255,7 @@ def test_laws_and_physics(results: Results, recorded: Recorded) -> None:
         hysteresis=laws.hysteresis(results),
         live=laws.live(results),
         audit=audit,
-        properties=physics.properties(results),
+        properties=laws.properties(results),
     )
 
 
@@ -300,11 +299,11 @@ def test_data_and_rigid_body(results: Results, recorded: Recorded) -> None:
 
 
 def test_the_closed_loop(results: Results, recorded: Recorded) -> None:
-    tracking = loop.tracking(results)
+    tracking = prediction.tracking(results)
     assert tracking
     del tracking["diagram"]
-    recorded(tracking=tracking, robustness=loop.robustness(results))
-    assert loop.tracking(replace(results, loop=None)) is None
+    recorded(tracking=tracking, robustness=prediction.robustness(results))
+    assert prediction.tracking(replace(results, loop=None)) is None
 
 
 def test_tables_of_the_paper(recorded: Recorded) -> None:

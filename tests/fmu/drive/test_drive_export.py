@@ -13,7 +13,7 @@ from c_hosts import Wine, build_host
 from drive_runs import model_of
 from fmpy import read_model_description
 
-from cosim.systems.system_file import System
+from cosim.systems.simulation import System
 from fmu_src.blocks.controller import controller
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
