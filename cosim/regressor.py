@@ -10,11 +10,11 @@ import numpy as np
 
 from cosim.workflow.arguments import body_of, logs_of, page_body, robot_of
 from hesr_model.errors import FitError, TableError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit
-from hesr_model.friction.equation import equations
-from hesr_model.friction.metrics import rmse
+from hesr_model.friction.law import equations
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
+from hesr_model.friction.records import rmse
 from hesr_model.friction.table import MotionTable, motion, numbers, torques
 from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.rigid_body.identification import RigidBody

@@ -1,7 +1,7 @@
 from hesr_model.errors import HesrError as HesrError
+from hesr_model.fitting.estimator import registry as registry
 from hesr_model.fitting.fit import fit as fit
 from hesr_model.friction.model import FrictionModel as FrictionModel
-from hesr_model.friction.registry import registry as registry
 from hesr_model.logs.robot_log import Log as Log
 from hesr_model.rigid_body.identification import RigidBody as RigidBody
 from hesr_model.rigid_body.identification import identify as identify

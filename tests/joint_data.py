@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
 from hesr_model.rigid_body.residual import FrictionRecord
 
 GEAR_RATIO = 101.0

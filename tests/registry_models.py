@@ -8,10 +8,9 @@ import numpy as np
 from fmu_src.export.package import translation_unit
 from fmu_src.friction.friction_fmu import _component
 from fmu_src.pages.live import live_data, wasm
-from hesr_model.fitting.estimator import Estimator
+from hesr_model.fitting.estimator import Estimator, registry
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 

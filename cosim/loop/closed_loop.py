@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter
 
 from cosim.systems.system import ComponentSpec, SystemSpec, Value
-from hesr_model.support.config import Config
+from hesr_model.support.typed_files import Config
 
 
 class StandIn(StrEnum):

@@ -10,7 +10,7 @@ from cosim.loop.closed_loop import PerJoint
 from hesr_model.errors import ConfigError
 from hesr_model.motions.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config
+from hesr_model.support.typed_files import Config
 
 
 class _Motion(Config):

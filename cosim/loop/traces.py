@@ -18,7 +18,7 @@ from hesr_model.logs.tables import arrow, write_table
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_written_whole, models_folder, written_whole
-from hesr_model.support.typed_json import Numbers, NumbersWithGaps
+from hesr_model.support.typed_files import Numbers, NumbersWithGaps
 
 _LOOPS = ("closed_loop.toml", "plant_loop.toml")
 _SCRIPT = "simulate.py"

@@ -21,7 +21,7 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256, written_whole
 from hesr_model.support.progress import Progress, silent
-from hesr_model.support.typed_json import from_json, read_json, to_text
+from hesr_model.support.typed_files import from_json, read_json, to_text
 
 
 @dataclass(frozen=True, kw_only=True)

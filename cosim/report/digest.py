@@ -14,8 +14,8 @@ from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths, own_friction
 from cosim.report.tables.table import ResultTable, TableRow, fixed, markdown, row_of, title
 from cosim.study.scores import ORACLE, REFERENCE
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.friction.registry import papers_law
+from hesr_model.audit.properties import EXPECTATIONS
+from hesr_model.fitting.estimator import papers_law
 from hesr_model.support.files import written_together
 
 _INTRODUCTION = (

@@ -13,8 +13,7 @@ from cosim.report.markup import Pictures, Section, render, table, write_sections
 from cosim.report.tables.laws import robot_tables
 from cosim.report.tables.table import ResultTable, row_of
 from hesr_model.health.evidence import Motionwise
-from hesr_model.health.examine import Examination
-from hesr_model.health.excitation_gaps import unseen
+from hesr_model.health.examine import Examination, unseen
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array

@@ -18,12 +18,12 @@ from cosim.study.verdict import Verdict, read_verdict
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.audit.properties import Properties, read_properties
 from hesr_model.errors import ArtifactError, SimulationError
+from hesr_model.fitting.estimator import laws_of_paper
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import laws_of_paper
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import settle
-from hesr_model.support.typed_json import from_json, read_json
+from hesr_model.support.typed_files import from_json, read_json
 from hesr_model.units import unit_of_joints
 
 AREAS = ("prediction", "at rest", "at reversals", "simulation", "between days")

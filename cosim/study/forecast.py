@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.typed_json import from_json, read_json
+from hesr_model.support.typed_files import from_json, read_json
 
 SUFFIX, FORMAT = ".plan.json", "hesr-plan-1"  # of the file next to a log of the planned motion
 _NEAR = 0.25  # difference of widths that agree

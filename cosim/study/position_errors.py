@@ -11,8 +11,16 @@ import numpy as np
 from cosim.study.scores import by_joint
 from fmu_src.friction.predictions import Records
 from hesr_model.errors import SimulationError
-from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
-from hesr_model.forward.windows import Windows, joined, weightless, whole, windows_of
+from hesr_model.forward.simulation import (
+    Simulator,
+    Windows,
+    inner_steps,
+    joined,
+    position_errors,
+    weightless,
+    whole,
+    windows_of,
+)
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot

@@ -10,11 +10,10 @@ import numpy as np
 
 from cosim.study.steps import Job
 from cosim.study.study import Study
+from hesr_model.fitting.estimator import laws_with, registry
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.friction.registry import laws_with, registry
 from hesr_model.health.evidence import LEAST_TRAVEL
-from hesr_model.health.examine import checked
-from hesr_model.health.excitation_gaps import bears_load
+from hesr_model.health.examine import bears_load, checked
 from hesr_model.health.proposal import Proposal, robot_file
 from hesr_model.inference.comparison import LEAST_SECONDS
 from hesr_model.logs.phases import reversals

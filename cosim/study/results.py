@@ -24,7 +24,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
-from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
+from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
 RUN, TRACES, TRUTHS, HEALTH = "run.json", "traces", "truths.json", "health.json"
 RUN_FORMAT, HEALTH_FORMAT = "hesr-run-1", "hesr-health-1"

@@ -24,8 +24,8 @@ from hesr_model.audit.properties import combined
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
+from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
-from hesr_model.friction.registry import laws_with
 from hesr_model.health.examine import checked
 from hesr_model.health.fit_checks import check_body, check_laws
 from hesr_model.logs.robot_log import Log
@@ -36,7 +36,7 @@ from hesr_model.support import parallel
 from hesr_model.support.cache import USED, since
 from hesr_model.support.files import folder_written_whole, models_folder, newest, provenance
 from hesr_model.support.progress import Progress, Stages, counted, silent
-from hesr_model.support.typed_json import to_json, write_json
+from hesr_model.support.typed_files import to_json, write_json
 
 if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties

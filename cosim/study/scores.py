@@ -9,15 +9,14 @@ import numpy as np
 
 from fmu_src.friction.predictions import Records, predict_model
 from hesr_model.errors import ConfigError
+from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.metrics import BandScore, Score, score, score_band, time_band
 from hesr_model.friction.model import FrictionModel, band_around
-from hesr_model.friction.registry import laws_with
+from hesr_model.friction.records import BandScore, Score, score, score_band, time_band
 from hesr_model.inference.comparison import LEAST_SECONDS, SIGNIFICANCE, LawErrors, holm, law_errors
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
-from hesr_model.support.frames import pandas_frame
-from hesr_model.support.html import table
+from hesr_model.support.frames import html_table, pandas_frame
 from hesr_model.support.progress import Progress, counted, silent
 
 LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]  # by log, [part][joint]
@@ -143,7 +142,9 @@ class Comparison:
     def _repr_html_(self) -> str:
         rows = ((law, *of_law.rmse) for law, of_law in self.laws.items())
         spread = ("(standard deviation)", *self.tau_std)
-        return table("RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows))
+        return html_table(
+            "RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows)
+        )
 
 
 def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:

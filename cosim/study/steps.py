@@ -32,10 +32,10 @@ from fmu_src.friction.predictions import predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.day_offsets import with_own
+from hesr_model.fitting.estimator import estimator, laws_with, registry
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import Refined, refine
 from hesr_model.friction.model import MIXED, FrictionModel
-from hesr_model.friction.registry import estimator, laws_with, registry
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import read_table
@@ -46,7 +46,7 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel, plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages, counted
-from hesr_model.support.typed_json import to_json, write_json
+from hesr_model.support.typed_files import to_json, write_json
 
 if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties

@@ -20,8 +20,8 @@ from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
 from hesr_model.logs.phases import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
-from hesr_model.robots.sources import statements
-from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
+from hesr_model.robots.description import statements
+from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
 if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties

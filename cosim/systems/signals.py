@@ -7,7 +7,7 @@ import numpy as np
 
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.logs.tables import write_table
-from hesr_model.support import frames, html
+from hesr_model.support import frames
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import PathArg, path_of, written_whole
 
@@ -43,7 +43,7 @@ class Signals:
 
     def _repr_html_(self) -> str:
         rows = ((name, *values[:1], *values[-1:]) for name, values in self.signals.items())
-        return html.table(repr(self), ("signal", "first", "last"), rows)
+        return frames.html_table(repr(self), ("signal", "first", "last"), rows)
 
     @property
     def end(self) -> float:

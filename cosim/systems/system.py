@@ -11,9 +11,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from fmu_src.run.master import Order
 from hesr_model.support import plugins
-from hesr_model.support.config import Config, RelativePath
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import toml
+from hesr_model.support.typed_files import Config, RelativePath
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]

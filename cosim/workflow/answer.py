@@ -34,7 +34,7 @@ class PluginJob(Protocol):
 def find_job(path: Path, verb: str) -> PluginJob | None:
     """Return the job of a TOML file, None for other files; refuse a file of another command."""
     from hesr_model.support.plugins import load
-    from hesr_model.support.untrusted_text import parse_toml, read_text
+    from hesr_model.support.text import parse_toml, read_text
 
     if path.suffix.lower() != ".toml":
         return None
@@ -88,7 +88,7 @@ class Answer(ABC):
 
     def to_json(self) -> dict[str, Any]:
         """Return the envelope that `--json` writes."""
-        from hesr_model.support.typed_json import to_json
+        from hesr_model.support.typed_files import to_json
 
         return {
             "format": self.format,
@@ -157,7 +157,7 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
 def health_of(provenance: Mapping[str, Any]) -> list[Finding]:
     """Return the findings that the provenance of a result holds."""
     from hesr_model.findings import Finding, errors_first
-    from hesr_model.support.typed_json import from_json
+    from hesr_model.support.typed_files import from_json
 
     entries = provenance.get("health", ())
     return errors_first(from_json(Finding, one, Path("provenance"), "a finding") for one in entries)

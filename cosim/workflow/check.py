@@ -69,7 +69,7 @@ class FmuReport(Answer):
 
     def result(self) -> Any:
         """Return the reports as JSON data."""
-        from hesr_model.support.typed_json import to_json
+        from hesr_model.support.typed_files import to_json
 
         return [
             report.to_json()

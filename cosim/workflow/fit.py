@@ -37,7 +37,7 @@ def laws() -> Mapping[str, type[Estimator]]:
     >>> hesr.laws()["lugre"].title
     'LuGre'
     """
-    from hesr_model.friction.registry import registry
+    from hesr_model.fitting.estimator import registry
 
     return registry()
 
@@ -160,8 +160,8 @@ def _fitted_law(
     """Return a law that is fitted already, None for the name of a law."""
     from cosim.workflow.arguments import model_given
     from hesr_model.fitting.adaptation import prior_of
+    from hesr_model.fitting.estimator import estimator
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.friction.registry import estimator
 
     if (law is None) != bool(prior) or (prior and options):
         raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
@@ -187,7 +187,7 @@ def _fit(
     from cosim.study.scores import by_joint
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.fit_checks import check_laws
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_files import to_json
 
     source = _provenance(read, rigid_body, seed, options)
     joined = by_joint(records)
@@ -211,7 +211,7 @@ def _provenance(
 ) -> dict[str, Any]:
     from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.support.files import newest, provenance
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_files import to_json
 
     logs = [log.path for log in read.logs if log.path]
     files = list(read.files)
@@ -231,7 +231,7 @@ def _provenance(
 def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     """Return the answer of a fitted law: equations, errors and passivity of each joint."""
     from fmu_src.pages import datasheet
-    from hesr_model.robots.sources import statements
+    from hesr_model.robots.description import statements
     from hesr_model.support.plugins import names
 
     joints = ", ".join(model.joints)
@@ -254,7 +254,7 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
 def _equations(model: FrictionModel) -> list[str]:
     """Return the equation and training error of each joint."""
     from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
-    from hesr_model.friction.equation import equations
+    from hesr_model.friction.law import equations
     from hesr_model.units import unit_of_joint
 
     errors = model.training_rmse or (None,) * len(model.joints)
@@ -273,7 +273,7 @@ def _equations(model: FrictionModel) -> list[str]:
 def _coefficients(model: FrictionModel) -> list[str]:
     """Return the coefficients of each joint with their 95 % intervals."""
     from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
-    from hesr_model.friction.equation import coefficient_lines
+    from hesr_model.friction.law import coefficient_lines
 
     head = "95 % intervals (within and between logs; none at bounds or of chosen structures):"
     return [

@@ -104,7 +104,7 @@ def identify(
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
     from hesr_model.support.files import path_of, provenance
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_files import to_json
 
     require_choice("method", method, get_args(Method))
     if (friction is None) != (rigid_body is None):
@@ -157,8 +157,8 @@ def _paths(*given: object) -> list[Any]:
 def answer(body: RigidBody, output: PathArg | None) -> Answer:
     """Return the answer of a rigid body: parameters and residuals, or the payload."""
     from cosim.report.tables.laws import rigid_body
-    from hesr_model.robots.sources import statements
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.robots.description import statements
+    from hesr_model.support.typed_files import to_json
 
     payload = body.provenance.get("payload")
     line = (

@@ -94,7 +94,7 @@ class Inspection(Answer):
 
     def result(self) -> Any:
         """Return findings before and after the proposal, its reasons and torque constants."""
-        from hesr_model.support.typed_json import to_json
+        from hesr_model.support.typed_files import to_json
 
         return {
             "given": [to_json(finding) for finding in self.proposal.first],

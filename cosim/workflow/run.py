@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from cosim.workflow.answer import Answer, Written, shortened
-from hesr_model.support.interrupts import Interrupted
-from hesr_model.support.progress import Stages, silent
+from hesr_model.support.progress import Interrupted, Stages, silent
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
@@ -90,7 +89,7 @@ class RunResult(Answer):
 
     def result(self) -> Any:
         """Return FMUs, verdict and scores as JSON data."""
-        from hesr_model.support.typed_json import to_json
+        from hesr_model.support.typed_files import to_json
 
         outcome = self.outcome
         return {
@@ -203,10 +202,10 @@ def run(
     from cosim.study.run import run_study, unfinished
     from cosim.study.study import Study
     from cosim.workflow.answer import find_job
-    from hesr_model.friction.registry import laws_with
+    from hesr_model.fitting.estimator import laws_with
     from hesr_model.support import plugins
     from hesr_model.support.files import models_folder, path_of
-    from hesr_model.support.typed_json import to_json, write_json
+    from hesr_model.support.typed_files import to_json, write_json
 
     path = path_of(study or models_folder() / "studies" / "default.toml", "a study")
     shipped = models_folder() / "studies" / f"{path.name}.toml"
@@ -254,7 +253,7 @@ def _going_on(kept: Path) -> Iterator[None]:
 
 def answer(spread: Seeds, _: PathArg | None) -> Answer:
     """Return the answer of a run over draws: its tables."""
-    from hesr_model.support.typed_json import to_json
+    from hesr_model.support.typed_files import to_json
 
     return Written(
         format="hesr-seeds-1",

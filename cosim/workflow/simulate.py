@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.workflow.answer import Answer, Written, written_files
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.untrusted_text import parse_toml
+from hesr_model.support.text import parse_toml
 
 if TYPE_CHECKING:
     from cosim.systems.signals import Signals

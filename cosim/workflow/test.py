@@ -115,7 +115,7 @@ class LawReport(Answer):
 
     def result(self) -> Any:
         """Return the results of all kinds as JSON data."""
-        from hesr_model.support.typed_json import to_json
+        from hesr_model.support.typed_files import to_json
 
         return {
             "prediction": self.scores and to_json(self.scores),

@@ -20,7 +20,7 @@ from fmu_src.arm.truth import Truth, TruthName
 from hesr_model.errors import ConfigError
 from hesr_model.robots.mjcf import compiled
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config, RelativePath
+from hesr_model.support.typed_files import Config, RelativePath
 
 
 class Servo(Config):

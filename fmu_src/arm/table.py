@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fmu_src.export.interface import Variable
-from hesr_model.support.config import Config
+from hesr_model.support.typed_files import Config
 
 SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_seed"
 

@@ -37,8 +37,8 @@ from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.mjcf import compiled
-from hesr_model.support.config import Config
 from hesr_model.support.files import written_whole
+from hesr_model.support.typed_files import Config
 
 _COEFFICIENTS = (
     ("stiffness", "N.m/rad", "bristle stiffness"),

@@ -9,7 +9,7 @@ from fmu_src.export.package import Content, equation_sources
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 from hesr_model.errors import ExportError
-from hesr_model.robots.owner import OURS, Owner
+from hesr_model.robots.description import OURS, Owner
 
 
 def vector(

@@ -27,7 +27,7 @@ from hesr_model.findings import SEVERITIES, Finding, errors_first
 from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain, quoted
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"

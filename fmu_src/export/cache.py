@@ -13,7 +13,7 @@ from re import match
 from hesr_model.support import plugins
 from hesr_model.support.cache import found, kept
 from hesr_model.support.files import written_whole
-from hesr_model.support.untrusted_text import read_text
+from hesr_model.support.text import read_text
 
 _ROOT = Path(__file__).parents[2]
 _OURS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "hesr/extras"))

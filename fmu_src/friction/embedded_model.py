@@ -6,7 +6,7 @@ from pathlib import Path
 from fmu_src.run.archive import MOST_TEXT, Archive
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.untrusted_text import parse_json
+from hesr_model.support.text import parse_json
 
 EMBEDDED_MODEL = "resources/friction_model.json"
 """Name of the model in the archive; the FMU itself does not read it."""

@@ -25,8 +25,7 @@ from hesr_model.audit.properties import Properties
 from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robots.owner import Owner
-from hesr_model.robots.sources import statements
+from hesr_model.robots.description import Owner, statements
 from hesr_model.support.progress import Progress, silent
 
 # Range of dates in a ZIP archive.

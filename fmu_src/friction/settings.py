@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
+from hesr_model.friction.records import rmse
 from hesr_model.logs.phases import near_reversals
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array

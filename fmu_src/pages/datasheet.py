@@ -10,10 +10,9 @@ from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
 from fmu_src.pages.html import rendered
 from hesr_model.audit import properties
-from hesr_model.audit.audit import REACH, Audit, audit
+from hesr_model.audit.audit import ENCODER, REACH, Audit, audit
 from hesr_model.audit.certificate import Certificate, certify
-from hesr_model.audit.cycles import ENCODER
-from hesr_model.audit.expectations import EXPECTATIONS, Expectation
+from hesr_model.audit.properties import EXPECTATIONS, Expectation
 from hesr_model.equations.functions import lowered
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.inputs import INPUTS

@@ -21,15 +21,14 @@ from fmu_src.pages.mathml import equations, symbol
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.errors import HesrError
-from hesr_model.friction.equation import equations as equations_with_numbers
-from hesr_model.friction.equation import form_lines
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, TAU_LOAD
-from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.law import FrictionLaw, form_lines
+from hesr_model.friction.law import equations as equations_with_numbers
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.robots.sources import statements
+from hesr_model.robots.description import statements
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joints
 

@@ -23,10 +23,10 @@ from fmu_src.friction.reference import trained_speed
 from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.pages.mathml import symbol
 from hesr_model.errors import ExportError
-from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.scales import CHANGE, CHANGE_OF_OFFSET
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.guess import vocabulary
 from hesr_model.logs.log_format import LogFormat

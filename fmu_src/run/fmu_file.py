@@ -11,9 +11,9 @@ from fmu_src.run.fmu import FmuInstance, remember
 from fmu_src.run.replay import replay
 from fmu_src.run.variables import model_description
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support import html
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.frames import html_table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ class Fmu:
             (name, v.causality, v.unit, v.start, v.description)
             for name, v in self.variables.items()
         )
-        return html.table(repr(self), head, rows)
+        return html_table(repr(self), head, rows)
 
     @cached_property
     def model(self) -> FrictionModel | None:

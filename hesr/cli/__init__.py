@@ -5,7 +5,7 @@ from typing import NoReturn
 
 from hesr.cli.app import app
 from hesr.cli.console import ended_by_signals, errors_said, home_where_needed, plain_where_needed
-from hesr_model.support.garbage import collect_seldom
+from hesr_model.support.lazy import collect_seldom
 
 __all__ = ["app", "main"]
 

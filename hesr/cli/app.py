@@ -86,7 +86,7 @@ def _invoke(function: Function, given: dict[str, Any]) -> None:
             listing = given.pop("listing", False) and _module(function)["listing"]
             answer = listing() if listing else _answer(function, given)
             if wanted:
-                from hesr_model.support.typed_json import write_json
+                from hesr_model.support.typed_files import write_json
 
                 write_json(wanted, answer.to_json())
         if summary := answer.summary():

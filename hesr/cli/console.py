@@ -20,8 +20,7 @@ import click
 
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import scratch_folder, written_whole
-from hesr_model.support.interrupts import Interrupted
-from hesr_model.support.progress import Stages, listed_in
+from hesr_model.support.progress import Interrupted, Stages, listed_in
 from hesr_model.support.text import plain
 
 _NEW_FORMS = {

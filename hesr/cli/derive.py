@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args, get_origin
 import click
 
 from hesr_model.errors import ConfigError
-from hesr_model.support.untrusted_text import parse_toml
+from hesr_model.support.text import parse_toml
 
 Function = Callable[..., Any]
 Kind = click.ParamType[Any, Any]

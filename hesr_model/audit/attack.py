@@ -9,8 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.audit.audit import loads_of, responses
-from hesr_model.audit.cycles import AMPLITUDES, cycles
+from hesr_model.audit.audit import AMPLITUDES, cycles, loads_of, responses
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw

@@ -12,7 +12,7 @@ k x^2 over states, and tau is read after they have moved. Torques of position al
                                            |x| <= b / min k, which exact steps preserve; the
                                            condition of Barabanov and Ortega (2000)
     f(v) v     f >= 0
-    ripple     see `laws.stops.passive`: f at every speed above the energy of its lag
+    ripple     see `laws.stops.form`: f at every speed above the energy of its lag
 
 Functions of speed are bounded over all speeds up to 1e6 rad/s by interval arithmetic.
 """
@@ -32,12 +32,11 @@ from hesr_model.audit.audit import SLOWEST
 from hesr_model.equations.functions import absolute, cardinal_sine, larger, sgn
 from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest, never_negative
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
-from hesr_model.friction.equation import text_of
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
-from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.law import FrictionLaw, text_of
 from hesr_model.friction.scales import COULOMB, LEAST, SCALES, scaled
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.laws.stops.passive import distance
+from hesr_model.laws.stops.form import distance
 from hesr_model.support.arrays import Array
 
 ProofVerdict = Literal["proven", "refuted", "tested"]

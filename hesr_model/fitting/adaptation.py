@@ -20,9 +20,8 @@ from hesr_model.audit.certificate import certify
 from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record, training_error
+from hesr_model.friction.records import predict_record, rmse, training_error
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support.arrays import Array

@@ -18,7 +18,7 @@ from hesr_model.laws import ripple
 from hesr_model.laws.ripple import Ripple
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 LOAD_MOST = Coefficient(
     name="load_most", unit="N.m", description="largest load of the bounds, from training"

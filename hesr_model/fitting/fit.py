@@ -18,11 +18,11 @@ from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.calibration import calibrated
 from hesr_model.fitting.day_offsets import Nuisance, own_of_logs, without_own
 from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import training_error
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support import parallel

@@ -13,8 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.audit.certificate import proven
-from hesr_model.forward.simulation import Simulator
-from hesr_model.forward.windows import RUN_IN, Logs, Windows, joined, weightless, whole, windows_of
+from hesr_model.forward.simulation import (
+    RUN_IN,
+    Logs,
+    Simulator,
+    Windows,
+    joined,
+    weightless,
+    whole,
+    windows_of,
+)
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.stops.form import OLDEST
 from hesr_model.logs.signals import Motion

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
-from hesr_model.friction.equation import equations
-from hesr_model.friction.law import FrictionLaw, behind_low_pass
+from hesr_model.friction.law import FrictionLaw, behind_low_pass, equations
 from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
 from hesr_model.friction.predict import predict_band, predict_joints
 from hesr_model.friction.records import predict_record
@@ -21,11 +20,11 @@ from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support import html
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import PathArg, path_of
-from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
-from hesr_model.support.untrusted_text import require_printable
+from hesr_model.support.frames import html_table
+from hesr_model.support.text import require_printable
+from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joints
 
 MIXED = "recommended"  # name of a model with a law of its own on each joint
@@ -128,7 +127,7 @@ class FrictionModel:
             for joint, law, error in zip(self.joints, self.laws, errors, strict=True)
         )
         head = ("joint", "law", f"training RMSE [{unit_of_joints('N.m', self.sliding)}]")
-        return html.table(f"Friction of '{self.robot}' by the law '{self.law}'", head, rows)
+        return html_table(f"Friction of '{self.robot}' by the law '{self.law}'", head, rows)
 
     @classmethod
     def read(cls, path: PathArg) -> Self:

@@ -8,9 +8,9 @@ from pydantic import StrictBool
 
 from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import ArtifactError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.covariance import Covariance

@@ -1,15 +1,16 @@
-"""Predictions of laws for measured friction records."""
+"""Predictions of laws for measured friction records, and their errors over rows of all logs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import estimated_start, predict
 from hesr_model.friction.thermal import Thermal
+from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Mask
 
 
 def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
@@ -40,3 +41,119 @@ def predict_record(
 def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:
     """Return the RMSE [N.m] of a law over all records of its joint."""
     return rmse(np.concatenate([predict_record(law, r) - r.tau for r in records]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Prediction errors [N.m] of one joint and R^2; None without rows of the kind.
+
+    `tau_std` is the error of the measured mean.
+    """
+
+    tau_std: float
+    rmse: float
+    rmse_reversal: float | None
+    rmse_moving: float | None
+    r2: float | None
+    rmse_rest: float | None = None
+
+
+def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
+    """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
+    error = np.concatenate([r.tau - p for r, p in zip(records, predictions, strict=True)])
+    near, fast = _kinds(records)
+    tau_std = float(np.std(np.concatenate([r.tau for r in records])))
+    return Score(
+        tau_std=tau_std,
+        rmse=rmse(error),
+        rmse_reversal=rmse(error[near]) if np.any(near) else None,
+        rmse_moving=rmse(error[fast]) if np.any(fast) else None,
+        r2=1.0 - (rmse(error) / tau_std) ** 2 if tau_std > 0 else None,
+        rmse_rest=None if np.all(fast) else rmse(error[~fast]),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BandScore:
+    """Coverage of one joint's band; None without rows of the kind.
+
+    `held` are shares of rows within the band, `least_log` is the lowest share of a log, and `width`
+    the mean width relative to the constant band of the same coverage.
+    """
+
+    held: float
+    held_moving: float | None
+    held_reversal: float | None
+    least_log: float
+    width: float | None
+
+
+def score_band(
+    records: Sequence[FrictionRecord],
+    predictions: Sequence[Array],
+    bands: Sequence[tuple[Array, Array]],
+) -> BandScore:
+    """Score the ends (N,) [N.m] of one joint's band on each record's rows."""
+    inside = [
+        (r.tau >= lower) & (r.tau <= upper)
+        for r, (lower, upper) in zip(records, bands, strict=True)
+    ]
+    held = np.concatenate(inside)
+    near, fast = _kinds(records)
+    error = np.concatenate([np.abs(r.tau - p) for r, p in zip(records, predictions, strict=True)])
+    constant = 2.0 * float(np.quantile(error, held.mean()))
+    width = float(np.concatenate([upper - lower for lower, upper in bands]).mean())
+    return BandScore(
+        held=float(held.mean()),
+        held_moving=float(held[fast].mean()) if np.any(fast) else None,
+        held_reversal=float(held[near].mean()) if np.any(near) else None,
+        least_log=min(float(of_log.mean()) for of_log in inside),
+        width=width / constant if constant > 0.0 else None,
+    )
+
+
+def _kinds(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
+    near = np.concatenate([near_reversals(r.t, r.dq) for r in records])
+    return near, np.concatenate([moving(r.dq) for r in records])
+
+
+def rmse(error: Array) -> float:
+    """Return the root mean square of errors."""
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+def time_band(t: Array, start: float, stop: float) -> Mask:
+    """Return the (N,) mask of start <= t < stop [s]."""
+    return np.asarray((t >= start) & (t < stop))
+
+
+def rmse_ratio_interval(
+    errors: Sequence[Array],
+    reference: Sequence[Array],
+    *,
+    block: int,
+    rng: np.random.Generator,
+    resamples: int = 2000,
+    level: float = 0.95,
+) -> tuple[float, float]:
+    """Return the interval, of probability `level`, of the ratio of two RMSEs over the same rows.
+
+    Circular block bootstrap: the same blocks of rows are drawn with replacement from each log's
+    errors (N,) [N.m]. A `block` has a few correlation lengths [rows]; with less the interval is too
+    narrow.
+    """
+    above, below = np.zeros(resamples), np.zeros(resamples)
+    for error, other in zip(errors, reference, strict=True):
+        rows, length = len(error), min(block, len(error))
+        draws = rng.integers(rows, size=(resamples, -(-rows // length)))
+        share = rows / (draws.shape[1] * length)
+        above += share * _block_sums(error, length)[draws].sum(axis=1)
+        below += share * _block_sums(other, length)[draws].sum(axis=1)
+    low, high = np.quantile(np.sqrt(above / below), [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
+
+
+def _block_sums(error: Array, length: int) -> Array:
+    around = np.concatenate([error, error[: length - 1]]) ** 2
+    total = np.concatenate([[0.0], np.cumsum(around)])
+    return np.asarray(total[length:] - total[:-length])

@@ -17,10 +17,9 @@ from hesr_model.audit.certificate import least_viscosity
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
 from hesr_model.equations.stepping import Steps
-from hesr_model.friction.factors import parts
 from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS
+from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS, parts
 from hesr_model.friction.thermal import (
     TEMPERATURE,
     THERMOMETER,

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.inference.correlation import standard_errors
+from hesr_model.inference.covariance import standard_errors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import LEAST_PEAK

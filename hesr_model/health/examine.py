@@ -1,20 +1,28 @@
-"""All checks of logs against their robot."""
+"""All checks of logs against their robot; findings merged over logs, and effects not shown."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
-from hesr_model.errors import FitError
-from hesr_model.findings import Finding
+import numpy as np
+
+from hesr_model.errors import ConfigError, FitError, LogError
+from hesr_model.findings import Finding, errors_first
 from hesr_model.health import positions
-from hesr_model.health.causes import check_causes
-from hesr_model.health.evidence import Motionwise, Torques, as_logged, motionwise
-from hesr_model.health.findings import merged, of_log, require_known, require_sound
-from hesr_model.health.loss import check_loss
-from hesr_model.health.sample_hold import check_held, check_speed
+from hesr_model.health.evidence import JointTorque, Motionwise, Torques, as_logged, motionwise
+from hesr_model.health.mistakes import check_causes
+from hesr_model.health.positions import check_loss
 from hesr_model.health.timing import check_clocks
-from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
+from hesr_model.health.torque import (
+    NO_SIGNAL,
+    Explained,
+    check_held,
+    check_speed,
+    check_torque,
+    explained,
+)
 from hesr_model.health.velocity import check_velocity
+from hesr_model.logs.phases import moving, reversals
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import identify_motions
@@ -153,3 +161,97 @@ def checked(logs: Sequence[Log], model: Robot, accepted: Sequence[str] = ()) -> 
     """Check logs; return warnings and accepted errors, or raise HealthError."""
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, model.description, model).findings, accepted)
+
+
+class HealthError(LogError):
+    """Impossible data, a line per finding."""
+
+    def __init__(self, said: str, findings: Sequence[Finding]) -> None:
+        super().__init__(said)
+        self.findings = tuple(findings)
+
+
+def _said(findings: Sequence[Finding]) -> str:
+    lines = [f"{f.sentence} [{f.check}]" for f in findings]
+    names = " ".join(f"--accept {name}" for name in dict.fromkeys(f.check for f in findings))
+    tried = "hesr inspect tries the changes on these logs. " * any(f.changes for f in findings)
+    told = f"{tried}To continue anyway: {names}."
+    if len(lines) == 1:
+        return f"{lines[0]} {told}"
+    return "\n  ".join([f"{len(lines)} errors in the data.", *lines, told])
+
+
+def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings with the name of their log."""
+    return [replace(finding, logs=(log.name,)) for finding in findings]
+
+
+def merged(findings: Iterable[Finding]) -> list[Finding]:
+    """Merge findings of several logs or joints; errors first."""
+    by_log = _merged(findings, lambda f: (f.check, f.joints))
+    return errors_first(_merged(by_log, lambda f: (f.check, f.severity, f.remedy, repr(f.changes))))
+
+
+def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:
+    groups: dict[object, list[Finding]] = {}
+    for finding in findings:
+        groups.setdefault(key(finding), []).append(finding)
+    return [
+        replace(
+            errors_first(group)[0],
+            joints=tuple(dict.fromkeys(joint for f in group for joint in f.joints)),
+            logs=tuple(dict.fromkeys(log for f in group for log in f.logs)),
+        )
+        for group in groups.values()
+    ]
+
+
+def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
+    """Return all findings, or raise HealthError with errors not accepted."""
+    if refused := [f for f in findings if f.severity == "error" and f.check not in accepted]:
+        raise HealthError(_said(refused), refused)
+    return list(findings)
+
+
+def require_known(accepted: Sequence[str], known: Sequence[str]) -> None:
+    """Raise ConfigError if `accepted` contains an unknown check."""
+    for name in accepted:
+        if name not in known:
+            raise ConfigError(f"--accept is '{name}'; the checks are {', '.join(known)}.")
+
+
+_RESTS = 0.02  # share of rests that shows stiction
+_REVERSALS = 4
+_SLOW, _SLOWLY = 0.1, 0.05  # share of the peak speed, share of slow rows needed
+_LOAD = 0.5  # gravity over friction that shows load-dependent friction
+
+
+def bears_load(fits: Explained) -> bool:
+    """Return whether the load of a joint changes enough to show load-dependent friction."""
+    return any(fit.bears_gravity and _changes_load(fit) for fit in fits.values())
+
+
+def _changes_load(fit: JointTorque) -> bool:
+    return fit.gravity_size >= _LOAD * fit.friction_size
+
+
+def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield joints with effects that the logs do not show."""
+    for j, joint in enumerate(joints):
+        parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
+        if not parts:
+            yield joint, "it does not move in any log"
+            continue
+        own = [examination.parts[k].v[:, j] for k in parts]
+        v = np.concatenate(own)
+        if sum(len(reversals(one)) for one in own) < _REVERSALS:
+            yield joint, f"fewer than {_REVERSALS} reversals: neither hysteresis nor an offset"
+        if np.mean(~moving(v)) < _RESTS:
+            yield joint, "hardly any rest: no stiction"
+        if np.mean(np.abs(v) < _SLOW * np.max(np.abs(v))) < _SLOWLY:
+            yield joint, "hardly any slow motion: no Stribeck effect"
+        fits = [fits[j] for k, fits in enumerate(examination.explained) if k in parts and j in fits]
+        if fits and not any(fit.bears_gravity for fit in fits):
+            yield joint, "no gravity torque: its torque constant cannot be checked"
+        elif fits and not any(map(_changes_load, fits)):
+            yield joint, "hardly any change of load: no load-dependent friction"

@@ -1,4 +1,8 @@
-"""Mistakes in robot files as hypotheses, each with the corrected rows."""
+"""Mistakes in a robot file that explain the torques better than the file as it is.
+
+Each is a hypothesis with corrected rows. Weights of the model file's rigid body and friction are
+non-negative, so wrong signs and swapped columns fit badly.
+"""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -7,10 +11,14 @@ from itertools import combinations
 
 import numpy as np
 
-from hesr_model.health.evidence import Torques, rubbing
+from hesr_model.findings import Finding, of_joint
+from hesr_model.fitting.joint_rows import ROUND_OFF, non_negative_least_squares
+from hesr_model.health.evidence import Motionwise, Torques, rubbing
+from hesr_model.health.positions import BEYOND
 from hesr_model.health.torque import sign_change
 from hesr_model.logs.log_format import OPTIONAL, column_names
 from hesr_model.robots.robot import Robot
+from hesr_model.robots.transmission import onto
 from hesr_model.support.arrays import Array, Mask
 
 _SIGNAL = 0.8  # largest unexplained share of a torque that shows gravity
@@ -31,7 +39,7 @@ class CandidateRows:
     gravity: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Mistake:
     """A hypothesis, its changes of the robot file, and corrected rows."""
 
@@ -69,39 +77,20 @@ def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake
     robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
         key, changes = sign_change(robot, None, position=False)
-        yield Mistake(
-            check="torque-sign",
-            joint=-1,
-            remedy=f"all torques count backwards; set {key}",
-            changes=changes,
-            mended=replace(rows, tau=-rows.tau),
-        )
+        remedy, mended = f"all torques count backwards; set {key}", replace(rows, tau=-rows.tau)
+        yield Mistake("torque-sign", -1, remedy, changes, mended)
     for j in joints:
         key, changes = sign_change(robot, j, position=False)
         position, other = sign_change(robot, j, position=True)
         side = np.where(np.arange(model.n) == j, -1.0, 1.0)
         q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
-        yield Mistake(
-            check="torque-sign",
-            joint=j,
-            remedy=f"its torque counts backwards; set {key}",
-            changes=changes,
-            mended=replace(rows, tau=tau),
-        )
-        yield Mistake(
-            check="position-sign",
-            joint=j,
-            remedy=f"its position and velocity count backwards; set {position}",
-            changes=other,
-            mended=replace(rows, q=q, v=v, a=a),
-        )
-        yield Mistake(
-            check="position-sign",
-            joint=j,
-            remedy=f"its position, velocity and torque count backwards; set {position}, and {key}",
-            changes=other | changes,
-            mended=replace(rows, q=q, v=v, a=a, tau=tau),
-        )
+        remedy = f"its torque counts backwards; set {key}"
+        yield Mistake("torque-sign", j, remedy, changes, replace(rows, tau=tau))
+        remedy = f"its position and velocity count backwards; set {position}"
+        yield Mistake("position-sign", j, remedy, other, replace(rows, q=q, v=v, a=a))
+        remedy = f"its position, velocity and torque count backwards; set {position}, and {key}"
+        mended = replace(rows, q=q, v=v, a=a, tau=tau)
+        yield Mistake("position-sign", j, remedy, other | changes, mended)
     for mend in (_swapped_torques, _swapped_joints, _gravity, _moved_zeros):
         yield from mend(rows, model, joints)
 
@@ -114,14 +103,12 @@ def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> It
     for a, b in combinations(joints, 2):
         order = _exchanged(model.n, a, b)
         named = tuple(columns[k] for k in order)
-        yield Mistake(
-            check="torque-columns",
-            joint=a,
-            remedy=f"its torque is swapped with that of joint '{robot.joints[b]}'; set "
-            f"[log.columns] {which} = {_quoted(named)}",
-            changes={f"log.columns.{which}": named},
-            mended=replace(rows, tau=rows.tau[:, order] / gains[order] * gains),
+        remedy = (
+            f"its torque is swapped with that of joint '{robot.joints[b]}'; set [log.columns] "
+            f"{which} = {json.dumps(named)}"
         )
+        mended = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
+        yield Mistake("torque-columns", a, remedy, {f"log.columns.{which}": named}, mended)
 
 
 def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
@@ -142,14 +129,12 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
             if a < 0
             else f"its columns are swapped with those of joint '{robot.joints[b]}'"
         )
-        yield Mistake(
-            check="joint-order",
-            joint=a,
-            remedy=f"{what}; set [log.columns] q = {_quoted(changes['log.columns.q'])}, and the "
-            "others accordingly",
-            changes=dict(changes),
-            mended=replace(rows, **{k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}),
+        remedy = (
+            f"{what}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the others "
+            "accordingly"
         )
+        moved = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
+        yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **moved))
 
 
 def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
@@ -162,14 +147,11 @@ def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterat
             zero[j] += quarter * np.pi / 2.0
             q = rows.q.copy()
             q[:, j] += quarter * np.pi / 2.0
-            yield Mistake(
-                check="zero",
-                joint=j,
-                remedy=f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
-                f"[{', '.join(f'{z:.6g}' for z in zero)}]",
-                changes={"log.zero": tuple(zero)},
-                mended=replace(rows, q=q),
+            remedy = (
+                f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
+                f"[{', '.join(f'{z:.6g}' for z in zero)}]"
             )
+            yield Mistake("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
 
 
 def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
@@ -206,14 +188,10 @@ def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[M
     upside = "upside down" if way @ declared / size < -np.cos(_TILTED) else "from another side"
     if not np.any(declared):
         upside = "as none"
-    yield Mistake(
-        check="gravity",
-        joint=-1,
-        remedy=f"gravity is declared {upside}; set gravity = "
-        f"[{', '.join(f'{g:g}' for g in gravity)}]",
-        changes={"gravity": gravity},
-        mended=replace(rows, gravity=np.array(gravity)),
-    )
+    listed = ", ".join(f"{g:g}" for g in gravity)
+    remedy = f"gravity is declared {upside}; set gravity = [{listed}]"
+    mended = replace(rows, gravity=np.array(gravity))
+    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, mended)
 
 
 def _exchanged(n: int, a: int, b: int) -> list[int]:
@@ -222,5 +200,101 @@ def _exchanged(n: int, a: int, b: int) -> list[int]:
     return order
 
 
-def _quoted(names: Sequence[str]) -> str:
-    return json.dumps(list(names))
+_ROWS = 450  # total
+_BETTER = 2.0  # minimum gain of a corrected joint
+_NO_WORSE = 1.25  # largest loss of other joints
+_EXPLAINED = 0.6  # minimum R^2 after the correction
+_CLEARLY = 1.05  # minimum gain over a simpler mistake
+_MOST = 8  # mistakes searched one after another
+
+
+def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
+    """Take equally many rows from each log."""
+    each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
+    q, v, a, tau = (
+        np.concatenate([getattr(motion, name) for motion in each])
+        for name in ("q", "v", "a", "tau")
+    )
+    return CandidateRows(q=q, v=v, a=a, tau=tau, gravity=np.array(gravity, dtype=float))
+
+
+def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
+    """Find the mistakes that explain all logs best, the best first."""
+    if not motions:
+        return []
+    moves = np.any([motion.moves for motion in motions], axis=0)
+    moves &= np.any([np.ptp(motion.tau, axis=0) > 0.0 for motion in motions], axis=0)
+    rows = pooled(motions, model.gravity.tolist())
+    logged = model.description.logged
+    rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
+    logs = tuple(dict.fromkeys(motion.log.name for motion in motions))
+    findings: list[Finding] = []
+    now = _unexplained(rows, model, moves)
+    for _ in range(_MOST):
+        best, left = _best(rows, now, model, moves)
+        if best is None:
+            break
+        helped = int(np.argmax(now / left))
+        found = (
+            f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "
+            f"'{model.joints[helped]}' unexplained; with the correction {100 * left[helped]:.0f} %"
+        )
+        joint, more = model.joints[best.joint] if best.joint >= 0 else "", best.changes
+        findings.append(of_joint(best.check, joint, found, best.remedy, logs=logs, changes=more))
+        rows, now = best.mended, left
+    return findings
+
+
+def _best(
+    rows: CandidateRows, now: Array, model: Robot, moves: Mask
+) -> tuple[Mistake | None, Array]:
+    best, left, most = None, now, 0.0
+    for mistake in mistakes(rows, model, moves):
+        then = _unexplained(mistake.mended, model, moves)
+        if _beyond(mistake.mended.q, model) > _beyond(rows.q, model) + BEYOND:
+            continue
+        gain = np.log(now / then)
+        good = (gain > np.log(_BETTER)) & (1.0 - then**2 > _EXPLAINED)
+        if not np.any(good) or np.min(gain) < -np.log(_NO_WORSE):
+            continue
+        if float(gain.sum()) > most * _CLEARLY:
+            best, left, most = mistake, then, float(gain.sum())
+        elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
+            best = replace(best, remedy=_either(best))
+    return best, left
+
+
+def _beyond(q: Array, model: Robot) -> float:
+    """Return the largest excess over the model's limits [rad or m]."""
+    lower, upper, _ = model.limits
+    return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
+
+
+def _either(best: Mistake) -> str:
+    if best.check != "torque-sign":
+        return best.remedy
+    return best.remedy.replace(
+        "its torque counts backwards;",
+        "its torque counts backwards, or its position and velocity do (the logs cannot show "
+        "which);",
+    )
+
+
+def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
+    """Return the unexplained share (n,) of the torques' deviation."""
+    torques, logged = torques_of(rows, model), model.description.logged
+    torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
+    left = np.ones(rows.q.shape[1])
+    for j in np.flatnonzero(moves):
+        deviation = float(np.std(rows.tau[:, j]))
+        left[j] = _left(rows.tau[:, j], torques, v, int(j)) / max(deviation, 1e-12)
+    return left
+
+
+def _left(tau: Array, torques: Torques, v: Array, j: int) -> float:
+    known = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
+    # A torque of round-off must not be scaled up to explain noise.
+    known[:, np.abs(known).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0
+    columns = np.column_stack([known, rubbing(v[:, j]), np.ones(len(tau))])
+    _, squares = non_negative_least_squares(columns, tau, non_negative=3)
+    return float(np.sqrt(max(squares, 0.0) / len(tau))) + 1e-9

@@ -64,30 +64,28 @@ def inspected(
     if robot is not None and not paths:
         found, reason = chosen(robot, joints)
         nothing = Examination(findings=(), parts=(), torques=(), explained=())
-        reasons = {"joints": f"likely: {reason}"} if reason else {}
-        alone = Proposal(robot=found, reasons=reasons, logs=(), examination=nothing, first=())
-        return _with_doubts(alone)
+        alone = Proposal(robot=found, reasons={}, logs=(), examination=nothing, first=())
+        return _with_doubts(alone, {"joints": f"likely: {reason}"} if reason else {})
     stated = None if robot is None or is_model(robot) else description_of(robot)
     table = open_table(paths[0], stated.log if stated else LogFormat())
     if robot is not None:
         found, reason = with_joints(robot, joints, table), ""
         if table and not joints and is_model(robot):
             found, reason = with_columns_of(found, table)
-        proposal = propose(paths, found, known=True)
         known = {"joints": f"likely: {reason}"} if reason else {}
-        return _with_doubts(replace(proposal, reasons={**known, **proposal.reasons}))
+        return _with_doubts(propose(paths, found, known=True), known)
     count = len(guess(table).columns["q"]) if table else 1
     names = tuple(f"joint{k}" for k in range(1, count + 1))
     stranger = RobotDescription(name="robot", model=Path("unknown"), joints=names)
     return propose(paths, stranger, known=False)
 
 
-def _with_doubts(proposal: Proposal) -> Proposal:
-    """Return a proposal whose findings begin with the doubts about the model file."""
+def _with_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
+    """Return a proposal with reasons, whose findings begin with doubts about the model file."""
     doubts, own = Robot(proposal.robot).doubts, proposal.examination
-    findings = tuple(errors_first([*doubts, *own.findings]))
-    first = errors_first([*doubts, *proposal.first])
-    return replace(proposal, first=first, examination=replace(own, findings=findings))
+    own = replace(own, findings=tuple(errors_first([*doubts, *own.findings])))
+    first, known = errors_first([*doubts, *proposal.first]), {**reasons, **proposal.reasons}
+    return replace(proposal, first=first, reasons=known, examination=own)
 
 
 def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
@@ -276,11 +274,9 @@ def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposa
     if gains is None or not any(one.determined for one in constants):
         return proposal
     key, sources = "torque_per_ampere", robot.sources.each("torque_per_ampere", len(gains))
-    new = [
-        float(f"{c.value:.4g}") if c.determined else g
-        for c, g in zip(constants, gains, strict=True)
-    ]
-    known = ["identified" if c.determined else s for c, s in zip(constants, sources, strict=True)]
+    pairs = list(zip(constants, gains, sources, strict=True))
+    new = [float(f"{c.value:.4g}") if c.determined else gain for c, gain, _ in pairs]
+    known = ["identified" if c.determined else source for c, _, source in pairs]
     robot = changed(robot, {f"log.{key}": tuple(new), f"sources.{key}": tuple(known)})
     said = "identified: from known masses"
     return replace(proposal, robot=robot, reasons={**proposal.reasons, f"log.{key}": said})

@@ -14,9 +14,9 @@ import sympy
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Stop
-from hesr_model.findings import Finding
+from hesr_model.findings import Finding, of_joint
 from hesr_model.health.evidence import Estimate, Motionwise, rubbing
-from hesr_model.inference.correlation import correlation_length
+from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.base_parameters import base_columns
@@ -140,18 +140,15 @@ def check_clocks(
         return [], ()
     rows = LagRows.of(part.log, model, base_columns(model))
     late = lags(rows, joints)
-    findings = [
-        Finding(
-            check="torque-lag",
-            severity="warning",
-            joints=(model.description.joints[j],),
-            found=f"its torque is about {1e3 * abs(lag.value):.0f} ms "
-            f"{'late' if lag.value > 0 else 'early'} relative to the motion "
-            f"(+- {1e3 * _ERRORS * lag.error:.0f} ms)",
-            remedy="torques were filtered or come from another clock; shift their columns in time",
+    remedy = "torques were filtered or come from another clock; shift their columns in time"
+    findings = []
+    for j, lag in late.items():
+        way, sure = "late" if lag.value > 0 else "early", 1e3 * _ERRORS * lag.error
+        found = (
+            f"its torque is about {1e3 * abs(lag.value):.0f} ms {way} relative to the motion "
+            f"(+- {sure:.0f} ms)"
         )
-        for j, lag in late.items()
-    ]
+        findings.append(of_joint("torque-lag", model.joints[j], found, remedy, "warning"))
     rate, sure = stamps_rate(rows, joints)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
         findings.append(_wrong_rate(rate))
@@ -160,13 +157,9 @@ def check_clocks(
 
 def _wrong_rate(rate: float) -> Finding:
     way = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
-    return Finding(
-        check="time-scale",
-        severity="warning",
-        found=f"compared with gravity, its inertial torques are those of a motion that is {way}",
-        remedy="the time stamps come from a wrong sample rate, or their unit is wrong; see "
-        "[log.units] t",
-    )
+    found = f"compared with gravity, its inertial torques are those of a motion that is {way}"
+    remedy = "the time stamps come from a wrong sample rate, or their unit is wrong; see "
+    return of_joint("time-scale", "", found, f"{remedy}[log.units] t", "warning")
 
 
 def lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hesr_model.findings import Finding, of_joint
+from hesr_model.findings import Finding, Severity, of_joint
 from hesr_model.health.evidence import Motionwise
-from hesr_model.inference.correlation import standard_errors
+from hesr_model.inference.covariance import standard_errors
 from hesr_model.logs.log_format import LogUnits, column_names
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, Integers
@@ -20,6 +20,7 @@ _SAME = 0.04  # tolerance for the factor of a unit
 _LATE = 0.02  # reporting threshold for the lag [s]
 _LATEST = 0.3  # largest lag searched [s]
 _TURNS = 4.0 * np.pi  # largest travel of an arm's joint [rad]
+_DERIVE = 'set [log.columns] dq = "" to derive it from the position'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +70,7 @@ def check_velocity(
         name = robot.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
             what = "its position moves while its velocity never changes"
-            remedy = (
-                'the velocity is not logged; set [log.columns] dq = "" to derive it from '
-                "the position"
-            )
+            remedy = f"the velocity is not logged; {_DERIVE}"
             yield of_joint("velocity-constant", name, what, remedy, changes={"log.columns.dq": ""})
         elif abs(found.correlation) < _ALIKE:
             yield _unlike(robot, j, found, places)
@@ -106,29 +104,18 @@ def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int
         columns = column_names(robot.log.columns.dq, robot.joints)
         order = [columns[places.get(k, k)] for k in range(len(columns))]
         listed = ", ".join(f'"{column}"' for column in order)
-        return Finding(
-            check="velocity-columns",
-            joints=(name,),
-            found=what,
-            remedy=f"its velocity is in the column of joint '{robot.joints[other]}'; set "
-            f"[log.columns] dq = [{listed}]",
-            changes={"log.columns.dq": tuple(order)},
-        )
+        place = f"its velocity is in the column of joint '{robot.joints[other]}'; set "
+        remedy, changes = f"{place}[log.columns] dq = [{listed}]", {"log.columns.dq": tuple(order)}
+        return of_joint("velocity-columns", name, what, remedy, changes=changes)
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
-    remedy = (
-        'the column contains another signal or a filtered one; set [log.columns] dq = "" '
-        "to derive it from the position"
-    )
+    remedy = f"the column contains another signal or a filtered one; {_DERIVE}"
     return of_joint("velocity-match", name, what + late, remedy, changes={"log.columns.dq": ""})
 
 
 def _late(name: str, lag: float) -> Finding:
     way = "late" if lag > 0 else "early"
     found = f"its velocity is {abs(lag) * 1e3:.0f} ms {way} relative to its position"
-    remedy = (
-        'it was filtered or comes from another clock; set [log.columns] dq = "" to '
-        "derive it from the position"
-    )
+    remedy = f"it was filtered or comes from another clock; {_DERIVE}"
     return of_joint("velocity-lag", name, found, remedy, "warning", changes={"log.columns.dq": ""})
 
 
@@ -147,19 +134,13 @@ def _scale(
         )
         yield of_joint("velocity-sign", name, what, remedy, changes={"log.units.dq": tuple(units)})
     ratio = abs(found.slope)
-    sure = abs(ratio - 1.0) > _SURE * found.error
-    if not sure or abs(np.log(ratio)) < _ODD:
+    if not abs(ratio - 1.0) > _SURE * found.error or abs(np.log(ratio)) < _ODD:
         return
     cause, changes = _cause(robot, j, matches, motion)
     shown = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
-    yield Finding(
-        check="velocity-scale",
-        severity="error" if abs(np.log(ratio)) > _WRONG else "warning",
-        joints=(name,),
-        found=f"q changes {shown} than dq",
-        remedy=cause,
-        changes=changes,
-    )
+    kind: Severity = "error" if abs(np.log(ratio)) > _WRONG else "warning"
+    what = f"q changes {shown} than dq"
+    yield of_joint("velocity-scale", name, what, cause, kind, changes=changes)
 
 
 def _cause(

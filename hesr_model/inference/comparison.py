@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri, stdtr, stdtrit
 
-from hesr_model.inference.correlation import correlation_length
+from hesr_model.inference.covariance import correlation_length
 from hesr_model.support.arrays import Array, Mask
 
 Key = TypeVar("Key")

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 
 from hesr_model.errors import RobotError
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config
+from hesr_model.support.typed_files import Config
 from hesr_model.units import KNOWN, fits, in_si
 
 _PLACES = ("{}", "{1}", "{0}", "{name}")

@@ -13,7 +13,7 @@ from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.tables import write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, description_of
-from hesr_model.support import frames, html
+from hesr_model.support import frames
 from hesr_model.support.arrays import Array, Integers, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
@@ -72,7 +72,7 @@ class Log:
         if self.dq is not None:
             columns["largest |dq|"] = np.abs(self.dq).max(0)
         rows = zip(joints, *(map(float, column) for column in columns.values()), strict=True)
-        return html.table(f"Log '{self.name}': {self._size}", ("joint", *columns), rows)
+        return frames.html_table(f"Log '{self.name}': {self._size}", ("joint", *columns), rows)
 
     @property
     def _size(self) -> str:

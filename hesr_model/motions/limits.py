@@ -11,7 +11,7 @@ from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config
+from hesr_model.support.typed_files import Config
 
 Positive = Annotated[float, Field(gt=0)]
 KEPT_FREE = 0.05  # default margin at either end of a joint's range: no arm follows exactly

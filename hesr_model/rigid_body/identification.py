@@ -25,10 +25,10 @@ from hesr_model.rigid_body.base_parameters import at_random_states, known_column
 from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, gear_forms, gears_of, with_gears
 from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
 from hesr_model.robots.robot import Robot
-from hesr_model.support import html
 from hesr_model.support.arrays import Array, Integers, Mask
 from hesr_model.support.files import PathArg, path_of
-from hesr_model.support.typed_json import Numbers, from_json, read_json, to_json, write_json
+from hesr_model.support.frames import html_table
+from hesr_model.support.typed_files import Numbers, from_json, read_json, to_json, write_json
 
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 
@@ -121,7 +121,7 @@ class RigidBody:
             for k, value, error in zip(self.base, numbers, self.standard_errors, strict=True)
         )
         head = ("base parameter [SI]", "value", "standard error")
-        return html.table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
+        return html_table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
     def torque(self, model: Robot, motion: Motion) -> Array:
         """Return the rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].

@@ -15,7 +15,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
-from hesr_model.support.typed_json import Numbers
+from hesr_model.support.typed_files import Numbers
 
 _LATEST = 0.1  # longest latency [s]
 _COARSE, _FINE = 5e-4, 10  # least step of a first search [s], and its parts in a second

@@ -18,7 +18,7 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from hesr_model.errors import FitError
-from hesr_model.inference.correlation import correlation_length
+from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.least_squares import Block

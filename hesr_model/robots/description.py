@@ -1,18 +1,118 @@
-"""Descriptions of robots: a TOML with joints, constants, and the format of logs."""
+"""Descriptions of robots: a TOML with joints, owner, sourced constants, and the format of logs."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_serializer, model_validator
 
-from hesr_model.errors import RobotError
+from hesr_model.errors import ArtifactError, RobotError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.robots.owner import Owner
-from hesr_model.robots.sources import Sources, sourced
 from hesr_model.robots.transmission import Coupling, Transmission
-from hesr_model.support.config import Config, PrintableName, RelativePath
 from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.typed_files import Config, PrintableName, RelativePath, from_json, to_json
+
+SourceKind = Literal["measured", "datasheet", "identified", "guessed", "not stated"]
+"""Only the first three are evidence against a log."""
+
+_KEY = "constants"  # of provenance
+_SAID: Mapping[SourceKind, str] = {
+    "measured": "measured",
+    "datasheet": "taken from a data sheet",
+    "identified": "identified from known masses",
+    "guessed": "guessed: tau is proportional to it",
+    "not stated": "of unknown source: state it in the robot file, under 'sources'",
+}
+
+
+class Sources(Config):
+    """SourceKind of constants by key of the robot file, one or one per joint."""
+
+    torque_per_ampere: SourceKind | tuple[SourceKind, ...] = "not stated"
+
+    def each(self, key: str, joints: int) -> tuple[SourceKind, ...]:
+        """Return the source of each joint's constant."""
+        found = getattr(self, key)
+        return found if isinstance(found, tuple) else (found,) * joints
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourcedConstant:
+    """A constant of a joint that a result rests on."""
+
+    name: str
+    joint: str
+    value: float
+    unit: str
+    source: SourceKind
+
+
+def sourced(
+    name: str,
+    unit: str,
+    joints: Sequence[str],
+    values: Sequence[float],
+    sources: Sequence[SourceKind],
+) -> dict[str, Any]:
+    """Return the entry of a provenance for a constant of each joint."""
+    return {
+        _KEY: [
+            to_json(SourcedConstant(name=name, joint=joint, value=value, unit=unit, source=source))
+            for joint, value, source in zip(joints, values, sources, strict=True)
+        ]
+    }
+
+
+def statements(provenance: Mapping[str, Any], *only: SourceKind) -> list[str]:
+    """Return a sentence per constant and source in a provenance, maybe of some sources only."""
+    entries = provenance.get(_KEY) or ()
+    found = [from_json(SourcedConstant, one, Path("provenance"), "a constant") for one in entries]
+    groups: dict[tuple[SourceKind, str], list[str]] = {}
+    for one in found:
+        groups.setdefault((one.source, one.name), []).append(one.joint)
+    return [
+        f"{name[0].upper()}{name[1:]} of {', '.join(joints)} {_SAID[source]}."
+        for (source, name), joints in groups.items()
+        if not only or source in only
+    ]
+
+
+class Owner(Config):
+    """Author, copyright ("Copyright (c) 2026 A Company") and licence ("Apache-2.0")."""
+
+    author: PrintableName = ""
+    copyright: PrintableName = ""
+    license: PrintableName = ""
+
+    @property
+    def known(self) -> dict[str, str]:
+        """Known entries by name."""
+        found = {name: str(getattr(self, name)) for name in type(self).model_fields}
+        return {name: text for name, text in found.items() if text}
+
+    @model_serializer(mode="plain")
+    def _as_written(self) -> dict[str, str]:
+        return self.known
+
+    @classmethod
+    def of(cls, provenance: Mapping[str, Any]) -> Self:
+        """Return the owner of a provenance; raises ArtifactError."""
+        found = provenance.get("owner", {})
+        try:
+            return cls.model_validate(found)
+        except ValidationError as error:
+            raise ArtifactError(
+                f"the provenance's 'owner' is {found!r}; expected texts for author, copyright "
+                "and license, of printable characters."
+            ) from error
+
+
+OURS = Owner(
+    author="The HESR authors", copyright="Copyright (c) 2026 The HESR authors", license="MIT"
+)
+"""Owner of FMUs with code of HESR only."""
 
 
 class RobotDescription(Config):

@@ -21,7 +21,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.support import interrupts
+from hesr_model.support.progress import deferred
 
 _TEMPORARY = ".hesr-"
 _LOCK = f"{_TEMPORARY}lock"
@@ -97,7 +97,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         _take(path, cleanup)
         temporary = cleanup.enter_context(scratch_folder(path, _TEMPORARY))
         yield temporary
-        with interrupts.deferred():
+        with deferred():
             for file in temporary.rglob("*"):
                 target = path / file.relative_to(temporary)
                 if target.exists() and target.is_dir() != file.is_dir():
@@ -209,7 +209,7 @@ def _move(path: Path) -> None:
 def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterator[Path]:
     """Yield a temporary folder; interrupts leave none."""
     with ExitStack() as cleanup:
-        with interrupts.deferred():
+        with deferred():
             if parent is None:
                 _sweep(Path(tempfile.gettempdir()))
             own = f"{prefix}{_HERE}-{os.getpid()}-"
@@ -219,7 +219,7 @@ def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterato
 
 
 def _removed(folder: Path) -> None:
-    with interrupts.deferred(), suppress(OSError):
+    with deferred(), suppress(OSError):
         _remove_whatever(folder)
 
 
@@ -255,7 +255,7 @@ def written_whole(path: Path) -> Iterator[Path]:
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
             _sweep(path.parent)
             _sweep(Path(tempfile.gettempdir()))
-            with interrupts.deferred():
+            with deferred():
                 own = f".{path.name}.{_HERE}-{os.getpid()}-"
                 handle, name = tempfile.mkstemp(dir=path.parent, prefix=own, suffix=path.suffix)
                 temporary = Path(name)
@@ -283,7 +283,7 @@ def written_together(main: Path) -> Iterator[Callable[[Path], Path]]:
             return made[path]
 
         yield temporary
-        with interrupts.deferred():
+        with deferred():
             main.unlink(missing_ok=True)
             cleanup.close()
 

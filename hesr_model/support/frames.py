@@ -1,8 +1,10 @@
-"""pandas tables and xarray data sets, imported on use."""
+"""Tables for pandas, xarray and notebooks; libraries are imported on use."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
+
+from markupsafe import Markup
 
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
@@ -30,3 +32,17 @@ def _library(name: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise ConfigError(f"{name} is not installed; pip install 'hesr[tables]'.") from error
+
+
+def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return an HTML table with escaped cells; numbers get four digits."""
+    lines = [Markup("<table><caption>{}</caption>").format(caption)]
+    lines.append(_row("th", head))
+    lines += [_row("td", row) for row in rows]
+    return str(Markup("\n").join([*lines, Markup("</table>")]))
+
+
+def _row(kind: str, cells: Iterable[object]) -> Markup:
+    shown = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in cells)
+    written = Markup("").join(Markup(f"<{kind}>{{}}</{kind}>").format(cell) for cell in shown)
+    return Markup("<tr>{}</tr>").format(written)

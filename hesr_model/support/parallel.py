@@ -1,33 +1,123 @@
-"""Independent jobs in worker processes, which are killed at once if anything fails."""
+"""Independent jobs in worker processes, which are killed at once if anything fails.
+
+A request to a worker is a line with the numbers of a batch and a job; an answer is a line with its
+size and the pickled tuple (error or None, result, cache use).
+"""
 
 import json
+import logging
 import os
+import shutil
+import signal
 import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
+from pathlib import Path
 from queue import SimpleQueue
 from subprocess import PIPE
 from threading import Thread
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import cloudpickle
 
 from hesr_model.errors import WorkerError
-from hesr_model.support import interrupts
+from hesr_model.support import cache
 from hesr_model.support.cache import USED
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.lazy import collect_seldom
 from hesr_model.support.process import ChildProcess, end_marked, new_mark
-from hesr_model.support.progress import current, running
-from hesr_model.support.worker import JOBS, JobAnswer, read_answer
+from hesr_model.support.progress import current, deferred, running
+
+JOBS = "jobs"  # prefix of files with pickled jobs
+
+JobAnswer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
+
+_GROWTH = 1 << 30  # memory growth after which a worker starts afresh [B]
+_ORPHANED = 1.0  # period of checks for the parent [s]
+
+
+def work(folder: Path, parent: int) -> None:
+    """Answer requests until stdin closes."""
+    import psutil
+
+    # Only the parent answers signals to the process group.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
+    collect_seldom()
+    for name in (cache.__name__, "fmu_src.run.sandbox_rights"):  # the parent has warned
+        logging.getLogger(name).setLevel(logging.ERROR)
+    tempfile.tempdir = str(folder)
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with Path(os.devnull).open("rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)  # jobs may print
+    process = psutil.Process()
+    first_size = process.memory_info().rss
+    for request in requests:
+        batch, k = request.decode().split()
+        data = _answer(folder / f"{JOBS}{batch}", int(k))
+        answers.write(f"{len(data)}\n".encode() + data)
+        answers.flush()
+        if process.memory_info().rss > first_size + _GROWTH and os.name == "posix":
+            os.dup2(requests.fileno(), 0)
+            os.dup2(answers.fileno(), 1)
+            os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
+@lru_cache(maxsize=1)
+def _batch(file: Path) -> Sequence[Callable[[], Any]]:
+    jobs: Sequence[Callable[[], Any]] = cloudpickle.loads(file.read_bytes())
+    return jobs
+
+
+def _answer(file: Path, k: int) -> bytes:
+    before = USED.copy()
+    answer: JobAnswer
+    try:
+        answer = None, _batch(file)[k](), USED - before
+        return bytes(cloudpickle.dumps(answer))
+    except BaseException as error:
+        error.add_note("".join(traceback.format_exception(error)))
+        answer = error, None, USED - before
+    try:
+        return bytes(cloudpickle.dumps(answer))
+    except Exception:  # its class cannot be pickled
+        return bytes(cloudpickle.dumps((RuntimeError(repr(answer[0])), None, answer[2])))
+
+
+def read_answer(answers: IO[bytes]) -> JobAnswer:
+    """Read one answer; raises EOFError if the worker has ended."""
+    size = answers.readline()
+    data = answers.read(int(size or 0))
+    if not size or len(data) < int(size):
+        raise EOFError
+    answer: JobAnswer = cloudpickle.loads(data)
+    return answer
+
+
+def _end_with(parent: int, folder: Path) -> None:
+    while os.getppid() == parent:
+        time.sleep(_ORPHANED)
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
 
 Returned = TypeVar("Returned")
 
 _START = (
     "import json, sys; from pathlib import Path; path, folder, parent = json.loads(sys.argv[1]); "
-    "sys.path[:] = path; from hesr_model.support.worker import work; work(Path(folder), parent)"
+    "sys.path[:] = path; from hesr_model.support.parallel import work; work(Path(folder), parent)"
 )
 _ENVIRONMENT = dict.fromkeys(
     (
@@ -105,7 +195,7 @@ class _Pool:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "_Pool":
-        with interrupts.deferred():
+        with deferred():
             self._folder = self._cleanup.enter_context(scratch_folder())
         return self
 
@@ -129,7 +219,7 @@ class _Pool:
         """Queue jobs, the most expensive first; return futures of answers."""
         self._batches += 1
         (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
-        with interrupts.deferred():
+        with deferred():
             while len(self._children) < self._count:
                 self._start()
         futures = [Future[JobAnswer]() for _ in jobs]

@@ -1,8 +1,11 @@
-"""Text from files of unknown origin, made safe to show; values as TOML."""
+"""Text and data of unknown origin: bounded reading, safe to show; values as TOML."""
 
 import json
-from collections.abc import Iterable
-from typing import Any
+import os
+import tomllib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
 
 _LONGEST = 160  # characters; hostile texts have millions
 
@@ -44,3 +47,69 @@ def toml(value: Any) -> str:
         return f"[{', '.join(map(toml, value))}]"
     # TOML writes text, integers and booleans like JSON.
     return repr(float(value)) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
+Data = TypeVar("Data")
+
+MOST_BYTES = 256 * 2**20  # the largest results have a tenth of it
+_MOST_DIGITS = 300  # floating-point numbers end at 1.8e308
+_DEEPEST_KEY = 100  # dots
+_LONGEST_NAME = 1000
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8; raises OSError or ValueError."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError("it is a pipe or a device")  # opening it may block, and it may have no end
+    with path.open("rb") as file:
+        too_long = os.fstat(file.fileno()).st_size > MOST_BYTES
+        content = b"" if too_long else file.read(MOST_BYTES + 1)
+    if too_long or len(content) > MOST_BYTES:  # files of the system do not have their length
+        raise ValueError(f"it is longer than {MOST_BYTES // 2**20} MB")
+    return content.decode("utf-8")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return JSON data; raises ValueError, also for deep nesting."""
+    return _shallow(lambda: json.loads(text, parse_int=_integer))
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return TOML data; raises ValueError, also for deep nesting."""
+    for line in text.splitlines():
+        # Parsing nested tables takes quadratic time in their depth.
+        if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):
+            raise ValueError("it is nested too deeply")
+    data = _shallow(lambda: tomllib.loads(text))
+    _shallow(lambda: _require_numbers(data))
+    return data
+
+
+def _shallow(read: Callable[[], Data]) -> Data:
+    try:
+        return read()
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"it holds an integer of {len(digits)} digits")
+    return int(digits)
+
+
+def _require_numbers(data: Any) -> None:
+    if isinstance(data, dict | list):
+        for value in data.values() if isinstance(data, dict) else data:
+            _require_numbers(value)
+    elif isinstance(data, int) and abs(data) > 10**_MOST_DIGITS:
+        raise ValueError(f"it holds an integer of more than {_MOST_DIGITS} digits")
+
+
+def require_printable(name: str) -> str:
+    """Return a name that XML and C can contain, or raise ValueError."""
+    if not name or len(name) > _LONGEST_NAME:
+        raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_LONGEST_NAME}")
+    if odd := next((c for c in name if not c.isprintable()), None):
+        raise ValueError(f"the name {name!a} holds {odd!a}, which cannot be printed")
+    return name

@@ -5,7 +5,7 @@ from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
 from fmu_src import model_file
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.stepper import LawStepper
+from hesr_model.friction.predict import LawStepper
 
 
 class PythonFriction(Fmi2Slave):

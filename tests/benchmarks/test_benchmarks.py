@@ -22,12 +22,12 @@ from threadpoolctl import threadpool_limits
 from fmu_src import model_file
 from fmu_src.equations.c_functions import Functions
 from fmu_src.export.toolchain import CFLAGS
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
-from hesr_model.laws.parfam import paper, refine
+from hesr_model.laws.parfam import evolve, refine
 from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -114,7 +114,7 @@ def test_objective_with_gradient(benchmark: BenchmarkFixture, features: Hysteres
     benchmark.extra_info["aim"] = "75 us"
     x, tau = features.columns(11.0, 200.0), features.samples.tau
     scale = np.concatenate([[1.0], x[:, 1:].std(axis=0)])
-    objective = paper.Objective("tanh", x / scale, tau, 1e-3, np.ones(9, bool))
+    objective = evolve.Objective("tanh", x / scale, tau, 1e-3, np.ones(9, bool))
     point = np.random.default_rng(0).normal(size=9)
     with threadpool_limits(1):
         value, gradient = benchmark(objective, point)

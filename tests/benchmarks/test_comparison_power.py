@@ -18,8 +18,8 @@ from cosim.study.scores import by_joint, predict_models
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_models
-from hesr_model.friction.registry import registry
 from hesr_model.inference.comparison import (
     SIGNIFICANCE,
     LawErrors,

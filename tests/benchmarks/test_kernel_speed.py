@@ -21,13 +21,13 @@ from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.fitting.declarative import OneForm
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows, non_negative_least_squares
 from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.compiler import compile_c
 

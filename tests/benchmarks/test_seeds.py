@@ -8,8 +8,7 @@ import pytest
 
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
-from hesr_model.friction.records import predict_record
+from hesr_model.friction.records import predict_record, rmse
 from hesr_model.rigid_body.residual import FrictionRecord
 
 SEEDS = range(10)

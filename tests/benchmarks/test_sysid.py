@@ -28,11 +28,11 @@ import pytest
 from mujoco import sysid
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
+from hesr_model.friction.records import rmse
 from hesr_model.laws.lugre import DEFLECTION_BOUNDS, STATIC_RATIO_BOUNDS
 from hesr_model.laws.stribeck import VELOCITY_BOUNDS
 from hesr_model.rigid_body.residual import FrictionRecord

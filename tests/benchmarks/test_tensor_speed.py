@@ -8,9 +8,9 @@ import pytest
 
 from fmu_src import model_file
 from hesr.extras.one_file.tensors import export_jax, export_torch
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 
 PYTHON = {
     "torch": Path("/usr/bin/python3"),

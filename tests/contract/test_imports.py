@@ -53,7 +53,7 @@ ONLY_IN = {
     "sklearn": ("cosim/regressor.py",),
     "click": ("hesr/cli/*",),
     "rich": ("hesr/cli/*", "cosim/report/tables/*"),
-    "cloudpickle": ("hesr_model/support/parallel.py", "hesr_model/support/worker.py"),
+    "cloudpickle": ("hesr_model/support/parallel.py",),
     "imageio_ffmpeg": ("hesr/extras/view/video.py",),
 }
 

@@ -5,7 +5,7 @@ from collections import defaultdict
 
 from documents import ROOT
 
-from hesr_model.friction.registry import laws_with, registry
+from hesr_model.fitting.estimator import laws_with, registry
 
 DEFAULTS = {
     "cosim/regressor.py": {"lugre"},  # default of `FrictionRegressor(law=..)`

@@ -22,14 +22,13 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from hesr_model.errors import ArtifactError, HesrError
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.inputs import INPUTS, MOVING
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import numbers, predict
-from hesr_model.friction.registry import registry
-from hesr_model.friction.stepper import LawStepper
+from hesr_model.friction.predict import LawStepper, numbers, predict
+from hesr_model.friction.records import rmse
 from hesr_model.rigid_body.residual import FrictionRecord
 
 EXACT_ENOUGH = 1e-12

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_twin import MOTIONS
 
-from hesr_model.friction.registry import laws_of_paper, registry
+from hesr_model.fitting.estimator import laws_of_paper, registry
 from hesr_model.support import plugins
 from hesr_model.support.files import models_folder
 

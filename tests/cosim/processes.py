@@ -64,7 +64,7 @@ def workers(group: int) -> list[int]:
     return [
         number
         for number, command in running(group).items()
-        if "hesr_model.support.worker" in command
+        if "hesr_model.support.parallel" in command
     ]
 
 

@@ -19,7 +19,7 @@ from cosim.workflow.answer import (
     written_files,
 )
 from hesr_model.findings import Finding
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 ADVICE = Finding(check="load", severity="advice", found="no load is logged")
 ERROR = Finding(check="units", where="a.csv", found="q is in degrees", remedy="give the unit")

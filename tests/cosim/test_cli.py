@@ -11,8 +11,8 @@ import pytest
 from fmpy.validation import validate_fmu
 from small_study import Hesr, Run, contents, hesr_here, uf850
 
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import RobotDescription

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from small_study import Hesr, hesr_here
 
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from small_study import Hesr, Run, hesr_here, hesr_in_a_process, uf850, write_study
 
-from hesr_model.friction.registry import registry
+from hesr_model.fitting.estimator import registry
 
 ROBOT = uf850("robot.toml")
 

@@ -18,8 +18,8 @@ from small_study import contents, uf850, write_study
 from small_twin import GAINS
 
 from hesr.cli.console import ended_by_signals
-from hesr_model.support import interrupts
 from hesr_model.support.files import folder_written_whole
+from hesr_model.support.progress import deferred
 
 pytestmark = [
     pytest.mark.ci,
@@ -178,7 +178,7 @@ def test_an_interrupt_waits_until_the_block_is_done() -> None:
     done = []
 
     def work() -> None:
-        with interrupts.deferred():
+        with deferred():
             signal.raise_signal(signal.SIGINT)
             done.append(True)
 
@@ -197,7 +197,7 @@ def test_an_interrupt_received_by_another_thread_also_waits() -> None:
     other.start()
 
     def work() -> None:
-        with interrupts.deferred():
+        with deferred():
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.05)
             done.append(True)
@@ -223,7 +223,7 @@ def test_a_process_starts_with_interrupts_blocked() -> None:
             [sys.executable, "-c", program], capture_output=True, text=True, check=True
         ).stdout
 
-    with interrupts.deferred():
+    with deferred():
         assert begun() == "True False\n"
     assert begun() == "False False\n"
 

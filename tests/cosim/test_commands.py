@@ -11,7 +11,7 @@ import hesr
 from hesr_model.errors import HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
-from hesr_model.robots.owner import Owner
+from hesr_model.robots.description import Owner
 from hesr_model.robots.robot import RobotDescription
 
 

@@ -24,8 +24,8 @@ from hesr.cli.console import (
     shown_progress,
 )
 from hesr_model.errors import ConfigError
-from hesr_model.support.interrupts import Interrupted
-from hesr_model.support.typed_json import write_json
+from hesr_model.support.progress import Interrupted
+from hesr_model.support.typed_files import write_json
 
 Capture = pytest.CaptureFixture[str]
 

@@ -19,7 +19,7 @@ from fmu_src.run.replay import replay
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 BEST_FIRST = ("direct", "linear", "hold")
 

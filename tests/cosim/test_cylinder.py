@@ -9,7 +9,7 @@ import pytest
 import hesr
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
-from hesr_model.forward.windows import windows_of
+from hesr_model.forward.simulation import windows_of
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.laws.lugre import LuGreLoad

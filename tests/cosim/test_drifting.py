@@ -37,7 +37,7 @@ from hesr_model.motions.trajectories import Fourier, random_fourier
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 PLANT = Plant.read(UF850 / "plant.toml")
 

@@ -14,8 +14,7 @@ from cosim.study.study import Study
 from fmu_src.run.replay import replay
 from hesr_model.fitting.fit import fit
 from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
-from hesr_model.forward.simulation import Simulator, position_errors
-from hesr_model.forward.windows import whole, windows_of
+from hesr_model.forward.simulation import Simulator, position_errors, whole, windows_of
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smoothed

@@ -20,6 +20,7 @@ from pyarrow import parquet
 import hesr
 from fmu_src.run.replay import replay
 from hesr.cli import main
+from hesr.extras.fleet.deviation import Trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.run import changed, compared, run_fleet, write_types
@@ -28,7 +29,6 @@ from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
-from hesr_model.inference.deviation import Trend
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import smooth

@@ -22,14 +22,14 @@ from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu, predict_model
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
+from hesr_model.friction.records import rmse
 from hesr_model.rigid_body.residual import FrictionRecord
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 BRISTLE = {
     "linear": ["1", "dq", "h", "h_load"],

@@ -13,8 +13,8 @@ from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.health.proposal import propose, robot_file, with_constants
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.torque_constants import Constant
+from hesr_model.robots.description import statements
 from hesr_model.robots.robot import RobotDescription
-from hesr_model.robots.sources import statements
 
 SOURCES = 'sources = { torque_per_ampere = ["guessed", "identified", "measured"] }\n'
 SAID = {

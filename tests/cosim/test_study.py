@@ -19,7 +19,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.support.files import models_folder
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 LOGS = """
 [logs]

@@ -15,9 +15,14 @@ from cosim.report.tables import laws, loop, scores
 from cosim.report.tables.table import ResultTable, TableRow, number
 from cosim.report.tables.terminal import Drawn
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import Figure, JointProperties, Properties, PropertyResult
-from hesr_model.friction.metrics import BandScore
+from hesr_model.audit.properties import (
+    EXPECTATIONS,
+    Figure,
+    JointProperties,
+    Properties,
+    PropertyResult,
+)
+from hesr_model.friction.records import BandScore
 
 LONG = "a variant of the extended law without ripple and without an estimated start"
 LAWS = ("lugre", "lugre_load_ripple", "parfam_hx", LONG, "anamewithoutanyblanks" * 3)

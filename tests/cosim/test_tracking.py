@@ -36,7 +36,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 UF850 = models_folder() / "uf850"
 WIDE = np.tile([-10.0, 10.0], (3, 1))

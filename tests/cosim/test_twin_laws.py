@@ -25,8 +25,8 @@ from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
-from hesr_model.friction.metrics import score
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import score
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.files import models_folder

@@ -23,14 +23,13 @@ from cosim.study.verdict import (
     write_verdict,
 )
 from fmu_src.friction.predictions import predict_model
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import JointProperties, Properties, PropertyResult
+from hesr_model.audit.properties import EXPECTATIONS, JointProperties, Properties, PropertyResult
 from hesr_model.errors import ArtifactError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit, fit_joint
 from hesr_model.forward.output_error import Refined
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 

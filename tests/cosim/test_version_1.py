@@ -16,7 +16,7 @@ from hesr_model.audit.properties import read_properties, write_properties
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 FILES = Path(__file__).parents[1] / "version_1"
 

@@ -38,7 +38,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 UF850 = models_folder() / "uf850"
 INVERSION = "servo_inversion"

@@ -10,12 +10,12 @@ from joint_data import law
 from cosim.systems.signals import Signals
 from cosim.workflow import export, fit, identify, report, simulate
 from hesr_model.findings import Finding
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 COULOMB = {"F_c": 3.0, "F_s": 3.0, "v_s": 0.1, "sigma_2": 1.5, "tau_0": 0.0}
 RANGE = TrainedRange(

@@ -20,9 +20,9 @@ from fmu_src.pages.mathml import equations
 from hesr.extras.modelica.modelica_package import TEMPLATES as MODELICA
 from hesr_model.audit.properties import Properties
 from hesr_model.errors import ExportError
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}

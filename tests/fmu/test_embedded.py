@@ -11,9 +11,9 @@ import pytest
 from fmu_src import export_fmu
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL, embedded_model
 from hesr_model.errors import ArtifactError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 
 pytestmark = pytest.mark.ci

@@ -14,9 +14,9 @@ from scipy.integrate import DOP853, solve_ivp
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.program import STEEP, Jumps
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.registry import estimator
 
 SPEED, OMEGA = 0.5, 2.0 * np.pi  # of a sine with reversals at 0.25 s, 0.75 s, ..
 END = 1.0

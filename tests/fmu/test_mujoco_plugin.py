@@ -19,8 +19,8 @@ from fmu_src.run.native import through
 from hesr.extras.mujoco_plugin import plugin_library
 from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
 from hesr_model.errors import ExportError
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.support.files import models_folder
 
 STEP = 0.002

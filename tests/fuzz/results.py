@@ -51,7 +51,7 @@ def _result(module: str, name: str) -> Callable[[Path], object]:
     def read(path: Path) -> object:
         from importlib import import_module
 
-        from hesr_model.support.typed_json import from_json, read_json
+        from hesr_model.support.typed_files import from_json, read_json
 
         schema: Any = getattr(import_module(module), name)
         data = read_json(path)
@@ -136,7 +136,7 @@ def _simulations(path: Path) -> object:
 
 def _write_simulations(path: Path) -> None:
     from cosim.study.position_errors import PositionErrors
-    from hesr_model.support.typed_json import to_json, write_json
+    from hesr_model.support.typed_files import to_json, write_json
 
     found = PositionErrors(
         joints=("a", "b"), lengths=(0.5, 1.0), windows={"lugre": ((0.1, None), (0.2, 0.3))},
@@ -164,10 +164,10 @@ def _verdict(folder: Path) -> object:
 
 
 def _write_robot_of_fleet(path: Path) -> None:
+    from hesr.extras.fleet.deviation import Trend
     from hesr.extras.fleet.result import JointResult, RobotResult
     from hesr.extras.fleet.robot import RESULT_FORMAT
-    from hesr_model.inference.deviation import Trend
-    from hesr_model.support.typed_json import to_json, write_json
+    from hesr_model.support.typed_files import to_json, write_json
 
     joint = JointResult(
         law="lugre", joint="a", structure="{}", values={"F_c": 12.0}, errors={"F_c": 0.1},
@@ -187,7 +187,7 @@ def _write_tracked(path: Path) -> None:
     from cosim.loop.closed_loop import Scheme
     from cosim.loop.traces import Trace, Tracked
     from cosim.loop.tracking import _Kept
-    from hesr_model.support.typed_json import to_json, write_json
+    from hesr_model.support.typed_files import to_json, write_json
 
     rows = np.array([[0.1, np.nan], [0.3, 0.4]])
     row = Tracked(scheme=Scheme(compensation="none"), law="lugre", rmse=rows, last=rows)

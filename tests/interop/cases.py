@@ -17,9 +17,9 @@ from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.adaptive.follow import adaptive_content, export_adaptive
 from hesr.extras.drive.drive_fmu import content as drive
 from hesr.extras.drive.drive_fmu import motors
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.robots.robot import Robot, RobotDescription

@@ -9,8 +9,8 @@ from joint_data import law
 from unchanged import Unchanged
 
 from hesr_model.audit import attack as attacks
+from hesr_model.audit import audit, certificate
 from hesr_model.audit import audit as audits
-from hesr_model.audit import certificate, cycles
 from hesr_model.equations.functions import absolute, positive, sgn
 from hesr_model.equations.intervals import never_negative
 from hesr_model.equations.memory import Relaxation
@@ -18,7 +18,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.trained_range import TrainedRange, outside
-from hesr_model.laws.stops.passive import SPEEDS
+from hesr_model.laws.stops.form import SPEEDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRAINED = TrainedRange(
@@ -128,18 +128,18 @@ def test_signs_of_expressions() -> None:
 def test_closed_motions(unchanged: Unchanged) -> None:
     found = {}
     for wanted in (0.05, 1.0, 30.0):
-        motions = cycles.closed_motions(TRAINED, np.array([0.2, 0.9]), wanted)
+        motions = audit.closed_motions(TRAINED, np.array([0.2, 0.9]), wanted)
         torque = 0.3 * np.sign(motions.dq) - 0.2 * motions.dq + 1e-12
         found[str(wanted)] = {
-            "motions": motions, "cycles": list(cycles.cycles(motions, 4.0, torque)),
+            "motions": motions, "cycles": list(audit.cycles(motions, 4.0, torque)),
             "shape": motions.dq.shape,
         }  # fmt: skip
-    dq, q, settling = cycles.encoder_noise(TRAINED)
+    dq, q, settling = audit.encoder_noise(TRAINED)
     unchanged({**found, "noise": {"dq": dq, "q": q, "rows": [len(q), settling]}})
 
 
 def test_round_off_work_counts_as_zero() -> None:
-    motions = cycles.closed_motions(TRAINED, np.array([1.0]), 1.0)
+    motions = audit.closed_motions(TRAINED, np.array([1.0]), 1.0)
     turned = np.sin(
         np.arccos(np.clip(motions.dq, -1.0, 1.0))
     )  # a function of position alone, except for signs
@@ -147,9 +147,9 @@ def test_round_off_work_counts_as_zero() -> None:
         moved = np.abs(turned * motions.dq)[:, -motions.rows :].sum()
         own_work = (motions.dq**2)[:, -motions.rows :].sum()
         tau = turned + share * moved / own_work * motions.dq
-        [cycle] = cycles.cycles(motions, 0.0, tau)
+        [cycle] = audit.cycles(motions, 0.0, tau)
         assert (cycle.work != 0.0) == counts
-    [still] = cycles.cycles(motions, 0.0, 0.0 * motions.dq)
+    [still] = audit.cycles(motions, 0.0, 0.0 * motions.dq)
     assert (still.work, still.share) == (0.0, 0.0)
 
 

@@ -10,11 +10,25 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.findings import Finding
-from hesr_model.health.causes import _best, _unexplained, check_causes, pooled
 from hesr_model.health.evidence import Motionwise, motionwise
-from hesr_model.health.examine import _caused, _without_followers, hopeless
-from hesr_model.health.findings import HealthError, merged, require_sound
-from hesr_model.health.mistakes import _by_axis, _gravity, mistakes, torques_of
+from hesr_model.health.examine import (
+    HealthError,
+    _caused,
+    _without_followers,
+    hopeless,
+    merged,
+    require_sound,
+)
+from hesr_model.health.mistakes import (
+    _best,
+    _by_axis,
+    _gravity,
+    _unexplained,
+    check_causes,
+    mistakes,
+    pooled,
+    torques_of,
+)
 from hesr_model.health.proposal import _changes, _combined, changed
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion

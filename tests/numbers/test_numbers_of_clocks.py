@@ -12,7 +12,7 @@ from hesr_model.health.evidence import (
     Motionwise,
     motionwise,
 )
-from hesr_model.health.findings import of_log
+from hesr_model.health.examine import of_log
 from hesr_model.health.timing import (
     LagRows,
     _project_out,

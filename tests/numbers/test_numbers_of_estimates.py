@@ -9,18 +9,19 @@ from scipy.signal import lfilter
 from significance import long_run_of
 from unchanged import Unchanged
 
+from hesr.extras.fleet.deviation import deviations, trend
 from hesr_model.fitting import calibration, uncertainty
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.inference.comparison import holm, law_errors
-from hesr_model.inference.correlation import correlation_length, standard_errors
 from hesr_model.inference.covariance import (
     Covariance,
     blocks_of_time,
+    correlation_length,
     covariance,
     left_out,
     pooled,
+    standard_errors,
 )
-from hesr_model.inference.deviation import deviations, trend
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,

@@ -13,7 +13,7 @@ from hesr_model.friction import predict as evaluate
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import estimated_start, predict, predict_joints, states_over
 from hesr_model.laws.parfam import trial
-from hesr_model.laws.stops import waves
+from hesr_model.laws.stops import estimator
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,
@@ -136,12 +136,12 @@ def test_ripple_must_gain_and_pay(
     samples = JointRows(**(vars(samples) | {"tau": tau}))
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(tau)], axis=1)
     ones = np.ones_like(tau)
-    assert waves.select(base, samples, ones, 101.0).frequencies[:1] == (101,)
+    assert estimator.select_waves(base, samples, ones, 101.0).frequencies[:1] == (101,)
     with monkeypatch.context() as changed:
-        changed.setattr(waves, "pays", lambda *_: False)
-        assert waves.select(base, samples, ones, 101.0).frequencies == ()
-    monkeypatch.setattr(waves, "GAIN", 0.99)
-    monkeypatch.setattr(waves, "pays", lambda *_: True)
-    assert waves.select(base, samples, ones, 101.0).frequencies == ()
-    monkeypatch.setattr(waves, "GAIN", -1.0)
-    assert len(waves.select(base, samples, ones, 101.0).frequencies) == waves.MOST
+        changed.setattr(estimator, "pays", lambda *_: False)
+        assert estimator.select_waves(base, samples, ones, 101.0).frequencies == ()
+    monkeypatch.setattr(estimator, "GAIN", 0.99)
+    monkeypatch.setattr(estimator, "pays", lambda *_: True)
+    assert estimator.select_waves(base, samples, ones, 101.0).frequencies == ()
+    monkeypatch.setattr(estimator, "GAIN", -1.0)
+    assert len(estimator.select_waves(base, samples, ones, 101.0).frequencies) == estimator.MOST

@@ -17,8 +17,8 @@ from hesr_model.health.evidence import (
     motionwise,
     rubbing,
 )
-from hesr_model.health.findings import of_log
-from hesr_model.health.loss import _sliding, check_loss
+from hesr_model.health.examine import of_log
+from hesr_model.health.positions import _sliding, check_loss
 from hesr_model.health.torque import explained
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion

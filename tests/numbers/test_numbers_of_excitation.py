@@ -13,8 +13,14 @@ from unchanged import Unchanged
 
 from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.motions import excitation
-from hesr_model.motions.excitation import ExcitationSettings, condition, design, random_motions
-from hesr_model.motions.excitation_search import Search, _null_space
+from hesr_model.motions.excitation import (
+    ExcitationSettings,
+    Search,
+    _null_space,
+    condition,
+    design,
+    random_motions,
+)
 from hesr_model.motions.limits import Limits, MotionLimits
 from hesr_model.motions.trajectories import (
     Fourier,

@@ -6,10 +6,10 @@ from unchanged import Unchanged
 
 from hesr_model.audit.audit import audit
 from hesr_model.audit.certificate import certify
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
 
 TRUTH = law(
     "lugre_load", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1,

@@ -7,8 +7,7 @@ from unchanged import Unchanged
 
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine
-from hesr_model.forward.simulation import Simulator, position_errors
-from hesr_model.forward.windows import windows_of
+from hesr_model.forward.simulation import Simulator, position_errors, windows_of
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.motions.excitation import ExcitationSettings, random_motions

@@ -11,10 +11,9 @@ from unchanged import Unchanged
 
 from hesr_model.errors import FitError
 from hesr_model.forward import output_error
-from hesr_model.forward.simulation import Simulator, position_errors
-from hesr_model.forward.windows import whole, windows_of
+from hesr_model.forward.simulation import Simulator, position_errors, whole, windows_of
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.stepper import LawStepper
+from hesr_model.friction.predict import LawStepper
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import physical, torque_constants

@@ -9,14 +9,14 @@ from limits_found import TWO, as_part, at, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
-from hesr_model.health.findings import of_log
-from hesr_model.health.loss import share_of_long_steps
+from hesr_model.health.examine import of_log
 from hesr_model.health.positions import (
     check_columns,
     check_jumps,
     check_limits,
     check_steps,
     check_time,
+    share_of_long_steps,
 )
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription

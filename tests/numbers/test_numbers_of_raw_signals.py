@@ -9,8 +9,8 @@ from limits_found import TWO, as_part, at, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
-from hesr_model.health.findings import of_log
-from hesr_model.health.sample_hold import _speeds, check_held, check_speed
+from hesr_model.health.examine import of_log
+from hesr_model.health.torque import _speeds, check_held, check_speed
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 

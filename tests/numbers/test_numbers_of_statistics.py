@@ -4,11 +4,17 @@ import numpy as np
 from joint_data import along, law, path
 from unchanged import Unchanged
 
-from hesr_model.friction.metrics import rmse_ratio_interval, score, score_band
+from hesr.extras.fleet.deviation import deviations, trend
+from hesr_model.friction.records import rmse_ratio_interval, score, score_band
 from hesr_model.inference.comparison import holm
-from hesr_model.inference.correlation import correlation_length, standard_errors
-from hesr_model.inference.covariance import blocks_of_time, covariance, left_out, pooled
-from hesr_model.inference.deviation import deviations, trend
+from hesr_model.inference.covariance import (
+    blocks_of_time,
+    correlation_length,
+    covariance,
+    left_out,
+    pooled,
+    standard_errors,
+)
 from hesr_model.logs.noise import standard_normal, words
 from hesr_model.logs.phases import moving, near_reversals, reversals
 

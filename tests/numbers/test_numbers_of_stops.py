@@ -7,15 +7,21 @@ import pytest
 from unchanged import Unchanged
 
 from hesr.extras.laws import mlp
-from hesr_model.fitting.joint_rows import JointRows, non_negative_least_squares
-from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least_squares
+from hesr.extras.laws.mlp import path as trained_along
+from hesr_model.fitting.joint_rows import (
+    JointRows,
+    Normal,
+    blocks_of,
+    non_negative_least_squares,
+    pays,
+    signed_least_squares,
+)
 from hesr_model.fitting.separable import left_out_cost
-from hesr_model.laws.networks import rbf
-from hesr_model.laws.networks.inputs import Inputs, candidates
-from hesr_model.laws.networks.training import path as trained_along
+from hesr_model.laws import rbfnn
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.stops import passive, waves
+from hesr_model.laws.rbfnn import Inputs, candidates
+from hesr_model.laws.stops import estimator, form
 from hesr_model.laws.stops import search as terms
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import Structure, viscous_at
@@ -89,27 +95,27 @@ def test_the_search_of_stops(load: bool, samples: JointRows, unchanged: Unchange
 def test_ripple_with_columns(samples: JointRows, unchanged: Unchanged) -> None:
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
     weights = terms.weights(samples)
-    problem = waves._Problem(base=base, samples=samples, weights=weights)
-    chosen = waves.select(base, samples, weights, 101.0)
-    two = waves.Waves(frequencies=(101, 203), lag=0.002)
-    first = waves._next(problem, waves.Waves(frequencies=(), lag=0.0), 101.0)
-    second = waves._next(problem, waves.Waves(frequencies=(101,), lag=0.002), 101.0)
+    problem = estimator._Problem(base=base, samples=samples, weights=weights)
+    chosen = estimator.select_waves(base, samples, weights, 101.0)
+    two = estimator.Waves(frequencies=(101, 203), lag=0.002)
+    first = estimator._next(problem, estimator.Waves(frequencies=(), lag=0.0), 101.0)
+    second = estimator._next(problem, estimator.Waves(frequencies=(101,), lag=0.002), 101.0)
     unchanged(
         {
             "chosen": chosen, "first": first, "second": second,
             "phase": problem.in_phase(two, reach=0.004),
             "near": problem.in_phase(replace(two, lag=0.0), reach=0.001),
             "left": problem.left_out(two), "residual": problem.residual(two),
-            "waves": waves.waves((101, 203), 0.003, samples)[::97].tolist(),
+            "waves": estimator.waves((101, 203), 0.003, samples)[::97].tolist(),
         },
         rtol=1e-4, atol=1e-6,
     )  # fmt: skip
 
 
 def test_ripple_candidates() -> None:
-    assert list(waves.ORDERS) == list(range(1, 17))
-    np.testing.assert_allclose(waves.LAGS, np.linspace(0.0, 0.012, 25), atol=1e-12)
-    assert (waves.NEAR, waves.MOST, waves.GAIN) == (3, 6, 0.002)
+    assert list(estimator.ORDERS) == list(range(1, 17))
+    np.testing.assert_allclose(estimator.LAGS, np.linspace(0.0, 0.012, 25), atol=1e-12)
+    assert (estimator.NEAR, estimator.MOST, estimator.GAIN) == (3, 6, 0.002)
 
 
 def test_bounded_ripple(unchanged: Unchanged) -> None:
@@ -123,14 +129,14 @@ def test_bounded_ripple(unchanged: Unchanged) -> None:
     y = a @ [1.0, 0.8, 0.1, 0.2, 2.0, 1.0, 0.3, -0.2] + 0.05 * rng.normal(size=400)
     gram, moment = a.T @ a, a.T @ y
     x = signed_least_squares(gram, moment, 5)
-    speeds = passive.SPEEDS
+    speeds = form.SPEEDS
     viscous = np.stack([np.ones_like(speeds), speeds], axis=1)
-    need = passive.needed([200, 400], 0.006, 0.002)
+    need = form.needed([200, 400], 0.006, 0.002)
     unchanged(
         {
             "free": x, "need": need[::10].T.tolist(),
-            "found": passive.constrained(gram, moment, x, viscous, need, free=5),
-            "distances": [passive.distance(lag, window) for lag in (-0.001, 0.0, 0.001, 0.01, 0.02)
+            "found": form.constrained(gram, moment, x, viscous, need, free=5),
+            "distances": [form.distance(lag, window) for lag in (-0.001, 0.0, 0.001, 0.01, 0.02)
                           for window in (0.0, 0.01, 0.02)],
         },
         rtol=1e-4,
@@ -203,16 +209,16 @@ def test_steps_of_training(exact: HysteresisFeatures, unchanged: Unchanged) -> N
 
 def test_weights_of_gaussians(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
-    centres, spacing = rbf.clustered(inputs.z, 5, np.random.default_rng(0))
-    columns = rbf.gaussians(inputs.z, centres, 1.5 * spacing)
-    bias, weights = rbf.ridge_weights(columns, exact.samples.tau, (1e-6, 1e-3, 1e-1))
-    left = rbf.left_out(inputs.z, exact.samples, 4, np.random.default_rng(1))
-    of = rbf.RbfnnH()._law(inputs, centres, 1.5 * spacing, float(bias[1]), weights[:, 1])
+    centres, spacing = rbfnn.clustered(inputs.z, 5, np.random.default_rng(0))
+    columns = rbfnn.gaussians(inputs.z, centres, 1.5 * spacing)
+    bias, weights = rbfnn.ridge_weights(columns, exact.samples.tau, (1e-6, 1e-3, 1e-1))
+    left = rbfnn.left_out(inputs.z, exact.samples, 4, np.random.default_rng(1))
+    of = rbfnn.RbfnnH()._law(inputs, centres, 1.5 * spacing, float(bias[1]), weights[:, 1])
     unchanged(
         {
             "centres": centres, "spacing": spacing, "columns": columns, "bias": bias,
             "weights": weights, "left out": left, "law": of.values,
-            "factors": rbf.FACTORS, "ridges": rbf.RIDGES,
+            "factors": rbfnn.FACTORS, "ridges": rbfnn.RIDGES,
         },
         rtol=1e-4,
     )  # fmt: skip

@@ -5,10 +5,8 @@ import pytest
 from unchanged import Unchanged
 
 from hesr_model.laws.parfam import family, trial
-from hesr_model.laws.parfam.estimator import ParFamH
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.parfam.hx import ParFamHX
-from hesr_model.laws.parfam.velocity import ParFamV
+from hesr_model.laws.parfam.laws import ParFamH, ParFamHX, ParFamV
 from hesr_model.rigid_body.residual import FrictionRecord
 
 STRUCTURES = {

@@ -8,7 +8,7 @@ from unchanged import Unchanged
 
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.laws.parfam import calibrate, evolve, paper, refine
+from hesr_model.laws.parfam import calibrate, evolve, refine
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
@@ -142,10 +142,10 @@ def test_the_search_of_the_paper(
     g: str, exact: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch, unchanged: Unchanged
 ) -> None:
     x, tau = exact.columns(CELL.alpha, CELL.beta)[::4], exact.samples.tau[::4]
-    monkeypatch.setattr(paper, "HOPS", 1)
-    found = paper.search(CELL, g, x, tau, np.random.default_rng(4))
+    monkeypatch.setattr(evolve, "HOPS", 1)
+    found = evolve.search_of_paper(CELL, g, x, tau, np.random.default_rng(4))
     point = np.random.default_rng(5).normal(size=9)
-    objective = paper.Objective(g, x, tau, paper.GAMMA, np.arange(9) != 3)
+    objective = evolve.Objective(g, x, tau, evolve.GAMMA, np.arange(9) != 3)
     unchanged(
         {"found": found, "objective": objective(point)},
         rtol=1e-3,
@@ -189,7 +189,7 @@ def test_effort_of_the_third_stage() -> None:
     assert refine.ROUNDS == ((8, 10), (16, 4))
     assert (refine.LONG, refine.PRUNED, refine.FOLD) == (60, 12, 8)
     assert (refine.SIGNIFICANCE, refine.HOPEFUL, refine.SAME) == (2.0, 1.1, 1e-6)
-    assert (paper.GAMMA, paper.HOPS, paper.STEP, paper.TRUNCATION) == (1e-3, 10, 1.0, 0.02)
+    assert (evolve.GAMMA, evolve.HOPS, evolve.STEP, evolve.TRUNCATION) == (1e-3, 10, 1.0, 0.02)
     assert evolve.ROWS == 600
 
 

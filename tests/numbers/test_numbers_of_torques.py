@@ -11,7 +11,7 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.health.evidence import Estimate, JointTorque
-from hesr_model.health.findings import of_log
+from hesr_model.health.examine import of_log
 from hesr_model.health.torque import check_torque, sign_change
 from hesr_model.robots.robot import Robot, RobotDescription
 

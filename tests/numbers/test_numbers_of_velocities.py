@@ -8,7 +8,7 @@ from limits_found import TWO, as_part, edge, said, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
-from hesr_model.health.findings import of_log
+from hesr_model.health.examine import of_log
 from hesr_model.health.velocity import _lag, check_velocity, match
 from hesr_model.robots.robot import RobotDescription
 

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import first_states
-from hesr_model.friction.stepper import LawStepper
+from hesr_model.friction.predict import LawStepper, first_states
 
 
 class Stepper:

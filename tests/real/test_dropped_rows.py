@@ -7,8 +7,7 @@ import pytest
 
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.predict import predict
-from hesr_model.health.examine import checked, examine
-from hesr_model.health.findings import HealthError
+from hesr_model.health.examine import HealthError, checked, examine
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records

@@ -9,7 +9,7 @@ from conftest import IDENTIFICATION
 
 from hesr.extras.adaptive.follow import Follower
 from hesr_model.fitting.fit import fit
-from hesr_model.friction.metrics import rmse
+from hesr_model.friction.records import rmse
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

@@ -32,9 +32,9 @@ from cosim.study.study import Study, Variant
 from cosim.workflow.export import export
 from fmu_src.friction.predictions import predict_fmu
 from fmu_src.run.replay import replay
+from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import laws_with
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

@@ -7,7 +7,7 @@ from time import process_time
 import numpy as np
 import pytest
 
-from hesr_model.friction.metrics import rmse
+from hesr_model.friction.records import rmse
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import RigidBody, identify

@@ -14,9 +14,8 @@ from hesr_model.errors import ArgumentError, FitError, HesrError
 from hesr_model.fitting import adaptation
 from hesr_model.fitting.adaptation import adapt, prior_of
 from hesr_model.fitting.fit import fit_models
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record
+from hesr_model.friction.records import predict_record, rmse
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.residual import FrictionRecord

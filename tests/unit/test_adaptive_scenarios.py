@@ -13,7 +13,7 @@ from hesr.extras.thermal.thermal_fit import Factored
 from hesr_model.equations.component import Parameter
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
+from hesr_model.friction.records import rmse
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WARM_UP = 1200.0

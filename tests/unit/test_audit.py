@@ -10,9 +10,7 @@ import sympy
 from oracles.stepper import Stepper
 
 from hesr_model.audit import audit as module
-from hesr_model.audit import cycles
-from hesr_model.audit.audit import Audit, audit, explodes
-from hesr_model.audit.cycles import ENCODER
+from hesr_model.audit.audit import ENCODER, Audit, audit, explodes
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, SimulationError
@@ -25,7 +23,7 @@ from hesr_model.laws.stribeck import Stribeck
 from hesr_model.logs.noise import standard_normal
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.files import models_folder
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 TRAINED = TrainedRange(
     sample_time=0.005, dq=(-1.2, 1.2), q=(-0.8, 0.8), tau_load=(-20.0, 40.0), tau=(-25.0, 25.0)
@@ -408,7 +406,7 @@ def test_closed_motions_settle_and_pass_each_position_twice(sample_time: float) 
     """At least three seconds of whole half cycles, then one cycle of paired samples."""
     trained = replace(TRAINED, sample_time=sample_time, q=(0.2, 1.0))
     amplitudes = np.array([0.5, 1.2])
-    found = cycles.closed_motions(trained, amplitudes, 0.25)
+    found = module.closed_motions(trained, amplitudes, 0.25)
     half = max(4, round(2.0 / sample_time))
     assert found.rows == 2 * half
     assert found.frequency == pytest.approx(0.5 / (half * sample_time))
@@ -423,22 +421,22 @@ def test_closed_motions_settle_and_pass_each_position_twice(sample_time: float) 
 
 def test_work_is_power_over_the_settled_cycle() -> None:
     """A damper of 2 N.m.s/rad dissipates amplitude^2 / f, all of it against the motion."""
-    motions = cycles.closed_motions(TRAINED, np.array([0.5, 1.0]), 0.5)
+    motions = module.closed_motions(TRAINED, np.array([0.5, 1.0]), 0.5)
     tau = 2.0 * motions.dq
     tau[:, : -motions.rows] = 1e6  # rows before the cycle do not count
-    for one, amplitude in zip(cycles.cycles(motions, 7.0, tau), (0.5, 1.0), strict=True):
+    for one, amplitude in zip(module.cycles(motions, 7.0, tau), (0.5, 1.0), strict=True):
         assert (one.amplitude, one.frequency, one.tau_load) == (amplitude, 0.5, 7.0)
         assert (one.work, one.share) == pytest.approx((amplitude**2 / 0.5, 1.0))
-    (still, _) = cycles.cycles(motions, 7.0, 0.0 * tau)
+    (still, _) = module.cycles(motions, 7.0, 0.0 * tau)
     assert (still.work, still.share) == (0.0, 0.0)
-    (spring, _) = cycles.cycles(motions, 7.0, motions.q)
+    (spring, _) = module.cycles(motions, 7.0, motions.q)
     assert (spring.work, spring.share) == (0.0, 0.0)
 
 
 def test_noise_at_rest_is_encoder_noise() -> None:
     """Three seconds to settle, then 4000 rows; velocity is the backward difference."""
     trained = replace(TRAINED, sample_time=0.01, q=(0.2, 1.0))
-    dq, q, settling = cycles.encoder_noise(trained)
+    dq, q, settling = module.encoder_noise(trained)
     noise = ENCODER * standard_normal(0, 0, np.arange(4301))
     assert settling == 300
     np.testing.assert_allclose(q, 0.6 + noise[1:], rtol=1e-15)

@@ -9,12 +9,19 @@ import pytest
 
 from hesr_model.errors import ConfigError
 from hesr_model.support import cache
-from hesr_model.support import untrusted_text as bounded
-from hesr_model.support.config import Config
+from hesr_model.support import text as bounded
 from hesr_model.support.process import how_it_ended
 from hesr_model.support.progress import PARTS, counted, into_file, watched
-from hesr_model.support.text import listed, plain, quoted
-from hesr_model.support.untrusted_text import parse_json, parse_toml, read_text, require_printable
+from hesr_model.support.text import (
+    listed,
+    parse_json,
+    parse_toml,
+    plain,
+    quoted,
+    read_text,
+    require_printable,
+)
+from hesr_model.support.typed_files import Config
 
 
 def refused(make: Callable[[], object]) -> str:

@@ -13,11 +13,11 @@ from hesr_model.audit.attack import attack
 from hesr_model.audit.certificate import Certificate, certify, scale_limits, storage
 from hesr_model.equations.functions import absolute, cardinal_sine, sgn
 from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
 from hesr_model.friction.scales import scaled
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.files import models_folder

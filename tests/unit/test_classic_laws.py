@@ -14,11 +14,11 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.replay import replay
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArtifactError
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.residual import FrictionRecord
 

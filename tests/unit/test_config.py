@@ -8,7 +8,7 @@ import pytest
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hesr_model.errors import ConfigError
-from hesr_model.support.config import Config, RelativePath
+from hesr_model.support.typed_files import Config, RelativePath
 
 
 class Inner(Config):

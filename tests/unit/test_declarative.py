@@ -9,9 +9,9 @@ from joint_data import GEAR_RATIO, along, error_on, law, path, training
 
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.declarative import Described, OneForm, no_structure
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.law import FrictionLaw, LawForm
-from hesr_model.friction.registry import registry
 from hesr_model.laws.stribeck import Stribeck
 
 RIPPLE = {"ripple": {"gear_ratio": GEAR_RATIO, "orders": [3]}}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hesr_model.inference.deviation import deviations, trend
+from hesr.extras.fleet.deviation import deviations, trend
 
 
 @pytest.mark.parametrize("n", [5, 6, 8, 20, 100])

@@ -25,10 +25,10 @@ from hesr_model.audit.certificate import certify, scale_limits
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Stop
 from hesr_model.errors import SimulationError
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 
 ROUNDING = 1e-9  # of the work and storage exchanged
 ENERGY = 1e-6  # share of a cycle that counts as energy

@@ -10,8 +10,7 @@ import pytest
 from joint_data import GEAR_RATIO, HX_BRISTLE, law
 
 from fmu_src import model_file
-from hesr_model.friction.equation import coefficient_lines, equations
-from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.law import FrictionLaw, coefficient_lines, equations
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 

@@ -11,11 +11,11 @@ from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.motions.excitation import (
     Excitation,
     ExcitationSettings,
+    Search,
     condition,
     design,
     random_motions,
 )
-from hesr_model.motions.excitation_search import Search
 from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns

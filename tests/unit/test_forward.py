@@ -12,14 +12,19 @@ from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr_model.errors import SimulationError
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit
-from hesr_model.forward.simulation import Simulator, inner_steps, position_errors
-from hesr_model.forward.windows import joined, whole, windows_of
+from hesr_model.forward.simulation import (
+    Simulator,
+    inner_steps,
+    joined,
+    position_errors,
+    whole,
+    windows_of,
+)
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
-from hesr_model.friction.stepper import LawStepper
+from hesr_model.friction.predict import LawStepper, predict
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

@@ -10,8 +10,8 @@ from oracles.intervals import Box, reach
 from hesr_model.equations.functions import absolute, clip, larger, lowered, positive, sgn
 from hesr_model.equations.intervals import enclosed, lowest
 from hesr_model.equations.memory import Relaxation, Stop
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import DQ, TAU_LOAD
-from hesr_model.friction.registry import registry
 
 X, Y = sympy.symbols("x y", real=True)
 BOX = {X: (-1.5, 2.0), Y: (0.25, 3.0)}

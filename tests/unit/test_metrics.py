@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr_model.friction.metrics import (
+from hesr_model.friction.records import (
     rmse,
     rmse_ratio_interval,
     score,

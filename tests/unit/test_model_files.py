@@ -23,7 +23,7 @@ from hesr_model.inference.covariance import Covariance
 from hesr_model.laws.parfam import family
 from hesr_model.rigid_body.identification import RIGID_BODY_FORMAT, RigidBody
 from hesr_model.support.files import models_folder, newest, provenance, sha256
-from hesr_model.support.typed_json import read_json, write_json
+from hesr_model.support.typed_files import read_json, write_json
 
 TABLE_1 = models_folder() / "uf850" / "table1.json"
 FULL = {

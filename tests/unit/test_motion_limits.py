@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.motions.excitation_search import Search, _excess, _log_condition
+from hesr_model.motions.excitation import Search, _excess, _log_condition
 from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.robots.robot import Robot

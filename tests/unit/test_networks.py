@@ -7,19 +7,17 @@ import numpy as np
 import pytest
 
 from hesr.extras.laws import mlp
-from hesr.extras.laws.mlp import MlpH
+from hesr.extras.laws.mlp import MlpH, Network, path
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
-from hesr_model.laws.networks import rbf
-from hesr_model.laws.networks.inputs import TRIED, Inputs, candidates, first_tame
-from hesr_model.laws.networks.rbf import RbfnnH
-from hesr_model.laws.networks.training import Network, path
+from hesr_model.friction.records import rmse
+from hesr_model.laws import rbfnn
 from hesr_model.laws.parfam import family
 from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.rbfnn import TRIED, Inputs, RbfnnH, candidates, first_tame
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHA, BETA = 9.0, 30.0
@@ -175,8 +173,8 @@ def test_networks_that_explode_are_skipped(records: list[FrictionRecord]) -> Non
 
 def test_centres_lie_among_the_rows_and_depend_on_the_seed() -> None:
     z = cloud(800)
-    centres, spacing = rbf.clustered(z, 12, np.random.default_rng(1))
-    again, _ = rbf.clustered(z, 12, np.random.default_rng(1))
+    centres, spacing = rbfnn.clustered(z, 12, np.random.default_rng(1))
+    again, _ = rbfnn.clustered(z, 12, np.random.default_rng(1))
     np.testing.assert_array_equal(centres, again)
     assert centres.shape == (12, 3)
     assert np.all((centres >= z.min(axis=0)) & (centres <= z.max(axis=0)))
@@ -186,7 +184,7 @@ def test_centres_lie_among_the_rows_and_depend_on_the_seed() -> None:
 
 def test_repeated_rows_give_fewer_centres() -> None:
     z = np.repeat(cloud(5), 100, axis=0)
-    centres, spacing = rbf.clustered(z, 12, np.random.default_rng(0))
+    centres, spacing = rbfnn.clustered(z, 12, np.random.default_rng(0))
     assert len(centres) <= 5
     assert 0.0 < spacing < np.inf
 
@@ -195,7 +193,7 @@ def test_ridge_regression_shrinks_weights_but_not_the_offset() -> None:
     rng = np.random.default_rng(5)
     columns, tau = rng.normal(size=(200, 4)) + 1.0, rng.normal(size=200) + 7.0
     ridges = (0.0, 0.3, 1e9)
-    bias, weights = rbf.ridge_weights(columns, tau, ridges)
+    bias, weights = rbfnn.ridge_weights(columns, tau, ridges)
     for i, ridge in enumerate(ridges[:2]):
         # The same problem as plain least squares with one additional row per weight.
         rows = np.vstack(
@@ -213,11 +211,11 @@ def test_ridge_regression_shrinks_weights_but_not_the_offset() -> None:
 def test_left_out_rows_do_not_train_the_rbf(features: HysteresisFeatures) -> None:
     samples = features.samples
     z = candidates(features, 1)[0].z
-    honest = rbf.left_out(z, samples, 10, np.random.default_rng(0))
-    assert honest.shape == (len(rbf.FACTORS), len(rbf.RIDGES))
+    honest = rbfnn.left_out(z, samples, 10, np.random.default_rng(0))
+    assert honest.shape == (len(rbfnn.FACTORS), len(rbfnn.RIDGES))
     # Trained on both logs, a network would fit half of an offset between them.
     moved = replace(samples, tau=samples.tau + 50.0 * samples.record)
-    shifted = rbf.left_out(z, moved, 10, np.random.default_rng(0))
+    shifted = rbfnn.left_out(z, moved, 10, np.random.default_rng(0))
     assert np.all(np.sqrt(shifted) > 40.0)
     assert np.sqrt(honest.min()) < 1.0
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.robots.owner import OURS, Owner
+from hesr_model.robots.description import OURS, Owner
 from hesr_model.robots.robot import RobotDescription
 
 ROBOT = 'name = "arm"\nmodel = "arm.urdf"\njoints = ["a"]\n'

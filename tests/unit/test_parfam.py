@@ -16,11 +16,11 @@ from hesr_model.friction.inputs import MOVING
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.laws.parfam import calibrate, evolve, family, paper, refine
+from hesr_model.laws.parfam import calibrate, evolve, family, refine
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate
-from hesr_model.laws.parfam.estimator import ParFamH
 from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.parfam.laws import ParFamH
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.files import models_folder
 
@@ -280,7 +280,7 @@ def test_the_gradient_of_eq_12_agrees_with_differences(g: str, gamma: float) -> 
     y = rng.normal(size=200)
     for seed in range(3):
         active = np.random.default_rng(seed).random(9) < (1.0 if seed == 0 else 0.6)
-        objective = paper.Objective(g, x, y, gamma, active)
+        objective = evolve.Objective(g, x, y, gamma, active)
         point = 0.5 * np.random.default_rng(seed).normal(size=9)
         _, gradient = objective(point)
         step = 1e-6 * np.eye(9)
@@ -297,7 +297,7 @@ def test_eq_12_is_mean_square_plus_weighted_sizes() -> None:
     point = np.array([0.3, -0.2, 0.5, 1.0, 2.0, 0.1, -0.4, 0.2, 0.7])
     residual = x @ point[:4] + 2.0 * np.tanh(x @ point[5:]) - y
     expected = np.mean(residual**2) + 0.01 * np.sum(np.abs(point))
-    objective = paper.Objective("tanh", x, y, 0.01, np.ones(9, bool))
+    objective = evolve.Objective("tanh", x, y, 0.01, np.ones(9, bool))
     assert objective(point)[0] == pytest.approx(expected, rel=1e-14)
 
 
@@ -306,7 +306,7 @@ def test_the_papers_search_truncates_small_coefficients() -> None:
     x = features_of(data).columns(ALPHA, BETA)
     cell = Cell(alpha=ALPHA, beta=BETA, cost=np.nan)
     with threadpool_limits(1):
-        found = paper.search(cell, "tanh", x, data.tau, np.random.default_rng(0))
+        found = evolve.search_of_paper(cell, "tanh", x, data.tau, np.random.default_rng(0))
     assert np.all(found.c[~found.c_active] == 0.0)
     assert np.all(found.theta[~found.theta_active] == 0.0)
     assert found.cost == pytest.approx(np.mean((found.torque(x) - data.tau) ** 2))
@@ -413,7 +413,7 @@ def test_pruning_does_not_spoil_a_fit(g: str) -> None:
     cell = Cell(alpha=138.6, beta=165.7, cost=np.nan)
     columns = features.columns(cell.alpha, cell.beta)
     with threadpool_limits(1):
-        start = paper.search(cell, g, columns, data.tau, np.random.default_rng(0))
+        start = evolve.search_of_paper(cell, g, columns, data.tau, np.random.default_rng(0))
     whole = refine.Refinement(features, start).run(refine.LONG)
     assert refine.prune(features, start).cost < 1.5 * whole.cost
 

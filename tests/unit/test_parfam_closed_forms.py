@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hesr_model.fitting.joint_rows import JointRows
-from hesr_model.inference.correlation import correlation_length
+from hesr_model.inference.covariance import correlation_length
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.laws.parfam import calibrate, evolve, refine, trial
 from hesr_model.laws.parfam.candidate import UNIT_FUNCTIONS, Candidate

@@ -9,13 +9,13 @@ from joint_data import along, law, path
 
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.laws.networks.inputs import Inputs
-from hesr_model.laws.parfam import calibrate, estimator, evolve, paper, refine, velocity
+from hesr_model.laws.parfam import calibrate, evolve, laws, refine
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import Candidate
-from hesr_model.laws.parfam.estimator import ParFamH
 from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.parfam.laws import ParFamH
 from hesr_model.laws.parfam.trial import Trial
+from hesr_model.laws.rbfnn import Inputs
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = law(
@@ -82,12 +82,12 @@ def test_network_inputs_have_the_spread_of_their_features(features: HysteresisFe
 def test_the_papers_search_is_scale_free(
     features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(paper, "HOPS", 0)
+    monkeypatch.setattr(evolve, "HOPS", 0)
     x, tau = features.columns(12.0, 25.0)[::8], features.samples.tau[::8]
     cell = Cell(alpha=12.0, beta=25.0, cost=0.0)
-    one = paper.search(cell, "tanh", x, tau, np.random.default_rng(1))
+    one = evolve.search_of_paper(cell, "tanh", x, tau, np.random.default_rng(1))
     small = x * [1.0, 1e-9, 1e-9, 1e-9]
-    two = paper.search(cell, "tanh", small, 1e-9 * tau, np.random.default_rng(1))
+    two = evolve.search_of_paper(cell, "tanh", small, 1e-9 * tau, np.random.default_rng(1))
     assert two.cost == pytest.approx(1e-18 * one.cost, rel=1e-3)
 
 
@@ -130,7 +130,7 @@ def test_short_logs_use_all_rows_for_a_steep_unit(
         return arguments(g, features, *more, **also)
 
     monkeypatch.setattr(evolve, "arguments", told)
-    velocity.ParFamV(starts=2).fit(records, np.random.default_rng(0))
+    laws.ParFamV(starts=2).fit(records, np.random.default_rng(0))
     rows = sum(len(r.t) for r in records)
     assert seen == [("tanh", rows, 2000.0, 3, 4), ("sin", rows, 12.0, 3, 4)]
 
@@ -185,7 +185,7 @@ def test_extensions_are_tried_on_request(
         seen.append("denominator")
         return self
 
-    monkeypatch.setattr(estimator, "with_unit", with_unit)
+    monkeypatch.setattr(laws, "with_unit", with_unit)
     monkeypatch.setattr(Trial, "changed", changed)
     found = ParFamH(**options)._enlarged(
         of, features, TrainedRange.of(records), np.random.default_rng(0)
@@ -198,7 +198,7 @@ def test_an_extended_law_is_a_different_one(
     features: HysteresisFeatures, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = candidate(**LINEAR).law("parfam_h", "exact")
-    monkeypatch.setattr(estimator, "extended", lambda _, more, __: more[0])
+    monkeypatch.setattr(laws, "extended", lambda _, more, __: more[0])
     few = ParFamH(denominator=True)
     found = few._enlarged(of, features, TrainedRange.of(records), np.random.default_rng(0))
     assert found.structure["denominator"] == ["dq", "h"]
@@ -210,7 +210,7 @@ def test_reported_steps(
 ) -> None:
     """The first half is the search, the second the rounds of the refinement."""
     told: list[float] = []
-    for module in (estimator, refine):
+    for module in (laws, refine):
         monkeypatch.setattr(module, "step", lambda done, of: told.append(done / of))
     few = ParFamH(cells=2, starts=2, candidates=1, functions=("tanh", "sin"))
     found = few._evolve(features, np.random.default_rng(0))

@@ -23,7 +23,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.records import predict_record
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.parfam import trial
-from hesr_model.laws.parfam.hx import ParFamHX
+from hesr_model.laws.parfam.laws import ParFamHX
 from hesr_model.rigid_body.residual import FrictionRecord
 
 NOISE = 0.2

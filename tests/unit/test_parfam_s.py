@@ -8,13 +8,12 @@ import pytest
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.fitting.joint_rows import JointRows
-from hesr_model.fitting.nonnegative import Normal, blocks_of, pays, signed_least_squares
+from hesr_model.fitting.joint_rows import JointRows, Normal, blocks_of, pays, signed_least_squares
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
+from hesr_model.friction.records import rmse
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.laws.stops import passive
+from hesr_model.laws.stops import form
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import BOUNDS, Structure
 from hesr_model.laws.stops.search import TIMES, dictionary, oldest, search, times, weights
@@ -148,7 +147,7 @@ def test_the_mean_distance_matches_numerical_integration() -> None:
     for lag, window in ((0.0, 0.01), (0.003, 0.01), (0.02, 0.01), (0.004, 0.0)):
         steps = np.linspace(0.0, window, 101)[1:] if window else [1e-9]
         means = [np.abs(lag - h * (np.arange(2000) + 0.5) / 2000).mean() for h in steps]
-        assert passive.distance(lag, window) == pytest.approx(max(lag, *means), rel=1e-3)
+        assert form.distance(lag, window) == pytest.approx(max(lag, *means), rel=1e-3)
 
 
 def test_viscous_friction_bounds_the_ripple() -> None:
@@ -159,9 +158,9 @@ def test_viscous_friction_bounds_the_ripple() -> None:
     a = np.stack([v, np.cos(phase), np.sin(phase)], axis=1)
     y = 1.0 * v + 2.0 * np.cos(phase) + 1.0 * np.sin(phase)
     gram, moment = a.T @ a, a.T @ y
-    viscous, waves = np.ones((len(passive.SPEEDS), 1)), passive.needed([200], 0.01, 0.0)
+    viscous, waves = np.ones((len(form.SPEEDS), 1)), form.needed([200], 0.01, 0.0)
     free = signed_least_squares(gram, moment, 2)
-    found = passive.constrained(gram, moment, free, viscous, waves, free=2)
+    found = form.constrained(gram, moment, free, viscous, waves, free=2)
     size = float(np.hypot(found[1], found[2]))
     margin = found[0] - waves[:, 0] * size
     assert margin.min() == pytest.approx(0.0, abs=1e-6)
@@ -173,7 +172,7 @@ def test_viscous_friction_bounds_the_ripple() -> None:
     for scale in (0.99, 1.01):  # along the constraint
         assert cost(found) < cost(found * scale)
     # An inactive constraint changes nothing.
-    eased = passive.constrained(gram, moment, free, 1e3 * viscous, waves, free=2)
+    eased = form.constrained(gram, moment, free, 1e3 * viscous, waves, free=2)
     np.testing.assert_array_equal(eased, free)
 
 

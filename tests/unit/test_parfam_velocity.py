@@ -8,7 +8,7 @@ from hesr_model.errors import FitError
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
-from hesr_model.laws.parfam.velocity import ParFamV
+from hesr_model.laws.parfam.laws import ParFamV
 
 NOISE = 0.2
 

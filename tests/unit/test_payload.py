@@ -13,7 +13,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.payload import identify_payload, identify_payload_motions, loaded
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
 

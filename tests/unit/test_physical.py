@@ -20,7 +20,7 @@ from hesr_model.rigid_body.physical import (
     pseudo_inertia,
 )
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
 

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from hesr.extras.excite.clearance import Clearance
 from hesr.extras.excite.motion import PlannedMotion, pulses
 from hesr.extras.excite.planner import Guard, MotionSettings, Planner
 from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.limits import MotionLimits
-from hesr_model.robots.collision import Clearance
 from hesr_model.robots.robot import Robot
 
 LIMITS = {"position": ((-2.0, 2.0),) * 3, "velocity": (2.0,) * 3}

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from hesr_model.audit import expectations
-from hesr_model.audit.expectations import EXPECTATIONS
+from hesr_model.audit import properties
 from hesr_model.audit.properties import (
+    EXPECTATIONS,
     FORMAT,
     Curve,
     Figure,
@@ -64,18 +64,18 @@ def test_every_expectation_has_a_source_and_a_method() -> None:
 @pytest.mark.parametrize(
     ("key", "bound"),
     [
-        ("presliding", f"{expectations.SMOOTH:.0%}"),
-        ("presliding", f"{expectations.RATE:.0%}"),
-        ("memory", f"{expectations.CLOSED:.0%}"),
-        ("nested", f"{expectations.CLOSED:.0%}"),
-        ("start", f"{expectations.BEGINS:.0%}"),
-        ("breakaway", f"{expectations.FALLS:.0%}"),
-        ("lag", f"{expectations.WIDTH:.0%}"),
-        ("stick_slip", f"{expectations.WEAKENING:.0%}"),
-        ("dither", f"{1e6 * expectations.HELD:.0f} urad"),
-        ("hold", f"{1e6 * expectations.HELD:.0f} urad"),
-        ("chatter", f"{expectations.QUIET:.0%}"),
-        ("coupling", f"{1e3 * expectations.STEP:.0f} ms"),
+        ("presliding", f"{properties.SMOOTH:.0%}"),
+        ("presliding", f"{properties.RATE:.0%}"),
+        ("memory", f"{properties.CLOSED:.0%}"),
+        ("nested", f"{properties.CLOSED:.0%}"),
+        ("start", f"{properties.BEGINS:.0%}"),
+        ("breakaway", f"{properties.FALLS:.0%}"),
+        ("lag", f"{properties.WIDTH:.0%}"),
+        ("stick_slip", f"{properties.WEAKENING:.0%}"),
+        ("dither", f"{1e6 * properties.HELD:.0f} urad"),
+        ("hold", f"{1e6 * properties.HELD:.0f} urad"),
+        ("chatter", f"{properties.QUIET:.0%}"),
+        ("coupling", f"{1e3 * properties.STEP:.0f} ms"),
     ],
 )
 def test_the_stated_bound_is_the_deciding_one(key: str, bound: str) -> None:

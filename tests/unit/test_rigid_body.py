@@ -12,7 +12,7 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.identification import RigidBody, identify, identify_motions
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 MakeMotion = Callable[..., Motion]
 

@@ -12,7 +12,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.laws import ripple
 from hesr_model.laws.lugre import LuGreLoad, LuGreLoadRipple
 from hesr_model.laws.ripple import Ripple
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 LAG, SMOOTHING = 4e-3, 2e-3
 CORE = {"sigma_0": 3000.0, "sigma_1": 15.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 12.0, "v_s": 0.1,

@@ -15,7 +15,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot
-from hesr_model.support.html import table
+from hesr_model.support.frames import html_table
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def cells(page: str) -> list[list[str]]:
 
 
 def test_a_table_escapes_its_cells() -> None:
-    page = table("a<b", ("x & y",), [("<script>",), (0.123456,), (7,)])
+    page = html_table("a<b", ("x & y",), [("<script>",), (0.123456,), (7,)])
     assert "<script>" not in page
     assert cells(page) == [["x & y"], ["<script>"], ["0.1235"], ["7"]]
     assert ElementTree.fromstring(page).findtext("caption") == "a<b"

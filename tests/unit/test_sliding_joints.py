@@ -10,12 +10,12 @@ from joint_data import HX_PAPER, along, law, path
 from joint_data import Path as Way
 
 from hesr_model.errors import ArtifactError, LogError
+from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit, fit_joint
-from hesr_model.friction.equation import coefficient_lines
-from hesr_model.friction.metrics import rmse
+from hesr_model.friction.law import coefficient_lines
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import registry
+from hesr_model.friction.records import rmse
 from hesr_model.laws.stops.form import DEFLECTIONS
 from hesr_model.rigid_body.residual import FrictionRecord, require_reversals
 from hesr_model.units import unit_of_joint, unit_of_joints

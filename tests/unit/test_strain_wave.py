@@ -6,7 +6,7 @@ from joint_data import along, error_on, law, path, training, unseen, with_tau
 
 from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.friction.predict import predict
-from hesr_model.inference.correlation import standard_errors
+from hesr_model.inference.covariance import standard_errors
 
 VALUES = {"x_0": 4e-3, "mu_avg": 0.12, "mu_dif": 0.03, "F_c": 5.0, "sigma_2": 7.0, "tau_0": 0.5}
 TRUTH = law("strain_wave", {}, **VALUES)

@@ -14,9 +14,8 @@ from hesr_model.audit.certificate import least_viscosity, storage
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record
+from hesr_model.friction.records import predict_record, rmse
 from hesr_model.friction.thermal import COULOMB_RANGE, VISCOUS_RANGE, Thermal
 from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.friction.trained_range import TrainedRange, outside

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hesr_model.fitting.nonnegative import pays
-from hesr_model.fitting.ties import ROUND_OFF, first_best, no_worse
+from hesr_model.fitting.joint_rows import ROUND_OFF, first_best, no_worse, pays
 
 
 def test_costs_within_round_off_are_tied() -> None:

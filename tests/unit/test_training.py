@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hesr_model.laws.networks import training
-from hesr_model.laws.networks.training import _Problem, path
+from hesr.extras.laws import mlp
+from hesr.extras.laws.mlp import _Problem, path
 
 DECAY = 1e-3
 
@@ -78,10 +78,10 @@ def test_iterations_follow_levenberg_marquardt(
     z, y, theta = data
     problem = _Problem(z, y, 2)
     start = np.concatenate([problem.start(theta, DECAY)[:3], 3.0 * theta.ravel()])
-    monkeypatch.setattr(training, "CONVERGED", 0.0)
-    if count < training.ITERATIONS:
-        monkeypatch.setattr(training, "ITERATIONS", count)
-    assert count == training.ITERATIONS
+    monkeypatch.setattr(mlp, "CONVERGED", 0.0)
+    if count < mlp.ITERATIONS:
+        monkeypatch.setattr(mlp, "ITERATIONS", count)
+    assert count == mlp.ITERATIONS
     point, found = problem.train(start, DECAY)
     expected = iterations(problem, start, count)
     np.testing.assert_allclose(point, expected, rtol=1e-9, atol=1e-12)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ConfigDict
 
 from hesr_model.errors import ArtifactError
-from hesr_model.support.typed_json import Numbers, NumbersWithGaps, from_json, to_json
+from hesr_model.support.typed_files import Numbers, NumbersWithGaps, from_json, to_json
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

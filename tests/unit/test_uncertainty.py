@@ -22,7 +22,7 @@ from hesr_model.fitting.uncertainty import (
 )
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
-from hesr_model.inference.correlation import correlation_length, standard_errors
+from hesr_model.inference.covariance import correlation_length, standard_errors
 from hesr_model.laws.dahl import DahlBasis
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS, LuGre, LuGreLoadRipple
 

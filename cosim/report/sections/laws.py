@@ -33,13 +33,13 @@ from fmu_src.pages.live import live_assets, live_section
 from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
 from fmu_src.run.archive import Archive
-from hesr_model.audit.cycles import ENCODER
+from hesr_model.audit.audit import ENCODER
 from hesr_model.audit.properties import combined
 from hesr_model.errors import ArtifactError
+from hesr_model.fitting.estimator import papers_law, registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import papers_law, registry
 
 _INTERVAL = 1.96  # half width of a 95 % interval in standard errors
 _FREQUENCY = 0.25  # frequency of the paper's sine [Hz]

@@ -18,9 +18,9 @@ from cosim.report.tables import scores as tables
 from cosim.report.tables.table import ResultTable, title
 from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
+from hesr_model.fitting.estimator import papers_law
 from hesr_model.friction.band import LEVEL
 from hesr_model.friction.model import band_around
-from hesr_model.friction.registry import papers_law
 from hesr_model.support.arrays import Array
 
 _NETWORK = "rbfnn_h"  # law compared with ParFam-H in Fig. 5 of the paper

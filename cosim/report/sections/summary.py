@@ -16,8 +16,8 @@ from cosim.report.tables.laws import most_passed
 from cosim.report.tables.scores import leading, ratio_notes
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.friction.registry import papers_law
+from hesr_model.audit.properties import EXPECTATIONS
+from hesr_model.fitting.estimator import papers_law
 
 _FEW = 3  # maximum number of joints whose figures are listed
 _FINDINGS = 2  # number of findings in the first layer

@@ -8,10 +8,9 @@ import numpy as np
 
 from cosim.report.tables.table import ResultTable, TableCell, fixed, joints, row_of, title
 from hesr_model.audit.audit import Audit
-from hesr_model.audit.expectations import EXPECTATIONS, Expectation
-from hesr_model.audit.properties import Properties, PropertyResult
+from hesr_model.audit.properties import EXPECTATIONS, Expectation, Properties, PropertyResult
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import INPUT_UNITS
-from hesr_model.friction.registry import registry
 from hesr_model.friction.thermal import TEMPERATURE
 from hesr_model.friction.trained_range import Excess
 from hesr_model.rigid_body.elasticity import ElasticGear

@@ -9,8 +9,8 @@ from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, j
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
 from cosim.study.verdict import percent_above, separation
-from hesr_model.friction.metrics import BandScore
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import BandScore
 from hesr_model.inference.comparison import CALIBRATION
 from hesr_model.units import unit_of_joints
 

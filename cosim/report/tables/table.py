@@ -11,7 +11,7 @@ from markupsafe import Markup
 from cosim.loop.closed_loop import StandIn
 from cosim.study.scores import MEASURED_START
 from hesr_model.audit.properties import MARKS
-from hesr_model.friction.registry import registry
+from hesr_model.fitting.estimator import registry
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,9 +21,9 @@ import sympy
 from hesr_model.equations.component import Component, Equation, Parameter, Quantity, previous
 from hesr_model.equations.functions import absolute, clip, exceeds, larger, positive
 from hesr_model.equations.memory import DT
-from hesr_model.friction.factors import CHANGE, CHANGE_OF_OFFSET, parts
 from hesr_model.friction.inputs import DQ, TORQUE
 from hesr_model.friction.law import FrictionLaw
+from hesr_model.friction.scales import CHANGE, CHANGE_OF_OFFSET, parts
 from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from hesr.extras.adaptive.component import TUNING
 from hesr.extras.adaptive.follow import Followed, Follower
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import rmse
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 

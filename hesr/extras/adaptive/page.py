@@ -15,7 +15,7 @@ from cosim.report.tables.table import ResultTable, row_of
 from cosim.workflow.answer import Answer, shortened
 from hesr.extras.adaptive.monitor import FollowedLogs
 from hesr_model.findings import Finding
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 _MOST_ALARMS = 12
 

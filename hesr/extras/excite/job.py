@@ -13,9 +13,9 @@ from cosim.workflow.answer import Written
 from hesr.extras.excite.motion import PlannedMotion
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.logs.tables import read_table
-from hesr_model.support.config import Config, RelativePath
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages, counted, silent
+from hesr_model.support.typed_files import Config, RelativePath
 
 
 class TwinFile(Config):

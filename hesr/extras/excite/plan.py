@@ -22,7 +22,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import models_folder, written_whole
 from hesr_model.support.plugins import find
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.typed_json import to_json, write_json
+from hesr_model.support.typed_files import to_json, write_json
 
 HEAD = "Planned by HESR and not run on a controller: check it at low speed first."
 _UR_JOINTS = 6

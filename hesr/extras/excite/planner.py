@@ -7,12 +7,12 @@ from itertools import chain, pairwise
 import numpy as np
 from pydantic import Field
 
+from hesr.extras.excite.clearance import Clearance, Plane
 from hesr.extras.excite.motion import PlannedMotion, Pulse, faded_chirp, moved, pulses
 from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.excitation import ExcitationSettings, design, random_motions
 from hesr_model.motions.limits import Limits, MotionLimits, Positive
 from hesr_model.motions.trajectories import Trajectory
-from hesr_model.robots.collision import Clearance, Plane
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, silent

@@ -11,7 +11,7 @@ from hesr.extras.fleet.result import Fleet, all_tables
 from hesr.extras.fleet.study import FleetStudy
 from hesr_model.findings import Finding
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 
 class FleetJob:

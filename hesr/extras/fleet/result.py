@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of
+from hesr.extras.fleet.deviation import ENOUGH, Trend
 from hesr_model.findings import Finding
-from hesr_model.inference.deviation import ENOUGH, Trend
 from hesr_model.logs.tables import arrow
 
 

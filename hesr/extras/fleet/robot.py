@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cosim.study.scores import by_joint
 from fmu_src.friction.friction_component import exposed
+from hesr.extras.fleet.deviation import trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
 from hesr.extras.ssp.parameter_set import export_ssv
@@ -20,13 +21,10 @@ from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
 from hesr_model.findings import Finding
 from hesr_model.fitting.day_offsets import own_of_log
 from hesr_model.fitting.fit import fit_models
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.records import predict_record
-from hesr_model.health.examine import examine
-from hesr_model.health.findings import merged
+from hesr_model.friction.records import predict_record, rmse
+from hesr_model.health.examine import examine, merged
 from hesr_model.health.fit_checks import check_body, check_laws
-from hesr_model.inference.deviation import trend
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import Motion, smooth
@@ -36,7 +34,7 @@ from hesr_model.rigid_body.residual import at_friction, motion_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
-from hesr_model.support.typed_json import from_json, read_json, to_json, write_json
+from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
 RESULT, RESULT_FORMAT = "result.json", "hesr-fleet-robot-1"
 BODY_FILE = f"{BODY}.json"

@@ -14,6 +14,7 @@ from cosim.report.markup import Section, joined, paragraph, table, write_section
 from fmu_src import export_fmu
 from fmu_src.friction.friction_component import exposed
 from hesr.extras.adaptive.monitor import POINTS_TO, shared_signs
+from hesr.extras.fleet.deviation import ENOUGH, Deviation, deviations
 from hesr.extras.fleet.result import (
     BODY,
     Change,
@@ -27,13 +28,11 @@ from hesr.extras.fleet.result import (
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.study import FleetStudy, members
 from hesr.extras.sweep.work import taken
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
-from hesr_model.health.examine import CHECKS
-from hesr_model.health.findings import require_known
+from hesr_model.health.examine import CHECKS, require_known
 from hesr_model.inference.comparison import holm
-from hesr_model.inference.deviation import ENOUGH, Deviation, deviations
 from hesr_model.logs.tables import arrow
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel

@@ -12,8 +12,8 @@ from pydantic import Field
 
 from hesr_model.errors import ConfigError
 from hesr_model.logs.readers.formats import COLUMNS, format_of
-from hesr_model.support.config import Config, RelativePath
 from hesr_model.support.text import quoted
+from hesr_model.support.typed_files import Config, RelativePath
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 

@@ -14,15 +14,15 @@ from pydantic import Field, model_validator
 
 from cosim.workflow.arguments import examined
 from hesr_model.errors import ConfigError
-from hesr_model.friction.metrics import rmse, rmse_ratio_interval
+from hesr_model.friction.records import rmse, rmse_ratio_interval
 from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array, Mask
-from hesr_model.support.config import Config, PrintableName, RelativePath
 from hesr_model.support.files import sha256
+from hesr_model.support.typed_files import Config, PrintableName, RelativePath
 
 Kind = Literal["all", "moving", "reversals", "rests"]
 ScoreName = Literal["all", "moving", "reversals", "rests", "properties", "time"]

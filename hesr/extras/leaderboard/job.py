@@ -12,7 +12,7 @@ from hesr.extras.leaderboard.board_file import BoardFile
 from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_leaderboard
 from hesr.extras.leaderboard.tables import standings
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.typed_json import to_json
+from hesr_model.support.typed_files import to_json
 
 
 class LeaderboardJob:

@@ -21,8 +21,8 @@ from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.inputs import DQ, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.predict import predict
+from hesr_model.friction.records import rmse
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS

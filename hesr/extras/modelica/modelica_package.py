@@ -23,10 +23,9 @@ from hesr_model.audit.audit import Audit
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
 from hesr_model.errors import ExportError
-from hesr_model.friction.equation import coefficient_lines
-from hesr_model.friction.equation import equations as equations_with_numbers
 from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, MOVING, TAU_LOAD
-from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.law import FrictionLaw, LawForm, coefficient_lines
+from hesr_model.friction.law import equations as equations_with_numbers
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
 

@@ -29,8 +29,8 @@ from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
-from hesr_model.support.config import Config
 from hesr_model.support.progress import Stages
+from hesr_model.support.typed_files import Config
 
 Limit = float | tuple[float, ...]  # for all values of a claim, or one for each
 

@@ -9,7 +9,7 @@ from hesr_model.errors import ArgumentError
 from hesr_model.support import parallel
 from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.typed_json import to_json, write_json
+from hesr_model.support.typed_files import to_json, write_json
 
 
 class PaperJob:

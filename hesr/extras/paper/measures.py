@@ -17,13 +17,13 @@ from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
+from hesr_model.friction.records import rmse
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.parfam import calibrate
-from hesr_model.laws.parfam.estimator import COEFFICIENTS
 from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.parfam.laws import COEFFICIENTS
 from hesr_model.motions.excitation import condition
 from hesr_model.motions.trajectories import Fourier
 

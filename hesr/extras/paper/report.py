@@ -26,7 +26,7 @@ from hesr.extras.paper import measures
 from hesr.extras.paper.evidence import LUGRE, TWIN, Claim, Evidence, Limit, Number
 from hesr_model.errors import ArgumentError
 from hesr_model.support.files import written_together
-from hesr_model.support.typed_json import from_json, read_json
+from hesr_model.support.typed_files import from_json, read_json
 
 FORMAT, FILE = "hesr-paper-1", "paper.json"
 REPRODUCED, REFUTED, OPEN = "reproduced", "not reproduced", "not testable"

@@ -23,8 +23,8 @@ from hesr.extras.properties.presliding import memory, presliding
 from hesr.extras.properties.scale import INERTIA, Scale, measure_scale, standing_inertia
 from hesr.extras.properties.sliding import chatter, lag, start, work
 from hesr_model.audit.audit import loads_of
-from hesr_model.audit.expectations import EXPECTATIONS
 from hesr_model.audit.properties import (
+    EXPECTATIONS,
     Figure,
     JointProperties,
     Properties,

@@ -4,8 +4,7 @@ import numpy as np
 
 from hesr.extras.properties.bench import DriveBench
 from hesr.extras.properties.scale import CREEP, Scale, curve, figures, judged, plot
-from hesr_model.audit.expectations import FALLS, HELD, PASSIVE, WEAKENING
-from hesr_model.audit.properties import PropertyResult
+from hesr_model.audit.properties import FALLS, HELD, PASSIVE, WEAKENING, PropertyResult
 from hesr_model.support.arrays import Array
 
 AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: pre-sliding, half the level, sliding

@@ -4,8 +4,7 @@ import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import SLIDING, Scale, curve, figures, plot
-from hesr_model.audit.expectations import STEP
-from hesr_model.audit.properties import PropertyResult
+from hesr_model.audit.properties import STEP, PropertyResult
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 

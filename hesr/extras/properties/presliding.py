@@ -7,8 +7,7 @@ import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import Scale, curve, judged, plot
-from hesr_model.audit.expectations import CLOSED, INNER, RATE, SMOOTH
-from hesr_model.audit.properties import PropertyResult
+from hesr_model.audit.properties import CLOSED, INNER, RATE, SMOOTH, PropertyResult
 from hesr_model.support.arrays import Array
 
 PERIOD, SLOW_PERIOD = 4.0, 40.0  # [s] of the loops

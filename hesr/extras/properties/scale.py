@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
-from hesr_model.audit.cycles import ENCODER
+from hesr_model.audit.audit import ENCODER
 from hesr_model.audit.properties import Curve, Figure, Plot, PropertyResult
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody

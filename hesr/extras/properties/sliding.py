@@ -5,7 +5,7 @@ import numpy as np
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import Scale, curve, judged, plot
 from hesr_model.audit.attack import loaded_motions
-from hesr_model.audit.cycles import (
+from hesr_model.audit.audit import (
     AMPLITUDES,
     FREQUENCIES,
     Cycle,
@@ -13,8 +13,7 @@ from hesr_model.audit.cycles import (
     cycles,
     encoder_noise,
 )
-from hesr_model.audit.expectations import BEGINS, PASSIVE, QUIET, WIDTH
-from hesr_model.audit.properties import PropertyResult
+from hesr_model.audit.properties import BEGINS, PASSIVE, QUIET, WIDTH, PropertyResult
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
 

@@ -16,8 +16,8 @@ from cosim.study.study import Study, Twin
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
-from hesr_model.friction.metrics import score
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.records import score
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from cosim.systems.system import Signal
-from hesr_model.support.config import Config, RelativePath
+from hesr_model.support.typed_files import Config, RelativePath
 
 MOST_RUNS = 10**7
 _SYMMETRIC = 1e-9  # relative

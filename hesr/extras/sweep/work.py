@@ -20,7 +20,7 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.logs.tables import arrow
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_made, written_whole
-from hesr_model.support.typed_json import read_json, write_json
+from hesr_model.support.typed_files import read_json, write_json
 
 Start = dict[str, dict[str, Value]]
 

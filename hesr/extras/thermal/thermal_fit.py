@@ -12,12 +12,12 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.errors import FitError
-from hesr_model.friction.factors import parts
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.metrics import rmse
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import numbers
+from hesr_model.friction.records import rmse
+from hesr_model.friction.scales import parts
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
 from hesr_model.rigid_body.residual import FrictionRecord

@@ -9,9 +9,9 @@ from scipy.special import expit, logit
 
 from hesr_model.audit.audit import explodes
 from hesr_model.errors import FitError
-from hesr_model.fitting.ties import first_best
+from hesr_model.fitting.joint_rows import first_best
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.inference.correlation import correlation_length, standard_errors
+from hesr_model.inference.covariance import correlation_length, standard_errors
 from hesr_model.laws.parfam.calibrate import bounds
 from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures

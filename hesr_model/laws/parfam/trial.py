@@ -9,9 +9,8 @@ import sympy
 
 from hesr_model.audit.audit import explodes
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.joint_rows import JointRows
+from hesr_model.fitting.joint_rows import JointRows, first_best
 from hesr_model.fitting.separable import SearchSpace, Separable
-from hesr_model.fitting.ties import first_best
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS

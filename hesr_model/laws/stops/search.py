@@ -8,10 +8,16 @@ from itertools import product
 import numpy as np
 
 from hesr_model.equations.recurrence import recurrence
-from hesr_model.fitting.joint_rows import JointRows
-from hesr_model.fitting.nonnegative import Normal, Products, blocks_of, pays
+from hesr_model.fitting.joint_rows import (
+    JointRows,
+    Normal,
+    Products,
+    blocks_of,
+    first_best,
+    no_worse,
+    pays,
+)
 from hesr_model.fitting.separable import SearchSpace, Separable
-from hesr_model.fitting.ties import first_best, no_worse
 from hesr_model.friction.law import LawForm
 from hesr_model.laws.stops.form import (
     DEFLECTIONS,

@@ -5,9 +5,9 @@ from pathlib import Path
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, write_fmu
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 
 SLIP = Path(__file__).with_name("slip.c")

@@ -13,8 +13,7 @@ from subjects import INERTIA, SPEED, bristle, law, model
 from fmu_src import export_fmu, model_file
 from hesr.extras.properties.battery import Subject, measure, run_battery
 from hesr_model.audit.audit import audit
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import Properties, PropertyResult
+from hesr_model.audit.properties import EXPECTATIONS, Properties, PropertyResult
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.errors import ConfigError

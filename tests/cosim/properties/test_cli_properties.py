@@ -9,8 +9,7 @@ from small_study import Answer, Hesr, hesr_here
 from subjects import bristle, model, slip
 
 import hesr as package
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import read_properties
+from hesr_model.audit.properties import EXPECTATIONS, read_properties
 from hesr_model.errors import ConfigError
 
 KIND = ("--kind", "properties")

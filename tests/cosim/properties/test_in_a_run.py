@@ -11,8 +11,7 @@ from small_study import Run
 
 from hesr.extras.properties.battery import Subject, run_battery
 from hesr.extras.properties.scale import INERTIA, standing_inertia
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import read_properties, write_properties
+from hesr_model.audit.properties import EXPECTATIONS, read_properties, write_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot, RobotDescription

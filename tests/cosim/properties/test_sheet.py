@@ -8,8 +8,7 @@ from subjects import bristle, model
 
 from fmu_src import export_fmu
 from hesr.extras.properties.battery import Subject, measure
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import Properties
+from hesr_model.audit.properties import EXPECTATIONS, Properties
 
 PAGE = "documentation/index.html"
 

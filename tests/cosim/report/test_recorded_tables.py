@@ -31,9 +31,14 @@ from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
 from cosim.workflow.run import over_draws
 from fmu_src.check.convention import Convention
 from fmu_src.friction.settings import Error
-from hesr_model.audit.expectations import EXPECTATIONS
-from hesr_model.audit.properties import Figure, JointProperties, Properties, PropertyResult
-from hesr_model.friction.metrics import BandScore
+from hesr_model.audit.properties import (
+    EXPECTATIONS,
+    Figure,
+    JointProperties,
+    Properties,
+    PropertyResult,
+)
+from hesr_model.friction.records import BandScore
 from hesr_model.friction.trained_range import Excess
 
 Recorded = Callable[[Iterable[ResultTable]], None]

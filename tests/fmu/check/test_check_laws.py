@@ -9,8 +9,8 @@ from registry_models import everyday
 
 from fmu_src import export_fmu
 from fmu_src.check.run import check
+from hesr_model.fitting.estimator import registry
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import registry
 from hesr_model.rigid_body.residual import FrictionRecord
 
 pytestmark = pytest.mark.ci

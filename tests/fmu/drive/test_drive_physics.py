@@ -18,10 +18,10 @@ from scipy.integrate import cumulative_simpson, solve_ivp
 from fmu_src.pages.datasheet import EULER
 from fmu_src.pages.friction_page import holding_torque, stopping_torque
 from hesr_model.audit.audit import audit
+from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.rigid_body.residual import FrictionRecord

@@ -16,10 +16,10 @@ from hesr.extras.mjcf.parts import Wave, parts_of
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, ExportError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
 from hesr_model.support.files import models_folder
 
 UF850 = models_folder() / "uf850" / "uf850.xml"

@@ -16,10 +16,10 @@ from fmu_src.run.fmu import FmuInstance
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
 from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.support.files import models_folder
 

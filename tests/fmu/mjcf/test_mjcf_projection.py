@@ -13,11 +13,11 @@ from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.mjcf.parts import parts_of
 from hesr.extras.mjcf.projection import projected
 from hesr_model.errors import ExportError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.registry import estimator
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws import dahl
 from hesr_model.motions.trajectories import random_fourier

@@ -8,9 +8,9 @@ import pytest
 
 import hesr
 from fmu_src.run.fmu import FmuInstance
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.registry import estimator
 
 STEP, STEPS = 1e-3, 1500
 FINE = 50  # steps of the reference in each step

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from hesr_model.health.examine import checked
-from hesr_model.health.findings import HealthError
-from hesr_model.health.loss import share_of_long_steps
+from hesr_model.health.examine import HealthError, checked
+from hesr_model.health.positions import share_of_long_steps
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -67,7 +66,7 @@ def test_uncertainty_matches_the_effect_of_missing_rows(
 ) -> None:
     """Estimates from other halves of the rows scatter as predicted by one log's own halves."""
     from hesr_model.health.evidence import Torques, motionwise
-    from hesr_model.health.loss import _sliding
+    from hesr_model.health.positions import _sliding
 
     log = noisy(2.0)
     found = []

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
-from hesr_model.health.examine import CHECKS, checked, examine
-from hesr_model.health.findings import HealthError
+from hesr_model.health.examine import CHECKS, HealthError, checked, examine
 from hesr_model.health.proposal import propose
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
-from hesr_model.support.typed_json import from_json, to_json
+from hesr_model.support.typed_files import from_json, to_json
 
 Array = NDArray[np.float64]
 DEGREE = np.pi / 180.0

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hesr_model.health.examine import examine
-from hesr_model.health.excitation_gaps import unseen
+from hesr_model.health.examine import examine, unseen
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot

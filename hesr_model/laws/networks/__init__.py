@@ -1,1 +1,0 @@
-"""Neural networks with the inputs of the paper."""

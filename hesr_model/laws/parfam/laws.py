@@ -1,0 +1,281 @@
+"""ParFam-H, the symbolic law of the paper in three stages; its ablation and its extension."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from hesr_model.equations.memory import Discretisation
+from hesr_model.errors import FitError
+from hesr_model.fitting.declarative import Described
+from hesr_model.fitting.estimator import Estimator, register
+from hesr_model.fitting.joint_rows import JointRows, first_best, no_worse
+from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
+from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.laws.parfam import calibrate, evolve, family, refine
+from hesr_model.laws.parfam.calibrate import Cell
+from hesr_model.laws.parfam.candidate import Candidate
+from hesr_model.laws.parfam.features import HysteresisFeatures
+from hesr_model.laws.parfam.trial import Trial, choose, extended, pose, with_unit
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.support.progress import step
+
+COEFFICIENTS = 11  # alpha, beta, 4 linear, gain, 4 of the argument
+
+
+@register
+@dataclass(kw_only=True, eq=False)
+class ParFamH(Estimator):
+    """tau = Q(v, h, h', g(Q(v, h, h'))) with polynomials of degree one (eq. 11)."""
+
+    name = "parfam_h"
+    title = "ParFam-H"
+    order = 130
+    quick = True
+    paper = 1
+    adds = ("parfam_v", "hysteresis state")
+    typical: ClassVar[Mapping[str, Any]] = {
+        "linear": list(family.FEATURES),
+        "units": [{"g": "tanh", "arguments": list(family.FEATURES)}],
+    }
+
+    search: Literal["projection", "paper"] = "projection"  # paper: geometric stage 1 and eq. 12
+    functions: Sequence[str] = ("tanh", "sin", "exp")  # candidates g; sin includes cos
+    discretisation: Discretisation = "exact"
+    cells: int = 10  # number of (alpha, beta)
+    starts: int = 16  # random ones for each of them and each g
+    candidates: int = 8  # laws of each g for stage 3
+    units: int = 1  # at most, 1 or 2
+    denominator: bool = False  # slow and rarely helps
+
+    def __post_init__(self) -> None:
+        if unknown := sorted(set(self.functions) - set(family.FUNCTIONS)):
+            known = ", ".join(family.FUNCTIONS)
+            raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
+        if self.search == "paper" and not self.functions:
+            raise FitError("ParFam option 'functions' is empty; the paper's search needs one.")
+        for option, found, allowed in (
+            ("search", self.search, ("projection", "paper")),
+            ("discretisation", self.discretisation, ("exact", "euler")),
+            ("units", self.units, (1, 2)),
+        ):
+            if found not in allowed:
+                raise FitError(
+                    f"ParFam option '{option}' is {found!r}; allowed are "
+                    f"{', '.join(map(str, allowed))}."
+                )
+        for option in ("cells", "starts", "candidates"):
+            if (count := getattr(self, option)) < 1:
+                raise FitError(f"ParFam option '{option}' is {count}; expected at least 1.")
+
+    @staticmethod
+    def form(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions of a structure of the family."""
+        return family.form(structure)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Run the three stages, with starts and hops drawn from `rng`."""
+        samples = JointRows.of(records, coefficients=COEFFICIENTS)
+        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
+        search = self._paper if self.search == "paper" else self._evolve
+        trained = TrainedRange.of(records)
+        chosen = refine.select(features, search(features, rng), samples.folds, trained)
+        law = chosen.canonical().law(self.name, self.discretisation)
+        return self._enlarged(law, features, trained, rng)
+
+    def _enlarged(
+        self,
+        law: FrictionLaw,
+        features: HysteresisFeatures,
+        trained: TrainedRange,
+        rng: np.random.Generator,
+    ) -> FrictionLaw:
+        # A law without a state has no (alpha, beta).
+        if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
+            return law
+        problem = pose(law.structure, features.samples, self.discretisation)
+        point = problem.point({name: law.values[name] for name in problem.space.names})
+        best = Trial(structure=law.structure, problem=problem, point=point)
+        if self.units > 1:
+            columns = features.columns(law.values["alpha"], law.values["beta"])
+            more = with_unit(best, columns, self.functions, self.starts, rng)
+            best = extended(best, more, trained)
+        if self.denominator:
+            rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
+            best = extended(best, [rational], trained)
+        return law if best.structure == law.structure else replace(best.law(), name=self.name)
+
+    def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
+        tau = features.samples.tau
+        rows = slice(None, None, max(1, len(tau) // evolve.ROWS))
+        found: list[Candidate] = []
+        cells = calibrate.distinct(calibrate.profile(features), self.cells)
+        searches = len(cells) * len(self.functions)
+        for i, cell in enumerate(cells):
+            columns = features.columns(cell.alpha, cell.beta)[rows]
+            found.append(evolve.linear(cell, columns, tau[rows]))
+            for k, g in enumerate(self.functions):
+                step(i * len(self.functions) + k, 2 * searches)  # the second half is stage 3
+                starts = evolve.starting_points(rng, self.starts, 4)
+                found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
+        found.sort(key=lambda f: f.cost)
+        of_each = ([f for f in found if f.g == g] for g in (None, *self.functions))
+        return [candidate for of_g in of_each for candidate in of_g[: self.candidates]]
+
+    def _paper(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
+        alpha, beta = calibrate.geometric(features)
+        cell = Cell(alpha=alpha, beta=beta, cost=np.nan)
+        columns = features.columns(alpha, beta)
+        return [
+            evolve.search_of_paper(cell, g, columns, features.samples.tau, rng)
+            for g in self.functions
+        ]
+
+
+FEATURES = ("1", "dq")
+STEEPEST = 2000.0  # slope of an argument, times the typical speed
+_ROWS = 1200
+
+
+@register
+@dataclass(kw_only=True, eq=False)
+class ParFamV(Described):
+    """tau = c . (1, v) + c_g g(theta . (1, v))  (eq. 11 with x = v)."""
+
+    name = "parfam_v"
+    title = "ParFam-V"
+    order = 20
+    paper = 5
+    typical: ClassVar[Mapping[str, Any]] = {
+        "linear": ["1", "dq"],
+        "units": [{"g": "tanh", "arguments": ["1", "dq"]}],
+    }
+
+    functions: Sequence[str] = ("tanh", "sin")  # candidates g
+    starts: int = 16  # random ones per g, and as many steep ones, since friction jumps at rest
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions."""
+        return family.form(structure)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Search the unit's argument for every g; cross-validation selects one."""
+        samples = JointRows.of(records, coefficients=5)
+        x = np.column_stack([np.ones(len(samples.dq)), samples.dq])
+        rows = slice(None, None, max(1, len(x) // _ROWS))
+        found = []
+        for g in self.functions:
+            structure = {"linear": list(FEATURES), "units": [{"g": g, "arguments": list(FEATURES)}]}
+            problem = Separable(family.form(structure), _space(samples), samples)
+            starts = evolve.starting_points(rng, 2 * self.starts, 2)
+            if g == "tanh":
+                starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
+            limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
+            for theta in evolve.arguments(
+                g, x[rows], x[rows], samples.tau[rows], starts, keep=3, limit=limit
+            ):
+                point = problem.polish(
+                    problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]}), evaluations=30
+                )
+                cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
+                found.append((cost, structure, problem, point))
+        _, structure, problem, point = found[first_best([entry[0] for entry in found])]
+        return self.finish(structure, problem, point)
+
+
+def _space(samples: JointRows) -> SearchSpace:
+    limit = STEEPEST / float(np.sqrt(np.mean(samples.dq**2)))
+    bound = evolve.ARGUMENT_LIMIT
+    return SearchSpace(
+        bounds=(("theta1_0", (-bound, bound)), ("theta1_dq", (-limit, limit))),
+        linear=("c_0", "c_dq", "c_g1"),
+    )
+
+
+STATE_GAIN = 0.02
+"""Smallest relative gain by memory in time: one per cent for each of two coefficients."""
+
+
+@register
+class ParFamHX(Described):
+    """ParFam-H with a generalised state, load, a Stribeck term, motor ripple and an initial state.
+
+        h'  = alpha gate (tanh(beta v) - h) + kappa (v - |v| h),  gate = 1 - exp(-(v/v_0)^2)
+        tau = c . (1, v, h, h', h |tau_load|, h exp(-(v/v_s)^2)) + c_g g(theta . (1, v, h, h'))
+              + sum_k a_k cos(k N (q - lag v)) + b_k sin(k N (q - lag v))
+
+    Cross-validation selects linear terms, the unit and the orders of ripple. `memory` allows that
+    in position, `bump` the Stribeck term, `initial_state` a start of h from the first torques.
+    """
+
+    name = "parfam_hx"
+    title = "ParFam-HX"
+    order = 160
+    proposed = True
+    adds = ("parfam_h", "memory in position, load and ripple")
+    typical: ClassVar[Mapping[str, Any]] = {
+        "linear": ["1", "dq", "h", "dh", "h_load", "h_bump"],
+        "units": [],
+        "state": "generalised",
+    }
+
+    def __init__(
+        self,
+        *,
+        memory: bool = True,
+        load: bool = True,
+        bump: bool = True,
+        functions: Sequence[str] = ("tanh", "sin"),
+        ripple: bool = True,
+        initial_state: bool = True,
+        starts: int = 24,
+    ) -> None:
+        self.memory = memory
+        self.linear = (*family.FEATURES, *["h_load"] * load, *["h_bump"] * bump)
+        self.functions = tuple(functions)
+        self.ripple = ripple  # type: ignore[misc] # an option of this law, a constant in others
+        self.start_samples = 5 if initial_state else 0  # type: ignore[misc] # likewise
+        self.starts = starts
+
+    @staticmethod
+    def core(structure: Mapping[str, Any]) -> LawForm:
+        """Return the expressions without ripple."""
+        return family.form(structure)
+
+    def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
+        """Search state, terms, unit and ripple in turn (seeded by `rng`)."""
+        samples = JointRows.of(records, coefficients=len(self.linear) + 6)
+        states = ("bristle", "generalised") if self.memory else ("paper",)
+        bare = choose([self._bare(state, samples, rng) for state in states], STATE_GAIN)
+        columns = bare.problem.columns(bare.point)
+        moving = [bare.structure["linear"].index(x) for x in ("dq", "h", "dh")]
+        features = np.column_stack([np.ones(len(columns)), columns[:, moving]])
+        trained = TrainedRange.of(records)
+        best = extended(bare, with_unit(bare, features, self.functions, self.starts, rng), trained)
+        return self.finish(best.structure, best.problem, best.problem.polish(best.point))
+
+    def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:
+        # A bristle contains the Stribeck curve.
+        linear = [x for x in self.linear if state != "bristle" or x != "h_bump"]
+        structure = {"linear": linear, "units": [], "state": state}
+        problem = pose(structure, samples)
+        found = problem.search(rng, effort=30)
+        return self._thinned(Trial(structure=structure, problem=problem, point=found))
+
+    def _thinned(self, trial: Trial) -> Trial:
+        samples = trial.problem.samples
+        columns = trial.problem.columns(trial.point)
+        linear = trial.structure["linear"]
+        kept = list(range(columns.shape[1]))
+        cost = left_out_cost(columns, samples.tau, samples.folds)
+        for i in reversed(range(columns.shape[1])):
+            if linear[i] in ("dq", "h", "dh"):
+                continue
+            fewer = [k for k in kept if k != i]
+            without = left_out_cost(columns[:, fewer], samples.tau, samples.folds)
+            if no_worse(without, cost):
+                kept, cost = fewer, without
+        return trial.changed({**trial.structure, "linear": [linear[k] for k in kept]}, {})

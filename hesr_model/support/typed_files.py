@@ -1,0 +1,198 @@
+"""Files as data classes: validated TOML, and JSON whose keys are the fields."""
+
+import json
+import os
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    PlainSerializer,
+    PlainValidator,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+)
+
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.arrays import Array
+from hesr_model.support.files import written_whole
+from hesr_model.support.text import parse_json, parse_toml, read_text, require_printable
+
+_MOST_SHOWN = 200  # characters
+
+
+class Config(BaseModel):
+    """Base of every schema: immutable, without unknown keys, infinities and NaN."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read and validate a TOML file; raises ConfigError."""
+        try:
+            text = read_text(path)
+        except FileNotFoundError as error:
+            raise ConfigError(f"{path}: no such file.") from error
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path}: cannot be read ({error}).") from error
+        try:
+            data = parse_toml(text)
+        except ValueError as error:
+            raise ConfigError(f"{path}: not valid TOML ({error}).") from error
+        return cls.validated(path, data)
+
+    @classmethod
+    def validated(cls, path: Path, data: Any) -> Self:
+        """Validate data read from a file; errors as `read`."""
+        try:
+            return cls.model_validate(data, context={"folder": path.parent})
+        except ValidationError as error:
+            raise ConfigError(_refusal(path, cls, error)) from error
+        except RecursionError as error:
+            raise ConfigError(f"{path}: it is nested too deeply.") from error
+
+
+def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
+    folder: Path = (info.context or {}).get("folder", Path())
+    # Not `Path.resolve`, which fails on circular links before Python 3.13.
+    return Path(os.path.realpath(folder / path))
+
+
+RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]  # to its TOML file
+
+PrintableName = Annotated[str, AfterValidator(require_printable)]
+"""A name without control characters, which an FMU's description cannot contain."""
+
+
+def _refusal(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
+    problems = error.errors()
+    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        holder = _holder(schema, first["loc"])
+        known = ", ".join(sorted(holder.model_fields)) if holder else "none"
+        return f"{path}: unknown key '{key}'; allowed here: {known}."
+    if first["type"] == "missing":
+        return f"{path}: key '{key}' is missing."
+    reason = first["msg"].removeprefix("Value error, ")
+    if isinstance(first["input"], dict):
+        where = f"table '{key}': " if key else ""
+        return f"{path}: {where}{reason}."
+    return f"{path}: key '{key}' is {_shown(first['input'])}: {reason}."
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
+
+
+def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
+    holders = [schema]
+    for part in location[:-1]:
+        if fields := [h.model_fields[part] for h in holders if part in h.model_fields]:
+            holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
+        else:  # an index, a user's name, or a kind of schema
+            holders = [h for h in holders if _is_of_kind(h, part)] or holders
+    return holders[0] if holders else None
+
+
+def _schemas_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [schema for inner in get_args(annotation) for schema in _schemas_in(inner)]
+
+
+def _is_of_kind(schema: type[BaseModel], kind: Any) -> bool:
+    annotations = [field.annotation for field in schema.model_fields.values()]
+    return any(get_origin(a) is Literal and kind in get_args(a) for a in annotations)
+
+
+Kind = TypeVar("Kind")
+
+
+def _array(data: Any) -> Array:
+    try:
+        return np.array(data, dtype=float)
+    except TypeError as error:
+        raise ValueError(str(error)) from error
+
+
+def _with_gaps(values: Array) -> Any:
+    gaps = values.astype(object)
+    gaps[~np.isfinite(values)] = None
+    return gaps.tolist()
+
+
+Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]  # as lists
+NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with_gaps)]
+"""As `Numbers`, with null for NaN and infinity, read as NaN."""
+
+
+def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
+    """Write JSON data whole or not at all."""
+    text = json.dumps(data, indent=indent, allow_nan=False)
+    with written_whole(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: Path, expected_format: str | None = None) -> Any:
+    """Read a JSON object of the expected format; raises ArtifactError."""
+    try:
+        data = parse_json(read_text(path))
+    except FileNotFoundError as error:
+        raise ArtifactError(f"{path}: no such file.") from error
+    except (OSError, ValueError) as error:
+        raise ArtifactError(f"{path}: not a readable JSON file ({error}).") from error
+    if expected_format is None:
+        if not isinstance(data, dict):
+            raise ArtifactError(f"{path}: not a readable JSON file (it holds no keys).")
+        return data
+    found = data.pop("format", None) if isinstance(data, dict) else None
+    if found != expected_format:
+        raise ArtifactError(f"{path}: 'format' is {found!r}, expected '{expected_format}'.")
+    return data
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def to_text(value: Any, *, sparse: bool = False) -> str:
+    """Return a data class as JSON text; see `to_json`."""
+    kind: Any = type(value)
+    return json.dumps(_adapter(kind).dump_python(value, exclude_none=sparse), allow_nan=False)
+
+
+def to_json(value: Any, *, sparse: bool = False) -> Any:
+    """Return a data class as JSON data, if `sparse` without None; raises ValueError."""
+    return json.loads(to_text(value, sparse=sparse))
+
+
+def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
+    """Return the data class `kind` of JSON data; raises ArtifactError."""
+    schema: Any = kind
+    try:
+        valid: Kind = _adapter(schema).validate_python(data)
+    except ValidationError as error:
+        raise ArtifactError(f"{path}: {_sentence(error, what)}") from error
+    except ArtifactError as error:
+        raise ArtifactError(f"{path}: {error}") from error
+    return valid
+
+
+def _sentence(error: ValidationError, what: str) -> str:
+    first = error.errors()[0]
+    key = repr(".".join(map(str, first["loc"])))
+    if first["type"] == "missing":
+        return f"key {key} is missing."
+    if first["type"] == "unexpected_keyword_argument":
+        return f"not {what} (unknown key {key})."
+    where = f"key {key}: " if first["loc"] else ""
+    return f"not {what} ({where}{first['msg'].removeprefix('Value error, ')})."
