@@ -317,11 +317,11 @@ FMI2_STATUS(fmi2GetRealOutputDerivatives)
 
 /* Also outputs may be states. */
 static bool is_state(fmi2ValueReference vr) {
-    int i = 0;
-    while (i < STATES && (fmi2ValueReference)states[i] != vr) {
-        i++;
+    bool found = false;
+    for (int i = 0; i < STATES; i++) {
+        found |= (fmi2ValueReference)states[i] == vr;
     }
-    return i < STATES;
+    return found;
 }
 
 /* Whether these derivatives exist. Until initialisation ends, states follow from start values. */

@@ -94,7 +94,7 @@ static void open_solver(const Component *component, double h, Solver *solver) {
     copy_to_lanes(solver);
 }
 
-static bool store(Component *component, const Solver *solver) {
+static void store(Component *component, const Solver *solver) {
     double q[JOINTS], dq[JOINTS], ddq[JOINTS], load[JOINTS], friction[JOINTS], stop[JOINTS];
     double *v = component->v, *own = component->own, motor[JOINTS], unused = 0.0;
     for (int i = 0; i < JOINTS; i++) {
@@ -126,7 +126,6 @@ static bool store(Component *component, const Solver *solver) {
     mixed(forward, true, load, &v[TAU_LOAD]);
     mixed(forward, true, friction, &v[TAU_FRICTION]);
     mixed(forward, true, stop, &v[TAU_STOP]);
-    return true;
 }
 
 /* Make an inner step of length h that ends at `time`. Two of half the length replace one without a
@@ -174,36 +173,23 @@ static bool sound(int variable, double value, bool right, const char *needed, Me
     return right;
 }
 
-/* Motion, friction and acceleration at the start values. */
-static bool start(Component *component, Message *why) {
-    double *v = component->v, q[JOINTS], dq[JOINTS], zero[JOINTS] = {0.0}, u[MAX_INPUTS];
+/* Before the first step, outputs follow start values and inputs; then they are those of the last
+ * step, or, in model exchange, those of the motion. */
+static bool component_output(Component *component, void *workspace, Message *why) {
     Solver solver;
-    memcpy(&v[Q], &v[Q_START], JOINTS * sizeof *v);
-    memcpy(&v[DQ], &v[DQ_START], JOINTS * sizeof *v);
-    memcpy(&v[DDQ], zero, sizeof zero);
-    memset(&component->own[SLOPE], 0, 2 * JOINTS * sizeof component->own[0]);
-    regroup(component);
-    open_solver(component, 0.0, &solver);
-    mixed(forward, false, &v[Q], q);
-    mixed(forward, false, &v[DQ], dq);
-    evaluate(component, &solver, q, dq);
-    for (int i = 0; i < JOINTS; i++) {
-        const Step *step = &solver.axis[i].step;
-        const Joint *joint = step->joint;
-        double *x = &v[joint->first_state];
-        memcpy(x, &v[joint->first_start], (size_t)joint->states * sizeof *x);
-        see(step, q[i], dq[i], u);
-        u[LOAD] = solver.bias[i];
-        if (joint->states > 0 && v[START_MODE] == STEADY) {
-            joint->begin(step->k, u, x);
-        }
+    (void)workspace;
+    if (component->own[STARTED] != 0.0 && component->continuous == 0.0) {
+        return true;
     }
-    return flow(component, &solver, why) && store(component, &solver);
+    if (!flow(component, &solver, why)) {
+        return false;
+    }
+    store(component, &solver);
+    return true;
 }
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     const double *v = component->v;
-    (void)workspace;
     if (!sound(SUBSTEP, v[SUBSTEP], v[SUBSTEP] > 0.0, "be positive", why)) {
         return false;
     }
@@ -221,23 +207,11 @@ static bool component_initialise(Component *component, void *workspace, Message 
             }
         }
     }
-    if (!start(component, why)) {
+    if (!component_output(component, workspace, why)) {
         return false;
     }
     component->own[STARTED] = 1.0;
     return true;
-}
-
-/* Before the first step, outputs follow start values and inputs; then they are those of the last
- * step, or, in model exchange, those of the motion. */
-static bool component_output(Component *component, void *workspace, Message *why) {
-    Solver solver;
-    (void)workspace;
-    if (component->own[STARTED] == 0.0) {
-        return start(component, why);
-    }
-    return component->continuous == 0.0 ||
-           (flow(component, &solver, why) && store(component, &solver));
 }
 
 static bool component_step(Component *component, void *workspace, double step, Message *why) {

@@ -2,10 +2,11 @@
 #ifndef PLANT_FLOW_H
 #define PLANT_FLOW_H
 
-#include "change.h"
 #include "plant_servo.h"
 #include "regroup.h"
 #include "tool.h"
+
+#include "change.h"
 
 /* Sums over `matrix` or its transpose, or a copy without a coupling. */
 static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const double *from,
@@ -50,17 +51,21 @@ static bool rub(const Component *component, int i, double load, Axis *axis, doub
     return false;
 }
 
-/* Set acceleration, torques and derivatives of the friction's states at the motion in `v`. */
+/* Set acceleration, torques and derivatives of the friction's states at the motion in `v`, which is
+ * that of the start values until initialisation ends. */
 static bool flow(Component *component, Solver *solver, Message *why) {
+    const bool starting = component->own[STARTED] == 0.0;
     double *v = component->v, q[JOINTS], dq[JOINTS], rest[JOINTS], zero[JOINTS] = {0.0};
-    if (component->changed != 0.0) {
+    if (starting) {
+        memcpy(&v[Q], &v[Q_START], JOINTS * sizeof *v);
+        memcpy(&v[DQ], &v[DQ_START], JOINTS * sizeof *v);
+    }
+    if (starting || component->changed != 0.0) {
         regroup(component);
     }
     open_solver(component, 0.0, solver);
-    for (int i = 0; i < JOINTS; i++) {
-        q[i] = solver->axis[i].from.q;
-        dq[i] = solver->axis[i].from.dq;
-    }
+    mixed(forward, false, &v[Q], q);
+    mixed(forward, false, &v[DQ], dq);
     if (SERVO) {
         weigh(component, solver, q);
     }
@@ -68,10 +73,19 @@ static bool flow(Component *component, Solver *solver, Message *why) {
     for (int i = 0; i < JOINTS; i++) {
         Axis *axis = &solver->axis[i];
         const Joint *joint = axis->step.joint;
-        const double load = SERVO && component->own[STARTED] != 0.0
-                                ? mixed_at(component, true, TAU_LOAD, i, 0.0)
-                                : solver->bias[i];
-        if (!rub(component, i, load, axis, &v[joint->first_state + joint->states], why)) {
+        double u[MAX_INPUTS], *dx = &v[joint->first_state + joint->states];
+        double load = solver->bias[i];
+        if (starting && joint->states > 0) {
+            see(&axis->step, q[i], dq[i], u);
+            u[LOAD] = load;
+            memcpy(axis->from.x, &v[joint->first_start], (size_t)joint->states * sizeof *v);
+            if (v[START_MODE] == STEADY) {
+                joint->begin(axis->step.k, u, axis->from.x);
+            }
+        } else if (SERVO && !starting) {
+            load = mixed_at(component, true, TAU_LOAD, i, 0.0);
+        }
+        if (!rub(component, i, load, axis, dx, why)) {
             return false;
         }
         axis->slope = NEVER_SMOOTH;
@@ -100,17 +114,15 @@ static bool flow(Component *component, Solver *solver, Message *why) {
 static void change_table(const double *v, const double *seed, double *tp) {
     const double *c = &v[PAYLOAD_COM], *tc = &seed[PAYLOAD_COM];
     const double m = v[PAYLOAD_M], tm = seed[PAYLOAD_M];
-    double load[10] = {tm}, squared = 0.0, change = 0.0;
+    const double moved[] = {tm * c[0] + m * tc[0], tm * c[1] + m * tc[1], tm * c[2] + m * tc[2]};
+    double load[10] = {tm, moved[0], moved[1], moved[2]}, trace = 0.0;
     for (int i = 0; i < 3; i++) {
-        load[1 + i] = tm * c[i] + m * tc[i];
-        squared += c[i] * c[i];
-        change += 2.0 * c[i] * tc[i];
+        trace += c[i] * (moved[i] + m * tc[i]);
     }
     for (int k = 0; k < 6; k++) {
         const int i = pair[k][0], j = pair[k][1];
-        load[4 + k] = seed[PAYLOAD_INERTIA + k] - tm * c[i] * c[j];
-        load[4 + k] -= m * (tc[i] * c[j] + c[i] * tc[j]);
-        load[4 + k] += i == j ? tm * squared + m * change : 0.0;
+        load[4 + k] = seed[PAYLOAD_INERTIA + k] + (i == j ? trace : 0.0);
+        load[4 + k] -= moved[i] * c[j] + m * c[i] * tc[j];
     }
     gather(seed, load, tp);
 }
@@ -122,11 +134,10 @@ static double change_stop(const Step *step, int i, const double *seed, const dou
     const double to_limit[] = {du[0], du[1] - seed[side > 0.0 ? Q_MAX + i : Q_MIN + i]};
     const double deep = side * (u[1] - step->q_link) - step->clearance;
     double slope = 0.0;
-    if (stop_torque(step, u, to_limit, &slope) == 0.0) {
-        return 0.0;
-    }
-    return slope + side * seed[STIFFNESS + i] * deep +
-           seed[DAMPING + i] * fmin(1.0, deep / DEPTH) * u[0];
+    const bool pushes = stop_torque(step, u, to_limit, &slope) != 0.0;
+    return !pushes ? 0.0
+                   : slope + side * seed[STIFFNESS + i] * deep +
+                         seed[DAMPING + i] * fmin(1.0, deep / DEPTH) * u[0];
 }
 
 /* Until initialisation ends, motion and states follow from start values, and outside of model
@@ -134,10 +145,10 @@ static double change_stop(const Step *step, int i, const double *seed, const dou
 SELDOM static void component_tangent(const Component *component, const double *seed,
                                      double *tangent) {
     const bool started = component->own[STARTED] != 0.0;
-    const double zero[JOINTS] = {0.0};
-    double q[JOINTS], dq[JOINTS], ddq[JOINTS], tq[JOINTS], tdq[JOINTS], tp[10 * LINKS];
-    double moved[JOINTS], settled[JOINTS], rest[JOINTS], load[JOINTS];
-    double friction[JOINTS], stop[JOINTS];
+    double q[JOINTS], dq[JOINTS], tq[JOINTS], tdq[JOINTS], ddq[JOINTS], tp[10 * LINKS];
+    double moved[JOINTS], settled[JOINTS], rest[JOINTS], load[JOINTS], torque[JOINTS];
+    double friction[JOINTS], stop[JOINTS], slope[MAX_OUTPUTS], y[MAX_OUTPUTS];
+    double zero[JOINTS] = {0.0};
     Component at = *component;
     Solver solver;
     Message why;
@@ -148,55 +159,45 @@ SELDOM static void component_tangent(const Component *component, const double *s
         }
         return;
     }
-    for (int i = 0; i < JOINTS; i++) {
-        q[i] = solver.axis[i].from.q;
-        dq[i] = solver.axis[i].from.dq;
-        ddq[i] = solver.axis[i].from.ddq;
-    }
+    mixed(forward, false, &at.v[Q], q);
+    mixed(forward, false, &at.v[DQ], dq);
     mixed(forward, false, &seed[started ? Q : Q_START], tq);
     mixed(forward, false, &seed[started ? DQ : DQ_START], tdq);
+    mixed(backward, false, &seed[TAU], torque);
+    for (int i = 0; i < JOINTS; i++) {
+        ddq[i] = solver.axis[i].from.ddq;
+    }
     change_table(at.v, seed, tp);
-#define CHANGE(acceleration, to)                                                                   \
-    torque_change(&at.own[TABLE], &at.v[ROTORS], &at.v[SPRINGS], &at.v[GRAVITY], q, dq,            \
-                  acceleration, tp, &seed[ROTORS], &seed[SPRINGS], &seed[GRAVITY], tq, tdq, to)
-    CHANGE(zero, settled);
-    CHANGE(ddq, moved);
+    torque_change(&at, seed, tp, q, dq, zero, tq, tdq, settled);
+    torque_change(&at, seed, tp, q, dq, ddq, tq, tdq, moved);
     for (int i = 0; i < JOINTS; i++) {
         const Axis *axis = &solver.axis[i];
         const Joint *joint = axis->step.joint;
         const double *k = axis->step.k, *x = axis->from.x;
         const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
-        double u[MAX_INPUTS], du[MAX_INPUTS] = {tdq[i], tq[i]}, y[MAX_OUTPUTS];
-        double *tx = &tangent[joint->first_state], *tdx = tx + joint->states, ldx[MAX_STATES];
-        double slope[MAX_OUTPUTS], torque = 0.0;
-        see(&axis->step, q[i], dq[i], u);
-        for (int m = 0; m < JOINTS; m++) {
-            torque += COUPLED ? share_of(true, i, m) * seed[TAU + m] : m == i ? seed[TAU + m] : 0.0;
-        }
+        double u[MAX_INPUTS], du[MAX_INPUTS] = {tdq[i], tq[i], settled[i]};
+        double *tx = &tangent[joint->first_state], *tdx = tx + joint->states;
         for (int j = LOAD + 1; j < joint->inputs; j++) {
             du[j] = seed[joint->input[j]];
         }
+        see(&axis->step, q[i], dq[i], u);
+        stop[i] = change_stop(&axis->step, i, seed, u, du);
         memcpy(tx, &seed[started ? joint->first_state : joint->first_start],
                (size_t)joint->states * sizeof *tx);
-        u[LOAD] = solver.bias[i];
-        du[LOAD] = settled[i];
         if (!started && joint->states > 0 && at.v[START_MODE] == STEADY) {
+            u[LOAD] = solver.bias[i];
             joint->begin_tangent(k, u, &at.v[joint->first_start], dk, du, tx);
+            u[LOAD] = axis->step.u[LOAD];
         }
-        u[LOAD] = axis->step.u[LOAD];
-        stop[i] = change_stop(&axis->step, i, seed, u, du);
-        du[LOAD] = at.continuous != 0.0 ? 0.0 : settled[i];
+        if (at.continuous != 0.0) {
+            du[LOAD] = 0.0;
+            joint->flow_tangent(k, u, x, no_change, along_load, no_change, tdx, slope);
+            joint->flow_tangent(k, u, x, dk, du, tx, tdx, y);
+            du[LOAD] = (torque[i] - y[0] - stop[i]) / (1.0 + slope[0]);
+        }
         joint->flow_tangent(k, u, x, dk, du, tx, tdx, y);
         friction[i] = y[0];
-        if (at.continuous != 0.0) {
-            joint->flow_tangent(k, u, x, no_change, along_load, no_change, ldx, slope);
-            const double more = (torque - y[0] - stop[i]) / (1.0 + slope[0]);
-            friction[i] += slope[0] * more;
-            for (int j = 0; j < joint->states; j++) {
-                tdx[j] += ldx[j] * more;
-            }
-        }
-        load[i] = torque - friction[i] - stop[i];
+        load[i] = torque[i] - friction[i] - stop[i];
         rest[i] = load[i] - moved[i];
     }
     solved(&solver, zero, rest);

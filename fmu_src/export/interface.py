@@ -143,28 +143,28 @@ class Interface:
 
     def initially(self, variable: Variable) -> tuple[str, ...]:
         """Return the names, without states, that determine a variable at the start."""
-        ahead = [*variable.dependencies, *variable.initial_dependencies]
-        found: dict[str, None] = {}
+        found = dict.fromkeys((*variable.dependencies, *variable.initial_dependencies))
+        ahead = list(found)
         for name in ahead:  # grows by what determines states
-            if name not in found and self._is_state(name):
-                ahead += self.variables[self.places[name]].initial_dependencies
-            found[name] = None
-        return tuple(name for name in found if not self._is_state(name))
-
-    def _is_state(self, name: str) -> bool:
-        return name in self._states or self.variables[self.places[name]].role == "state"
+            more = self._states[name].initial_dependencies if name in self._states else ()
+            ahead += [own for own in more if own not in found]
+            found |= dict.fromkeys(more)
+        return tuple(name for name in found if name not in self._states)
 
     @cached_property
-    def _states(self) -> frozenset[str | None]:
-        return frozenset(v.derivative_of for v in self.derivatives)
+    def _states(self) -> dict[str, Variable]:
+        names = [v.derivative_of for v in self.derivatives]
+        return {v.name: v for v in self.variables if v.role == "state" or v.name in names}
 
     def made_of(
         self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
     ) -> list[str]:
         """Return the names in `dependencies`, or in `initially`, of variables with some roles."""
         names = self.initially(variable) if initially else variable.dependencies
-        of = ("state" if self._is_state(n) else self.variables[self.places[n]].role for n in names)
-        return [name for name, role in zip(names, of, strict=True) if role in roles]
+        of = {
+            n: "state" if n in self._states else self.variables[self.places[n]].role for n in names
+        }
+        return [name for name in names if of[name] in roles]
 
     def first(self, names: Sequence[str]) -> int:
         """Index of the first of `names`, which must be consecutive."""

@@ -306,8 +306,7 @@ def change_header(robot: Robot) -> str:
         f"change[{i}]": one + _sum(arm.graph, (_rotors(arm, i, j) * a for j, a in enumerate(ddq)))
         for i, one in enumerate(arm.torques(accelerated=True))
     }
-    statements = "\n".join(f"    {line}" for line in arm.along(stores))
-    return _CHANGE.format(angles=_angles(arm), statements=statements)
+    return _CHANGE.format(angles=_angles(arm), statements="\n    ".join(arm.along(stores)))
 
 
 def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
@@ -398,8 +397,8 @@ def tool_header(robot: Robot, place: int | None) -> str:
     nothing.
     """
     if place is None:
-        none = "    (void)v, (void)q;"
-        return _TOOL.format(angles="", statements=none, changes=f"{none}\n    (void)tq;")
+        none = "(void)v, (void)q;"
+        return _TOOL.format(angles="", statements=none, changes=f"{none} (void)tq;")
     arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
     at = _last(robot)
@@ -411,10 +410,7 @@ def tool_header(robot: Robot, place: int | None) -> str:
         at = joint.link.parent
     pose = enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place)
     stores = {f"v[{k}]": value for k, value in pose}
-    statements, changes = (
-        "\n".join(f"    {line}" for line in lines)
-        for lines in (arm.graph.to_c(stores), arm.along(stores))
-    )
+    statements, changes = map("\n    ".join, (arm.graph.to_c(stores), arm.along(stores)))
     return _TOOL.format(angles=_angles(arm), statements=statements, changes=changes)
 
 
@@ -468,18 +464,17 @@ _CHANGE = """\
 
 #include "dynamics.h"
 
-/* Change of M ddq + bias with ddq held, along tq, tdq and changes of the parameters. */
-SELDOM static void torque_change(const double *restrict p, const double *restrict rotor,
-                                 const double *restrict spring, const double *restrict gravity,
-                                 const double *restrict q, const double *restrict dq,
-                                 const double *restrict ddq, const double *restrict tp,
-                                 const double *restrict trotor, const double *restrict tspring,
-                                 const double *restrict tgravity, const double *restrict tq,
-                                 const double *restrict tdq, double *restrict change) {{
-{angles}
-    (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq, (void)ddq;
+/* Change of M ddq + bias with ddq held, along tq, tdq, tp and `seed`. */
+SELDOM static void torque_change(const Component *component, const double *seed, const double *tp,
+                                 const double *q, const double *dq, const double *ddq,
+                                 const double *tq, const double *tdq, double *change) {{
+    const double *v = component->v, *p = &component->own[TABLE], *gravity = &v[GRAVITY];
+    const double *rotor = &v[ROTORS], *spring = &v[SPRINGS], *tgravity = &seed[GRAVITY];
+    const double *trotor = &seed[ROTORS], *tspring = &seed[SPRINGS];
+    (void)p, (void)rotor, (void)spring, (void)gravity, (void)q, (void)dq, (void)ddq;
     (void)tp, (void)trotor, (void)tspring, (void)tgravity, (void)tq, (void)tdq;
-{statements}
+{angles}
+    {statements}
 }}
 
 #endif
@@ -509,13 +504,13 @@ _TOOL = """\
 
 static void store_tool(double *v, const double *q) {{
 {angles}
-{statements}
+    {statements}
 }}
 
 /* Store the change along tq. */
 SELDOM static void change_tool(double *v, const double *q, const double *tq) {{
 {angles}
-{changes}
+    {changes}
 }}
 
 #endif

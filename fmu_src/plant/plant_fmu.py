@@ -234,21 +234,16 @@ def _interface(
     own_servo = list(servo.parameters()) if servo else []
     commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
     stops = tuple(v.name for v in starts if v.name.startswith(("q_m", "stop")))
+    load = (*commands, *motion, *stops, *inertial)
     torque = sympy.Symbol(TORQUE, real=True)
 
     def sources(i: int) -> dict[str, tuple[str, ...]]:
         moving = {n: mixed(n, i, model.coupling) for n in ("dq", "q")}
-        return {**moving, TAU_LOAD.name: (*commands, *motion, *stops, *inertial)}
+        return {**moving, TAU_LOAD.name: load}
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
-    everything = (
-        *commands,
-        *motion,
-        *stops,
-        *inertial,
-        *(v.name for v in own_servo),
-        *(n for one in friction for n in one),
-    )
+    of_friction = (n for one in friction for n in one)
+    everything = (*load, *(v.name for v in own_servo), *of_friction)
     at_start = {"q_cmd": [v.start for v in starts[: len(laws)]]}
     found = [
         v
@@ -257,25 +252,14 @@ def _interface(
     ]
     for name, unit, text in (*_OUTPUTS, *(_OF_SERVO if servo else ())):
         for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
-            made_of = {
-                "q": (f"q[{i}]",),
-                "dq": (f"dq[{i}]",),
-                "ddq": everything,
-                "tau_friction": tuple(
-                    n for k in adding(i, model.coupling) for n in friction[k - 1]
-                ),
-                TAU_LOAD.name: everything,
-                "tau_stop": (*motion, *stops),
-                "tau_motor": everything,
-            }[name]
-            found.append(
-                replace(
-                    one,
-                    dependencies=tuple(dict.fromkeys(made_of)),
-                    initial_dependencies=(f"{name}_start[{i}]",) if name in ("q", "dq") else (),
-                    derivative_of=f"{of}[{i}]" if (of := _INTEGRAL_OF.get(name)) else None,
-                )
-            )
+            of_joint = (n for k in adding(i, model.coupling) for n in friction[k - 1])
+            special = {"q": (one.name,), "dq": (one.name,), "tau_friction": of_joint}
+            special["tau_stop"] = (*motion, *stops)
+            known = tuple(dict.fromkeys(special.get(name, everything)))
+            starts_at = (f"{name}_start[{i}]",) if f"{name}_start" in _START else ()
+            of = f"{_INTEGRAL_OF[name]}[{i}]" if name in _INTEGRAL_OF else None
+            output = replace(one, dependencies=known, derivative_of=of)
+            found.append(replace(output, initial_dependencies=starts_at))
     for name, unit, text, size in _OF_TOOL if tool else ():
         own_pose = vector(name, "output", unit, text, (0.0,) * size)
         found += [replace(v, dependencies=motion[: len(laws)]) for v in own_pose]
@@ -284,7 +268,8 @@ def _interface(
     how = "how the states of the friction are relaxed over an inner step"
     found += [discretisation(model, how), start_mode(), *own_parameters, *scales(model)]
     for i, (law, own) in enumerate(zip(model.laws, laws, strict=True), start=1):
-        found += law_variables(law, i, own, sources(i))
+        of_load = {TAU_LOAD.name: (*load, *friction[i - 1])}
+        found += law_variables(law, i, own, sources(i) | of_load)
     found = [at_joint(v, model.slides) for v in found]
     return Interface(
         variables=tuple(of_the_last_step(v, commands) if servo else v for v in found),
@@ -393,19 +378,9 @@ def content(
         text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
         step=SUBSTEP,
     )
-    names = (
-        "balance.h",
-        "coupling.h",
-        "law_math.h",
-        "plant.c",
-        "plant_flow.h",
-        "plant_servo.h",
-        "plant_solver.h",
-        "regroup.h",
-        "root.h",
-        "wide.h",
-    )
-    sources = {name: own_source(name) for name in names}
+    own = ("plant.c", "plant_flow.h", "plant_servo.h", "plant_solver.h")
+    others = ("balance.h", "coupling.h", "law_math.h", "regroup.h", "root.h", "wide.h")
+    sources = {name: own_source(name) for name in (*own, *others)}
     position = servo is not None and bool(servo.kp)
     found = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
     found |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})

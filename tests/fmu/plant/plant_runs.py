@@ -10,9 +10,16 @@ from fmu_src.plant.plant_fmu import PlantBody, content
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
+from hesr_model.laws.stribeck import Stribeck
 from hesr_model.robots.robot import Robot
 
 Array = np.ndarray
+
+
+def stribeck() -> FrictionLaw:
+    """A law that jumps at rest."""
+    values = {"F_c": 4.0, "F_s": 5.0, "v_s": 0.1, "sigma_2": 3.0, "tau_0": 0.1}
+    return FrictionLaw(name="stribeck", form=Stribeck.core({}), values=values)
 
 
 def content_of(robot: Robot, laws: Sequence[FrictionLaw]) -> Content:

@@ -9,7 +9,7 @@ import pytest
 from fmpy import extract, read_model_description
 from fmpy.fmi3 import FMU3Model
 from plant_robots import chain, coupled, sprung
-from plant_runs import content_of
+from plant_runs import content_of, stribeck
 
 from fmu_src.export.package import write_fmu
 from hesr_model.robots.robot import Robot
@@ -92,13 +92,14 @@ def check(fmu, unknowns: Sequence[str], values: Mapping[str, float], c, moved) -
 
 
 @pytest.fixture
-def arms(make_law, fitted, load, tmp_path: Path):
-    laws = {"lugre": make_law("lugre"), "stribeck": fitted["stribeck"],
-            "parfam": make_law("parfam_tanh"), "stops": fitted["parfam_s"]}  # fmt: skip
+def arms(make_law, request, load, tmp_path: Path):
+    laws = {"lugre": lambda: make_law("lugre"), "stribeck": stribeck,
+            "parfam": lambda: make_law("parfam_tanh"),
+            "stops": lambda: request.getfixturevalue("fitted")["parfam_s"]}  # fmt: skip
 
     def made(source: Callable[[Path], Path], law: str):
         robot = Robot(source(tmp_path))
-        path = write_fmu(content_of(robot, [laws[law]] * robot.n), tmp_path / "Plant.fmu")
+        path = write_fmu(content_of(robot, [laws[law]()] * robot.n), tmp_path / "Plant.fmu")
         return robot, load(path)
 
     return made
