@@ -13,7 +13,6 @@ from fmu_src.check import (
     binaries,
     external,
     general,
-    markup,
     rules,
     sources,
     structure,
@@ -111,9 +110,9 @@ class _Found:
             self.skipped.append(f"All other checks: {_MODEL} could not be read.")
             return
         version = str(root.get("fmiVersion", ""))
-        invalid = self._add(markup.schema_problems(_MODEL, contents.files[_MODEL], self._folder))
+        invalid = self._add(archive.schema_problems(_MODEL, contents.files[_MODEL], self._folder))
         file = contents.files.get(_BUILD)
-        about = read_description(root, markup.parse(_BUILD, file)[0] if file else None)
+        about = read_description(root, archive.parse(_BUILD, file)[0] if file else None)
         if version != "1.0":
             self._check_rules(about, contents)
         else:
@@ -132,7 +131,7 @@ class _Found:
         every = (*general.RULES, *variables.RULES, *structure.RULES, *more)
         self._add(chain.from_iterable(rule(about) for rule in every))
         if structure.TERMINALS in contents.files:
-            connected, _ = markup.parse(structure.TERMINALS, contents.files[structure.TERMINALS])
+            connected, _ = archive.parse(structure.TERMINALS, contents.files[structure.TERMINALS])
             if connected is not None:
                 self._add(structure.terminal_problems(connected, about, contents))
         self._add(sources.problems(about, contents))
@@ -143,10 +142,10 @@ class _Found:
         readable = [_MODEL]
         for name in _OTHER_XML:
             if name in contents.files:
-                texts = markup.parse(name, contents.files[name])[1]
+                texts = archive.parse(name, contents.files[name])[1]
                 if self._add(texts):
                     continue
-                texts = markup.schema_problems(name, contents.files[name], self._folder)
+                texts = archive.schema_problems(name, contents.files[name], self._folder)
                 if not self._add(texts):
                     readable.append(name)
         copy = self._folder / "copy.fmu"
@@ -165,7 +164,7 @@ def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:
         return None, [("xml-unreadable", f"{_MODEL} is missing{hint}.")]
     if _MODEL not in contents.files:
         return None, []
-    root, texts = markup.parse(_MODEL, contents.files[_MODEL])
+    root, texts = archive.parse(_MODEL, contents.files[_MODEL])
     if root is None:
         return None, texts
     if root.tag != "fmiModelDescription":

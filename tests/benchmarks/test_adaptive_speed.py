@@ -9,7 +9,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance
-from hesr.extras.adaptive.follow import adaptive_content
+from hesr.extras.adaptive.monitor import adaptive_content
 
 STEP = 0.005
 

@@ -25,7 +25,7 @@ from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.predictions import predict_model
 from hesr.extras.leaderboard.board_file import BoardFile, Judge, read_grounds
 from hesr.extras.leaderboard.leaderboard import Entry, Leaderboard, run_leaderboard, tried
-from hesr.extras.leaderboard.page import write_page
+from hesr.extras.leaderboard.tables import write_page
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel

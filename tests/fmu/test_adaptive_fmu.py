@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 from cosim.workflow.export import export
 from fmu_src.check.run import check
 from fmu_src.run.fmu import FmuInstance
-from hesr.extras.adaptive.follow import Follower
+from hesr.extras.adaptive.monitor import Follower
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal

@@ -20,7 +20,7 @@ from fmu_src.blocks.controller import velocity
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
-from hesr.extras.adaptive.follow import export_adaptive
+from hesr.extras.adaptive.monitor import export_adaptive
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.friction.band import Band
 from hesr_model.friction.thermal import Thermal

@@ -14,7 +14,7 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from hesr.extras.adaptive.follow import adaptive_content, export_adaptive
+from hesr.extras.adaptive.monitor import adaptive_content, export_adaptive
 from hesr.extras.drive.drive_fmu import content as drive
 from hesr.extras.drive.drive_fmu import motors
 from hesr_model.fitting.estimator import registry

@@ -7,8 +7,7 @@ import pytest
 from adaptive_models import lugre, model, motion, stops, truth
 from unchanged import Unchanged
 
-from hesr.extras.adaptive.follow import Follower
-from hesr.extras.adaptive.monitor import watch
+from hesr.extras.adaptive.monitor import Follower, watch
 from hesr.extras.thermal.thermal_fit import fit_thermal
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.thermal import Thermal

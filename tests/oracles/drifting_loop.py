@@ -22,7 +22,7 @@ from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance
-from hesr.extras.adaptive.follow import adaptive_content
+from hesr.extras.adaptive.monitor import adaptive_content
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.thermal import Thermal

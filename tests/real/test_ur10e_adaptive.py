@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import IDENTIFICATION
 
-from hesr.extras.adaptive.follow import Follower
+from hesr.extras.adaptive.monitor import Follower
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.records import rmse
 from hesr_model.logs.robot_log import Log

@@ -7,7 +7,7 @@ import pytest
 from adaptive_models import NOISE, SPEED, STEP, coloured, lugre, model, motion, stops, truth
 
 from hesr.extras.adaptive.component import TUNING, adaptive_component
-from hesr.extras.adaptive.follow import Followed, Follower, adaptive_components
+from hesr.extras.adaptive.monitor import Followed, Follower, adaptive_components
 from hesr_model.audit.certificate import certify, least_viscosity, storage
 from hesr_model.equations.stepping import ComponentRun, Steps
 from hesr_model.errors import ExportError, SimulationError

@@ -8,7 +8,7 @@ import pytest
 from adaptive_models import NOISE, STEP, Array, coloured, lugre, model, motion, stops, truth
 
 from hesr.extras.adaptive.component import TUNING
-from hesr.extras.adaptive.follow import Follower, adaptive_components
+from hesr.extras.adaptive.monitor import Follower, adaptive_components
 from hesr.extras.thermal.thermal_fit import Factored
 from hesr_model.equations.component import Parameter
 from hesr_model.equations.stepping import Steps

@@ -8,7 +8,7 @@ import pytest
 from adaptive_models import NOISE, SPEED, lugre, model, motion, stops, truth
 
 from hesr.extras.adaptive.component import TUNING, adaptive_component
-from hesr.extras.adaptive.follow import Follower
+from hesr.extras.adaptive.monitor import Follower
 from hesr.extras.thermal.thermal_fit import Factored, ThermalFit, fit_thermal
 from hesr_model.audit.certificate import least_viscosity, storage
 from hesr_model.equations.stepping import Steps

@@ -10,7 +10,7 @@ from cosim.report.tables.table import ResultTable
 from cosim.workflow.answer import Answer, shortened
 from hesr.extras.leaderboard.board_file import BoardFile
 from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_leaderboard
-from hesr.extras.leaderboard.tables import standings
+from hesr.extras.leaderboard.tables import standings, write_page
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json
 
@@ -38,8 +38,6 @@ class LeaderboardJob:
         remember_trust((entry.fmu for entry in entries), trust=trust)
         board = run_leaderboard(rules, entries, progress=partial(progress, "scoring entries"))
         if output is not None:
-            from hesr.extras.leaderboard.page import write_page  # slow import
-
             write_page(board, output)
         return LeaderboardResult(**vars(board), files=(output,) if output else ())
 

@@ -29,15 +29,12 @@ def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
     require_exportable(model, "a plug-in of MuJoCo", coupled=False)
     table, header = friction_equations(model)
     name = f"hesr.{path.stem}"
-    text = (
-        code_templates(Path(__file__).parent / "templates")
-        .get_template("plugin.c.j2")
-        .render(
-            name=name,
-            version=version("mujoco-core"),
-            loaded=", ".join(str(int(TAU_LOAD in law.form.inputs)) for law in model.laws),
-            euler=float(discretisation_of(model) == "euler"),
-        )
+    templates = code_templates(Path(__file__).parent / "templates")
+    text = templates.get_template("plugin.c.j2").render(
+        name=name,
+        version=version("mujoco-core"),
+        loaded=", ".join(str(int(TAU_LOAD in law.form.inputs)) for law in model.laws),
+        euler=float(discretisation_of(model) == "euler"),
     )
     files = {"interface.h": to_c(table, "", model.sample_time), "equations.h": header}
     files |= {"plugin.c": text, **{n: own_source(n) for n in ("law_math.h", "variable.h")}}

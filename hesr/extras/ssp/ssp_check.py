@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cosim.systems.wiring import Wiring
-from fmu_src.check import archive, markup
+from fmu_src.check import archive
 from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
@@ -44,10 +44,10 @@ def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
     for name, file in contents.files.items():
         if not name.lower().endswith(_XML):
             continue
-        root, problems = markup.parse(name, file)
+        root, problems = archive.parse(name, file)
         yield from problems
         if root is not None:
-            yield from markup.schema_problems(name, file, folder)
+            yield from archive.schema_problems(name, file, folder)
 
 
 def _structure(path: Path) -> Iterator[Problem]:

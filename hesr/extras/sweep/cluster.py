@@ -5,6 +5,7 @@ FMUs are identified by hash and cached on each machine. Chunks of dead workers a
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -130,12 +131,9 @@ def run_there(
                 temporary.write_bytes(contents[digest])
         if ours[digest] and not is_known(digest):
             remember(file)
-    spec = task.spec
     components = tuple(
         component.model_copy(update={"fmu": files[str(component.fmu)]})
-        for component in spec.components
+        for component in task.spec.components
     )
-    local = spec.model_copy(update={"components": components})
-    return run_rows(
-        Task(key=task.key, spec=local, targets=task.targets, outputs=task.outputs), values
-    )
+    local = task.spec.model_copy(update={"components": components})
+    return run_rows(replace(task, spec=local), values)

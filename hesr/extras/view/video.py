@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -69,30 +69,17 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
         cleanup.callback(target.free)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
         scene = mujoco.MjvScene(stage.model, maxgeom=_GEOMS)
-        option = mujoco.MjvOption()
+        scenery = stage.model, stage.data, mujoco.MjvOption(), None, stage.camera
+        place = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
         view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         image: Image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
 
         def draw(t: float) -> Image:
             stage.set(t)
-            mujoco.mjv_updateScene(
-                stage.model,
-                stage.data,
-                option,
-                None,
-                stage.camera,
-                mujoco.mjtCatBit.mjCAT_ALL,
-                scene,
-            )
+            mujoco.mjv_updateScene(*scenery, mujoco.mjtCatBit.mjCAT_ALL, scene)
             stage.annotate(scene, t)
             mujoco.mjr_render(view, scene, target)
-            mujoco.mjr_overlay(
-                mujoco.mjtFont.mjFONT_NORMAL,
-                mujoco.mjtGridPos.mjGRID_BOTTOMLEFT,
-                view,
-                *stage.legend(t),
-                target,
-            )
+            mujoco.mjr_overlay(*place, view, *stage.legend(t), target)
             mujoco.mjr_readPixels(image, None, view, target)
             return np.ascontiguousarray(image[::-1])
 
@@ -129,7 +116,7 @@ def _encoder() -> str:
 
 
 @contextmanager
-def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
+def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
     result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
@@ -138,7 +125,7 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
         pipe = process.stdin
         assert pipe is not None
         try:
-            yield lambda image: _send(pipe, image)
+            yield lambda image: pipe.write(image.tobytes())
             pipe.close()
         except BrokenPipeError:  # reported below
             pass
@@ -160,7 +147,7 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
 
 
 @contextmanager
-def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
+def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
     import PIL.Image
 
     del path
@@ -170,10 +157,6 @@ def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], None]]:
     options = {"save_all": True, "loop": 0, "quality": 60, "method": 4}
     options["duration"] = round(1000 * _PAGE / RATE)
     frames[0].save(file, "WEBP", append_images=frames[1:], **options)
-
-
-def _send(pipe: IO[bytes], image: Image) -> None:
-    pipe.write(image.tobytes())
 
 
 def _first_line(error: Exception) -> str:

@@ -5,7 +5,7 @@ import sys
 import pytest
 from fmu_files import MODEL, RULES, changed, said, texts
 
-from fmu_src.check import markup
+from fmu_src.check import archive
 from fmu_src.check.run import check
 
 PROLOG = b'<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -108,12 +108,12 @@ def test_a_byte_order_mark_is_harmless(source_fmu, tmp_path, xml):
 
 
 def test_xml_that_exhausts_memory_is_refused(of_xml, monkeypatch):
-    monkeypatch.setattr(markup, "MOST_NODES", 10)
+    monkeypatch.setattr(archive, "MOST_NODES", 10)
     assert texts(of_xml(PROLOG + b"<a b='1'>" + b"<a/>" * 9 + b"</a>")) == [
         "modelDescription.xml: it has more than 10 elements and attributes; it is not read any "
         "further."
     ]
-    monkeypatch.setattr(markup, "MOST_BYTES", 20)
+    monkeypatch.setattr(archive, "MOST_BYTES", 20)
     assert texts(of_xml(PROLOG + b"<a/>")) == [
         "modelDescription.xml: it has more than 20 bytes; it is not read."
     ]
