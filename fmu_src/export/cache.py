@@ -6,9 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
-from importlib.metadata import requires, version
 from pathlib import Path
-from re import match
 
 from hesr_model.support import plugins
 from hesr_model.support.cache import found, kept
@@ -21,15 +19,16 @@ _OURS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "hesr/extra
 
 @cache
 def software() -> str:
-    """Return a hash of HESR's modules below the export, its extras and its dependencies."""
-    key = hashlib.sha256(sys.version.encode())
-    for requirement in requires("hesr") or ():
-        name = match(r"[\w.-]+", requirement)
-        if name and "extra ==" not in requirement:
-            key.update(f"{name[0]} {version(name[0])}\n".encode())
+    """Return a hash of HESR's modules below the export, its extras and installed packages."""
+    folders = filter(os.path.isdir, sys.path)
+    installed = (entry.name for folder in folders for entry in Path(folder).iterdir())
+    # Folders of metadata have the versions in their names.
+    packages = sorted({name for name in installed if name.endswith((".dist-info", ".egg-info"))})
+    key = hashlib.sha256("\n".join([sys.version, *packages]).encode())
     for home in _OURS:
-        for file in sorted(home.rglob("*")):
-            if file.is_file() and file.suffix != ".pyc":
+        for folder, folders_inside, names in os.walk(home):
+            folders_inside.sort()
+            for file in (Path(folder, name) for name in sorted(names) if name[-4:] != ".pyc"):
                 key.update(f"{file.relative_to(home).as_posix()}\n".encode())
                 key.update(hashlib.sha256(file.read_bytes()).digest())
     return key.hexdigest()

@@ -277,7 +277,24 @@ def _raise_in_main_thread(number: int) -> None:
 
 @contextmanager
 def shown_progress() -> Iterator[Stages]:
-    """Show progress, times and current work on standard error."""
+    """Show progress, times and current work on a terminal, from the first report on."""
+    wanted = _output.get()
+    hidden = wanted.quiet or wanted.verbose or not sys.stderr.isatty()
+    with ExitStack() as shown:
+        bars: list[Stages] = []
+
+        def tell(what: str, done: int, total: int) -> None:
+            _log.info("%s: %d of %d", what, done, total)
+            if not (hidden or bars):
+                bars.append(shown.enter_context(_progress_bar()))
+            for bar in bars:
+                bar(what, done, total)
+
+        yield tell
+
+
+@contextmanager
+def _progress_bar() -> Iterator[Stages]:
     from rich.console import Console, RenderableType
     from rich.progress import (
         BarColumn,
@@ -299,7 +316,7 @@ def shown_progress() -> Iterator[Stages]:
                 yield Text(f"  {at_work}", no_wrap=True, overflow="ellipsis")
 
     # Messages above the bar are not wrapped, so that paths in them can be copied.
-    console, wanted = Console(stderr=True, soft_wrap=True), _output.get()
+    console = Console(stderr=True, soft_wrap=True)
     tasks: dict[str, TaskID] = {}
     block = Block(
         TextColumn("{task.description}"),
@@ -311,12 +328,10 @@ def shown_progress() -> Iterator[Stages]:
         TextColumn("left"),
         console=console,
         transient=True,
-        disable=wanted.quiet or wanted.verbose or not console.is_terminal,
     )
     with listed_in(names), block as shown:
 
         def tell(what: str, done: int, total: int) -> None:
-            _log.info("%s: %d of %d", what, done, total)
             if what not in tasks:
                 for task in shown.tasks:
                     shown.update(task.id, visible=not task.finished)

@@ -17,8 +17,6 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from filelock import FileLock
-
 LIMIT = 256 * 1024 * 1024  # [B] per kind, some thousand FMUs
 USED: Counter[tuple[str, bool]] = Counter()
 """Cache hits (True) and misses by kind, of this process and its workers."""
@@ -34,6 +32,8 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     rebuilt.
     """
     name = _name(inputs)
+    from filelock import FileLock  # slow to import
+
     # Lock files remain, so many entries share one.
     shelf = folder() / kind / name[:2]
     lock = FileLock(shelf / "lock", mode=0o600)
@@ -95,10 +95,18 @@ def keyed(kind: str, content: bytes) -> bytes:
 @cache
 def _key(place: Path) -> bytes:
     file, size = place / "key", _DIGEST
+
+    def stored() -> bytes | None:
+        found = _content(file)
+        return found if found and len(found) == size else None  # else perhaps known to others
+
+    if found := stored():
+        return found
+    from filelock import FileLock  # slow to import
+
     try:
         with FileLock(place / "lock", mode=0o600):
-            found = _content(file)
-            if found is None or len(found) != size:  # missing, or perhaps known to others
+            if not (found := stored()):
                 found = secrets.token_bytes(size)
                 _replace(file, found)
     except OSError as error:

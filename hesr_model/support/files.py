@@ -18,8 +18,6 @@ from pathlib import Path
 from secrets import token_hex
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.progress import deferred
 
@@ -144,6 +142,8 @@ def folder_made(path: Path) -> Iterator[None]:
 
 
 def _take(path: Path, cleanup: ExitStack) -> None:
+    from filelock import FileLock, Timeout  # slow to import
+
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()

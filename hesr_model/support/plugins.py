@@ -1,8 +1,10 @@
 """Plug-ins: the entry points of HESR, in the same groups, and of other packages."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, distributions
 from importlib.util import find_spec
 from typing import Any
 
@@ -63,8 +65,9 @@ class Plugin:
 def load(group: str) -> Mapping[str, Plugin]:
     """Import and return the object; raises ConfigError for other packages."""
     every = [
-        Plugin(name=entry.name, package=entry.dist.name if entry.dist else "?", entry=entry)
-        for entry in entry_points(group=group)
+        Plugin(name=entry.name, package=package, entry=entry)
+        for package, entry in _entries(tuple(sys.path))
+        if entry.group == group
     ]
     found: dict[str, Plugin] = {}
     for plugin in sorted(every, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)):
@@ -76,6 +79,16 @@ def load(group: str) -> Mapping[str, Plugin]:
             )
         found[plugin.name] = plugin
     return found
+
+
+@cache
+def _entries(_path: tuple[str, ...]) -> list[tuple[str, EntryPoint]]:
+    """Return packages and their entry points; only metadata of plug-ins are parsed."""
+    found: dict[str, list[EntryPoint]] = {}
+    for one in distributions():
+        if "[hesr." in (one.read_text("entry_points.txt") or ""):
+            found.setdefault(one.name, list(one.entry_points))
+    return [(package, entry) for package, points in found.items() for entry in points]
 
 
 def names(group: str) -> tuple[str, ...]:
