@@ -48,6 +48,7 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
                                                      fmi2Boolean visible, fmi2Boolean logging) {
     (void)visible;
     Message why;
+    char own[sizeof numbers.guid];
     if (!name || !*name) {
         return not_instantiated(functions, "", "fmi2Instantiate: the instance has no name.");
     }
@@ -55,10 +56,11 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
         return not_instantiated(functions, name,
                                 "fmi2Instantiate: this FMU is not of the wanted type.");
     }
-    if (!guid || strcmp(guid, MODEL_GUID) != 0) {
-        return not_instantiated(functions, name,
-                                "fmi2Instantiate: the GUID is not that of this binary, " MODEL_GUID
-                                ".");
+    copy_guid(own);
+    if (!guid || strcmp(guid, own) != 0) {
+        snprintf(why.text, sizeof why.text,
+                 "fmi2Instantiate: the GUID is not that of this binary, %s.", own);
+        return not_instantiated(functions, name, why.text);
     }
     Instance *instance = calloc(1, sizeof *instance + strlen(name) + 1);
     if (!instance) {

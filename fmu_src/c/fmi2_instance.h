@@ -210,10 +210,16 @@ static fmi2Status refreshed(Instance *instance) {
     return refuse(instance, "%s", why.text);
 }
 
+SELDOM static void copy_guid(char guid[sizeof numbers.guid]) {
+    for (size_t i = 0; i < sizeof numbers.guid; i++) {
+        guid[i] = numbers.guid[i];
+    }
+}
+
 static void set_start_values(Memory *memory, int type) {
     memset(memory, 0, sizeof *memory);
     for (int i = 0; i < VARIABLES; i++) {
-        memory->component.v[i] = variables[i].start;
+        memory->component.v[i] = numbers.of[i].start;
     }
     memory->stop = INFINITY;
     memory->type = type;

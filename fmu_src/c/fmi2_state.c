@@ -8,7 +8,7 @@ enum { STATE_VERSION = 1 };
 
 /* A serialised state carries the GUID, which identifies the model, and a checksum. */
 typedef struct {
-    char guid[sizeof MODEL_GUID];
+    char guid[sizeof numbers.guid];
     uint32_t version;
     uint64_t sum; /* zero except in the serialised bytes */
     Memory memory;
@@ -39,7 +39,7 @@ SELDOM static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
         const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
         const Role role = variables[i].role;
-        const bool whole = value >= variables[i].low && value <= variables[i].high &&
+        const bool whole = value >= numbers.of[i].low && value <= numbers.of[i].high &&
                            (variables[i].type == REAL || value == floor(value));
         const bool set = role == INPUT || role == STATE || role == FIXED || role == TUNABLE;
         if (set && !(isfinite(value) && isfinite(slope) && whole)) {
@@ -81,7 +81,7 @@ FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
         complain(instance, "fmi2GetFMUstate: out of memory.");
         return fmi2Error;
     }
-    memcpy(saved->guid, MODEL_GUID, sizeof saved->guid);
+    copy_guid(saved->guid);
     saved->version = STATE_VERSION;
     memcpy(&saved->memory, &instance->memory, sizeof saved->memory);
     *state = saved;
@@ -161,11 +161,13 @@ FMI2_STATUS(fmi2DeSerializeFMUstate)
 (fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
     static const char function[] = "fmi2DeSerializeFMUstate";
     Message why;
+    char guid[sizeof numbers.guid];
     Instance *instance = entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL);
     if (!instance) {
         return fmi2Error;
     }
-    if (size != sizeof(Saved) || memcmp(bytes, MODEL_GUID, sizeof MODEL_GUID) != 0) {
+    copy_guid(guid);
+    if (size != sizeof(Saved) || memcmp(bytes, guid, sizeof guid) != 0) {
         complain(instance, "%s: the %lu bytes are not a state of this model.", function,
                  (unsigned long)size);
         return fmi2Error;

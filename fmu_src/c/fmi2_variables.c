@@ -195,10 +195,10 @@ FMI2_STATUS(fmi2SetReal)
         return refuse_number(instance, function, vr[odd], value[odd]);
     }
     for (size_t i = 0; i < n; i++) {
-        const Variable *variable = variable_of(vr[i]);
-        if (value[i] < variable->low || value[i] > variable->high) {
-            return refuse(instance, "%s: %s is %g; expected %g to %g.", function, variable->name,
-                          value[i], variable->low, variable->high);
+        const double low = numbers.of[vr[i]].low, high = numbers.of[vr[i]].high;
+        if (value[i] < low || value[i] > high) {
+            return refuse(instance, "%s: %s is %g; expected %g to %g.", function,
+                          variable_of(vr[i])->name, value[i], low, high);
         }
     }
     for (size_t i = 0; i < n; i++) {
@@ -215,10 +215,10 @@ FMI2_STATUS(fmi2SetInteger)
         return fmi2Error;
     }
     for (size_t i = 0; i < n; i++) {
-        const Variable *variable = variable_of(vr[i]);
-        if (value[i] < variable->low || value[i] > variable->high) {
-            complain(instance, "%s: %s is %d; expected %g to %g.", function, variable->name,
-                     value[i], variable->low, variable->high);
+        const double low = numbers.of[vr[i]].low, high = numbers.of[vr[i]].high;
+        if (value[i] < low || value[i] > high) {
+            complain(instance, "%s: %s is %d; expected %g to %g.", function,
+                     variable_of(vr[i])->name, value[i], low, high);
             return failed(instance);
         }
     }

@@ -23,8 +23,9 @@ int EXPORTED(live_reset)(void) {
     static const fmi2CallbackFunctions host = {.logger = listen};
     heard[0] = '\0';
     if (!fmu) {
-        fmu = fmi2Instantiate("live", fmi2CoSimulation, MODEL_GUID, NULL, &host, fmi2False,
-                              fmi2False);
+        char guid[sizeof numbers.guid];
+        copy_guid(guid);
+        fmu = fmi2Instantiate("live", fmi2CoSimulation, guid, NULL, &host, fmi2False, fmi2False);
     }
     return fmi2Reset(fmu);
 }

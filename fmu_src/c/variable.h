@@ -24,13 +24,11 @@ typedef enum {
 
 typedef struct {
     const char *name;
-    double start;
     Role role;
     Type type;
-    double low, high; /* bounds, maybe infinite */
-    int used;         /* whether any result depends directly on it, even if only at the start */
-    int alike;        /* length of the run of reals without bounds that starts here and needs only
-                         one check, or 0 */
+    int used;  /* whether any result depends directly on it, even if only at the start */
+    int alike; /* length of the run of reals without bounds that starts here and needs only one
+                  check, or 0 */
 } Variable;
 
 #endif

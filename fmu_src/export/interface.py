@@ -5,6 +5,7 @@ separate table, because those of FMI 3.0 can denote arrays.
 """
 
 import re
+import struct
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -212,23 +213,28 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
         for name in (*v.dependencies, *v.initial_dependencies)
     }
     rows: list[str] = []
-    inputs, watched, kinds = [0], [], []
+    inputs, watched, kinds, numbers = [0], [], [], []
     for i, v in enumerate(variables):
-        kind = f"INTEGER, 1, {len(v.enumeration.items)}" if v.enumeration else _bounds(v)
-        kind = "LOGICAL, 0, 1" if v.boolean else kind
+        bounds = f"1.0, {literal(len(v.enumeration.items))}" if v.enumeration else _bounds(v)
+        bounds = "0.0, 1.0" if v.boolean else bounds
+        numbers.append(f"    {{{literal(v.start)}, {bounds}}},")
         counts = int(v.role != "input" or v.name in used)
         own_derivative = v.derivative_of and v.role == "local"
         role = "DERIVATIVE" if own_derivative else v.role.upper()
-        kinds.append((f"{role}, {kind}, {counts}", f'"{v.name}", {literal(v.start)}'))
+        kind = "LOGICAL" if v.boolean else "INTEGER" if v.enumeration else "REAL"
+        free = bounds == "-INFINITY, INFINITY" and role not in ("ON_DEMAND", "DERIVATIVE")
+        kinds.append(((role, kind, counts, bounds, free), v.name))
         if v.role == "input":
             inputs.append(i)
         elif v.role in ("output", "local", "state") and not own_derivative:
             watched.append(i)
-    for kind, group in groupby(kinds, lambda pair: pair[0]):
-        own = [start for _, start in group]
-        alone = "-INFINITY, INFINITY" not in kind or kind.startswith(("ON_DEMAND", "DERIVATIVE"))
-        left = (0 if alone else n for n in range(len(own), 0, -1))
-        rows += (f"    {{{a}, {kind}, {n}}}," for a, n in zip(own, left, strict=True))
+    for (role, kind, counts, _, free), group in groupby(kinds, lambda pair: pair[0]):
+        names = [name for _, name in group]
+        left = (n if free else 0 for n in range(len(names), 0, -1))
+        rows += (
+            f'    {{"{name}", {role}, {kind}, {counts}, {n}}},'
+            for name, n in zip(names, left, strict=True)
+        )
     states = [places[v.derivative_of or ""] for v in interface.derivatives]
     derivatives = [places[v.name] for v in interface.derivatives]
     return _INTERFACE.format(
@@ -242,6 +248,7 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
         booleans=sum(v.boolean for v in variables),
         watched=len(watched),
         rows="\n".join(rows),
+        numbers="\n".join(numbers),
         state_list=_list(states),
         derivative_list=_list(derivatives),
         nominal_list=_list([literal(variables[i].nominal) for i in states]),
@@ -253,7 +260,7 @@ def _bounds(variable: Variable) -> str:
     limits = (variable.least, variable.greatest) if variable.limited else (None, None)
     free = ("-INFINITY", "INFINITY")
     low, high = (x if at is None else literal(at) for at, x in zip(limits, free, strict=True))
-    return f"REAL, {low}, {high}"
+    return f"{low}, {high}"
 
 
 def _list(items: Sequence[object]) -> str:
@@ -279,6 +286,17 @@ static const Variable variables[VARIABLES] = {{
 {rows}
 }};
 
+/* Start value and bounds of each variable. An export overwrites this table in a compiled binary,
+ * so it is volatile: no compiler may assume its numbers. */
+static const volatile struct {{
+    char mark[16], guid[40];
+    struct {{
+        double start, low, high;
+    }} of[VARIABLES];
+}} numbers = {{"hesr numbers 01", MODEL_GUID, {{
+{numbers}
+}}}};
+
 /* Continuous states, their derivatives and nominal values; values that must stay finite, with
  * derivatives, which steps omit, behind WATCHED others. An empty list has one element. */
 static const int states{state_list};
@@ -288,6 +306,26 @@ static const int watched{watched_list};
 
 #endif
 """
+
+
+_TABLE = re.compile(r"(\} numbers = .*\n)((?:    \{.*\},\n)+)")
+_GUID = re.compile(r'(#define MODEL_GUID ")(.*)"')
+_GUID_SIZE = 40
+NUMBERS = b"hesr numbers 01\0"
+"""Bytes before the table of numbers in a binary."""
+
+
+def without_numbers(text: str) -> tuple[str, bytes]:
+    """Return an interface.h with zeros for its numbers and GUID, and the bytes of its table."""
+    table, guid = _TABLE.search(text), _GUID.search(text)
+    if table is None or guid is None:
+        raise ValueError("no interface.h of this version")
+    rows = table[2].replace("INFINITY", "inf").translate(str.maketrans("{},", "   ")).split()
+    content = guid[2].encode().ljust(_GUID_SIZE, b"\0") + struct.pack(
+        f"<{len(rows)}d", *map(float, rows)
+    )
+    zeros = re.sub(r"\{.*\}", "{0.0, 0.0, 0.0}", table[2])
+    return _GUID.sub(r'\1"', text.replace(table[2], zeros)), content
 
 
 def literal(value: float) -> str:

@@ -1,11 +1,13 @@
 """C compiler: one for all targets, with the same bytes on every host."""
 
+import hashlib
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+from fmu_src.export.interface import NUMBERS, without_numbers
 from hesr_model.errors import ExportError
 from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
@@ -89,9 +91,52 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
             output = folder / triple / library
             output.parent.mkdir()
             last = [*(flag.replace("{library}", library) for flag in target.flags), *flags]
-            compile_c(source, ("-target", triple, *CFLAGS, *_LINK), output, last)
-            parts.append(output.read_bytes())
+            parts.append(_compiled(source, ("-target", triple, *CFLAGS, *_LINK), output, last))
     return parts[0] if len(parts) == 1 else universal(parts)
+
+
+def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
+    """Compile without the numbers of an interface.h, so that others compile nothing; add them."""
+    header = source.with_name("interface.h")
+    if not header.is_file():
+        compile_c(source, flags, output, last)
+        return output.read_bytes()
+    text = header.read_text(encoding="utf-8")
+    blank, content = without_numbers(text)
+    header.write_text(blank, encoding="utf-8")
+    compile_c(source, flags, output, last)
+    header.write_text(text, encoding="utf-8")
+    binary = bytearray(output.read_bytes())
+    if (place := binary.find(NUMBERS) + len(NUMBERS)) >= len(NUMBERS):
+        binary[place : place + len(content)] = content
+        _sign_again(binary)
+    return bytes(binary)
+
+
+_MACH_MAGIC_64 = 0xFEEDFACF
+_SIGNATURE, _DIRECTORY = 0x1D, 0xFADE0C02  # load command, and its blob with hashes of pages
+
+
+def _sign_again(binary: bytearray) -> None:
+    """Renew the hashes in the ad-hoc signature of a 64-bit Mach-O file, if it has one."""
+    magic, *_, commands = struct.unpack_from("<5I", binary)
+    place = 32  # behind the header
+    for _ in range(commands if magic == _MACH_MAGIC_64 else 0):
+        command, size, offset = struct.unpack_from("<3I", binary, place)
+        place += size
+        if command != _SIGNATURE:
+            continue
+        (blobs,) = struct.unpack_from(">I", binary, offset + 8)
+        for k in range(blobs):
+            begin = offset + struct.unpack_from(">I", binary, offset + 16 + 8 * k)[0]
+            kind, _, _, _, hashes, _, _, pages, end = struct.unpack_from(">9I", binary, begin)
+            if kind != _DIRECTORY:
+                continue
+            step = 1 << binary[begin + 39]
+            for page in range(pages):
+                own = hashlib.sha256(binary[page * step : min((page + 1) * step, end)]).digest()
+                to = begin + hashes + page * len(own)
+                binary[to : to + len(own)] = own
 
 
 # A small module without imports, embedded in a page. Building the compiler's own C library takes 15
@@ -114,8 +159,7 @@ def build_wasm(source: Path, *, powers: bool) -> bytes:
     """Compile one translation unit, which may call pow(), to WebAssembly and return its bytes."""
     with scratch_folder() as folder:
         output = folder / f"{source.stem}.wasm"
-        compile_c(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))
-        return output.read_bytes()
+        return _compiled(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))
 
 
 def get_ready() -> None:
@@ -127,7 +171,6 @@ def get_ready() -> None:
 
 
 _FAT_MAGIC = 0xCAFEBABE
-_MACH_MAGIC_64 = 0xFEEDFACF
 _PAGE_BITS = 14  # slices start at 16 KiB pages, the larger page size of the two architectures
 
 

@@ -3,6 +3,7 @@
 import math
 import re
 import struct
+from math import inf
 
 import pytest
 import sympy
@@ -10,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmu_src.equations.c_functions import Functions
-from fmu_src.export.interface import Enumeration, Interface, Variable, literal, to_c
+from fmu_src.export.interface import (
+    Enumeration,
+    Interface,
+    Variable,
+    literal,
+    to_c,
+    without_numbers,
+)
 from fmu_src.friction import friction_component as friction
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation, Stop
@@ -157,12 +165,17 @@ def test_the_table_of_variables_is_complete():
         )
     )
     text = to_c(table, "{guid}", 0.005)
-    assert '{"u[1]", 0.10000000000000001, INPUT, REAL, -INFINITY, INFINITY, 1, 1},' in text
-    assert '{"kind", 2.0, FIXED, INTEGER, 1, 2, 1, 0},' in text
-    assert (
-        '{"held", 0.0, INPUT, REAL, -INFINITY, INFINITY, 0, 1},' in text
-    )  # not held, so no output depends on an old value
+    assert '{"u[1]", INPUT, REAL, 1, 1},' in text
+    assert '{"kind", FIXED, INTEGER, 1, 0},' in text
+    assert '{"held", INPUT, REAL, 0, 1},' in text  # not held: no output depends on an old value
+    assert "{0.10000000000000001, -INFINITY, INFINITY},\n    {2.0, 1.0, 2.0},\n" in text
     assert '#define MODEL_GUID "{guid}"' in text
+    blank, content = without_numbers(text)
+    assert content[:40] == b"{guid}".ljust(40, b"\0")
+    numbers = (0.1, -inf, inf, 2.0, 1.0, 2.0, 0.0, -inf, inf, 0.0, -inf, inf)
+    assert struct.unpack("<12d", content[40:]) == numbers
+    assert "0.1" not in blank
+    assert without_numbers(blank) == (blank, bytes(len(content)))
 
 
 def test_arrays_are_found_among_scalars():

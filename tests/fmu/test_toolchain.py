@@ -1,5 +1,6 @@
 """Binaries and archives: small, reproducible, exporting only FMI, and buildable elsewhere."""
 
+import hashlib
 import shutil
 import struct
 import subprocess
@@ -195,6 +196,48 @@ def test_another_model_has_another_guid(table1, binary, load, tmp_path):
     laws = (replace(table1.laws[0], values=values), *table1.laws[1:])
     other = load(export_fmu(replace(table1, laws=laws), tmp_path / "F.fmu"))
     assert other.about.guid != binary.about.guid
+
+
+def test_new_coefficients_need_no_compiler(table1, table1_fmu, monkeypatch, tmp_path, empty_cache):
+    export_fmu(table1, tmp_path / "first.fmu", no_documentation=True)
+    values = dict(table1.laws[0].values) | {"c_0": 7.5}
+    other = replace(table1, laws=(replace(table1.laws[0], values=values), *table1.laws[1:]))
+    with monkeypatch.context() as without:
+        without.setattr("hesr_model.support.compiler._compiled", None)
+        fmu = export_fmu(other, tmp_path / "second.fmu", no_documentation=True)
+    t, dq = 0.005 * np.arange(20), np.linspace(-1.0, 1.0, 60).reshape(20, 3)
+    difference = replay(fmu, t, dq) - replay(table1_fmu, t, dq)
+    np.testing.assert_allclose(difference, np.array([[7.5 + 2.128, 0.0, 0.0]] * 20), atol=1e-12)
+
+
+def test_overwritten_numbers_give_the_bytes_of_the_compiler(sources):
+    direct = sources / "direct.so"
+    target = TARGETS["linux64"]
+    flags = ("-target", *target.triples, *CFLAGS, "-shared", "-g0", "-s")
+    compile_c(sources / "all.c", flags, direct, target.flags)
+    assert build(sources / "all.c", "direct", target) == direct.read_bytes()
+
+
+def test_the_signature_of_overwritten_libraries_for_macos_is_valid(sources, tmp_path):
+    binary = build(sources / "all.c", "friction", TARGETS["darwin64"])
+    file = tmp_path / "friction.dylib"
+    file.write_bytes(binary)
+    checked = 0
+    parts = lief.MachO.parse(str(file))
+    for part in parts:
+        if not part.has_code_signature:
+            continue
+        code = binary[part.fat_offset :]
+        signature = bytes(part.code_signature.content)
+        (begin,) = struct.unpack_from(">I", signature, 16)
+        hashes, _, _, pages, end = struct.unpack_from(">5I", signature, begin + 16)
+        size = 1 << signature[begin + 39]
+        for page in range(pages):
+            wanted = hashlib.sha256(code[size * page : min(size * (page + 1), end)]).digest()
+            at = begin + hashes + 32 * page
+            assert signature[at : at + 32] == wanted
+            checked += 1
+    assert checked > 3
 
 
 @pytest.mark.parametrize(
