@@ -15,7 +15,6 @@ from fmu_src import BUILT_IN, model_file
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.findings import Finding, log_findings
 from hesr_model.friction.model import FrictionModel
-from hesr_model.health.examine import checked
 from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import Log, parts_of, require_different
 from hesr_model.rigid_body.identification import RigidBody, identify
@@ -124,6 +123,8 @@ def checked_logs(
 def examined(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot: refuse errors, log and return warnings."""
     require_different(logs)
+    from hesr_model.health.examine import checked  # slow to import
+
     return log_findings(checked(logs, model, accept))
 
 
@@ -272,7 +273,7 @@ def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:
 def remember_trust(fmus: Iterable[Path], *, trust: bool) -> None:
     """Record FMUs as trusted if `trust` is set."""
     if trust:
-        from fmu_src.run.fmu import remember
+        from fmu_src.run.trust import remember
 
         for fmu in fmus:
             if fmu.is_file():  # a missing file is refused by its reader

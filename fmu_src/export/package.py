@@ -16,8 +16,8 @@ from fmu_src.export import description3
 from fmu_src.export.description import Description, to_xml
 from fmu_src.export.interface import Interface, to_c
 from fmu_src.export.toolchain import Target, build, targets
-from fmu_src.run.fmu import remember
 from fmu_src.run.reference_results import Stimuli, result_files
+from fmu_src.run.trust import remember
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import kept
 from hesr_model.support.files import scratch_folder, written_whole
@@ -167,7 +167,8 @@ def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> Non
     """Write an archive, with all members dated ISO 8601 `date`, if it is a valid FMU."""
     with written_whole(path) as temporary:
         zip_members(temporary, members, created)
-        described = [c for name, c in members.items() if name.endswith(".xml")]
+        texts = [c for name, c in members.items() if name.endswith(".xml")]
+        described = [_VALUES.sub(rb'\1=""', text) for text in texts]
         about: list[str | bytes] = [f"fmpy {version('fmpy')}", *members, *described]
         kept("valid", about, lambda: _validated(temporary, path))
 
@@ -220,6 +221,10 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
 _IDENTIFIER = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 _PLAIN_NAME = re.compile(rf"{_IDENTIFIER}(\.{_IDENTIFIER})*|der\({_IDENTIFIER}(\.{_IDENTIFIER})*\)")
 """Structured variable names (FMI 2.0, 2.2.9); FMPy parses all others."""
+
+
+_VALUES = re.compile(rb'(?<!<Dimension )\b(start|guid|instantiationToken)="[^"]*"')
+"""Values without influence on the validity of a description."""
 
 
 def _validated(temporary: Path, path: Path) -> bytes:

@@ -87,16 +87,26 @@ def _of_joint(
     t: Array, trained: TrainedRange | None, rate: float, angle: float, lead_in: float
 ) -> tuple[Array, Array, Array]:
     """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
-    from scipy.integrate import cumulative_simpson  # slow to import
-
     grown = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
     dq = trained_speed(trained) * grown * np.sin(rate * t + angle)
-    q = cumulative_simpson(dq, x=t, initial=0.0)
+    q = _integral(dq, t)
     q += (trained.middle if trained else 0.0) - 0.5 * (q.min() + q.max())
     low, high = trained.tau_load if trained else (0.0, 0.0)
     # Slightly within the range, because of round-off.
     load = 0.5 * (low + high) + 0.49 * (high - low) * np.cos(rate * t + angle)
     return dq, q, load
+
+
+def _integral(values: Array, t: Array) -> Array:
+    """Return the integral (N,) from the first sample on: Simpson's rule on each pair of steps."""
+    steps = np.diff(t)
+    if len(steps) < 2:
+        return np.append(0.0, np.cumsum(0.5 * steps * (values[1:] + values[:-1])))
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    second = 5.0 * after + 8.0 * here - before
+    areas = np.append(5.0 * before + 8.0 * here - after, second[-1])
+    areas[1::2] = second[: 2 * (len(areas) // 2) : 2]
+    return np.append(0.0, np.cumsum(steps / 12.0 * areas))
 
 
 def trained_speed(trained: TrainedRange | None) -> float:

@@ -20,8 +20,8 @@ from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations, symbol
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.program import STEEP, Jumps
-from hesr_model.errors import HesrError
-from hesr_model.fitting.estimator import registry
+from hesr_model.errors import ArtifactError, HesrError
+from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, form_lines
 from hesr_model.friction.law import equations as equations_with_numbers
@@ -158,10 +158,10 @@ def to_html(
 
 def title(law: FrictionLaw, otherwise: str | None = None) -> str:
     """Return the registry's title of a law, else its own name, else the default."""
-    known = registry()
-    if law.name in known:
-        return known[law.name].title
-    return law.name if otherwise is None else otherwise
+    try:
+        return estimator(law.name).title
+    except ArtifactError:
+        return law.name if otherwise is None else otherwise
 
 
 def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:

@@ -1,14 +1,7 @@
-"""FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit.
+"""FMUs as co-simulation slaves: variables by name, trusted or not, pooled, freed on every exit."""
 
-Trusted FMUs have empty files in the user's cache folder, named after their hashes under the user's
-key, which others cannot compute.
-"""
-
-import logging
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from itertools import islice
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,62 +19,17 @@ from fmu_src.run.instance import (
     LoadError,
     UnpackedFmu,
 )
+from fmu_src.run.trust import is_known
 from fmu_src.run.variables import Declared, Variables, description_in, description_of
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.support import cache
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import scratch_folder, sha256
+from hesr_model.support.files import scratch_folder
 
 if TYPE_CHECKING:
     from fmu_src.run.sandbox import Sandbox, SandboxedInstance, SystemSandbox
 
 Starts = Mapping[str, float | str]
 SECONDS = 60.0  # for a call of an untrusted FMU
-_MOST_HASHES = 20_000
-_log = logging.getLogger(__name__)
-
-
-def hash_folder() -> Path:
-    """Return the folder of the hashes of trusted FMUs."""
-    return cache.folder() / "exported"
-
-
-def remember(fmu: Path) -> None:
-    """Trust an FMU, if the cache folder can be written."""
-    try:
-        place = hash_folder()
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        (place / _mark(sha256(fmu))).touch(mode=0o600)
-        _forget_some(place)
-    except OSError as error:
-        _log.info("%s: will be run in a process of its own (%s).", fmu, error)
-
-
-def is_known(digest: str) -> bool:
-    """Whether an FMU of this SHA-256 is trusted."""
-    try:
-        return (hash_folder() / _mark(digest)).is_file()
-    except OSError:  # no permission
-        return False
-
-
-def _mark(digest: str) -> str:
-    return cache.keyed("exported", digest.encode()).hex()
-
-
-def is_ours(fmu: Path) -> bool:
-    """Whether an FMU is trusted."""
-    return is_known(sha256(fmu))
-
-
-def _forget_some(place: Path) -> None:
-    with os.scandir(place) as entries:
-        if next(islice(entries, _MOST_HASHES, None), None) is None:
-            return
-    oldest = sorted(place.iterdir(), key=lambda file: file.stat().st_mtime)
-    for file in oldest[: _MOST_HASHES // 2]:
-        with suppress(FileNotFoundError):  # another process was faster
-            file.unlink()
 
 
 class FmuInstance:

@@ -9,19 +9,20 @@ import posixpath
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from fmu_src.run.archive import MOST_TEXT, Archive
-from fmu_src.run.fmi import VERSIONS
-from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.instance import PLATFORM, SUFFIX
 from fmu_src.run.reference_manifest import FOLDER, MANIFEST, ExperimentFiles, manifest_files
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain
+
+if TYPE_CHECKING:
+    from fmu_src.run.fmu import FmuInstance
 
 ROWS = 100  # steps of the stimuli
 ORDERS: Mapping[str, str] = {
@@ -78,6 +79,10 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
     """Run an FMU and return its folder `extra/`, empty if it cannot be run."""
+    from fmu_src.run.fmi import VERSIONS  # slow to import
+    from fmu_src.run.fmu import FmuInstance
+    from fmu_src.run.instance import SUFFIX
+
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
     assert kind is not None, "no FMU for co-simulation"
@@ -115,6 +120,8 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
 def _files(
     name: str, stimuli: Stimuli, found: Mapping[str, Mapping[str, Array]]
 ) -> dict[str, bytes]:
+    from fmu_src.run.instance import PLATFORM
+
     stem, t = f"extra/co_simulation/{name}", stimuli.t
     text = _README.format(name=name, platform=PLATFORM, step=stimuli.step, tolerance=TOLERANCE)
     files = {
@@ -184,6 +191,8 @@ class ReferenceExperiment:
 
 def verify(fmu: Path) -> Verified:
     """Run the experiments in an FMU and compare with its reference results."""
+    from fmu_src.run.fmu import FmuInstance
+
     found = Verified()
     with Archive(fmu) as archive:
         stored = experiments(archive, found)
@@ -198,7 +207,7 @@ def verify(fmu: Path) -> Verified:
 
 
 def _play(
-    instance: FmuInstance,
+    instance: "FmuInstance",
     order: str,
     outputs: Iterable[str],
     t: Array,

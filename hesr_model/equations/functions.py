@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import sympy
 from sympy.printing.latex import LatexPrinter
+from sympy.printing.numpy import NumPyPrinter
 
 _SERIES_BELOW = 1e-3  # argument below which series are exact to double precision, unlike quotients
 
@@ -166,6 +167,10 @@ SCALAR: Mapping[str, Callable[..., float]] = {
 
 def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
     """Return a NumPy function of `arguments` for `expressions`."""
+    options = {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}
+    printer = NumPyPrinter({**options, "user_functions": {name: name for name in NUMPY}})
+    # By the name "numpy", SymPy would import all of NumPy, such as its Fortran compiler.
+    modules = [dict(NUMPY), vars(np)]
     return sympy.lambdify(
-        list(arguments), list(expressions), modules=[dict(NUMPY), "numpy"], cse=True
+        list(arguments), list(expressions), modules=modules, printer=printer, cse=True
     )

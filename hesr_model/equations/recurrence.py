@@ -1,7 +1,7 @@
 """First-order recurrences over whole logs."""
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
+import scipy
 
 from hesr_model.support.arrays import Array
 
@@ -14,5 +14,5 @@ def recurrence(a: Array, c: Array, start: float) -> Array:
     bands[1, -1] = 0.0
     right = np.array(c, dtype=float)
     right[0] = start
-    solution, _ = dtbtrs(bands, right[:, None], uplo="L", diag="U")
+    solution, _ = scipy.linalg.lapack.dtbtrs(bands, right[:, None], uplo="L", diag="U")
     return np.asarray(solution[:, 0])

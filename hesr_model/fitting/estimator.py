@@ -106,9 +106,9 @@ def load_laws() -> None:
 
 
 def registry() -> Mapping[str, type[Estimator]]:
-    """Return all estimators by name, sorted by their `order`, then as registered."""
+    """Return all estimators by name, sorted by their `order`, then by name."""
     load_laws()
-    return dict(sorted(registered().items(), key=lambda item: item[1].order))
+    return dict(sorted(registered().items(), key=lambda item: (item[1].order, item[0])))
 
 
 def laws_of_paper() -> tuple[str, ...]:
@@ -129,7 +129,9 @@ def laws_with(fact: str) -> tuple[str, ...]:
 
 def estimator(name: str) -> type[Estimator]:
     """Return the estimator of a law; raise ArtifactError if it is unknown."""
-    known = registry()
-    if name not in known:
-        raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(known)}.")
-    return known[name]
+    plugin = plugins.load(GROUP).get(name)
+    if plugin and name not in registered():
+        plugin.load()  # it alone: the modules of all laws are slow to import
+    if name not in registered():
+        raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(registry())}.")
+    return registered()[name]

@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from hesr_model.equations.functions import lowered
 from hesr_model.equations.recurrence import recurrence
@@ -202,7 +202,7 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)
     target = np.linalg.solve(root, m[:signed] - g[:signed, signed:] @ b)
     # With no unknowns SciPy's nnls aborts the process.
-    x = nnls(root.T, target, maxiter=100 * len(scale))[0] if signed else np.zeros(0)
+    x = scipy.optimize.nnls(root.T, target, maxiter=100 * len(scale))[0] if signed else np.zeros(0)
     return np.asarray(np.concatenate([x, b - c @ x]) * scale)
 
 

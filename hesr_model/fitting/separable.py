@@ -9,9 +9,8 @@ from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
+import scipy
 import sympy
-from scipy.optimize import differential_evolution
-from scipy.optimize import least_squares as minimise_squares
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation
@@ -142,7 +141,7 @@ class Separable:
         def report(*_: object) -> None:
             step(next(generations, effort), effort + 1)
 
-        best = differential_evolution(
+        best = scipy.optimize.differential_evolution(
             lambda point: self.solve(point)[1],
             self.bounds,
             rng=rng,
@@ -164,7 +163,7 @@ class Separable:
             return found if rows is None else found[rows]
 
         low, high = self.bounds.T
-        found = minimise_squares(
+        found = scipy.optimize.least_squares(
             residual,
             np.clip(point, low, high),
             bounds=(low, high),

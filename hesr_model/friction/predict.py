@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+import scipy
 import sympy
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
 
 from hesr_model.equations.functions import positive
 from hesr_model.equations.kernel import Kernel, KernelRun
@@ -186,7 +186,9 @@ def estimated_start(
                 for m, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
             )
 
-        found = minimize_scalar(lambda u: error(deflected(u)), bounds=(-1.0, 1.0), method="bounded")
+        found = scipy.optimize.minimize_scalar(
+            lambda u: error(deflected(u)), bounds=(-1.0, 1.0), method="bounded"
+        )
         return deflected(float(found.x))
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
@@ -202,7 +204,9 @@ def estimated_start(
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     if low == high:
         return law.start
-    best_of_all = minimize_scalar(lambda x: error((x,)), bounds=(low, high), method="bounded")
+    best_of_all = scipy.optimize.minimize_scalar(
+        lambda x: error((x,)), bounds=(low, high), method="bounded"
+    )
     return (float(best_of_all.x),)
 
 

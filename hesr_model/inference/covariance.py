@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, ndtri, stdtrit
+import scipy
 
 from hesr_model.errors import ArtifactError
 from hesr_model.support.arrays import Array, Integers
@@ -91,7 +91,7 @@ class Covariance:
         """Ratio of the scatter between logs to that of their rows; 1 if not significant."""
         if not self.degrees:
             return 1.0
-        by_chance = chdtri(self.degrees, _BY_CHANCE) / self.degrees
+        by_chance = scipy.special.chdtri(self.degrees, _BY_CHANCE) / self.degrees
         return float(np.sqrt(self.between)) if self.between > by_chance else 1.0
 
     @property
@@ -290,7 +290,7 @@ def _for_few_rows(moments: Sequence[Moments]) -> Array:
     squares = np.sum([log.squares for log in moments], axis=0)
     fourths = np.sum([log.fourths for log in moments], axis=0)
     degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)
-    ratio = stdtrit(degrees, _UPPER) / ndtri(_UPPER)
+    ratio = scipy.special.stdtrit(degrees, _UPPER) / scipy.special.ndtri(_UPPER)
     return np.outer(ratio, ratio)
 
 

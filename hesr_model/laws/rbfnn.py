@@ -8,8 +8,8 @@ from itertools import islice, product
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 import sympy
-from scipy.spatial.distance import cdist
 
 from hesr_model.audit.audit import explodes
 from hesr_model.equations.memory import Discretisation
@@ -239,14 +239,16 @@ def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, fl
         from scipy.cluster.vq import kmeans2  # slow to import
 
         centres, _ = kmeans2(points, min(count, len(points)), minit="++", rng=rng)
-    distance = cdist(centres, centres)
+    distance = scipy.spatial.distance.cdist(centres, centres)
     np.fill_diagonal(distance, np.inf)
     return centres, float(distance.min(axis=1).mean())
 
 
 def gaussians(z: Array, centres: Array, width: float) -> Array:
     """Return the (N, K) Gaussians of inputs z (N, 3) about centres (K, 3), all standardised."""
-    return np.asarray(np.exp(cdist(z, centres, "sqeuclidean") / (-2.0 * width**2)))
+    return np.asarray(
+        np.exp(scipy.spatial.distance.cdist(z, centres, "sqeuclidean") / (-2.0 * width**2))
+    )
 
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:

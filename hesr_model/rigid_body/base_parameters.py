@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from hesr_model.errors import RobotError
 from hesr_model.robots.robot import Robot
@@ -30,7 +30,7 @@ def _independent(model: Robot, known: Sequence[int]) -> tuple[int, ...]:
     columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
     lengths[lengths == 0.0] = 1.0
     lengths[model.inertial :] *= _LATER
-    _, r, order = qr(columns / lengths, mode="economic", pivoting=True)
+    _, r, order = scipy.linalg.qr(columns / lengths, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(r))
     rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
     return tuple(sorted(int(k) for k in order[:rank]))

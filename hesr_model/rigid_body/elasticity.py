@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from hesr_model.logs.signals import Motion, zero_phase
 from hesr_model.rigid_body.least_squares import Block
@@ -99,7 +99,7 @@ def _form(
         rows = np.column_stack([columns, data["smooth"]])[used]
         size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
         r: Array = np.asarray(np.linalg.qr(rows / size, mode="r"))
-        bounded = lsq_linear(r[:, :-1], r[:, -1], (least, most), method="bvls")
+        bounded = scipy.optimize.lsq_linear(r[:, :-1], r[:, -1], (least, most), method="bvls")
         x = bounded.x / size[:-1] * size[-1]
         elastic = [0, 1, *elements]
         torque = columns[:, elastic] @ x[elastic]

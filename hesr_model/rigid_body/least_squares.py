@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from hesr_model.inference.covariance import (
     Covariance,
@@ -40,7 +40,9 @@ class Factor:
     def with_rows(self, block: Block) -> "Factor":
         """Return the factor with further rows."""
         below = np.column_stack([block.matrix, block.target])
-        (factor,) = qr(np.concatenate([self.triangle, below]), mode="r", check_finite=False)
+        (factor,) = scipy.linalg.qr(
+            np.concatenate([self.triangle, below]), mode="r", check_finite=False
+        )
         return Factor(
             triangle=np.asarray(factor[: below.shape[1]]), rows=self.rows + len(block.target)
         )

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
-from scipy.optimize import least_squares
+import scipy
 
 from hesr_model.inference.covariance import Covariance
 from hesr_model.rigid_body.base_parameters import at_random_states, dependence
@@ -94,10 +93,10 @@ def fit(
         weights = _weights(blocks, rmse, weighted)
         factor, free = _eliminated(blocks, weights, size)
         problem = _Problem(chart=chart, rows=free, pull=chart.pull * np.sqrt(count))
-        x = least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
+        x = scipy.optimize.least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
         inertial = chart.parameters(x)
         others = factor.shape[1] - size - 1
-        freely = solve_triangular(
+        freely = scipy.linalg.solve_triangular(
             factor[:others, :others], factor[:others, -1] - factor[:others, others:-1] @ inertial
         )
         every = np.concatenate([inertial, freely])
@@ -146,11 +145,13 @@ def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     torque = (rows @ parameters).reshape(-1, model.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
     own = rows[:, :size]
-    (factor,) = qr(weights * np.column_stack([own, own @ parameters[:size]]), mode="r")
+    (factor,) = scipy.linalg.qr(weights * np.column_stack([own, own @ parameters[:size]]), mode="r")
     chart = _Chart.of(model)
     scaled = factor[: size + 1] / np.sqrt(len(rows))
     problem = _Problem(chart=chart, rows=scaled, pull=_WEAK * chart.pull)
-    x = least_squares(problem.residuals, chart.start, jac=problem.slopes, method="lm").x
+    x = scipy.optimize.least_squares(
+        problem.residuals, chart.start, jac=problem.slopes, method="lm"
+    ).x
     found = np.concatenate([chart.parameters(x), parameters[size:]])
     off = np.abs((rows @ found).reshape(-1, model.n) - torque)
     return found, off.max(axis=0), np.abs(torque).max(axis=0)
@@ -258,7 +259,7 @@ def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Arr
             for weight, b in zip(weights, blocks, strict=True)
         ]
     )
-    (factor,) = qr(rows, mode="r", check_finite=False)
+    (factor,) = scipy.linalg.qr(rows, mode="r", check_finite=False)
     factor = np.asarray(factor[: rows.shape[1]])
     others = rows.shape[1] - size - 1
     return factor, factor[others:, others:]

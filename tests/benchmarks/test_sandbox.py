@@ -17,7 +17,8 @@ from cosim.loop.closed_loop import Scheme
 from cosim.systems.system import write_system
 from fmu_src import model_file
 from fmu_src.run.archive import Archive
-from fmu_src.run.fmu import FmuInstance, is_known
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.trust import is_known
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.friction.model import FrictionModel

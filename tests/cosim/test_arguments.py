@@ -17,7 +17,7 @@ from cosim.workflow.arguments import (
     robot_of,
     telling_apart,
 )
-from fmu_src.run.fmu import hash_folder, is_ours
+from fmu_src.run.trust import hash_folder, is_ours
 from hesr_model.errors import ArgumentError, ConfigError, LogError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log

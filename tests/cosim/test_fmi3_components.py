@@ -13,7 +13,8 @@ from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.blocks.controller import velocity
 from fmu_src.export.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import FmuInstance, is_ours
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.trust import is_ours
 from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel

@@ -22,9 +22,10 @@ from cosim.systems.simulation import Master, System
 from cosim.systems.system import SystemSpec
 from fmu_src.check.run import check
 from fmu_src.run import sandbox_rights
-from fmu_src.run.fmu import FmuInstance, hash_folder, is_ours, remember
+from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import Instance
 from fmu_src.run.sandbox import Sandbox
+from fmu_src.run.trust import hash_folder, is_ours, remember
 from hesr_model.errors import SimulationError
 from hesr_model.support.files import sha256
 

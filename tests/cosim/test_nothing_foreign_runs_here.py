@@ -13,7 +13,7 @@ from test_foreign_fmus import linux
 import hesr
 from cosim.systems.system import ComponentSpec, SystemSpec, write_system
 from fmu_src.export.toolchain import TARGETS, build
-from fmu_src.run.fmu import remember
+from fmu_src.run.trust import remember
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
 

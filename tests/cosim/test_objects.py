@@ -11,7 +11,7 @@ import pytest
 from small_fmus import LAGS
 
 import hesr
-from fmu_src.run.fmu import is_ours
+from fmu_src.run.trust import is_ours
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.errors import ConfigError, SimulationError

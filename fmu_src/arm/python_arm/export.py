@@ -14,7 +14,7 @@ from fmu_src.arm.table import SignalTable, variables
 from fmu_src.export.description import RELEASED, to_xml
 from fmu_src.export.interface import Interface
 from fmu_src.export.package import check_request, write_archive
-from fmu_src.run.fmu import remember
+from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import scratch_folder
 

@@ -22,9 +22,9 @@ from fmu_src.export.interface import literal
 from fmu_src.export.package import own_source, write_archive
 from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.archive import Archive
-from fmu_src.run.fmu import is_ours, remember
 from fmu_src.run.master import Element
 from fmu_src.run.reference_results import Stimuli, result_files
+from fmu_src.run.trust import is_ours, remember
 from hesr.extras.ssp.container_description import Exposed, exposed_variables, to_description
 from hesr.extras.ssp.contents import SystemContents, read_contents, text_of
 from hesr_model.errors import ConfigError, ExportError

@@ -12,7 +12,6 @@ import numpy as np
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
-from fmu_src.run.fmu import is_ours
 from fmu_src.run.master import ExchangeScheme
 from fmu_src.run.reference_manifest import ExperimentFiles, manifest_files
 from fmu_src.run.reference_results import (
@@ -23,6 +22,7 @@ from fmu_src.run.reference_results import (
     judged,
     table,
 )
+from fmu_src.run.trust import is_ours
 from hesr.extras.ssp.contents import SystemContents
 from hesr.extras.ssp.ssp_reader import opened_ssp
 from hesr_model.errors import HesrError, SimulationError

@@ -10,7 +10,7 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from fmu_src.run.fmu import is_known, is_ours, remember
+from fmu_src.run.trust import is_known, is_ours, remember
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.work import RunOutputs, Task, run_rows
 from hesr_model.errors import ConfigError, WorkerError

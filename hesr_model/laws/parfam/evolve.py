@@ -9,7 +9,7 @@ so that one L1 weight fits every coefficient and joint.
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import basinhopping, minimize
+import scipy
 
 from hesr_model.fitting.joint_rows import least_squares
 from hesr_model.laws.parfam.calibrate import Cell
@@ -210,7 +210,7 @@ def search_of_paper(
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     level = max(float(tau.std()), 1e-12)
     x, y = features / scale, tau / level
-    hopped = basinhopping(
+    hopped = scipy.optimize.basinhopping(
         Objective(g, x, y, GAMMA, np.ones(9, bool)),
         rng.normal(size=9),
         niter=HOPS,
@@ -221,7 +221,7 @@ def search_of_paper(
     active = np.abs(hopped.x) >= TRUNCATION
     active[5:] &= active[4]
     active[4] &= active[5:].any()
-    refined = minimize(
+    refined = scipy.optimize.minimize(
         Objective(g, x, y, 0.0, active), np.where(active, hopped.x, 0.0), jac=True, method="BFGS"
     ).x
     refined = np.where(active, refined, 0.0)

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import expit, logit
+import scipy
 
 from hesr_model.audit.audit import explodes
 from hesr_model.errors import FitError
@@ -173,15 +172,15 @@ class Refinement:
     def pack(self) -> Array:
         """Return the start as a search vector (parameters,)."""
         place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
-        place = np.clip(place, 1e-6, 1.0 - 1e-6)
+        place = scipy.special.logit(np.clip(place, 1e-6, 1.0 - 1e-6))
         c, theta = self.start.c * self.scale, self.start.theta * self.scale
-        return np.concatenate([logit(place), c, [self.start.gain], theta])[self.active]
+        return np.concatenate([place, c, [self.start.gain], theta])[self.active]
 
     def unpack(self, point: Array, cost: float = np.nan) -> Candidate:
         """Return the candidate of a search vector."""
         full = np.zeros(11)
         full[self.active] = point
-        alpha, beta = np.exp(self.low + self.span * expit(full[:2]))
+        alpha, beta = np.exp(self.low + self.span * scipy.special.expit(full[:2]))
         return replace(
             self.start,
             alpha=float(alpha),
@@ -201,7 +200,7 @@ class Refinement:
     def _at(self, point: Array) -> tuple[Array, Array]:
         """Return all numbers at a search vector, and the slopes (11,) of each by its unknown."""
         k = self.unpack(point)
-        place = expit(point[:2])
+        place = scipy.special.expit(point[:2])
         chain = np.array([k.alpha, k.beta]) * self.span * place * (1.0 - place)
         factors = np.concatenate([chain, 1.0 / self.scale, [1.0], 1.0 / self.scale])
         return np.r_[k.alpha, k.beta, k.c, k.gain, k.theta], factors
@@ -234,7 +233,7 @@ class Refinement:
                 last = (point.copy(), self._reduced(point))
             return last[1]
 
-        solution = least_squares(
+        solution = scipy.optimize.least_squares(
             lambda point: reduced(point)[:, -1],
             self.pack(),
             jac=lambda point: reduced(point)[:, :-1],

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.joint_rows import JointRows, Normal, blocks_of, first_best, pays
@@ -97,7 +97,7 @@ class _Problem:
             return float(left @ left)
 
         around = (max(0.0, chosen.lag - reach), chosen.lag + reach)
-        found = minimize_scalar(
+        found = scipy.optimize.minimize_scalar(
             cost, bounds=around, method="bounded", options={"xatol": reach / 50.0}
         )
         return replace(chosen, lag=float(found.x))

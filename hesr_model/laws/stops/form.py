@@ -16,9 +16,9 @@ from itertools import product
 from typing import Any, Self
 
 import numpy as np
+import scipy
 import sympy
 from pydantic import ConfigDict, NonNegativeFloat, PositiveInt, TypeAdapter, ValidationError
-from scipy.optimize import minimize
 
 from hesr_model.equations.functions import absolute, cardinal_sine, clip, lowered, positive
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
@@ -259,7 +259,7 @@ def constrained(
         return found
 
     size = max(float(x @ gram @ x), np.finfo(float).tiny)
-    best = minimize(
+    best = scipy.optimize.minimize(
         lambda z: float(scale * z @ gram @ (scale * z) / 2.0 - moment @ (scale * z)) / size,
         start / scale,
         jac=lambda z: scale * (gram @ (scale * z) - moment) / size,
