@@ -67,6 +67,13 @@ def test_a_missing_include_is_reported(of):
     assert found == ["sources/m.c: includes 'none.h', which is not in the archive."]
 
 
+def test_missing_includes_are_reported_in_the_order_of_their_files(of):
+    files = {f"{name}.c": f'#include "{name}.h"\n'.encode() for name in "bca"}
+    assert of(files, list(files)) == [
+        f"sources/{name}.c: includes '{name}.h', which is not in the archive." for name in "abc"
+    ]
+
+
 def test_includes_are_followed(of):
     files = {
         "m.c": b'#include "a/a.h"\n',
