@@ -310,6 +310,14 @@ def test_tables_of_the_paper(recorded: Recorded) -> None:
     recorded(second=table_ii(("J1", "J2", "J3")), third=table_iii(("J1", "J2", "J3")))
 
 
+def test_torques_of_one_joint_begin_at_zero(tmp_path: Path) -> None:
+    record = replace(records(2)[0], t=records(2)[0].t + 5.0)
+    write_torques(tmp_path / "torques_1.npz", [record], {"lugre": [record.tau]})
+    found = read_torques(tmp_path / "torques_1.npz")
+    assert (found["t"][0], found["t"][-1]) == pytest.approx((0.0, 17.99))
+    assert list(found) == ["t", "q1", "dq1", "tau1", "tau_rb1", "lugre.tau_f1"]
+
+
 def test_torques_of_older_results_are_parquet(tmp_path: Path) -> None:
     files = [tmp_path / f"torques_1.{suffix}" for suffix in ("npz", "parquet")]
     for file in files:
