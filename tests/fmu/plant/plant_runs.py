@@ -22,13 +22,13 @@ def stribeck() -> FrictionLaw:
     return FrictionLaw(name="stribeck", form=Stribeck.core({}), values=values)
 
 
-def content_of(robot: Robot, laws: Sequence[FrictionLaw]) -> Content:
+def content_of(robot: Robot, laws: Sequence[FrictionLaw], *, tool: bool = False) -> Content:
     """Return the plant of a robot with the masses of its model file."""
     model = FrictionModel(
         law="by_hand", robot=robot.name, joints=robot.joints, laws=tuple(laws), sample_time=0.005,
         sliding=robot.slides if any(robot.slides) else (), coupling=robot.description.coupling,
     )  # fmt: skip
-    return content(model, PlantBody.of(robot), bare=True)
+    return content(model, PlantBody.of(robot), tool=tool, bare=True)
 
 
 def plant(robot: Robot, laws: Sequence[FrictionLaw], folder: Path) -> Path:

@@ -99,8 +99,8 @@ def arms(make_law, request, load, tmp_path: Path):
 
     def made(source: Callable[[Path], Path], law: str):
         robot = Robot(source(tmp_path))
-        path = write_fmu(content_of(robot, [laws[law]()] * robot.n), tmp_path / "Plant.fmu")
-        return robot, load(path)
+        whole = content_of(robot, [laws[law]()] * robot.n, tool=True)
+        return robot, load(write_fmu(whole, tmp_path / "Plant.fmu"))
 
     return made
 
