@@ -16,8 +16,8 @@ from hesr_model.health.evidence import LEAST_TRAVEL
 from hesr_model.health.examine import bears_load, checked
 from hesr_model.health.proposal import Proposal, robot_file
 from hesr_model.inference.comparison import LEAST_SECONDS
-from hesr_model.logs.phases import reversals
 from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.logs.signals import reversals
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot

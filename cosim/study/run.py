@@ -26,8 +26,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
-from hesr_model.health.examine import checked
-from hesr_model.health.fit_checks import check_body, check_laws
+from hesr_model.health.examine import check_body, check_laws, checked
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records

@@ -31,7 +31,7 @@ from cosim.study.study import Part, Study
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
-from hesr_model.fitting.day_offsets import with_own
+from hesr_model.fitting.days import with_own
 from hesr_model.fitting.estimator import estimator, laws_with, registry
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import Refined, refine

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from cosim.loop.closed_loop import Tracking
-from hesr_model.fitting.day_offsets import Nuisance
+from hesr_model.fitting.days import Nuisance
 from hesr_model.robots.description import Owner
 from hesr_model.support.typed_files import Config, RelativePath
 

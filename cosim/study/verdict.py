@@ -18,7 +18,7 @@ from hesr_model.forward.output_error import Refined
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
 from hesr_model.friction.trained_range import outside
-from hesr_model.logs.phases import MOVING
+from hesr_model.logs.signals import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
 from hesr_model.robots.description import statements
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json

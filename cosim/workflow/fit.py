@@ -114,9 +114,9 @@ def fit(
     from cosim.study.scores import by_joint
     from cosim.workflow.arguments import body_of, checked_logs
     from hesr_model.findings import log_findings
-    from hesr_model.fitting.adaptation import adapt
+    from hesr_model.fitting.days import adapt
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.health.fit_checks import check_owner
+    from hesr_model.health.examine import check_owner
     from hesr_model.support.files import path_of
     from hesr_model.support.plugins import load
 
@@ -159,7 +159,7 @@ def _fitted_law(
 ) -> FrictionModel | None:
     """Return a law that is fitted already, None for the name of a law."""
     from cosim.workflow.arguments import model_given
-    from hesr_model.fitting.adaptation import prior_of
+    from hesr_model.fitting.days import prior_of
     from hesr_model.fitting.estimator import estimator
     from hesr_model.friction.model import FrictionModel
 
@@ -186,7 +186,7 @@ def _fit(
 ) -> FrictionModel:
     from cosim.study.scores import by_joint
     from hesr_model.fitting.fit import fit_models
-    from hesr_model.health.fit_checks import check_laws
+    from hesr_model.health.examine import check_laws
     from hesr_model.support.typed_files import to_json
 
     source = _provenance(read, rigid_body, seed, options)

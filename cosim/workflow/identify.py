@@ -98,7 +98,7 @@ def identify(
         require_choice,
     )
     from hesr_model.findings import log_findings
-    from hesr_model.health.fit_checks import check_body
+    from hesr_model.health.examine import check_body
     from hesr_model.rigid_body.accumulation import identify_long
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.payload import identify_payload, loaded

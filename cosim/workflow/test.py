@@ -263,7 +263,7 @@ def _predicted(
     from cosim.workflow.arguments import body_of, checked_logs
     from fmu_src.friction.predictions import predict_fmu
     from hesr_model.findings import log_findings
-    from hesr_model.health.fit_checks import check_owner
+    from hesr_model.health.examine import check_owner
 
     if not logs or rigid_body is None:
         missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"

@@ -14,7 +14,7 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
-from hesr_model.logs.phases import near_reversals
+from hesr_model.logs.signals import near_reversals
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array
 

@@ -99,8 +99,7 @@ class OneForm(Described):
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
         form = self.core({})
         samples = JointRows.of(records, coefficients=len(form.coefficients))
-        space = self.space().at_joint(slides=samples.sliding)
-        problem = Separable(form, space, samples)
+        problem = Separable(form, self.space().at_joint(slides=samples.sliding), samples)
         return self.finish({}, problem, problem.settled(problem.search(rng)))
 
 

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.calibration import calibrated
-from hesr_model.fitting.day_offsets import Nuisance, own_of_logs, without_own
+from hesr_model.fitting.days import Nuisance, own_of_logs, without_own
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
@@ -146,7 +146,7 @@ def fit_models(
     `records` are those of each joint, one per training log; `variants` maps names to laws of the
     registry. Without `left_out` the first law that the records do not determine raises its error.
     `kept` is a folder of checkpoints for killed runs. Nuisances `per_log` are removed first
-    (`day_offsets`).
+    (`days`).
     """
     coupling = records[0][0].coupling
     records = all_at_friction(records)

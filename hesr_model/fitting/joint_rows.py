@@ -187,8 +187,7 @@ class Products:
         """Return (folds, k, l) products of two blocks (N, k) and (N, l)."""
         key = id(a), id(b)
         if key not in self._known:
-            found = np.array([a[fold].T @ b[fold] for fold in self.folds])
-            self._known[key] = a, b, found
+            self._known[key] = a, b, np.array([a[fold].T @ b[fold] for fold in self.folds])
         return self._known[key][2]
 
 

@@ -46,8 +46,7 @@ def with_standard_errors(
     """
     if len(law.values) > MOST_COEFFICIENTS:
         return law
-    slides = records[0].sliding
-    moved = _searched(law, space.at_joint(slides=slides)) if space else _every(law)
+    moved = _searched(law, space.at_joint(slides=records[0].sliding)) if space else _every(law)
     # Initial states are measured, so they are constant.
     starts = [record_start(law, r) for r in records]
 
@@ -108,8 +107,7 @@ def _covariance(
     residual = np.concatenate([r.tau for r in records]) - torque
     labels = blocks_of_time(log_of_rows(records))
     spreads = [r.tau_load_spread for r in records if r.tau_load_spread is not None]
-    known = len(spreads) == len(records)
-    carried = jacobian.T @ np.concatenate(spreads) if known else None
+    carried = jacobian.T @ np.concatenate(spreads) if len(spreads) == len(records) else None
     return covariance_of_fit([str(k) for k in used], jacobian, residual, labels, carried=carried)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import estimated_start, predict
 from hesr_model.friction.thermal import Thermal
-from hesr_model.logs.phases import moving, near_reversals
+from hesr_model.logs.signals import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Mask
 
@@ -125,35 +125,3 @@ def rmse(error: Array) -> float:
 def time_band(t: Array, start: float, stop: float) -> Mask:
     """Return the (N,) mask of start <= t < stop [s]."""
     return np.asarray((t >= start) & (t < stop))
-
-
-def rmse_ratio_interval(
-    errors: Sequence[Array],
-    reference: Sequence[Array],
-    *,
-    block: int,
-    rng: np.random.Generator,
-    resamples: int = 2000,
-    level: float = 0.95,
-) -> tuple[float, float]:
-    """Return the interval, of probability `level`, of the ratio of two RMSEs over the same rows.
-
-    Circular block bootstrap: the same blocks of rows are drawn with replacement from each log's
-    errors (N,) [N.m]. A `block` has a few correlation lengths [rows]; with less the interval is too
-    narrow.
-    """
-    above, below = np.zeros(resamples), np.zeros(resamples)
-    for error, other in zip(errors, reference, strict=True):
-        rows, length = len(error), min(block, len(error))
-        draws = rng.integers(rows, size=(resamples, -(-rows // length)))
-        share = rows / (draws.shape[1] * length)
-        above += share * _block_sums(error, length)[draws].sum(axis=1)
-        below += share * _block_sums(other, length)[draws].sum(axis=1)
-    low, high = np.quantile(np.sqrt(above / below), [(1 - level) / 2, (1 + level) / 2])
-    return float(low), float(high)
-
-
-def _block_sums(error: Array, length: int) -> Array:
-    around = np.concatenate([error, error[: length - 1]]) ** 2
-    total = np.concatenate([[0.0], np.cumsum(around)])
-    return np.asarray(total[length:] - total[:-length])

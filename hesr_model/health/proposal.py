@@ -24,9 +24,9 @@ from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import LogFormat, column_names
 from hesr_model.logs.log_table import LogTable
-from hesr_model.logs.phases import moving, reversals
 from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import moving, reversals
 from hesr_model.rigid_body.torque_constants import Constant
 from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
 from hesr_model.support.text import toml

@@ -115,8 +115,7 @@ class Fourier(Trajectory):
         cos, sin = np.cos(phase), np.sin(phase)
         q = self.offset + sin @ (self.a / rates).T - cos @ (self.b / rates).T
         dq = cos @ self.a.T + sin @ self.b.T
-        ddq = cos @ (self.b * rates).T - sin @ (self.a * rates).T
-        return q, dq, ddq
+        return q, dq, cos @ (self.b * rates).T - sin @ (self.a * rates).T
 
     def time_reversed(self) -> "Fourier":
         """Return the same path run backwards, again a Fourier series."""

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.phases import MOVING, reversals
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import Motion, smooth
+from hesr_model.logs.signals import MOVING, Motion, reversals, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling

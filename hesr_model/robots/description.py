@@ -190,8 +190,7 @@ class RobotDescription(Config):
     @property
     def logged(self) -> Coupling | None:
         """Logged coordinates over joints, if motors were logged."""
-        of_motors = self.transmission and self.transmission.logs == "motor"
-        return self.motors if of_motors else None
+        return self.motors if self.transmission and self.transmission.logs == "motor" else None
 
     @property
     def constants(self) -> dict[str, Any]:

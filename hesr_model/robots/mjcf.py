@@ -317,8 +317,7 @@ def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[st
 def _unnormalised(axis: Array) -> Array:
     """Return a multiple of a unit vector that Pinocchio normalises to the same bits, if any."""
     scaled = [scale * axis for scale in np.linspace(1.0, 2.0, 20)]
-    same = (one for one in scaled if np.array_equal(one / np.sqrt(one @ one), axis))
-    return next(same, axis)
+    return next((one for one in scaled if np.array_equal(one / np.sqrt(one @ one), axis)), axis)
 
 
 def _limit(model: Any, j: int) -> dict[str, str]:
@@ -384,5 +383,4 @@ def _torques(model: Any, single: dict[str, int], held: dict[str, float]) -> dict
         mujoco.mj_inverse(model, data)
         torques.append((data.qfrc_inverse + data.qfrc_passive)[dofs].tolist())
     states = {"q": q.tolist(), "dq": dq.tolist(), "ddq": ddq.tolist()}
-    names = [name for name in single if name not in held]
-    return {"joints": names, **states, "torques": torques}
+    return {"joints": [name for name in single if name not in held], **states, "torques": torques}

@@ -11,9 +11,8 @@ import numpy as np
 
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
-from hesr_model.robots.limits import doubts_of_model, position_limits
 from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
-from hesr_model.robots.urdf import read_urdf
+from hesr_model.robots.urdf import doubts_of_model, position_limits, read_urdf
 from hesr_model.support.arrays import Array
 
 _SHORT = 0.1  # range of fingers [m]

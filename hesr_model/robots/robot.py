@@ -12,8 +12,8 @@ import numpy as np
 from hesr_model.findings import Finding
 from hesr_model.robots import model_file
 from hesr_model.robots.description import RobotDescription as RobotDescription
-from hesr_model.robots.limits import chain_limits, doubts_of_chain
 from hesr_model.robots.transmission import LINEAR, spring_terms
+from hesr_model.robots.urdf import chain_limits, doubts_of_chain
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.files import path_of
 

@@ -119,16 +119,8 @@ _START = (
     "import json, sys; from pathlib import Path; path, folder, parent = json.loads(sys.argv[1]); "
     "sys.path[:] = path; from hesr_model.support.parallel import work; work(Path(folder), parent)"
 )
-_ENVIRONMENT = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "BLIS_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-    ),
-    "1",
-)
+_LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "VECLIB_MAXIMUM")
+_ENVIRONMENT = {f"{library}_THREADS": "1" for library in _LIBRARIES}
 """One BLAS thread per worker: no more threads than cores, and reproducible sums."""
 
 

@@ -10,8 +10,7 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.health.evidence import Estimate, JointTorque
-from hesr_model.health.examine import unseen
-from hesr_model.health.fit_checks import _least_inertia, check_body, check_laws, check_owner
+from hesr_model.health.examine import _least_inertia, check_body, check_laws, check_owner, unseen
 from hesr_model.health.proposal import _constants, _with_cutoff, changed
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription

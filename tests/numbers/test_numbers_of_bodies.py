@@ -15,8 +15,8 @@ from hesr_model.logs.signals import Motion
 from hesr_model.motions.excitation import ExcitationSettings, design
 from hesr_model.motions.limits import MotionLimits
 from hesr_model.rigid_body.accumulation import Streamed
-from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.identification import Method, Weighting, identify, identify_motions
+from hesr_model.rigid_body.observations import matched
 from hesr_model.rigid_body.payload import identify_payload_motions, loaded
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import all_at_friction, friction_records

@@ -8,6 +8,7 @@ import sympy
 from joint_data import law
 from unchanged import Unchanged
 
+from hesr.extras.leaderboard import board_file
 from hesr_model.audit import properties
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.program import Jumps
@@ -22,7 +23,7 @@ from hesr_model.inference import comparison
 from hesr_model.laws import ripple
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.stops import search
-from hesr_model.rigid_body import forward_reverse, identification, payload
+from hesr_model.rigid_body import identification, observations, payload
 from hesr_model.rigid_body.residual import FrictionRecord
 
 
@@ -60,7 +61,7 @@ def test_limits_of_searches() -> None:
     )  # fmt: skip
     assert (comparison.LEAST_DEGREES, comparison.CALIBRATION, comparison.POWER) == (4, 5.0, 0.8)
     assert (payload._SEGMENT, payload._LEAST_SEGMENTS, payload._SIGNIFICANT) == (1.0, 10, 4.0)
-    assert (forward_reverse._LONGEST_SHIFT, forward_reverse._LARGEST_MISMATCH) == (0.5, 0.1)
+    assert (observations._LONGEST_SHIFT, observations._LARGEST_MISMATCH) == (0.5, 0.1)
     assert (identification.LEAST_PEAK, identification._MATTERS) == (0.02, 1e-2)
     assert (ripple.MOST, ripple.GAIN, ripple.CHANCE, ripple._ATTEMPTS) == (6, 0.002, 18.0, 3)
     assert list(ripple.ORDERS) == list(range(1, 17))
@@ -129,13 +130,13 @@ def test_scores(records: list[FrictionRecord], unchanged: Unchanged) -> None:
     unchanged({
         "score": metrics.score(records, predicted),
         "band": metrics.score_band(records, predicted, bands),
-        "ratio": metrics.rmse_ratio_interval(
+        "ratio": board_file.rmse_ratio_interval(
             errors, other, block=50, rng=np.random.default_rng(2), resamples=200
         ),
-        "wide": metrics.rmse_ratio_interval(
+        "wide": board_file.rmse_ratio_interval(
             errors, other, block=10_000, rng=np.random.default_rng(2), resamples=100, level=0.5
         ),
-        "sums": metrics._block_sums(errors[0], 7),
+        "sums": board_file._block_sums(errors[0], 7),
         "rows": metrics.time_band(np.arange(5.0), 1.0, 3.0),
     })  # fmt: skip
     none = metrics.score(still, [np.ones(len(r.t)) for r in records])

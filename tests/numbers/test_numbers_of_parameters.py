@@ -17,9 +17,9 @@ from hesr_model.friction.predict import LawStepper
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import physical, torque_constants
-from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.least_squares import Block, covariance_of, solve
+from hesr_model.rigid_body.observations import matched
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import Robot
 

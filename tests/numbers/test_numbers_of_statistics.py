@@ -5,7 +5,8 @@ from joint_data import along, law, path
 from unchanged import Unchanged
 
 from hesr.extras.fleet.deviation import deviations, trend
-from hesr_model.friction.records import rmse_ratio_interval, score, score_band
+from hesr.extras.leaderboard.board_file import rmse_ratio_interval
+from hesr_model.friction.records import score, score_band
 from hesr_model.inference.comparison import holm
 from hesr_model.inference.covariance import (
     blocks_of_time,
@@ -16,7 +17,7 @@ from hesr_model.inference.covariance import (
     standard_errors,
 )
 from hesr_model.logs.noise import standard_normal, words
-from hesr_model.logs.phases import moving, near_reversals, reversals
+from hesr_model.logs.signals import moving, near_reversals, reversals
 
 RNG = np.random.default_rng(5)
 JACOBIAN = RNG.normal(size=(600, 3)) * [1.0, 0.1, 5.0]

@@ -9,8 +9,8 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.fitting.fit import fit
 from hesr_model.inference.covariance import blocks_of_time
-from hesr_model.logs.phases import moving
 from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import moving
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription

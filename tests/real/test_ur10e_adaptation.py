@@ -7,7 +7,7 @@ import pytest
 
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import FitError
-from hesr_model.fitting.adaptation import adapt, prior_of
+from hesr_model.fitting.days import adapt, prior_of
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log

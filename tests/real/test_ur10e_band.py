@@ -9,8 +9,8 @@ import pytest
 
 from cosim.study.scores import by_joint
 from hesr_model.fitting.fit import fit_models
-from hesr_model.logs.phases import moving, near_reversals
 from hesr_model.logs.robot_log import Log
+from hesr_model.logs.signals import moving, near_reversals
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot

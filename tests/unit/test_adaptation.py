@@ -11,8 +11,7 @@ from joint_data import law as true_law
 import hesr
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArgumentError, FitError, HesrError
-from hesr_model.fitting import adaptation
-from hesr_model.fitting.adaptation import adapt, prior_of
+from hesr_model.fitting.days import adapt, prior_of
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
@@ -87,7 +86,7 @@ def test_a_change_that_a_proof_does_not_allow_is_cut(monkeypatch: pytest.MonkeyP
     model, _ = adapt(prior, [[new]])
     assert certify(model.laws[0], prior.trained[0]).verdict == "proven"
     assert error(model, new) < error(prior, new)
-    monkeypatch.setattr(adaptation, "_SHARES", (1.0,))
+    monkeypatch.setattr(days, "_SHARES", (1.0,))
     cut, _ = adapt(prior, [[new]])
     assert cut.laws[0].values == prior.laws[0].values  # the whole change was not allowed
 

@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hesr.extras.leaderboard.board_file import rmse_ratio_interval
 from hesr_model.friction.records import (
     rmse,
-    rmse_ratio_interval,
     score,
     score_band,
     time_band,
 )
-from hesr_model.logs.phases import near_reversals, reversals
+from hesr_model.logs.signals import near_reversals, reversals
 from hesr_model.rigid_body.residual import FrictionRecord
 
 

@@ -9,10 +9,10 @@ import pytest
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.rigid_body.forward_reverse import matched
 from hesr_model.rigid_body.observations import (
     averaged,
     friction_columns,
+    matched,
     peak_speeds,
     per_joint,
     slow_speeds,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.fitting.day_offsets import OwnOfLog, own_of_logs, with_own, without_own
+from hesr_model.fitting.days import OwnOfLog, own_of_logs, with_own, without_own
 from hesr_model.fitting.fit import fit_models
 from hesr_model.rigid_body.residual import FrictionRecord
 

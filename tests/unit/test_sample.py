@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.logs.phases import moving, reversals
-from hesr_model.logs.sample import Sample
-from hesr_model.logs.signals import Motion
+from hesr.extras.fleet.sample import Sample
+from hesr_model.logs.signals import Motion, moving, reversals
 
 MakeMotion = Callable[..., Motion]
 RATE = 200

@@ -24,7 +24,7 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.inference.comparison import law_errors
-from hesr_model.logs.phases import near_reversals
+from hesr_model.logs.signals import near_reversals
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot

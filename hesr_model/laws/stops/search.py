@@ -116,8 +116,7 @@ class Terms:
 
     def _of(self, kind: str) -> Array:
         if kind not in self.cache:
-            viscous = kind == "viscous"
-            own = Structure(viscous=VISCOUS) if viscous else every(kind, self.scale)
+            own = Structure(viscous=VISCOUS) if kind == "viscous" else every(kind, self.scale)
             self.cache[kind] = self.weights[:, None] * columns(own, self.numbers, self.samples)
         return self.cache[kind]
 

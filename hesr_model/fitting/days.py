@@ -1,4 +1,6 @@
-"""Adaptation of a fitted law to seconds of a new log: its coefficients' covariance is the prior.
+"""Laws over days: nuisances of each log, and adaptation of a fitted law to seconds of a new log.
+
+    tau = level_k f(...) + offset_k    in log k,    mean of the levels 1, of the offsets 0
 
     minimise    sum_t (tau_t - f_t(c))^2 / s^2  +  (c - c_0)' P^-1 (c - c_0)
     s^2 = (1 + r) / (1 - r) of the residual's mean square,    r: its autocorrelation at one sample
@@ -10,7 +12,8 @@ of c_0 is.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import sympy
@@ -18,20 +21,105 @@ from scipy.optimize import least_squares
 
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import FitError
+from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse, training_error
 from hesr_model.inference.covariance import Covariance
+from hesr_model.logs.signals import MOVING
 from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
-from hesr_model.support.arrays import Array
+from hesr_model.support.arrays import Array, Integers
 
-_ROUNDS = 3  # of the noise
+Nuisance = Literal["offset", "level"]
+
+_ROUNDS = 30
+_LEAST, _MOST = 0.2, 5.0  # of a level
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnOfLog:
+    """Level of friction [1] and offset [N.m; N] of a log."""
+
+    level: float = 1.0
+    offset: float = 0.0
+
+
+def own_of_logs(
+    records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
+) -> dict[str, OwnOfLog]:
+    """Estimate the nuisances of each log of a joint by name; a single log has none."""
+    logs = list(dict.fromkeys(record.log for record in records))
+    own = [OwnOfLog() for _ in logs]
+    if len(logs) > 1 and wanted:
+        log, torque = log_of_rows(records), np.concatenate([r.tau for r in records])
+        dq = np.concatenate([r.dq for r in records])
+        columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
+        for _ in range(_ROUNDS):
+            level, offset = _of_rows(own, log)
+            law = np.linalg.lstsq(level[:, None] * columns, torque - offset, rcond=None)[0]
+            own = _normalised(_fitted(columns @ law, torque, log, wanted), np.bincount(log), wanted)
+    return dict(zip(logs, own, strict=True))
+
+
+def without_own(
+    records: Sequence[FrictionRecord], own: Mapping[str, OwnOfLog]
+) -> list[FrictionRecord]:
+    """Return records without the nuisances of their logs."""
+    return [
+        replace(record, tau=(record.tau - own[record.log].offset) / own[record.log].level)
+        for record in records
+    ]
+
+
+def with_own(
+    predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
+) -> list[Array]:
+    """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
+    log, whole = log_of_rows(records), np.concatenate(predicted)
+    own = _fitted(whole, np.concatenate([r.tau for r in records]), log, wanted)
+    ends = np.cumsum([len(torque) for torque in predicted])
+    level, offset = _of_rows(own, log)
+    return np.split(level * whole + offset, ends[:-1])
+
+
+def _of_rows(own: Sequence[OwnOfLog], log: Integers) -> Array:
+    return np.array([[o.level, o.offset] for o in own])[log].T
+
+
+def _fitted(
+    predicted: Array, torque: Array, log: Integers, wanted: Sequence[Nuisance]
+) -> list[OwnOfLog]:
+    rows = (log == k for k in range(log[-1] + 1))
+    return [own_of_log(predicted[own], torque[own], wanted) for own in rows]
+
+
+def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> OwnOfLog:
+    """Solve for the nuisances of a log, from predicted and measured torque (N,) [N.m]."""
+    if "level" not in wanted:
+        return OwnOfLog(offset=float(np.mean(torque - predicted)))
+    columns = [predicted, np.ones_like(predicted)][: 2 if "offset" in wanted else 1]
+    x = np.linalg.lstsq(np.column_stack(columns), torque, rcond=None)[0]
+    level = float(np.clip(x[0], _LEAST, _MOST))
+    offset = float(np.mean(torque - level * predicted)) if "offset" in wanted else 0.0
+    return OwnOfLog(level=level, offset=offset)
+
+
+def _normalised(
+    own: Sequence[OwnOfLog], rows: Integers, wanted: Sequence[Nuisance]
+) -> list[OwnOfLog]:
+    weights = rows / rows.sum()
+    level = float(weights @ [o.level for o in own]) if "level" in wanted else 1.0
+    offset = float(weights @ [o.offset for o in own]) if "offset" in wanted else 0.0
+    return [OwnOfLog(level=o.level / level, offset=o.offset - offset) for o in own]
+
+
+_NOISE_ROUNDS = 3  # of the noise
 _FACTOR = 2.0  # largest change of coefficients within memory or a function
 _SHARES = (1.0, 0.5, 0.25, 0.1)  # of the change, tried until the law is passive
 _RANK = 1e-8  # relative variance of directions that the earlier fits do not know
 _MOST_MEMORY = 0.995  # largest autocorrelation
-_LEAST = 1e-12  # [N.m] of the noise
+_LEAST_NOISE = 1e-12  # [N.m] of the noise
 
 
 def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
@@ -71,8 +159,7 @@ def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
     values = np.array([[law.values[n] for n in names] for law in laws])
     scatter = np.atleast_2d(np.cov(values, rowvar=False))
     mean = dict(zip(names, map(float, values.mean(axis=0)), strict=True))
-    covariance = np.mean(own, axis=0) + (1.0 + 1.0 / len(laws)) * scatter
-    return _with(laws[0], mean, covariance)
+    return _with(laws[0], mean, np.mean(own, axis=0) + (1.0 + 1.0 / len(laws)) * scatter)
 
 
 def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> FrictionLaw:
@@ -132,7 +219,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
         return np.concatenate([predict_record(moved, r) - r.tau for r in records])
 
     best = first
-    for _ in range(_ROUNDS):
+    for _ in range(_NOISE_ROUNDS):
         noise = _noise(error(best))
 
         def residual(point: Array, noise: float = noise) -> Array:
@@ -178,4 +265,4 @@ def _noise(residual: Array) -> float:
     power = float(residual @ residual)
     memory = float(residual[1:] @ residual[:-1]) / power if power else 0.0
     memory = float(np.clip(memory, 0.0, _MOST_MEMORY))
-    return rmse(residual) * float(np.sqrt((1.0 + memory) / (1.0 - memory))) + _LEAST
+    return rmse(residual) * float(np.sqrt((1.0 + memory) / (1.0 - memory))) + _LEAST_NOISE

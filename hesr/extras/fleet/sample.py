@@ -14,8 +14,7 @@ from itertools import count, pairwise
 
 import numpy as np
 
-from hesr_model.logs.phases import MOVING, near_reversals
-from hesr_model.logs.signals import Motion
+from hesr_model.logs.signals import MOVING, Motion, near_reversals
 from hesr_model.support.arrays import Array, joined
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
