@@ -17,7 +17,7 @@ from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
-from fmu_src.pages.datasheet import ModelAudit, properties_section
+from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.friction_page import to_html
 from fmu_src.pages.live import PageBody, live_assets, live_data, live_section, log_section, wasm
 from fmu_src.pages.picture import model_png
@@ -26,6 +26,7 @@ from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.description import Owner, statements
+from hesr_model.support import plugins
 from hesr_model.support.progress import Progress, silent
 
 # Range of dates in a ZIP archive.
@@ -120,7 +121,8 @@ def content(
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))
         live += log_section(model, body) + live_assets(log=True)
-    page = properties_section(properties, sliding=model.sliding) if properties else ""
+    sheet = plugins.find("hesr.sheets", "properties") if properties else None
+    page = sheet(properties, sliding=model.sliding) if sheet else ""
     html = to_html(model, bare.table, bare.about, live=live, properties=page, audit=audit)
     members = {
         "model.png": picture,

@@ -1,18 +1,14 @@
-"""Figures of an FMU's data sheet: audit, conventions, fastest states, physics checks."""
+"""Figures of an FMU's data sheet: audit, conventions, fastest states."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
-from fmu_src.pages.html import rendered
-from hesr_model.audit import properties
 from hesr_model.audit.audit import ENCODER, REACH, Audit, audit
 from hesr_model.audit.certificate import Certificate, certify
-from hesr_model.audit.properties import EXPECTATIONS, Expectation
 from hesr_model.equations.functions import lowered
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.inputs import INPUTS
@@ -22,145 +18,6 @@ from hesr_model.friction.predict import numbers
 from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint, unit_of_joints
-
-_WIDTH, _HEIGHT = 236, 148  # size of a plot in its own units
-_LEFT, _RIGHT, _TOP, _BOTTOM = 6, 6, 18, 18  # margins of the plot
-_LINES = ("var(--accent)", "#c2410c", "#15803d")
-_DIGITS = 3
-
-
-def properties_section(found: properties.Properties, *, sliding: Sequence[bool] = ()) -> str:
-    """Return HTML: a table of properties by joint, then each experiment with its plots."""
-    slides = sliding or (False,) * len(found.joints)
-    return rendered(
-        "properties.html.j2",
-        joints=[joint.joint for joint in found.joints],
-        tau_load=f"{figure(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
-        sizes=[_sizes(joint, s) for joint, s in zip(found.joints, slides, strict=True)],
-        properties=[_property(found, e, sliding) for e in EXPECTATIONS.values()],
-    )
-
-
-def _sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[str, str]]:
-    rows = (
-        ("trained speed", joint.speed, "rad/s"),
-        ("friction level", joint.level, "N.m"),
-        ("deflection", 1e3 * joint.deflection, "mrad"),
-        ("inertia", joint.inertia, "kg.m2"),
-    )
-    return [(name, _size(value, unit_of_joint(unit, slides=slides))) for name, value, unit in rows]
-
-
-def _size(value: float | None, unit: str) -> str:
-    return "not known" if value is None else f"{figure(value, _DIGITS)} {unit}"
-
-
-def _property(
-    found: properties.Properties, expectation: Expectation, sliding: Sequence[bool]
-) -> dict[str, Any]:
-    findings = [joint.findings[expectation.key] for joint in found.joints]
-    return {
-        "expectation": expectation,
-        "unit": unit_of_joints(expectation.unit, sliding),
-        "cells": [_cell(f, expectation) for f in findings],
-        "joints": [
-            {
-                "name": joint.joint,
-                "verdict": properties.MARKS[f.verdict],
-                "reason": f.reason,
-                "figures": [_spelled(one) for one in f.figures],
-                "plot": svg(f.plot) if f.plot else "",
-            }
-            for joint, f in zip(found.joints, findings, strict=True)
-        ],
-    }
-
-
-def _cell(found: properties.PropertyResult, expectation: Expectation) -> str:
-    value = found.figures[0].value if found.figures else None
-    if value is None:
-        return properties.MARKS[found.verdict]
-    return f"{properties.MARKS[found.verdict]} {figure(expectation.factor * value, _DIGITS)}"
-
-
-def _spelled(one: properties.Figure) -> str:
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    return f"{one.name}: {figure(one.value, _DIGITS)}{unit if one.value is not None else ''}"
-
-
-def svg(plot: properties.Plot) -> str:
-    """Return a plot as inline SVG; names come from the experiments, so nothing needs escaping."""
-    curves = [c for c in plot.curves if len(c.x) > 1]
-    if not curves:
-        return ""
-    x_range = _range([v for c in curves for v in c.x])
-    y_range = _range([v for c in curves for v in c.y])
-    parts = [*_frame(plot, x_range, y_range)]
-    for colour, curve in zip(_LINES, curves, strict=False):
-        points = " ".join(
-            f"{_across(x, x_range):.1f},{_down(y, y_range):.1f}"
-            for x, y in zip(curve.x, curve.y, strict=True)
-        )
-        parts.append(
-            f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.4"/>'
-        )
-    labels = "  ".join(
-        f'<tspan fill="{colour}">{curve.label}</tspan>'
-        for colour, curve in zip(_LINES, curves, strict=False)
-    )
-    parts.append(_text(_WIDTH - _RIGHT, 12, "end", labels))
-    x, y = plot.labels
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" height="{_HEIGHT}" role="img" '
-        f'aria-label="{y} over {x}">{"".join(parts)}</svg>'
-    )
-
-
-def _frame(
-    plot: properties.Plot, x_range: tuple[float, float], y_range: tuple[float, float]
-) -> Iterator[str]:
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    yield (
-        f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
-        'fill="none" stroke="var(--line)"/>'
-    )
-    if y_range[0] < 0.0 < y_range[1]:
-        y = f"{_down(0.0, y_range):.1f}"
-        yield f'<path d="M{_LEFT} {y}H{right}" stroke="var(--line)"/>'
-    if x_range[0] < 0.0 < x_range[1]:
-        x = f"{_across(0.0, x_range):.1f}"
-        yield f'<path d="M{x} {_TOP}V{bottom}" stroke="var(--line)"/>'
-    low, high = (figure(v, _DIGITS) for v in x_range)
-    yield _text(_LEFT, _HEIGHT - 5, "start", low)
-    yield _text(_WIDTH / 2, _HEIGHT - 5, "middle", plot.labels[0])
-    yield _text(right, _HEIGHT - 5, "end", high)
-    low, high = (figure(v, _DIGITS) for v in y_range)
-    yield _text(_LEFT, 12, "start", f"{plot.labels[1]}, {low} to {high}")
-
-
-def _text(x: float, y: float, anchor: str, text: str) -> str:
-    return (
-        f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" font-size="9.5" fill="var(--soft)">'
-        f"{text}</text>"
-    )
-
-
-def _range(values: list[float]) -> tuple[float, float]:
-    low, high = min(values), max(values)
-    if high > low:
-        return low, high
-    return low - 0.5 * max(abs(low), 1.0), high + 0.5 * max(abs(high), 1.0)
-
-
-def _across(x: float, around: tuple[float, float]) -> float:
-    share = (x - around[0]) / (around[1] - around[0])
-    return _LEFT + 2 + share * (_WIDTH - _LEFT - _RIGHT - 4)
-
-
-def _down(y: float, around: tuple[float, float]) -> float:
-    share = (y - around[0]) / (around[1] - around[0])
-    return _HEIGHT - _BOTTOM - 2 - share * (_HEIGHT - _TOP - _BOTTOM - 4)
-
 
 RK4, EULER = 2.785, 2.0  # largest stable rate * step of fourth-order Runge-Kutta and forward Euler
 

@@ -18,6 +18,7 @@ GROUPS = {
     "hesr.tests": "test",  # function of laws and logs; `properties` one of subjects
     "hesr.systems": "system format",  # reader, writers and checks of files of systems
     "hesr.studies": "part of a study",  # function, see the calls in `cosim`
+    "hesr.sheets": "sheet",  # function of the result of a test: HTML for pages
     "hesr.refinements": "refinement",  # function of a fitted law and its records
     "hesr.jobs": "job",  # object with `key`, `read` and `run`
     "hesr.motions": "planner",  # function (robot, output, *, purpose, time, ..)

@@ -10,9 +10,9 @@ import pytest
 from small_study import Hesr, hesr_here, uf850
 
 from fmu_src import model_file
-from fmu_src.pages.datasheet import properties_section
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.properties.battery import Subject, measure
+from hesr.extras.properties.sheet import properties_section
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre

@@ -28,7 +28,6 @@ from cosim.report.tables.table import (
 from cosim.study.scores import MEASURED_START, REFERENCE
 from fmu_src.friction.friction_component import exposed
 from fmu_src.pages.datasheet import certified
-from fmu_src.pages.datasheet import properties_section as sheet
 from fmu_src.pages.live import live_assets, live_section
 from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
@@ -40,6 +39,7 @@ from hesr_model.fitting.estimator import papers_law, registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
+from hesr_model.support import plugins
 
 _INTERVAL = 1.96  # half width of a 95 % interval in standard errors
 _FREQUENCY = 0.25  # frequency of the paper's sine [Hz]
@@ -270,8 +270,9 @@ def properties(results: Results) -> dict[str, Any] | None:
         return None
     laws = results.recommended
     of_law = combined(on_joints(laws), results.properties, laws)
+    sheet = plugins.load("hesr.sheets").get("properties")  # of the extras
     return {
         "properties": properties_table(results.properties, full=True),
         "law": on_joints(laws),
-        "sheet": of_law and Markup(sheet(of_law, sliding=results.sliding)),
+        "sheet": of_law and sheet and Markup(sheet.load()(of_law, sliding=results.sliding)),
     }

@@ -11,7 +11,6 @@ from cosim.study.results import RUN, SavedRun
 from cosim.workflow import arguments
 from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
 from fmu_src.export import package
-from fmu_src.export.package import write_fmu
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
 from fmu_src.plant.plant_fmu import PlantBody
@@ -128,7 +127,10 @@ def observed_logs(
     bare = content(model, body, limits, bandwidth=bandwidth, bare=True)
     arrays, found = outputs_of(bare.table), []
     names = [v.name for v in bare.table.variables if v.role == "input"]
-    with scratch_folder() as folder, FmuInstance(write_fmu(bare, folder / "own.fmu")) as fmu:
+    with (
+        scratch_folder() as folder,
+        FmuInstance(package.write_fmu(bare, folder / "own.fmu")) as fmu,
+    ):
         inputs = fmu.buffer(names)
         outputs = fmu.buffer([v.name for a in arrays for v in a.elements])
         for log in parts_of(logs):
