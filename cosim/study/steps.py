@@ -218,14 +218,14 @@ class Job:
     def following(
         self, run: Scored, models: Mapping[str, FrictionModel], law: str, folder: Path
     ) -> Following:
-        """Predict and write the robot's following error with feed-forward, at last of `law`."""
-        from cosim.loop.feed_forward import predict_following
-
+        """Predict and write the following error with feed-forward, at last of `law`, if offered."""
+        if (predict := plugins.load("hesr.studies").get("following")) is None:
+            return Following()
         names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
         logs = [run.logs[name] for name in names]
         shown = {name: models[name] for name in laws_with("quick") if name in models}
         shown[law] = shown.pop(law, models[law])
-        found = predict_following(logs, run.robot, run.rigid_body, shown, models[law])
+        found: Following = predict.load()(logs, run.robot, run.rigid_body, shown, models[law])
         write_json(folder / FOLLOWING, to_json(found))
         return found
 

@@ -138,7 +138,6 @@ def check(
     >>> hesr.check("Friction.fmu").passed
     True
     """
-    from cosim.report.check_files import write_junit, write_sarif
     from cosim.workflow.arguments import paths_of, remember_trust, require_choice
     from fmu_src.check.convention import judge, measure
     from fmu_src.check.run import check as check_fmu
@@ -149,6 +148,8 @@ def check(
     plugged = plugins.names("hesr.checks")
     for one in kind:
         require_choice("kind", one, (*KINDS, *plugged))
+    wanted = {"junit": junit, "sarif": sarif}
+    writers = [(plugins.find("hesr.findings", k), file) for k, file in wanted.items() if file]
     paths = paths_of(fmus, "an FMU")
     systems = [path for path in paths if path.suffix.lower() == ".ssp"]
     if systems and set(kind) - {"static", "references"}:
@@ -178,10 +179,9 @@ def check(
                 raise
             reports[place] = replace(broken, skipped=(*broken.skipped, f"Convention: {error}"))
     files = []
-    for file, write in ((junit, write_junit), (sarif, write_sarif)):
-        if file is not None:
-            files.append(path_of(file, "an output"))
-            write(files[-1], reports)
+    for write, file in writers:
+        files.append(path_of(file, "an output"))
+        write(files[-1], reports)
     return FmuReport(reports=reports, conventions=conventions, files=files)
 
 

@@ -78,7 +78,6 @@ def report(
     >>> hesr.report("results/uf850").name
     'report.html'
     """
-    from cosim.report.digest import write_digest
     from cosim.report.page import write_report
     from cosim.workflow.arguments import paths_of
     from hesr_model.support import plugins
@@ -92,7 +91,7 @@ def report(
     writers = plugins.load("hesr.reports")
     kind = "view" if view else suffix
     kind = next((name for name in writers if (folders[0] / f"{name}.json").is_file()), kind)
-    if kind in writers:
+    if kind in writers and kind != "md":
         if len(folders) > 1:
             raise ArgumentError("give one result; use 'law' to compare laws.")
         writers[kind].load()(folders[0], path, progress=progress, **drawn)
@@ -101,12 +100,10 @@ def report(
         raise ArgumentError(
             "'law', 'scheme', 'magnify' and 'speed' are for 'view' and videos (.mp4, .webp)."
         )
-    if kind == "md" and path is not None:
-        return write_digest(folders, path)
+    if kind in writers and path is not None:
+        return Path(writers[kind].load()(folders, path))
     if view or kind not in ("html", "htm", ""):
-        known = ", ".join(
-            f".{one}" for one in ("html", "md", *writers) if one not in ("view", "paper")
-        )
+        known = ", ".join(f".{one}" for one in ("html", *writers) if one not in ("view", "paper"))
         raise ArgumentError(f"{path}: reports are {known}.")
     if len(folders) > 1:
         raise ArgumentError("a page (.html) shows one result; use Markdown (.md) for several.")

@@ -23,6 +23,7 @@ GROUPS = {
     "hesr.jobs": "job",  # object with `key`, `read` and `run`
     "hesr.motions": "planner",  # function (robot, output, *, purpose, time, ..)
     "hesr.setpoints": "motion format",  # function (path, motion, joints), and its suffix
+    "hesr.findings": "format of findings",  # writer (path, reports)
     "hesr.reports": "report",  # writer of a suffix or view
     "hesr.chapters": "chapter",  # Chapter of a run's report
     "hesr.commands": "command",  # workflow function of a verb

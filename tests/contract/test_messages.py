@@ -25,7 +25,7 @@ FINDINGS = re.compile(
     r"|hesr/extras/(hostile/|properties/|mjcf/parts)"
 )
 DESCRIPTIVE = re.compile(
-    r"cosim/report/|cosim/loop/closed_loop|hesr/extras/(ssp/ssp_results|studies/robustness)"
+    r"cosim/report/|cosim/loop/closed_loop|hesr/extras/(reports/|ssp/ssp_results|studies/robustness)"
     r"|fmu_src/(blocks|export|friction|pages)/|fmu_src/arm/(table|truth)"
     r"|fmu_src/run/reference_|hesr_model/(audit|friction|laws)/|hesr/cli/(app|derive)"
     r"|hesr/extras/(drive|laws|modelica|one_file)/|hesr/extras/\w+/(component|figures|monitor|page|result|tables)"

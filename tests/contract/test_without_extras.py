@@ -142,6 +142,11 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
             "test 'properties' is not installed.",
         ),
         (("run", "--quick", "--seeds", "2"), "part of a study 'seeds' is not installed."),
+        (("report", "r", "-o", "r.md"), "r.md: reports are .html."),
+        (
+            ("check", "F.fmu", "--junit", "F.xml"),
+            "format of findings 'junit' is not installed.",
+        ),
         (("simulate", "loop.ssp"), "system format 'ssp-reader' is not installed."),
         (("check", "loop.ssp"), "system format 'ssp-check' is not installed."),
         (("export", "system.toml", "-o", "loop.ssp"), "system format 'ssp' is not installed."),

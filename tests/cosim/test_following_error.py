@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cosim.loop.excite import Recording, TwinArm, loaded_arm, record
-from cosim.loop.feed_forward import feed_forward, predict_following
 from cosim.loop.traces import Following, FollowingError
 from cosim.report.tables.loop import benefit
 from cosim.study.scores import by_joint
@@ -16,6 +15,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
+from hesr.extras.studies.feed_forward import feed_forward, predict_following
 from hesr_model.errors import ConfigError, FitError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel

@@ -11,10 +11,10 @@ from statistics import geometric_mean
 import pytest
 from click.testing import CliRunner
 
-from cosim.report.digest import file_name, short, write_digest
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, TableCell, TableRow, markdown, title
 from hesr.cli import app
+from hesr.extras.reports.digest import file_name, short, write_digest
 from hesr_model.errors import ArtifactError
 
 

@@ -14,7 +14,6 @@ from statistics import fmean
 import numpy as np
 import pytest
 
-from cosim.report.digest import write_digest
 from cosim.report.page import write_report
 from cosim.report.results import Results
 from cosim.report.tables.scores import errors as errors_table
@@ -24,6 +23,7 @@ from cosim.study.scores import ORACLE
 from cosim.study.verdict import Verdict, read_verdict, write_verdict
 from cosim.workflow.test import _scores_lines
 from fmu_src.friction.embedded_model import embedded_model
+from hesr.extras.reports.digest import write_digest
 from hesr_model.friction.model import FrictionModel
 
 JOINTS = ("J1", "J2", "J3")

@@ -1,0 +1,1 @@
+"""Results in other formats: runs as Markdown, findings as JUnit and SARIF."""
