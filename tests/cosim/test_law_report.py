@@ -9,11 +9,13 @@ from joint_data import law
 
 import hesr
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.test import LawReport, _scores_lines
+from cosim.workflow.arguments import NamedLaw
+from cosim.workflow.test import LawReport, _leaving, _scores_lines
 from hesr_model.errors import ArgumentError, ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import RobotDescription
 
 COULOMB = {"F_c": 3.0, "F_s": 3.0, "v_s": 0.1, "sigma_2": 1.5, "tau_0": 0.0}
@@ -41,6 +43,22 @@ def file(arm: RobotDescription, arm_log: Log) -> Path:
     path = arm.model.with_name("run.csv")
     arm_log.write(path)
     return path
+
+
+def test_inputs_beyond_the_trained_range_are_told() -> None:
+    t = 0.005 * np.arange(400)
+    dq, zero = np.sin(3.0 * t), np.zeros(400)
+    records = [
+        [FrictionRecord(log="a", joint=joint, t=t, dq=dq, q=t, tau_load=zero, tau=dq)]
+        for joint in ("j1", "j2", "j3")
+    ]
+    own = NamedLaw("own", stribeck(WIDE, SLOW, WIDE), None)
+    (told,) = _leaving(own, records)
+    assert told.startswith("j2: dq leaves the trained range in ")
+    assert "\n" not in told
+    for other in (stribeck(WIDE, WIDE, WIDE), stribeck()):
+        assert _leaving(NamedLaw("other", other, None), records) == []
+    assert _leaving(own, records[:2]) == []
 
 
 def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
