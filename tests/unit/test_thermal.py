@@ -1,5 +1,6 @@
 """Temperature in friction: identification from logs, storage in a model, and adaptation."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from adaptive_models import NOISE, SPEED, lugre, model, motion, stops, truth
 
 from hesr.extras.adaptive.component import TUNING, adaptive_component
 from hesr.extras.adaptive.monitor import Follower
+from hesr.extras.thermal import thermal_fit
 from hesr.extras.thermal.thermal_fit import Factored, ThermalFit, fit_thermal
 from hesr_model.audit.certificate import least_viscosity, storage
 from hesr_model.equations.stepping import Steps
@@ -87,6 +89,29 @@ def test_measured_temperature_determines_both_coefficients(fitted) -> None:
     assert thermal.ambient == pytest.approx(TRUE.ambient, abs=1.0)
     assert thermal.measured
     assert found.rmse < 0.7 * found.rmse_fixed
+
+
+def test_the_dependence_is_told_in_percent(fitted, logs, monkeypatch) -> None:
+    known, found = fitted
+    # Already fitted by the fixture, which takes seconds.
+    monkeypatch.setattr(thermal_fit, "fit_thermal", lambda *_: (known, (found,)))
+    warm, [told] = thermal_fit.add_temperature(known, logs)
+    assert warm is known
+    sentence = re.fullmatch(
+        r"axis: Coulomb friction falls by (\S+) ± (\S+) % per K, viscous by (\S+) ± (\S+) %; time "
+        r"constant (\S+) s; error (\S+) -> (\S+)",
+        told.replace(f"{found.joint}:", "axis:"),
+    )
+    assert sentence
+    expected = (
+        *(100.0 * found.thermal.coulomb, 200.0 * found.coulomb_error),
+        *(100.0 * found.thermal.viscous, 200.0 * found.viscous_error),
+        *(found.thermal.time_constant, found.rmse_fixed, found.rmse),
+    )
+    assert [float(number) for number in sentence.groups()] == pytest.approx(expected, rel=0.4)
+    coulomb, _, viscous, _, *rest = map(float, sentence.groups())
+    assert (coulomb, viscous) == pytest.approx((expected[0], expected[2]), rel=0.05)
+    assert rest == pytest.approx(expected[4:], rel=0.005)
 
 
 def test_long_logs_determine_heating_alone() -> None:
