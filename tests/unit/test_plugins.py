@@ -70,6 +70,6 @@ def test_own_plugins_can_be_loaded(group: str) -> None:
 
 @pytest.mark.usefixtures("_no_extras")
 def test_absent_extras_are_not_listed() -> None:
-    assert {"fmu", "drive"} <= set(plugins.names("hesr.exports"))
-    assert not {"modelica", "mjcf", "c"} & set(plugins.names("hesr.exports"))
+    assert {"fmu", "plant"} <= set(plugins.names("hesr.exports"))
+    assert not {"drive", "modelica", "mjcf", "c"} & set(plugins.names("hesr.exports"))
     assert not any("extras" in p.entry.value for p in plugins.load("hesr.laws").values())
