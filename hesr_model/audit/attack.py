@@ -129,6 +129,7 @@ def loaded_motions(
     frequency = 1.0 / (rows * trained.sample_time)
     angle = 2.0 * np.pi * np.arange(rows * turns, dtype=float) / rows
     swing = max(map(abs, trained.tau_load)) / 2.0
+    still = Attack(energy=0.0, amplitude=0.0, frequency=frequency, mean=0.0, swing=swing)
     for reach, phase, mean in product(angles, phases, (0.0, swing)):
         amplitude = reach * 2.0 * np.pi * frequency
         yield LoadedMotion(
@@ -136,14 +137,7 @@ def loaded_motions(
             q=trained.middle + reach * np.sin(angle),
             load=mean + swing * np.cos(2.0 * angle + phase),
             rows=rows,
-            cycle=Attack(
-                energy=0.0,
-                amplitude=amplitude,
-                frequency=frequency,
-                mean=mean,
-                swing=swing,
-                phase=float(phase),
-            ),
+            cycle=replace(still, amplitude=amplitude, mean=mean, phase=float(phase)),
         )
 
 

@@ -344,14 +344,9 @@ class _File:
 
 def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
     """Write the results of several laws by name, together with the expectations."""
-    write_json(
-        path,
-        {
-            "format": FORMAT,
-            "expectations": {key: to_json(e) for key, e in EXPECTATIONS.items()},
-            "laws": {name: to_json(of_law) for name, of_law in found.items()},
-        },
-    )
+    expectations = {key: to_json(e) for key, e in EXPECTATIONS.items()}
+    laws = {name: to_json(of_law) for name, of_law in found.items()}
+    write_json(path, {"format": FORMAT, "expectations": expectations, "laws": laws})
 
 
 def read_properties(path: Path) -> dict[str, Properties]:

@@ -58,17 +58,11 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
             if len(log.gaps):
                 continue
             raise
-        made.append(
-            Motionwise(
-                log=part,
-                t=part.t,
-                q=derived.q,
-                v=derived.dq,
-                a=derived.ddq,
-                dq=None if part.dq is None else smooth(part, cutoff).dq,
-                tau=part.tau,
-            ).thinned(_ROWS)
+        dq = None if part.dq is None else smooth(part, cutoff).dq
+        whole = Motionwise(
+            log=part, t=part.t, q=derived.q, v=derived.dq, a=derived.ddq, dq=dq, tau=part.tau
         )
+        made.append(whole.thinned(_ROWS))
     return made
 
 

@@ -114,14 +114,8 @@ def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
 
 def hopeless(findings: Sequence[Finding]) -> bool:
     """Return whether errors of units or positions hide what the model would show."""
-    return any(
-        f.severity == "error"
-        and (
-            f.check in ("limits", "wrap", "spikes")
-            or {"log.units.t", "log.units.q"} & set(f.changes)
-        )
-        for f in findings
-    )
+    errors, units = [f for f in findings if f.severity == "error"], {"log.units.t", "log.units.q"}
+    return any(f.check in ("limits", "wrap", "spikes") or units & set(f.changes) for f in errors)
 
 
 SYMPTOMS = (

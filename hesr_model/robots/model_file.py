@@ -293,16 +293,15 @@ def joints_of(path: Path) -> tuple[ModelJoint, ...]:
     for number, (name, joint) in enumerate(zip(model.names, model.joints, strict=True)):
         low, high = position_limits(model, joint) if number else (-np.inf, np.inf)
         short = _slides(joint) and high - low < _SHORT and number not in list(model.parents)
-        joints.append(
-            ModelJoint(
-                name=name,
-                freedom=0 if name in found.followers else joint.nv,
-                slides=_slides(joint),
-                finger=short or bool(_FINGER.search(name)),
-                rest=min(max(found.rest.get(name, 0.0), low), high),
-                parent=model.names[model.parents[number]],
-            )
+        own = ModelJoint(
+            name=name,
+            freedom=0 if name in found.followers else joint.nv,
+            slides=_slides(joint),
+            finger=short or bool(_FINGER.search(name)),
+            rest=min(max(found.rest.get(name, 0.0), low), high),
+            parent=model.names[model.parents[number]],
         )
+        joints.append(own)
     return tuple(joints[1:])
 
 
