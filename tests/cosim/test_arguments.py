@@ -13,6 +13,7 @@ from cosim.workflow.arguments import (
     listed,
     logs_of,
     per_joint,
+    plant_body,
     remember_trust,
     robot_of,
     telling_apart,
@@ -21,6 +22,7 @@ from fmu_src.run.trust import hash_folder, is_ours
 from hesr_model.errors import ArgumentError, ConfigError, LogError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import Robot, RobotDescription
 
 
@@ -35,6 +37,16 @@ def test_one_item_is_a_list_of_one() -> None:
     path = Path("a.csv")
     assert (listed("ab"), listed(path), listed(3)) == (["ab"], [path], [3])
     assert (listed(("a", "b")), listed(iter("ab"))) == (["a", "b"], ["a", "b"])
+
+
+def test_a_plant_has_the_given_body_or_that_of_its_model(
+    arm: RobotDescription, arm_log: Log
+) -> None:
+    robot = Robot(arm)
+    own, given = plant_body(arm, None), identify([arm_log], robot)
+    np.testing.assert_array_equal(own.parameters, robot.nominal_parameters)
+    np.testing.assert_array_equal(plant_body(arm, given).parameters, given.parameters)
+    assert not np.array_equal(own.parameters, given.parameters)
 
 
 # --- logs and robots --------------------------------------------------------------------------
