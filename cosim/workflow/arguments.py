@@ -3,7 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -17,8 +17,10 @@ from hesr_model.findings import Finding, log_findings
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import Log, parts_of, require_different
+from hesr_model.logs.sample import Sample
+from hesr_model.rigid_body.accumulation import identify_long
 from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import FrictionRecord, friction_records, motion_records
 from hesr_model.robots.robot import Robot, RobotLike, model_of
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Progress, Stages, counted, silent
@@ -41,6 +43,7 @@ PerJoint = float | Sequence[float]
 """One number for each joint, or one for all."""
 
 MOST_CELLS, _CELL = 2**22, 8  # numbers of logs held in memory, and their size [B]
+MOST_ROWS = 10**6  # rows of a fit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +57,35 @@ class CheckedLogs:
     robot: Robot
     findings: list[Finding]
     files: list[Path]
+    longs: list[LongLog] = field(default_factory=list)  # `logs` are then some of their rows
 
-    def records(self, body: RigidBody) -> list[list[FrictionRecord]]:
-        """Return the friction in each part of the logs, [part][joint]."""
-        return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
+    def body(self, body: BodyArg | None) -> RigidBody:
+        """Return the given rigid body, by default one identified from the logs."""
+        if body is None and self.longs:
+            return identify_long(self.longs, self.robot)
+        return body_of(body, self.logs, self.robot)
+
+    def records(self, body: RigidBody, seed: int = 0) -> list[list[FrictionRecord]]:
+        """Return the friction in each part of the logs, [part][joint].
+
+        Of long logs these are up to 10^6 rows, in stretches that cover speed, load and rest.
+        """
+        if not self.longs:
+            return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
+        sample, rows = Sample(MOST_ROWS, seed), 0
+        for log in self.longs:
+            for motion in log.motions():
+                sample.add(motion, follows=float(motion.t[0]) not in log.starts)
+                rows += len(motion.t)
+        motions = sample.motions()
+        if (used := sum(len(motion.t) for motion in motions)) < rows:
+            _log.warning(
+                "The logs have %d rows; %d are used, in whole stretches that cover speed, load and "
+                "rest.",
+                rows,
+                used,
+            )
+        return [motion_records(motion, self.robot, body) for motion in motions]
 
 
 def logs_of(logs: Logs, robot: RobotArg | None = None, progress: Progress = silent) -> list[Log]:
@@ -88,7 +116,7 @@ def robot_of(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     return model_of(found)
 
 
-def long_logs(logs: Sequence[LogArg], robot: RobotArg | None) -> list[LongLog]:
+def _long_logs(logs: Sequence[LogArg], robot: RobotArg | None) -> list[LongLog]:
     """Return all logs to be read in pieces, or none if they fit into memory together."""
     sources = [log if isinstance(log, Log) else path_of(log, "a log") for log in logs]
     cells = [
@@ -106,18 +134,35 @@ def long_logs(logs: Sequence[LogArg], robot: RobotArg | None) -> list[LongLog]:
 
 
 def checked_logs(
-    logs: Logs, robot: RobotArg | None, accept: Sequence[str], progress: Stages = silent
+    logs: Logs,
+    robot: RobotArg | None,
+    accept: Sequence[str],
+    progress: Stages = silent,
+    *,
+    in_pieces: bool = False,
 ) -> CheckedLogs:
-    """Read logs and check them on their robot; raise HealthError for errors not in `accept`."""
+    """Read logs and check them on their robot; raise HealthError for errors not in `accept`.
+
+    Only some rows of long logs are read and checked if the others can be read `in_pieces`.
+    """
+    longs = _long_logs(listed(logs), robot) if in_pieces else []
+    logs = [part for log in longs for part in log.stretches] or logs
     if robot is not None:
         robot = model_of(robot) if not isinstance(robot, str | PathLike) else robot
     known = model_of(robot) if robot is not None else None
     read = logs_of(logs, known, partial(progress, "reading logs"))
     model = known or robot_of(None, read)
     findings = examined(read, model, accept)
+    for log in longs:
+        if log.gaps:
+            from hesr_model.health.examine import of_log
+            from hesr_model.health.positions import of_gaps
+
+            found = of_gaps(log.gaps, log.longest_step, len(log.starts))
+            findings += log_findings(of_log(log.stretches[0], [found]))
     own = [Path(robot)] if isinstance(robot, str | PathLike) else []
     paths = dict.fromkeys([*own, model.description.model, *(g.path for g in read if g.path)])
-    return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths))
+    return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths), longs=longs)
 
 
 def examined(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:

@@ -61,7 +61,8 @@ def fit(
     Parameters
     ----------
     logs : log or sequence of logs
-        CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects.
+        CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects. Of long logs at
+        most 10^6 rows are used, in whole stretches that cover speed, load and rest.
     law : str, path or law
         Name of a law (--list shows them); with --add also a fitted law (.json).
     robot : robot or path, optional
@@ -112,7 +113,7 @@ def fit(
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
     from cosim.study.scores import by_joint
-    from cosim.workflow.arguments import body_of, checked_logs
+    from cosim.workflow.arguments import checked_logs
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
     from hesr_model.friction.model import FrictionModel
@@ -125,8 +126,8 @@ def fit(
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
     fitted = _fitted_law(law, add, options, prior)
-    read = checked_logs(logs, robot, accept, progress)
-    records = read.records(body_of(rigid_body, read.logs, read.robot))
+    read = checked_logs(logs, robot, accept, progress, in_pieces=True)
+    records = read.records(read.body(rigid_body), seed)
     if fitted is None:
         model = _fit(str(law), records, read, rigid_body, seed, options or {}, progress)
     else:
@@ -213,7 +214,7 @@ def _provenance(
     from hesr_model.support.files import newest, provenance
     from hesr_model.support.typed_files import to_json
 
-    logs = [log.path for log in read.logs if log.path]
+    logs = list(dict.fromkeys(log.path for log in read.logs if log.path))
     files = list(read.files)
     if rigid_body is not None and not isinstance(rigid_body, RigidBody):
         files[len(files) - len(logs) : len(files) - len(logs)] = [Path(rigid_body)]

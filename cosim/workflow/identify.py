@@ -93,7 +93,6 @@ def identify(
         body_of,
         checked_logs,
         listed,
-        long_logs,
         model_given,
         require_choice,
     )
@@ -115,11 +114,10 @@ def identify(
         )
     if physical and friction is not None:
         raise ArgumentError("'physical' excludes 'friction'; give one of them.")
-    forward_logs, backward_logs = listed(logs), listed(reversed_logs)
+    forward_logs = listed(logs)
+    several = [*forward_logs, *listed(reversed_logs)]
     plain = method == "stacked" and not physical and friction is None and payload is None
-    if longs := long_logs([*forward_logs, *backward_logs], robot) if plain else []:
-        forward_logs, backward_logs = [part for log in longs for part in log.stretches], []
-    read = checked_logs([*forward_logs, *backward_logs], robot, accept, progress)
+    read = checked_logs(several, robot, accept, progress, in_pieces=plain)
     forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]
     progress("identifying", 0, 1)
     files = [*read.files, *_paths(payload, friction, rigid_body)]
@@ -132,8 +130,8 @@ def identify(
     elif friction is not None and rigid_body is not None:
         law, body = model_given(friction), body_of(rigid_body, (), read.robot)
         found = identify_again(forward, read.robot, body, law, reversed_logs=backward)
-    elif longs:
-        found = identify_long(longs, read.robot)
+    elif read.longs:
+        found = identify_long(read.longs, read.robot)
     else:
         found = identify_body(
             forward, read.robot, method=method, reversed_logs=backward, physical=physical

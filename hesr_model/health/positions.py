@@ -42,14 +42,7 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         yield of_joint("time-unit", "", found, mend, changes=changes)
         return
     if len(log.gaps):
-        longest, parts = float(np.max(steps)), len(log.parts())
-        what = f"{len(log.gaps)} gap{'s' * (len(log.gaps) > 1)}, the longest of {longest:.3g} s"
-        remedy = "rows are missing; " + (
-            f"its {parts} parts are filtered and fitted separately"
-            if parts > 1
-            else "only one of its parts is long enough to use"
-        )
-        yield of_joint("gaps", "", what, remedy, "warning")
+        yield of_gaps(len(log.gaps), float(np.max(steps)), len(log.parts()))
     if loses_rows(log):
         share = share_of_long_steps(log)
         said = f"{100 * share:.0f} % of its steps are longer than 1.8 periods of {period:.4g} s"
@@ -59,6 +52,17 @@ def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
         found = f"{log.dropped} rows lack a number or repeat the time stamp of the row before"
         remedy = "they were left out ([log] missing = 'drop')"
         yield of_joint("dropped-rows", "", found, remedy, "warning")
+
+
+def of_gaps(count: int, longest: float, parts: int) -> Finding:
+    """Return the finding of gaps up to `longest` [s] between usable parts."""
+    what = f"{count} gap{'s' * (count > 1)}, the longest of {longest:.3g} s"
+    remedy = "rows are missing; " + (
+        f"its {parts} parts are filtered and fitted separately"
+        if parts > 1
+        else "only one of its parts is long enough to use"
+    )
+    return of_joint("gaps", "", what, remedy, "warning")
 
 
 def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:

@@ -82,7 +82,8 @@ class _Part:
 class LongLog:
     """A log that is read in pieces of at most `rows` rows, several times; errors as `Log.read`.
 
-    Formats that cannot be read in pieces are held in memory.
+    Formats that cannot be read in pieces are held in memory. `stretches` are up to eight of the
+    pieces, without `gaps`; `travel` (n,) is the range of the positions [rad, m].
     """
 
     def __init__(self, source: Log | Path, robot: RobotDescription, rows: int = ROWS) -> None:
@@ -106,12 +107,19 @@ class LongLog:
         longest = whole.steps.longest
         if whole.steps.values[-1] > longest:
             parts = self._split(longest)
+            self.stretches = [_longest_part(log, longest) for log in self.stretches]
+        self.gaps, self.longest_step = len(parts) - 1, float(whole.steps.values[-1])
         self._parts = [p for p in parts if p is whole or p.end - p.start >= SHORTEST_PART]
         if not self._parts:
             raise without_parts(self.stretches[0].where, len(parts) - 1, longest)
         for part in self._parts:
             cutoff = robot.log.filter_cutoff
             part.grid.require(self.stretches[0].where, part.last - part.first, cutoff)
+
+    @property
+    def starts(self) -> set[float]:
+        """First time stamps [s] of the parts between gaps."""
+        return {part.start for part in self._parts}
 
     def motions(self) -> Iterator[Motion]:
         """Yield the smooth motion piece by piece, as `signals.smoothed` of the whole log."""
@@ -164,8 +172,8 @@ class LongLog:
             samples = read.arranged(self._robot.log, after=last.t[-1] if last else -np.inf)
             if not len(samples.t):
                 continue
-            log = replace(Log.of(source, samples, self._robot), sha256=self._sha256)
-            log = replace(log, temperature=None, q_cmd=None, dq_cmd=None)
+            log = Log.of(source, samples, self._robot)
+            log = replace(log, sha256=self._sha256, q_cmd=None, dq_cmd=None)
             checked, place = log, samples.place
             if last is not None:
                 checked = joined([last, log], log.arrays)
@@ -173,6 +181,12 @@ class LongLog:
             require_steady_time(checked, replace(samples, place=place), self._robot)
             last = log.rows(slice(-1, None))
             yield log
+
+
+def _longest_part(log: Log, longest: float) -> Log:
+    ends = [0, *(np.flatnonzero(np.diff(log.t) > longest) + 1).tolist(), len(log.t)]
+    first, last = max(pairwise(ends), key=lambda part: part[1] - part[0])
+    return log.rows(slice(first, last))
 
 
 def _one_before(place: Callable[[int], str], k: int) -> str:

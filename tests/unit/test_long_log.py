@@ -17,6 +17,7 @@ from hesr_model.logs.signals import smoothed
 from hesr_model.logs.tables import arrow
 from hesr_model.rigid_body.accumulation import identify_long
 from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 
 KINDS = ["csv", "npz", "npy", "parquet", "feather"]
@@ -123,6 +124,40 @@ def test_identify_reads_long_logs_in_pieces(
     from_memory = hesr.identify([Log.read(path, robot) for path in paths])
     assert len(used) == 4
     assert_same(from_memory, expected)
+
+
+def test_fit_takes_whole_stretches_of_long_logs(
+    robot: RobotDescription,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    path = written(tmp_path / "log.npz", with_gap(robot, tmp_path, 2500))
+    file, body = tmp_path / "robot.toml", hesr.identify(path, robot=robot)
+    make = arguments.LongLog
+    monkeypatch.setattr(arguments, "LongLog", lambda *given: make(*given, rows=400))
+
+    def records() -> list[list[FrictionRecord]]:
+        return arguments.checked_logs(path, file, (), in_pieces=True).records(body)
+
+    expected = records()
+    monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
+    found = records()
+    assert "The logs have" not in caplog.text
+    assert caplog.messages[0] == caplog.messages[1]
+    for part, own in zip(found, expected, strict=True):
+        for name in ("t", "dq", "q", "tau", "tau_load", "dq_causal"):
+            values = [getattr(one[1], name) for one in (part, own)]
+            np.testing.assert_allclose(*values, rtol=1e-9, atol=1e-12)
+    law = hesr.fit(path, law="stribeck", robot=file)
+    files = list(map(str, law.provenance["files"]))
+    for name, one in zip(("robot.toml", "chain.urdf", "log.npz"), files, strict=True):
+        assert name in one
+    monkeypatch.setattr(arguments, "MOST_ROWS", 1500)
+    some = records()
+    assert 1000 < sum(len(part[0].t) for part in some) <= 1500
+    assert "The logs have 2500 rows; " in caplog.text
+    assert all(np.ptp(np.diff(part[0].t)) < 1e-3 for part in some)
 
 
 def test_arrays_stored_by_column_are_read_as_a_whole(

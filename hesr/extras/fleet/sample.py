@@ -43,11 +43,11 @@ class Sample:
         self._numbers, self._parts = count(), count()
         self._size: Array | None = None
 
-    def add(self, motion: Motion) -> None:
-        """Offer a log, or a part between gaps."""
+    def add(self, motion: Motion, *, follows: bool = False) -> None:
+        """Offer a log, or a part between gaps, or rows that follow the last ones without a gap."""
         if self._size is None:
             self._size = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
-        part = next(self._parts)
+        part = self._windows[-1].part if follows and self._windows else next(self._parts)
         for window, rows in self._cut(motion):
             number = next(self._numbers)
             self._seen.update(rows)
