@@ -14,7 +14,6 @@ Monahan 1992). The factor is the additional spread of estimates with each log le
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -163,16 +162,12 @@ def covariance(
     """
     own = np.sum(hessians, axis=0)
     whole = own if known is None else own + known
-    parts = [Gradients(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
+    parts = [(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
     return covariance_of_parts(names, lambda: parts, whole, known=known, carried=carried)
 
 
-class Gradients(NamedTuple):
-    """Gradients (N, P) of successive rows of a log, and their share (P, P) of the Hessian."""
-
-    label: int
-    gradients: Array
-    hessian: Array
+Gradients = tuple[int, Array, Array]
+"""Label of a log, gradients (N, P) of its next rows, and their share (P, P) of the Hessian."""
 
 
 def covariance_of_parts(
@@ -187,9 +182,9 @@ def covariance_of_parts(
     inverse = _inverse(whole, whole)
     found: dict[int, Moments] = defaultdict(lambda: Moments(len(whole)))
     hessians: dict[int, Array] = defaultdict(lambda: np.zeros_like(whole))
-    for part in parts():
-        found[part.label].add(part.gradients @ inverse)
-        hessians[part.label] += part.hessian
+    for label, rows, hessian in parts():
+        found[label].add(rows @ inverse)
+        hessians[label] += hessian
     logs = sorted(found)
     moments = [found[k] for k in logs]
     given = np.zeros_like(inverse) if known is None else inverse @ known @ inverse
@@ -202,7 +197,9 @@ def covariance_of_parts(
     if len(logs) >= ENOUGH:
         sums = np.array([log.total for log in moments])
         return replace(one, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
-    variances = long_run(moments, ((logs.index(p.label), p.gradients @ inverse) for p in parts()))
+    variances = long_run(
+        moments, ((logs.index(label), rows @ inverse) for label, rows, _ in parts())
+    )
     between, degrees = _between(moments, variances, [hessians[k] for k in logs], whole)
     within = np.sum(variances, axis=0) * _for_few_rows(moments)
     return replace(one, within=within, between=between, degrees=degrees, logs=len(logs))

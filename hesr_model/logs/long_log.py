@@ -14,6 +14,8 @@ from hesr_model.logs.robot_log import (
     SHORTEST_PART,
     USUAL,
     Log,
+    arrays_of,
+    log_of,
     require_steady_time,
     without_parts,
 )
@@ -76,7 +78,7 @@ class _Part:
 
     @property
     def grid(self) -> Grid:
-        return Grid.over(self.steps.period, self.start, self.end)
+        return Grid(period=self.steps.period, start=self.start, end=self.end)
 
 
 class LongLog:
@@ -126,7 +128,7 @@ class LongLog:
         cutoff, parts = self._robot.log.filter_cutoff, list(self._parts)
         held, done, at = None, 0, 0  # rows held from number `at`
         for log in self._pieces():
-            held = joined([held, log], log.arrays) if held else log
+            held = joined([held, log], arrays_of(log)) if held else log
             there, margin = at + len(held.t), 0
             while parts:
                 part, grid = parts[0], parts[0].grid
@@ -137,8 +139,7 @@ class LongLog:
                     break
                 low, high = max(part.first, first - margin), min(part.last, last + margin)
                 window = held.rows(slice(low - at, high - at))
-                on = grid.between(window.t[0], window.t[-1])
-                yield filtered(window, cutoff, on).rows(slice(first - low, last - low))
+                yield filtered(window, cutoff, grid).rows(slice(first - low, last - low))
                 done = last
                 if not complete:
                     break
@@ -172,11 +173,11 @@ class LongLog:
             samples = read.arranged(self._robot.log, after=last.t[-1] if last else -np.inf)
             if not len(samples.t):
                 continue
-            log = Log.of(source, samples, self._robot)
+            log = log_of(source, samples, self._robot)
             log = replace(log, sha256=self._sha256, q_cmd=None, dq_cmd=None)
             checked, place = log, samples.place
             if last is not None:
-                checked = joined([last, log], log.arrays)
+                checked = joined([last, log], arrays_of(log))
                 place = partial(_one_before, place)
             require_steady_time(checked, replace(samples, place=place), self._robot)
             last = log.rows(slice(-1, None))

@@ -124,12 +124,7 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, self.arrays, rows)
-
-    @property
-    def arrays(self) -> tuple[str, ...]:
-        """Names of the arrays along time."""
-        return ("t", *(("load",) if self.load is not None else ()), *self._signals)
+        return some_rows(self, arrays_of(self), rows)
 
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s.
@@ -175,44 +170,9 @@ class Log:
         logged = format_of(path).read(path, robot)
         samples = logged.arranged(robot.log)
         dropped = len(logged.t) - len(samples.t)
-        log = replace(cls.of(path, samples, robot), sha256=sha256(path), dropped=dropped)
+        log = replace(log_of(path, samples, robot), sha256=sha256(path), dropped=dropped)
         require_steady_time(log, samples, robot)
         return log
-
-    @classmethod
-    def of(cls, path: Path, samples: LogSamples, robot: RobotDescription) -> "Log":
-        """Convert samples of a file to SI; errors as `read`, but for time stamps."""
-        units, n = robot.log.units, len(robot.joints)
-        _require_reasonable(path, samples, robot.joints)
-
-        def of_joints(quantity: str, values: Array | None) -> Any:
-            if values is None:
-                return None
-            zero = (quantity == "q" and robot.log.zero) or 0.0
-            return _of_joints(values * units.factors(quantity, n), robot) + zero
-
-        load = None
-        if robot.log.cylinder is None:
-            tau = _torque(path, samples, robot)
-        else:
-            tau, load = robot.log.cylinder.forces(samples.effort)
-        q = of_joints("q", samples.q)
-        return cls(
-            name=path.stem,
-            t=samples.t,
-            q=q,
-            dq=of_joints("dq", samples.dq),
-            q_cmd=of_joints("q", samples.q_cmd),
-            dq_cmd=of_joints("dq", samples.dq_cmd),
-            tau=tau,
-            load=load,
-            temperature=None
-            if samples.temperature is None
-            else samples.temperature - units.zero_of_temperature,
-            q_link=_q_link(path, samples, q, robot),
-            path=path,
-            robot=robot,
-        )
 
     @property
     def _signals(self) -> dict[str, Array]:
@@ -259,6 +219,47 @@ class Log:
         """
         with written_whole(path_of(path, "a log")) as temporary:
             write_table(temporary, self._columns)
+
+
+def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
+    """Convert samples of a file to SI; errors as `Log.read`, but for time stamps."""
+    units, n = robot.log.units, len(robot.joints)
+    _require_reasonable(path, samples, robot.joints)
+
+    def of_joints(quantity: str, values: Array | None) -> Any:
+        if values is None:
+            return None
+        zero = (quantity == "q" and robot.log.zero) or 0.0
+        return _of_joints(values * units.factors(quantity, n), robot) + zero
+
+    load = None
+    if robot.log.cylinder is None:
+        tau = _torque(path, samples, robot)
+    else:
+        tau, load = robot.log.cylinder.forces(samples.effort)
+    q = of_joints("q", samples.q)
+    return Log(
+        name=path.stem,
+        t=samples.t,
+        q=q,
+        dq=of_joints("dq", samples.dq),
+        q_cmd=of_joints("q", samples.q_cmd),
+        dq_cmd=of_joints("dq", samples.dq_cmd),
+        tau=tau,
+        load=load,
+        temperature=None
+        if samples.temperature is None
+        else samples.temperature - units.zero_of_temperature,
+        q_link=_q_link(path, samples, q, robot),
+        path=path,
+        robot=robot,
+    )
+
+
+def arrays_of(log: Log) -> tuple[str, ...]:
+    """Return the names of the arrays along time."""
+    known = ("t", "load", *_UNITS)
+    return tuple(name for name in known if getattr(log, name) is not None)
 
 
 def parts_of(logs: Iterable[Log]) -> list[Log]:

@@ -1,7 +1,7 @@
 """The smooth motion of a log, and its moving, resting and reversing rows."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -123,39 +123,28 @@ def filtered(log: Log, cutoff: float, grid: "Grid") -> Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Even time stamps `first` to `last` of those from `start` to `end` [s] in `steps` steps."""
+    """Even time stamps from `start` to `end` [s], about a `period` [s] apart."""
 
     period: float
     start: float
     end: float
-    steps: int
-    first: int
-    last: int
 
     @classmethod
     def of(cls, t: Array) -> "Grid":
         """Return the grid over the time stamps t (N,) [s]."""
-        return cls.over(float(np.median(np.diff(t))), float(t[0]), float(t[-1]))
-
-    @classmethod
-    def over(cls, period: float, start: float, end: float) -> "Grid":
-        """Return the grid with steps of at most about a period [s]."""
-        steps = max(int(np.ceil((end - start) / period)), 1)
-        return cls(period=period, start=start, end=end, steps=steps, first=0, last=steps)
-
-    def between(self, first: float, last: float) -> "Grid":
-        """Return the stamps from `first` to `last` [s]."""
-        at = [(t - self.start) / (self.end - self.start) * self.steps for t in (first, last)]
-        return replace(self, first=int(np.ceil(at[0])), last=int(at[1]))
+        return cls(period=float(np.median(np.diff(t))), start=float(t[0]), end=float(t[-1]))
 
     @property
-    def t(self) -> Array:
-        """Time stamps [s], with the digits of `np.linspace`."""
-        step = (self.end - self.start) / self.steps
-        t = np.arange(self.first, self.last + 1) * step + self.start
-        if self.last == self.steps:
-            t[-1] = self.end
-        return np.asarray(t)
+    def steps(self) -> int:
+        """Number of steps."""
+        return max(int(np.ceil((self.end - self.start) / self.period)), 1)
+
+    def within(self, t: Array) -> Array:
+        """Return the stamps [s] from t[0] to t[-1], with the digits of `np.linspace`."""
+        length, steps = self.end - self.start, self.steps
+        first, last = (t[[0, -1]] - self.start) / length * steps
+        k = np.arange(np.ceil(first), np.floor(last) + 1.0)
+        return np.where(k == steps, self.end, k * (length / steps) + self.start)
 
     def padding(self, cutoff: float) -> int:
         """Return the number of mirrored rows for a low pass [Hz]."""
@@ -183,7 +172,7 @@ def zero_phase(t: Array, values: Array, cutoff: float, grid: Grid | None = None)
     from scipy.signal import butter, sosfiltfilt
 
     grid = grid or Grid.of(t)
-    stamps, padding = grid.t, grid.padding(cutoff)
+    stamps, padding = grid.within(t), grid.padding(cutoff)
     sos = butter(_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
     even = make_interp_spline(t, values, k=3)(stamps)
     longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])

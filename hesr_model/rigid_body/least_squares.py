@@ -126,7 +126,7 @@ def parts_of_blocks(
         for k, log in enumerate(found):
             hessians[k] += rows[own == log].T @ rows[own == log]
     logs = zip(found.tolist(), hessians, strict=True)
-    return [Gradients(log, gradients[labels == log], own) for log, own in logs]
+    return [(log, gradients[labels == log], own) for log, own in logs]
 
 
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask) -> Solution:
