@@ -24,13 +24,13 @@ from hesr.extras.fleet.deviation import Trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.run import changed, compared, run_fleet, write_types
-from hesr.extras.fleet.sample import Sample
 from hesr.extras.fleet.study import FleetStudy, members
 from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
+from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import motion_records

@@ -9,7 +9,6 @@ from limits_found import TWO, at, edge, two_joints
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
-from hesr.extras.fleet.sample import Sample, _uniform
 from hesr_model.errors import HesrError, LogError
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_table import listed, most_bytes
@@ -21,6 +20,7 @@ from hesr_model.logs.robot_log import (
     require_different,
     require_moving,
 )
+from hesr_model.logs.sample import Sample, _uniform
 from hesr_model.logs.signals import Motion, _before, moving, near_reversals, reversals, smooth
 from hesr_model.logs.tables import read_table
 from hesr_model.robots.robot import RobotDescription

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr.extras.fleet.sample import Sample
+from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import Motion, moving, reversals
 
 MakeMotion = Callable[..., Motion]

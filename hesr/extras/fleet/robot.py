@@ -15,7 +15,6 @@ from cosim.study.scores import by_joint
 from fmu_src.friction.friction_component import exposed
 from hesr.extras.fleet.deviation import trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
-from hesr.extras.fleet.sample import Sample
 from hesr.extras.fleet.study import FleetStudy, Member
 from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
@@ -26,6 +25,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
 from hesr_model.health.examine import check_body, check_laws, examine, merged
 from hesr_model.logs.robot_log import Log
+from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody
