@@ -5,6 +5,7 @@ review it.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -40,6 +41,7 @@ from hesr_model.audit.properties import (
 )
 from hesr_model.friction.records import BandScore
 from hesr_model.friction.trained_range import Excess
+from hesr_model.rigid_body.elasticity import ElasticGear
 
 Recorded = Callable[[Iterable[ResultTable]], None]
 
@@ -105,6 +107,18 @@ SHORT = Comparison(
     leading=(("lugre", "dahl"), ("dahl", "lugre")), per_log=("tau_0", "offset"),
     detectable=({}, {}), seconds=(40.0, 50.0),
 )  # fmt: skip
+
+
+def test_numbers_of_a_gear_have_the_digits_of_their_errors() -> None:
+    parameters = {"stiffness": (29876.5, 123.4), "damping": (12.34567, 0.6543)}
+    gear = ElasticGear(joint="j1", zero=0.0, parameters=parameters, elements=())
+    shown = "Gear of j1 [SI]: stiffness 29880 +- 240, damping 12.35 +- 1.3."
+    assert laws._gear(gear) == shown
+    vague = replace(gear, parameters={"stiffness": (100.0, 12.0), "damping": (1.0, 1.0)})
+    assert laws._gear(vague) == (
+        "Gear of j1: these logs do not determine its stiffness (100 +- 24 N.m/rad); record faster "
+        "motion, or a payload."
+    )
 
 
 def test_errors_of_predictions(recorded: Recorded) -> None:
