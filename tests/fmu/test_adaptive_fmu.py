@@ -4,13 +4,14 @@ import ctypes
 import re
 import subprocess
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from adaptive_models import lugre, model, motion, stops
+from binary import Binary
 from c_hosts import build_host
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
@@ -125,6 +126,20 @@ def test_the_fmu_is_valid(fmu: Path) -> None:
                                          "temperature")
                    for i in (1, 2, 3))
     }  # fmt: skip
+
+
+def test_as_many_logical_values_are_set_as_are_given(
+    fmu: Path, load: Callable[[Path], Binary]
+) -> None:
+    binary = load(fmu)
+    c = binary.instantiate()
+    assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
+    assert binary("EnterInitializationMode", c) == 0
+    twice = (ctypes.c_uint * 2)(*[binary.vr["adapt"]] * 2)
+    values, found = (ctypes.c_int * 2)(0, 1), (ctypes.c_int * 1)(1)
+    assert binary("SetBoolean", c, twice, 1, values) == 0
+    assert binary("GetBoolean", c, twice, 1, found) == 0
+    assert found[0] == 0
 
 
 def test_temperature_is_in_its_unit(fmu: Path) -> None:
