@@ -40,7 +40,7 @@ int main(int argc, char **argv) {
     double fastest = 0.0;
     seed = (uint64_t)atol(argv[4]);
     for (int i = 0; i < VARIABLES; i++) {
-        initial.v[i] = variables[i].start;
+        initial.v[i] = numbers.of[i].start;
     }
     initial.v[SUBSTEP] = step;
     for (int a = 5; a < argc; a++) {
