@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.optimize
 from joint_data import along, law, path
 from unchanged import Unchanged
 
@@ -114,13 +115,13 @@ def test_a_search_draws_the_given_points(
     told: list[tuple[int, int]] = []
     monkeypatch.setattr(separable, "step", lambda done, of: told.append((done, of)))
     calls = []
-    search = separable.differential_evolution
+    search = scipy.optimize.differential_evolution
 
     def seen(function: object, bounds: object, **options: object) -> object:
         calls.append({k: options[k] for k in ("popsize", "maxiter", "tol")})
         return search(function, bounds, **options)
 
-    monkeypatch.setattr(separable, "differential_evolution", seen)
+    monkeypatch.setattr(scipy.optimize, "differential_evolution", seen)
     problem.search(np.random.default_rng(0), effort=3)
     assert calls == [{"popsize": 10, "maxiter": 3, "tol": 1e-4}]
     assert told[0] == (1, 4)
