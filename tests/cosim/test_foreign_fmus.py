@@ -496,7 +496,7 @@ def test_old_hashes_are_forgotten(
     lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("fmu_src.run.fmu._MOST_HASHES", 10)
+    monkeypatch.setattr("fmu_src.run.trust._MOST_HASHES", 10)
     remember(lag_fmu)
     place = hash_folder()
     for k in range(10):
