@@ -108,3 +108,15 @@ def test_clocks(
             "rates": said(of_log(log, [_wrong_rate(x) for x in (0.5, 1.7)])),
         }
     )  # fmt: skip
+
+
+def test_few_rows_determine_no_delay() -> None:
+    bodies = np.ones((5, 1, 2))
+    rows = LagRows(
+        torques=np.zeros((5, 3, 1)),
+        still=bodies,
+        moving=bodies,
+        rubs=(np.zeros((5, 40)),),
+        known=np.ones((5, 1), dtype=bool),
+    )
+    assert [(one.value, one.error) for one in delays(rows, 0)] == [(0.0, np.inf)] * 2
