@@ -126,7 +126,7 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
     found = hesr(site, "check", "F.fmu", "--kind", "hostile", cwd=tmp_path)
     assert found.returncode == 2
     assert found.stderr == (
-        "hesr: 'kind' is hostile; allowed are static, references, convention.\n"
+        "hesr: --kind is hostile; allowed are static, references, convention.\n"
     )
 
 
