@@ -208,6 +208,16 @@ SELDOM static void component_tangent(const Component *component, const double *s
     mixed(forward, true, load, &tangent[TAU_LOAD]);
     mixed(forward, true, friction, &tangent[TAU_FRICTION]);
     mixed(forward, true, stop, &tangent[TAU_STOP]);
+    if (at.continuous == 0.0) { /* derivatives of states are those of the continuous form */
+        double continuous[VARIABLES] = {0.0};
+        at.continuous = 1.0;
+        component_tangent(&at, seed, continuous);
+        for (int i = 0; i < JOINTS; i++) {
+            const Joint *joint = solver.axis[i].step.joint;
+            const int first = joint->first_state + joint->states;
+            memcpy(&tangent[first], &continuous[first], (size_t)joint->states * sizeof *tangent);
+        }
+    }
 }
 
 #endif

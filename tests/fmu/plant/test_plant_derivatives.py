@@ -27,7 +27,7 @@ def names_of(fmu) -> tuple[list[str], list[str], dict[str, str]]:
     """Knowns of initialisation, unknowns, and the start value of each state."""
     variables = fmu.about.modelVariables
     knowns = [v.name for v in variables if v.start is not None and v.type == "Real"]
-    states = {u.variable.derivative.name for u in fmu.about.derivatives}
+    states = [u.variable.derivative.name for u in fmu.about.derivatives]
     begun = {name: name.replace("[", "_start[") for name in states}
     return knowns, [v.name for v in variables if v.start is None], begun
 
