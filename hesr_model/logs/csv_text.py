@@ -99,6 +99,7 @@ def _content(path: Path) -> bytes | None:
     with path.open("rb") as file:
         start, content = file.read(_START), None
     if unpack := next((f for magic, f in _UNPACKERS.items() if start.startswith(magic)), None):
+        _require_length(path, path.stat().st_size)
         try:
             with unpack(path) as packed:
                 content = packed.read(most_bytes(path) + 1)
@@ -120,6 +121,7 @@ def _content(path: Path) -> bytes | None:
             encoding = None if _CONTROL.search(start) else "cp1252"
     if not encoding:
         return content
+    _require_length(path, path.stat().st_size)
     try:
         return (path.read_bytes() if content is None else content).decode(encoding).encode()
     except UnicodeDecodeError as error:
