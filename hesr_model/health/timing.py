@@ -228,7 +228,7 @@ def delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
 
 
 def _delay(rubs: Array, torques: Array, used: int) -> Estimate:
-    """Return the lag whose torques (N, S) friction (N, K) fits best, `used` unknowns besides."""
+    """Return the lag at which friction (N, K) fits torques (N, S) best, after `used` unknowns."""
     from scipy.optimize import nnls
 
     # Friction of negative weight would imitate a lag.
