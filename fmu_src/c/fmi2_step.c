@@ -132,10 +132,15 @@ FMI2_STATUS(fmi2CancelStep)(fmi2Component c) {
     return fmi2Error;
 }
 
-FMI2_STATUS(fmi2GetStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
-    (void)kind, (void)value;
-    return no_status(c, "fmi2GetStatus");
-}
+#define NO_STATUS(function, type)                                                                  \
+    FMI2_STATUS(function)(fmi2Component c, const fmi2StatusKind kind, type *value) {               \
+        (void)kind, (void)value;                                                                   \
+        return no_status(c, #function);                                                            \
+    }
+
+NO_STATUS(fmi2GetStatus, fmi2Status)
+NO_STATUS(fmi2GetIntegerStatus, fmi2Integer)
+NO_STATUS(fmi2GetStringStatus, fmi2String)
 
 FMI2_STATUS(fmi2GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     static const char function[] = "fmi2GetRealStatus";
@@ -150,12 +155,6 @@ FMI2_STATUS(fmi2GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2R
     return fmi2OK;
 }
 
-FMI2_STATUS(fmi2GetIntegerStatus)
-(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
-    (void)kind, (void)value;
-    return no_status(c, "fmi2GetIntegerStatus");
-}
-
 FMI2_STATUS(fmi2GetBooleanStatus)
 (fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
     static const char function[] = "fmi2GetBooleanStatus";
@@ -168,9 +167,4 @@ FMI2_STATUS(fmi2GetBooleanStatus)
     }
     *value = fmi2False;
     return fmi2OK;
-}
-
-FMI2_STATUS(fmi2GetStringStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-    (void)kind, (void)value;
-    return no_status(c, "fmi2GetStringStatus");
 }

@@ -63,17 +63,14 @@ NO_CLOCKS(fmi3SetIntervalFraction)
 NO_CLOCKS(fmi3SetShiftDecimal)
 NO_CLOCKS(fmi3SetShiftFraction)
 
-FMI3_STATUS(fmi3EvaluateDiscreteStates)(fmi3Instance c) {
-    return without(c, "fmi3EvaluateDiscreteStates", 1);
-}
+#define NO_CALL(name)                                                                              \
+    FMI3_STATUS(name)(fmi3Instance c) {                                                            \
+        return without(c, #name, 1);                                                               \
+    }
 
-FMI3_STATUS(fmi3EnterConfigurationMode)(fmi3Instance c) {
-    return without(c, "fmi3EnterConfigurationMode", 1);
-}
-
-FMI3_STATUS(fmi3ExitConfigurationMode)(fmi3Instance c) {
-    return without(c, "fmi3ExitConfigurationMode", 1);
-}
+NO_CALL(fmi3EvaluateDiscreteStates)
+NO_CALL(fmi3EnterConfigurationMode)
+NO_CALL(fmi3ExitConfigurationMode)
 
 FMI3_STATUS(fmi3GetNumberOfVariableDependencies)
 (fmi3Instance c, fmi3ValueReference vr, size_t *n) {

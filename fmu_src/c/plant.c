@@ -41,127 +41,100 @@ static void mixed(const double matrix[JOINTS][JOINTS], bool transposed, const do
     }
 }
 
-/* Whether coordinate i is joint i, so that the joint's stops apply to it. */
-static bool alone(int i) {
-    for (int m = 0; COUPLED && m < JOINTS; m++) {
-        if ((m == i) != (forward[i][m] != 0.0) || (m != i && forward[m][i] != 0.0)) {
-            return false;
+static void open_solver(const Component *component, double h, Solver *solver) {
+    const double *v = component->v, *own = component->own;
+    for (Lanes *row = solver->mass; row < &solver->weight; row++) {
+        memset(&(*row)[JOINTS], 0, (LANES - JOINTS) * sizeof **row);
+    }
+    solver->component = component, solver->h = h, solver->holding = false;
+    mixed(forward, false, &v[Q], solver->q);
+    mixed(forward, false, &v[DQ], solver->v);
+    mixed(forward, false, &v[DDQ], solver->a);
+    memcpy(solver->steep, &own[SLOPE], JOINTS * sizeof *v);
+    memcpy(solver->inertial, &own[INERTIAL], JOINTS * sizeof *v);
+    memcpy(solver->last, &own[LAST], JOINTS * sizeof *v);
+    for (int i = 0; i < JOINTS; i++) {
+        const Joint *joint = &joints[i];
+        solver->middle[i] = 0.5 * (v[Q_MIN + i] + v[Q_MAX + i]);
+        solver->clearance[i] = 0.5 * (v[Q_MAX + i] - v[Q_MIN + i]);
+        solver->servo[i] = solver->gain[i] = solver->most[i] = 0.0;
+        solver->command[i] = SERVO ? own[INTEGRAL + i] : 0.0;
+        for (int j = LOAD + 1; j < joint->inputs; j++) {
+            solver->input[j][i] = v[joint->input[j]];
+        }
+        for (int j = 0; j < joint->states; j++) {
+            solver->x[j][i] = v[joint->first_state + j];
         }
     }
-    return true;
-}
-
-static void open_axis(const Component *component, int i, Axis *axis) {
-    const Joint *joint = &joints[i];
-    const double *v = component->v;
-    const bool stops = alone(i);
-    Step *step = &axis->step;
-    step->joint = joint;
-    step->k = joint->constants ? joint->constants : &v[joint->first_parameter];
-    step->gear = 1.0;
-    step->stiffness = stops ? v[STIFFNESS + i] : 0.0;
-    step->damping = stops ? v[DAMPING + i] : 0.0;
-    step->q_link = 0.5 * (v[Q_MIN + i] + v[Q_MAX + i]);
-    step->clearance = 0.5 * (v[Q_MAX + i] - v[Q_MIN + i]);
-    step->euler = v[DISCRETISATION] == EULER;
-    step->servo = step->gain = step->most = 0.0;
-    for (int j = LOAD + 1; j < joint->inputs; j++) {
-        step->u[j] = v[joint->input[j]];
-    }
-    for (int j = 0; j < joint->states; j++) {
-        axis->from.x[j] = v[joint->first_state + j];
-    }
-}
-
-static void open_solver(const Component *component, double h, Solver *solver) {
-    const double *own = component->own;
-    double q[JOINTS], dq[JOINTS], ddq[JOINTS];
-    mixed(forward, false, &component->v[Q], q);
-    mixed(forward, false, &component->v[DQ], dq);
-    mixed(forward, false, &component->v[DDQ], ddq);
-    solver->h = h;
-    for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        open_axis(component, i, axis);
-        axis->step.h = h;
-        axis->from.q = q[i];
-        axis->from.dq = dq[i];
-        axis->from.ddq = ddq[i];
-        axis->slope = own[SLOPE + i];
-        axis->inertial = own[INERTIAL + i];
-        axis->command = SERVO ? own[INTEGRAL + i] : 0.0;
-    }
-    copy_to_lanes(solver);
 }
 
 static void store(Component *component, const Solver *solver) {
-    double q[JOINTS], dq[JOINTS], ddq[JOINTS], load[JOINTS], friction[JOINTS], stop[JOINTS];
-    double *v = component->v, *own = component->own, motor[JOINTS], unused = 0.0;
+    double *v = component->v, *own = component->own, motor[JOINTS], load[JOINTS], stop[JOINTS];
+    memcpy(&own[SLOPE], solver->steep, JOINTS * sizeof *v);
+    memcpy(&own[INERTIAL], solver->inertial, JOINTS * sizeof *v);
+    memcpy(&own[LAST], solver->last, JOINTS * sizeof *v);
     for (int i = 0; i < JOINTS; i++) {
-        const Axis *axis = &solver->axis[i];
-        const Motion *at = &axis->from;
-        q[i] = at->q, dq[i] = at->dq, ddq[i] = at->ddq;
-        load[i] = solver->bias[i] + axis->inertial;
-        friction[i] = at->tau_f, stop[i] = at->tau_link;
-        memcpy(&v[axis->step.joint->first_state], at->x,
-               (size_t)axis->step.joint->states * sizeof *v);
-        own[SLOPE + i] = axis->slope;
-        own[INERTIAL + i] = axis->inertial;
+        load[i] = solver->bias[i] + solver->inertial[i];
+        stop[i] = solver->stop[i];
+        for (int j = 0; j < joints[i].states; j++) {
+            v[joints[i].first_state + j] = solver->x[j][i];
+        }
         if (SERVO) {
-            const double servo = servo_torque(&axis->step, axis->trial.v, &unused);
-            own[INTEGRAL + i] = axis->command;
+            const double servo = servo_at(solver, i, solver->u[i]);
+            own[INTEGRAL + i] = solver->command[i];
             stop[i] += servo;
-            motor[i] = axis->support + servo;
+            motor[i] = solver->support[i] + servo;
         }
     }
     if (SERVO) {
         mixed(forward, true, motor, &v[TAU_MOTOR]);
     }
-    store_tool(v, q);
+    store_tool(v, solver->q);
     if (component->continuous == 0.0) { /* else they belong to the solver */
-        mixed(backward, true, q, &v[Q]);
-        mixed(backward, true, dq, &v[DQ]);
+        mixed(backward, true, solver->q, &v[Q]);
+        mixed(backward, true, solver->v, &v[DQ]);
     }
-    mixed(backward, true, ddq, &v[DDQ]);
+    mixed(backward, true, solver->a, &v[DDQ]);
     mixed(forward, true, load, &v[TAU_LOAD]);
-    mixed(forward, true, friction, &v[TAU_FRICTION]);
+    mixed(forward, true, solver->friction[0], &v[TAU_FRICTION]);
     mixed(forward, true, stop, &v[TAU_STOP]);
 }
 
-/* Make an inner step of length h that ends at `time`. Two of half the length replace one without a
- * solution: the shorter the step, the more inertia dominates. */
-static bool inner_step(const Component *component, Solver *solver, double time, double h,
-                       int halvings, Message *why) {
+INLINED bool try_step_inlined(Solver *solver, double time, double h, Message *why) {
     double q[JOINTS], dq[JOINTS];
     solver->h = h;
     for (int i = 0; i < JOINTS; i++) {
-        const Motion *from = &solver->axis[i].from;
-        q[i] = from->q + 0.5 * h * from->dq;
-        dq[i] = from->dq + 0.5 * h * from->ddq;
+        q[i] = solver->q[i] + 0.5 * h * solver->v[i];
+        dq[i] = solver->v[i] + 0.5 * h * solver->a[i];
     }
     if (SERVO) {
-        weigh(component, solver, q);
+        weigh(solver, q);
     }
-    evaluate(component, solver, q, dq);
+    evaluate(solver, q, dq);
     for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        axis->step.h = h;
-        axis->applied = mixed_at(component, true, TAU, i, time - 0.5 * h) - solver->bias[i];
-        if (SERVO) {
-            drive(component, i, time - h, axis);
-        }
-        axis->step.u[LOAD] = solver->bias[i] + axis->inertial;
+        const double torque = mixed_at(solver->component, true, TAU, i, time - 0.5 * h);
+        solver->applied[i] = torque - solver->bias[i];
+        solver->input[LOAD][i] = solver->bias[i] + solver->inertial[i];
     }
-    if (advance(solver, why)) {
-        for (int i = 0; SERVO && i < JOINTS; i++) {
-            Axis *axis = &solver->axis[i]; /* at the end of the step */
-            axis->command += h * commanded(component, i, time - h, axis);
-        }
-        return true;
+    for (int i = 0; SERVO && i < JOINTS; i++) {
+        drive(solver, i, time - h);
     }
-    return halvings > 0 &&
-           inner_step(component, solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
-           inner_step(component, solver, time, 0.5 * h, halvings - 1, why);
+    if (!advance(solver, why)) {
+        return false;
+    }
+    for (int i = 0; SERVO && i < JOINTS; i++) { /* at the end of the step */
+        solver->command[i] += h * commanded(solver, i, time - h);
+    }
+    return true;
+}
+IN_WIDTHS(try_step, (Solver * solver, double time, double h, Message *why), (solver, time, h, why))
+
+/* Make an inner step of length h that ends at `time`. Two of half the length replace one without a
+ * solution: the shorter the step, the more inertia dominates. */
+static bool inner_step(Solver *solver, double time, double h, int halvings, Message *why) {
+    return try_step(solver, time, h, why) ||
+           (halvings > 0 && inner_step(solver, time - 0.5 * h, 0.5 * h, halvings - 1, why) &&
+            inner_step(solver, time, 0.5 * h, halvings - 1, why));
 }
 
 /* Check a parameter; NaN fails. */
@@ -218,7 +191,7 @@ static bool component_step(Component *component, void *workspace, double step, M
     double fastest = 0.0;
     (void)workspace;
     for (int i = 0; i < JOINTS; i++) {
-        fastest = fmax(fastest, fabs(component->v[DQ + i]));
+        fastest = larger(fabs(component->v[DQ + i]), fastest);
     }
     const double longest = fmin(component->v[SUBSTEP], LONGEST_MOTION / fastest);
     const double parts = fmax(1.0, ceil(step / longest * (1.0 - ROUNDING)));
@@ -235,13 +208,11 @@ static bool component_step(Component *component, void *workspace, double step, M
                  component->v[LATENCY], MOST_COMMANDS);
         return false;
     }
-    if (component->changed != 0.0) {
-        regroup(component);
-    }
+    adopt(component);
     Solver solver;
     open_solver(component, step / parts, &solver);
     for (double n = 1.0; n <= parts; n++) {
-        if (!inner_step(component, &solver, step * (n / parts), step / parts, HALVINGS, why)) {
+        if (!inner_step(&solver, step * (n / parts), step / parts, HALVINGS, why)) {
             return false;
         }
     }

@@ -24,25 +24,26 @@ static const double along_load[MAX_INPUTS] = {[LOAD] = 1.0};
 
 /* Set friction, stop and the derivatives dx of an axis under a load, or, in model exchange, under
  * what friction and stop leave of the torque. */
-static bool rub(const Component *component, int i, double load, Axis *axis, double *dx,
-                Message *why) {
-    const double torque = mixed_at(component, true, TAU, i, 0.0);
+static bool rub(Solver *solver, int i, double load, double *dx, Message *why) {
+    const double torque = mixed_at(solver->component, true, TAU, i, 0.0);
+    const Joint *joint = &joints[i];
     double u[MAX_INPUTS], y[MAX_OUTPUTS], tdx[MAX_STATES], ty[MAX_OUTPUTS], unused = 0.0;
-    Step *step = &axis->step;
-    Motion *at = &axis->from;
-    see(step, at->q, at->dq, u);
+    Step step;
+    Motion at;
+    open_axis(solver, i, &step, &at);
+    see(&step, at.q, at.dq, u);
     u[LOAD] = load;
-    at->tau_link = stop_torque(step, u, u, &unused);
+    const double stop = solver->stop[i] = stop_torque(&step, u, u, &unused);
     for (int n = 0; n < MOST_LOADS; n++) {
-        step->joint->flow(step->k, u, at->x, dx, y);
-        step->u[LOAD] = u[LOAD];
-        at->tau_f = y[0];
-        const double missing = torque - y[0] - at->tau_link - u[LOAD];
-        const double size = fabs(torque) + fabs(y[0]) + fabs(at->tau_link);
-        if (SERVO || component->continuous == 0.0 || !(fabs(missing) > EVEN * size)) {
+        joint->flow(step.k, u, at.x, dx, y);
+        solver->input[LOAD][i] = u[LOAD];
+        solver->friction[0][i] = y[0];
+        const double missing = torque - y[0] - stop - u[LOAD];
+        const double size = fabs(torque) + fabs(y[0]) + fabs(stop);
+        if (SERVO || solver->component->continuous == 0.0 || !(fabs(missing) > EVEN * size)) {
             return true;
         }
-        step->joint->flow_tangent(step->k, u, at->x, no_change, along_load, no_change, tdx, ty);
+        joint->flow_tangent(step.k, u, at.x, no_change, along_load, no_change, tdx, ty);
         u[LOAD] += missing / (1.0 + ty[0]);
     }
     snprintf(why->text, sizeof why->text,
@@ -51,52 +52,71 @@ static bool rub(const Component *component, int i, double load, Axis *axis, doub
     return false;
 }
 
+/* Follow parameters that have changed. */
+static void adopt(Component *component) {
+    double *v = component->v, *own = component->own, u[MAX_INPUTS], c[PREPARED];
+    if (own[STARTED] != 0.0 && component->changed == 0.0) {
+        return;
+    }
+    for (int l = 0; l < LANES && ALIKE; l++) {
+        const Joint *joint = &joints[l < JOINTS ? l : JOINTS - 1];
+        for (int j = 0; j < joint->inputs; j++) {
+            u[j] = v[joint->input[j]];
+        }
+        joint->prepare(joint->constants ? joint->constants : &v[joint->first_parameter], u, c);
+        for (int j = 0; j < PREPARED; j++) {
+            own[LAW + j * LANES + l] = c[j];
+        }
+    }
+    regroup(component);
+}
+
 /* Set acceleration, torques and derivatives of the friction's states at the motion in `v`, which is
  * that of the start values until initialisation ends. */
 static bool flow(Component *component, Solver *solver, Message *why) {
     const bool starting = component->own[STARTED] == 0.0;
-    double *v = component->v, q[JOINTS], dq[JOINTS], rest[JOINTS], zero[JOINTS] = {0.0};
+    double *v = component->v, rest[JOINTS], zero[JOINTS] = {0.0};
     if (starting) {
         memcpy(&v[Q], &v[Q_START], JOINTS * sizeof *v);
         memcpy(&v[DQ], &v[DQ_START], JOINTS * sizeof *v);
     }
-    if (starting || component->changed != 0.0) {
-        regroup(component);
-    }
+    adopt(component);
     open_solver(component, 0.0, solver);
-    mixed(forward, false, &v[Q], q);
-    mixed(forward, false, &v[DQ], dq);
     if (SERVO) {
-        weigh(component, solver, q);
+        weigh(solver, solver->q);
     }
-    evaluate(component, solver, q, dq);
+    evaluate(solver, solver->q, solver->v);
     for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        const Joint *joint = axis->step.joint;
+        const Joint *joint = &joints[i];
         double u[MAX_INPUTS], *dx = &v[joint->first_state + joint->states];
         double load = solver->bias[i];
+        Step step;
+        Motion from;
         if (starting && joint->states > 0) {
-            see(&axis->step, q[i], dq[i], u);
+            open_axis(solver, i, &step, &from);
+            see(&step, from.q, from.dq, u);
             u[LOAD] = load;
-            memcpy(axis->from.x, &v[joint->first_start], (size_t)joint->states * sizeof *v);
+            memcpy(from.x, &v[joint->first_start], (size_t)joint->states * sizeof *v);
             if (v[START_MODE] == STEADY) {
-                joint->begin(axis->step.k, u, axis->from.x);
+                joint->begin(step.k, u, from.x);
+            }
+            for (int j = 0; j < joint->states; j++) {
+                solver->x[j][i] = from.x[j];
             }
         } else if (SERVO && !starting) {
             load = mixed_at(component, true, TAU_LOAD, i, 0.0);
         }
-        if (!rub(component, i, load, axis, dx, why)) {
+        if (!rub(solver, i, load, dx, why)) {
             return false;
         }
-        axis->slope = NEVER_SMOOTH;
-        axis->trial.v = dq[i];
-        axis->held = false;
+        solver->steep[i] = NEVER_SMOOTH;
+        solver->u[i] = solver->v[i];
         rest[i] = mixed_at(component, true, TAU, i, 0.0) - solver->bias[i];
-        rest[i] -= axis->from.tau_f + axis->from.tau_link;
+        rest[i] -= solver->friction[0][i] + solver->stop[i];
         if (SERVO) {
-            rest[i] += hold_start(component, i, q[i], rest[i] + axis->support, axis);
+            rest[i] += hold_start(solver, i, rest[i] + solver->support[i]);
         }
-        axis->inertial = rest[i];
+        solver->inertial[i] = rest[i];
     }
     if (!solved(solver, zero, rest)) {
         snprintf(why->text, sizeof why->text,
@@ -104,9 +124,8 @@ static bool flow(Component *component, Solver *solver, Message *why) {
                  "and the payload.");
         return false;
     }
-    for (int i = 0; i < JOINTS; i++) {
-        solver->axis[i].from.ddq = rest[i];
-    }
+    memcpy(solver->a, rest, sizeof rest);
+    memcpy(solver->last, rest, sizeof rest);
     return true;
 }
 
@@ -145,7 +164,7 @@ static double change_stop(const Step *step, int i, const double *seed, const dou
 SELDOM static void component_tangent(const Component *component, const double *seed,
                                      double *tangent) {
     const bool started = component->own[STARTED] != 0.0;
-    double q[JOINTS], dq[JOINTS], tq[JOINTS], tdq[JOINTS], ddq[JOINTS], tp[10 * LINKS];
+    double tq[JOINTS], tdq[JOINTS], tp[10 * LINKS];
     double moved[JOINTS], settled[JOINTS], rest[JOINTS], load[JOINTS], torque[JOINTS];
     double friction[JOINTS], stop[JOINTS], slope[MAX_OUTPUTS], y[MAX_OUTPUTS];
     double zero[JOINTS] = {0.0};
@@ -159,35 +178,32 @@ SELDOM static void component_tangent(const Component *component, const double *s
         }
         return;
     }
-    mixed(forward, false, &at.v[Q], q);
-    mixed(forward, false, &at.v[DQ], dq);
     mixed(forward, false, &seed[started ? Q : Q_START], tq);
     mixed(forward, false, &seed[started ? DQ : DQ_START], tdq);
     mixed(backward, false, &seed[TAU], torque);
-    for (int i = 0; i < JOINTS; i++) {
-        ddq[i] = solver.axis[i].from.ddq;
-    }
     change_table(at.v, seed, tp);
-    torque_change(&at, seed, tp, q, dq, zero, tq, tdq, settled);
-    torque_change(&at, seed, tp, q, dq, ddq, tq, tdq, moved);
+    torque_change(&at, seed, tp, solver.q, solver.v, zero, tq, tdq, settled);
+    torque_change(&at, seed, tp, solver.q, solver.v, solver.a, tq, tdq, moved);
     for (int i = 0; i < JOINTS; i++) {
-        const Axis *axis = &solver.axis[i];
-        const Joint *joint = axis->step.joint;
-        const double *k = axis->step.k, *x = axis->from.x;
+        Step step;
+        Motion from;
+        open_axis(&solver, i, &step, &from);
+        const Joint *joint = step.joint;
+        const double *k = step.k, *x = from.x;
         const double *dk = joint->constants ? no_change : &seed[joint->first_parameter];
         double u[MAX_INPUTS], du[MAX_INPUTS] = {tdq[i], tq[i], settled[i]};
         double *tx = &tangent[joint->first_state], *tdx = tx + joint->states;
         for (int j = LOAD + 1; j < joint->inputs; j++) {
             du[j] = seed[joint->input[j]];
         }
-        see(&axis->step, q[i], dq[i], u);
-        stop[i] = change_stop(&axis->step, i, seed, u, du);
+        see(&step, from.q, from.dq, u);
+        stop[i] = change_stop(&step, i, seed, u, du);
         memcpy(tx, &seed[started ? joint->first_state : joint->first_start],
                (size_t)joint->states * sizeof *tx);
         if (!started && joint->states > 0 && at.v[START_MODE] == STEADY) {
             u[LOAD] = solver.bias[i];
             joint->begin_tangent(k, u, &at.v[joint->first_start], dk, du, tx);
-            u[LOAD] = axis->step.u[LOAD];
+            u[LOAD] = step.u[LOAD];
         }
         if (at.continuous != 0.0) {
             du[LOAD] = 0.0;
@@ -201,7 +217,7 @@ SELDOM static void component_tangent(const Component *component, const double *s
         rest[i] = load[i] - moved[i];
     }
     solved(&solver, zero, rest);
-    change_tool(tangent, q, tq);
+    change_tool(tangent, solver.q, tq);
     mixed(backward, true, tq, &tangent[Q]);
     mixed(backward, true, tdq, &tangent[DQ]);
     mixed(backward, true, rest, &tangent[DDQ]);

@@ -2,15 +2,14 @@
 #ifndef PLANT_SERVO_H
 #define PLANT_SERVO_H
 
-#include "dynamics.h"
 #include "plant_solver.h"
 
-/* Own memory: whether initialisation has ended, slopes of G, mass matrix times acceleration, and
- * parameters of dynamics.h. A servo's follows. */
-enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, TABLE = INERTIAL + JOINTS };
-
 /* Memory of a servo: integrals of its commands, and earlier commands: time, speeds, positions. */
-enum { INTEGRAL = TABLE + 10 * LINKS, COMMANDS = INTEGRAL + JOINTS, FIRST_COMMAND = COMMANDS + 1 };
+enum {
+    INTEGRAL = LAW + PREPARED * LANES,
+    COMMANDS = INTEGRAL + JOINTS,
+    FIRST_COMMAND = COMMANDS + 1
+};
 enum { SPEEDS = 1, POSITIONS = SPEEDS + JOINTS, ROW = POSITIONS + (POSITION ? JOINTS : 0) };
 
 /* Greatest number of commands within the latency. */
@@ -20,17 +19,16 @@ enum { MOST_COMMANDS = 64 };
 #define ROUNDING 1e-9
 
 /* Evaluate mass matrix and bias at a motion in the coordinates of the friction. */
-static void evaluate(const Component *component, Solver *solver, const double *q,
-                     const double *dq) {
-    const double *v = component->v;
-    dynamics(&component->own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], q, dq, solver->mass,
-             solver->bias);
+INLINED bool evaluate_inlined(Solver *solver, const double *q, const double *dq) {
+    const double *v = solver->component->v;
+    dynamics(&solver->component->own[TABLE], &v[ROTORS], &v[SPRINGS], &v[GRAVITY], q, dq,
+             solver->mass, solver->bias);
     for (int i = 0; i < JOINTS; i++) {
-        for (int j = 0; j < i; j++) {
-            solver->mass[j][i] = solver->mass[i][j];
-        }
+        solver->diagonal[i] = solver->mass[i][i];
     }
+    return true;
 }
+IN_WIDTHS(evaluate, (Solver * solver, const double *q, const double *dq), (solver, q, dq))
 
 /* Command of a kind that acts at `time` [s] after the start of the step; before the first one,
  * `otherwise`. */
@@ -48,14 +46,15 @@ static double acting(const Component *component, int i, double time, int kind, d
 
 /* Speed command of an axis, with that of the controller of its position, `time` [s] after the start
  * of the step. */
-static double commanded(const Component *component, int i, double time, const Axis *axis) {
+static double commanded(const Solver *solver, int i, double time) {
+    const Component *component = solver->component;
     const double speed = acting(component, i, time, SPEEDS, 0.0);
     if (!POSITION) {
         return speed;
     }
     const double start = mixed_at(component, false, Q_START, i, 0.0);
     const double q_cmd = acting(component, i, time, POSITIONS, start);
-    return speed + component->v[KP + i] * (q_cmd - axis->from.q);
+    return speed + component->v[KP + i] * (q_cmd - solver->q[i]);
 }
 
 /* Forget commands that no longer act `later` [s] after the start of the step; whether there is room
@@ -85,39 +84,42 @@ static void remember(Component *component, double step) {
 }
 
 /* Set the supported torque of every axis: its share of gravity and springs at a posture. */
-static void weigh(const Component *component, Solver *solver, const double *q) {
+static void weigh(Solver *solver, const double *q) {
     const double rest[JOINTS] = {0.0};
-    evaluate(component, solver, q, rest);
+    evaluate(solver, q, rest);
     for (int i = 0; i < JOINTS; i++) {
-        solver->axis[i].support = component->v[GRAVITY_SHARE + i] * solver->bias[i];
+        solver->support[i] = solver->component->v[GRAVITY_SHARE + i] * solver->bias[i];
     }
 }
 
+static double servo_at(const Solver *solver, int i, double speed) {
+    const double torque = solver->servo[i] - solver->gain[i] * speed;
+    return fabs(torque) >= solver->most[i] ? copysign(solver->most[i], torque) : torque;
+}
+
 /* Set an axis's servo to the command at `time`, and add what supports the axis. */
-static void drive(const Component *component, int i, double time, Axis *axis) {
-    const double *v = component->v, h = axis->step.h;
-    const double command = commanded(component, i, time, axis);
-    const double behind = axis->command + h * command - axis->from.q;
-    axis->step.servo = v[KV + i] * command + v[KI + i] * behind;
-    axis->step.gain = (v[KV + i] + h * v[KI + i]) * (POSITION ? 1.0 + h * v[KP + i] : 1.0);
-    axis->step.most = v[TORQUE_LIMIT + i];
-    axis->applied += axis->support;
-    axis->support += mixed_at(component, true, TAU, i, time + 0.5 * h);
+static void drive(Solver *solver, int i, double time) {
+    const double *v = solver->component->v, h = solver->h;
+    const double command = commanded(solver, i, time);
+    const double behind = solver->command[i] + h * command - solver->q[i];
+    solver->servo[i] = v[KV + i] * command + v[KI + i] * behind;
+    solver->gain[i] = (v[KV + i] + h * v[KI + i]) * (POSITION ? 1.0 + h * v[KP + i] : 1.0);
+    solver->most[i] = v[TORQUE_LIMIT + i];
+    solver->applied[i] += solver->support[i];
+    solver->support[i] += mixed_at(solver->component, true, TAU, i, time + 0.5 * h);
 }
 
 /* Set the integral of a servo so that its torque is `missing` less at speed 0; return the torque of
  * servo and support at the start. */
-static double hold_start(const Component *component, int i, double q, double missing, Axis *axis) {
-    const double *v = component->v, ki = v[KI + i];
-    double unused = 0.0;
-    axis->command = ki > 0.0 ? q - missing / ki : q;
-    axis->step.servo = ki * (axis->command - q);
-    axis->step.gain = v[KV + i];
-    axis->step.most = v[TORQUE_LIMIT + i];
-    const double support = axis->support;
-    const double servo = servo_torque(&axis->step, axis->from.dq, &unused);
-    axis->from.tau_link -= servo;
-    axis->support += mixed_at(component, true, TAU, i, 0.0);
+static double hold_start(Solver *solver, int i, double missing) {
+    const double *v = solver->component->v, ki = v[KI + i], q = solver->q[i];
+    solver->command[i] = ki > 0.0 ? q - missing / ki : q;
+    solver->servo[i] = ki * (solver->command[i] - q);
+    solver->gain[i] = v[KV + i];
+    solver->most[i] = v[TORQUE_LIMIT + i];
+    const double support = solver->support[i], servo = servo_at(solver, i, solver->v[i]);
+    solver->stop[i] -= servo;
+    solver->support[i] += mixed_at(solver->component, true, TAU, i, 0.0);
     return support + servo;
 }
 

@@ -6,9 +6,14 @@
 #ifndef PLANT_SOLVER_H
 #define PLANT_SOLVER_H
 
-#include "coupling.h"
+#include "dynamics.h"
 #include "root.h"
 #include "servo.h"
+
+/* Own memory: whether initialisation has ended, slopes of G, mass matrix times acceleration, the
+ * acceleration before, parameters of dynamics.h, and those of the law. A servo's follows. */
+enum { STARTED = 0, SLOPE = 1, INERTIAL = SLOPE + JOINTS, LAST = INERTIAL + JOINTS };
+enum { TABLE = LAST + JOINTS, LAW = TABLE + 10 * LINKS };
 
 enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HALVINGS = 12 };
 
@@ -18,12 +23,8 @@ enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HAL
 /* Share of the momentum that counts as torque in this, because of rounding. */
 #define GRAIN 1e-5
 
-/* A loop of few rounds. */
-#ifdef __clang__
-#define UNROLLED _Pragma("clang loop unroll(full)")
-#else
-#define UNROLLED
-#endif
+/* Share of the balance that the curvature of friction may use. */
+#define STRAIGHT_SHARE 0.1
 
 /* Slope of friction that holds, or is not known yet. */
 #define NEVER_SMOOTH 1e100
@@ -31,26 +32,29 @@ enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HAL
 /* Penetration depth for the full damping of a stop [rad or m]. */
 #define DEPTH 1e-3
 
-typedef struct {
-    Step step;
-    Motion from;
-    Trial trial;     /* speed u, friction and stop at it, and the states moved by it */
-    double slope;    /* of friction and stop over the speed */
-    double weight;   /* 1/2: midpoint; 1: implicit Euler */
-    double applied;  /* torque of the motor less the bias */
-    double inertial; /* mass matrix times acceleration */
-    bool held;       /* whether friction holds the speed, where its law jumps */
-    double command;  /* integral of the servo's command */
-    double support;  /* torque of the motor besides the servo's */
-} Axis;
+typedef double Lanes[LANES];
 
+/* All axes; spare lanes hold finite values. */
 typedef struct {
-    Axis axis[JOINTS];
-    double mass[JOINTS][JOINTS], bias[JOINTS];
+    Lanes mass[JOINTS], diagonal, bias;
+    Lanes q, v, a, last;                    /* motion at the start, and the acceleration before */
+    Lanes steep;                            /* slope of the last step */
+    Lanes middle, clearance;                /* of the stops */
+    Lanes applied;                          /* torque of the motor less the bias */
+    Lanes x[MAX_STATES], input[MAX_INPUTS]; /* of the laws */
+    Lanes u; /* speeds tried, with states, friction and its slope, and stops at them */
+    Lanes moved[MAX_STATES], friction[MAX_OUTPUTS], slope[MAX_OUTPUTS], stop;
+    Lanes rise[MAX_STATES];  /* of the states over the speed */
+    Lanes weight;            /* 1/2: midpoint; 1: implicit Euler */
+    Lanes inertial;          /* mass matrix times acceleration */
+    Lanes command;           /* integral of the servo's command */
+    Lanes support;           /* torque of the motor besides the servo's */
+    Lanes servo, gain, most; /* torque of a servo at speed 0, minus its slope, and its limit */
+    const Component *component;
     double h;
-    /* Arguments of the law of all axes, if `alike`. Spare lanes repeat the last axis. */
-    bool alike;
-    double k[MAX_PARAMETERS][LANES], u[MAX_INPUTS][LANES], x[MAX_STATES][LANES];
+    bool held[JOINTS]; /* whether friction holds the speed, where its law jumps */
+    bool holding;      /* whether it holds any */
+    bool smooth;       /* whether nothing but the law of all axes acts, and `rise` is known */
 } Solver;
 
 /* Torque of the one-sided springs beyond the clearance; they push but do not pull. */
@@ -85,88 +89,117 @@ static double link_torque(const Step *step, const double *u, const double *du, d
     return SERVO ? stop - servo_torque(step, u[0], slope) : stop;
 }
 
-/* Whether the law may hold the axis at rest. */
-static bool jumps(const Axis *axis) {
-    return axis->step.joint->switches_of_joint > 0;
+/* Whether the law may hold axis i at rest. */
+static bool jumps(int i) {
+    return joints[i].switches_of_joint > 0;
 }
 
-static double torque_of(const Axis *axis) {
-    return axis->trial.tau_f + axis->trial.tau_link;
-}
-
-static void copy_to_lanes(Solver *solver) {
-    const Joint *first = solver->axis[0].step.joint;
-    solver->alike = true;
-    for (int l = 0; l < LANES; l++) {
-        const Axis *axis = &solver->axis[l < JOINTS ? l : JOINTS - 1];
-        solver->alike &= axis->step.joint->attempts == first->attempts;
-        for (int j = 0; j < first->parameters && solver->alike; j++) {
-            solver->k[j][l] = axis->step.k[j];
+/* Whether coordinate i is joint i, so that the joint's stops apply to it. */
+static bool alone(int i) {
+    for (int m = 0; COUPLED && m < JOINTS; m++) {
+        if ((m == i) != (forward[i][m] != 0.0) || (m != i && forward[m][i] != 0.0)) {
+            return false;
         }
+    }
+    return true;
+}
+
+/* Axis i as that of balance.h. */
+static void open_axis(const Solver *solver, int i, Step *step, Motion *from) {
+    const Joint *joint = &joints[i];
+    const double *v = solver->component->v;
+    const bool stops = alone(i);
+    step->joint = joint;
+    step->k = joint->constants ? joint->constants : &v[joint->first_parameter];
+    step->gear = 1.0;
+    step->stiffness = stops ? v[STIFFNESS + i] : 0.0;
+    step->damping = stops ? v[DAMPING + i] : 0.0;
+    step->q_link = solver->middle[i];
+    step->clearance = solver->clearance[i];
+    step->servo = solver->servo[i];
+    step->gain = solver->gain[i];
+    step->most = solver->most[i];
+    step->h = solver->h;
+    step->euler = v[DISCRETISATION] == EULER;
+    from->q = solver->q[i];
+    from->dq = solver->v[i];
+    for (int j = LOAD; j < joint->inputs; j++) {
+        step->u[j] = solver->input[j][i];
+    }
+    for (int j = 0; j < joint->states; j++) {
+        from->x[j] = solver->x[j][i];
     }
 }
 
-/* States and held inputs, which differ from step to step. */
-static void update_lanes(Solver *solver) {
-    const Joint *joint = solver->axis[0].step.joint;
-    for (int l = 0; l < LANES && solver->alike; l++) {
-        const Axis *axis = &solver->axis[l < JOINTS ? l : JOINTS - 1];
-        for (int j = LOAD; j < joint->inputs; j++) {
-            solver->u[j][l] = axis->step.u[j];
-        }
-        for (int j = 0; j < joint->states; j++) {
-            solver->x[j][l] = axis->from.x[j];
-        }
+static void keep(Solver *solver, int i, const Trial *trial, bool held, double slope) {
+    solver->u[i] = trial->v;
+    solver->friction[0][i] = trial->tau_f;
+    solver->stop[i] = trial->tau_link;
+    solver->slope[0][i] = held ? NEVER_SMOOTH : slope;
+    solver->held[i] = held;
+    solver->holding |= held;
+    solver->smooth = false;
+    for (int j = 0; j < joints[i].states; j++) {
+        solver->moved[j][i] = trial->x[j];
     }
+}
+
+NOINLINE static void attempt_one(Solver *solver, int i, double speed, bool held) {
+    Step step;
+    Motion from;
+    Trial trial;
+    open_axis(solver, i, &step, &from);
+    attempt(&step, &from, speed, &trial);
+    keep(solver, i, &trial, held, trial.slope);
 }
 
 /* Evaluate friction and stop of every axis that is not held, at a speed. */
-static void attempt_all(Solver *solver, const double *speed) {
-    const Joint *joint = solver->axis[0].step.joint;
-    double moved[MAX_STATES][LANES], torque[MAX_OUTPUTS][LANES], slope[MAX_OUTPUTS][LANES];
+INLINED void attempt_all(Solver *solver, const double *speed) {
+    const Lanes *c = (const Lanes *)&solver->component->own[LAW];
+    const double h = solver->h, euler = solver->component->v[DISCRETISATION] == EULER;
+    int near = SERVO;
     bool done = false;
-    if (solver->alike) {
+    if (ALIKE && !solver->holding) {
         for (int l = 0; l < LANES; l++) {
-            const int i = l < JOINTS ? l : JOINTS - 1;
-            solver->u[0][l] = speed[i];
-            solver->u[1][l] = solver->axis[i].from.q + solver->h * speed[i];
+            solver->u[l] = solver->input[0][l] = speed[l];
+            solver->input[1][l] = solver->q[l] + h * speed[l];
+            solver->stop[l] = 0.0;
+            near |= !(fabs(solver->input[1][l] - solver->middle[l]) <= solver->clearance[l]);
         }
-        done = joint->attempts(solver->k, solver->u, solver->x, solver->h,
-                               solver->axis[0].step.euler, moved, torque, slope);
+        done =
+            joints[0].attempts(c, (const Lanes *)solver->input, (const Lanes *)solver->x, h, euler,
+                               solver->moved, solver->rise, solver->friction, solver->slope);
     }
-    for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        Trial *trial = &axis->trial;
-        if (axis->held) {
-            continue;
-        }
+    solver->smooth = done && !near;
+    for (int i = 0; i < JOINTS && (near || !done); i++) {
         if (done) {
-            const double u[] = {speed[i], solver->u[1][i]}, du[] = {1.0, solver->h};
-            trial->v = speed[i];
-            trial->tau_f = torque[0][i];
-            trial->slope = slope[0][i];
-            trial->tau_link = link_torque(&axis->step, u, du, &trial->slope);
-            for (int j = 0; j < joint->states; j++) {
-                trial->x[j] = moved[j][i];
-            }
-        } else {
-            attempt(&axis->step, &axis->from, speed[i], trial);
+            const double u[] = {speed[i], solver->input[1][i]}, du[] = {1.0, h};
+            Step step;
+            Motion from;
+            open_axis(solver, i, &step, &from);
+            solver->stop[i] = link_torque(&step, u, du, &solver->slope[0][i]);
+        } else if (!solver->held[i]) {
+            attempt_one(solver, i, speed[i], false);
         }
-        axis->slope = trial->slope;
     }
 }
 
 /* Replace `right` by the solution of (M + diag(more)) x = right, by a factorisation L D L'; rows of
  * held axes give 0. */
-static bool solved(const Solver *solver, const double *more, double *right) {
-    double a[JOINTS][JOINTS], inverse[JOINTS];
+INLINED bool solved(const Solver *solver, const double *more, double *right) {
+    double inverse[JOINTS];
+    Lanes a[JOINTS];
     memcpy(a, solver->mass, sizeof a);
+    UNROLLED
     for (int i = 0; i < JOINTS; i++) {
         a[i][i] += more[i];
-        for (int j = 0; j < JOINTS && solver->axis[i].held; j++) {
-            a[i][j] = a[j][i] = i == j ? 1.0 : 0.0;
+    }
+    for (int i = 0; i < JOINTS && solver->holding; i++) {
+        for (int j = 0; j < JOINTS; j++) {
+            a[j > i ? j : i][j > i ? i : j] *= !solver->held[i];
         }
-        right[i] = solver->axis[i].held ? 0.0 : right[i];
+        a[i][i] += solver->held[i];
+        right[i] *= !solver->held[i];
     }
     UNROLLED
     for (int j = 0; j < JOINTS; j++) {
@@ -195,138 +228,160 @@ static bool solved(const Solver *solver, const double *more, double *right) {
     return true;
 }
 
-/* Change of an axis's speed over the whole step. */
-static double change_of(const Axis *axis) {
-    return (axis->trial.v - axis->from.dq) / axis->weight;
-}
-
-/* Impulse of axis i for these changes of the speeds. */
-static double impulse(const Solver *solver, int i, const double *change) {
-    double sum = 0.0;
-    for (int j = 0; j < JOINTS; j++) {
-        sum += solver->mass[i][j] * change[j];
+/* Changes of the speeds over the whole step. */
+INLINED void changes(const Solver *solver, double *change) {
+    for (int l = 0; l < LANES; l++) {
+        change[l] = (solver->u[l] - solver->v[l]) / solver->weight[l];
     }
-    return sum;
 }
 
 /* Solve the balance of each axis in turn with the speeds of the others. */
-static bool sweep(Solver *solver, Message *why) {
-    double change[JOINTS];
+NOINLINE static bool sweep(Solver *solver, Message *why) {
+    Lanes change;
+    changes(solver, change);
+    solver->holding = false;
     for (int i = 0; i < JOINTS; i++) {
-        change[i] = change_of(&solver->axis[i]);
-    }
-    for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        change[i] = 0.0;
-        axis->step.inertia = solver->mass[i][i] / axis->weight;
-        axis->step.tau_motor = axis->applied - impulse(solver, i, change) / solver->h;
-        if (!solve(&axis->step, &axis->from, &axis->trial, variables[DQ + i].name, why)) {
+        Step step;
+        Motion from;
+        Trial trial;
+        double impulse = 0.0;
+        open_axis(solver, i, &step, &from);
+        for (int j = 0; j < JOINTS; j++) {
+            impulse += j == i ? 0.0 : solver->mass[i][j] * change[j];
+        }
+        step.inertia = solver->mass[i][i] / solver->weight[i];
+        step.tau_motor = solver->applied[i] - impulse / solver->h;
+        if (!solve(&step, &from, &trial, variables[DQ + i].name, why)) {
             return false;
         }
-        const double rate = axis->step.inertia / solver->h;
         /* The solver states friction that differs from the law's only if it holds. */
-        axis->held = jumps(axis) && axis->trial.v == 0.0;
-        axis->slope = axis->held ? NEVER_SMOOTH : axis->trial.slope - rate;
-        change[i] = change_of(axis);
+        keep(solver, i, &trial, jumps(i) && trial.v == 0.0, trial.slope - step.inertia / solver->h);
+        change[i] = (solver->u[i] - solver->v[i]) / solver->weight[i];
     }
     return true;
 }
 
-/* One Newton step, after which the residual is updated. If the speed of a law that jumps would pass
- * zero, the axis is held there instead, the others wait, and the result is false. */
-static bool newton(Solver *solver, double *residual) {
-    double change[JOINTS], more[JOINTS], speed[JOINTS], before[JOINTS];
+/* Move speeds, friction and states along their tangents if friction, as curved as since the last
+ * step, stays far below the residual `least` that counts. */
+INLINED bool slide(Solver *solver, const double *speed, double least) {
+    double bend = 0.0;
+    for (int i = 0; i < JOINTS; i++) {
+        const double move = speed[i] - solver->u[i], way = fabs(solver->u[i] - solver->v[i]);
+        bend += fabs(solver->slope[0][i] - solver->steep[i]) * (move * move) / (way + TINY);
+    }
+    if (!(solver->h * bend < STRAIGHT_SHARE * least)) {
+        return false;
+    }
+    for (int l = 0; l < LANES; l++) {
+        const double move = speed[l] - solver->u[l];
+        solver->u[l] = speed[l];
+        solver->friction[0][l] += solver->slope[0][l] * move;
+        for (int j = 0; j < MAX_STATES; j++) {
+            solver->moved[j][l] += solver->rise[j][l] * move;
+        }
+    }
+    return true;
+}
+
+enum { WAITING, MOVED, BALANCES };
+
+/* One Newton step. If the speed of a law that jumps would pass zero, the axis is held there
+ * instead, and the others wait. */
+INLINED int newton(Solver *solver, const double *residual, double least) {
+    Lanes change, more, speed;
+    bool waits = false;
     for (int attempts = 0; attempts < 2; attempts++) {
-        for (int i = 0; i < JOINTS; i++) {
-            const Axis *axis = &solver->axis[i];
-            const double slope = attempts ? fmax(axis->slope, 0.0) : axis->slope;
-            more[i] = solver->h * axis->weight * slope;
-            change[i] = -residual[i];
+        for (int l = 0; l < LANES; l++) {
+            const double slope = solver->slope[0][l];
+            more[l] = solver->h * solver->weight[l] * (attempts && slope < 0.0 ? 0.0 : slope);
+            change[l] = -residual[l];
         }
         if (solved(solver, more, change)) {
             break;
         }
     }
-    bool whole = true;
-    for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        speed[i] = axis->trial.v + axis->weight * change[i];
-        before[i] = torque_of(axis);
-        if (jumps(axis) && !axis->held && axis->trial.v * speed[i] <= 0.0) {
-            attempt(&axis->step, &axis->from, 0.0, &axis->trial);
-            axis->slope = NEVER_SMOOTH;
-            axis->held = true;
-            whole = false;
+    int passes = 0;
+    for (int l = 0; l < LANES; l++) {
+        speed[l] = solver->u[l] + solver->weight[l] * change[l];
+        passes |= l < JOINTS && solver->u[l] * speed[l] <= 0.0;
+    }
+    for (int i = 0; i < JOINTS && passes; i++) {
+        if (jumps(i) && !solver->held[i] && solver->u[i] * speed[i] <= 0.0) {
+            attempt_one(solver, i, 0.0, true);
+            waits = true;
         }
     }
-    if (!whole) {
-        return false;
+    if (waits) {
+        return WAITING;
+    }
+    if (solver->smooth && slide(solver, speed, least)) {
+        return BALANCES;
     }
     attempt_all(solver, speed);
-    for (int i = 0; i < JOINTS; i++) {
-        const Axis *axis = &solver->axis[i];
-        residual[i] = solver->h * (torque_of(axis) - before[i]);
-        residual[i] -= axis->held ? 0.0 : more[i] * change[i];
-    }
-    return true;
+    return MOVED;
 }
 
-static void balance_all(const Solver *solver, double *residual) {
-    double change[JOINTS];
-    for (int i = 0; i < JOINTS; i++) {
-        change[i] = change_of(&solver->axis[i]);
+INLINED void balance_all(const Solver *solver, double *residual) {
+    Lanes change;
+    changes(solver, change);
+    for (int l = 0; l < LANES; l++) {
+        const double torque = solver->friction[0][l] + solver->stop[l] - solver->applied[l];
+        residual[l] = solver->h * torque;
     }
     for (int i = 0; i < JOINTS; i++) {
-        const Axis *axis = &solver->axis[i];
-        residual[i] = impulse(solver, i, change) + solver->h * (torque_of(axis) - axis->applied);
+        for (int l = 0; l < LANES; l++) {
+            residual[l] += solver->mass[i][l] * change[i];
+        }
     }
 }
 
-/* Whether the residuals are balanced, and their sum; those of held axes count if `held`. */
-static bool balanced_all(const Solver *solver, bool held, const double *residual, double *total) {
-    double size = *total = 0.0, rounding = 0.0; /* of positions, as torque */
-    for (int i = 0; i < JOINTS; i++) {
-        const Axis *axis = &solver->axis[i];
-        const double grain = solver->mass[i][i] * (fabs(axis->trial.v) + fabs(axis->from.dq));
-        *total += axis->held && !held ? 0.0 : fabs(residual[i]);
-        size += solver->h * (fabs(torque_of(axis)) + fabs(axis->applied)) + GRAIN * grain;
-        rounding += axis->held ? 0.0 : fabs(axis->slope * axis->from.q);
+/* Sum of the residuals, those of held axes if `held`, and the least that counts. */
+INLINED double sum_all(const Solver *solver, bool held, const double *residual, double *least) {
+    Lanes sizes, roundings; /* of positions, as torque */
+    double total = 0.0, size = 0.0, rounding = 0.0;
+    for (int l = 0; l < LANES; l++) {
+        const double torque = fabs(solver->friction[0][l] + solver->stop[l]);
+        const double grain = GRAIN * (fabs(solver->u[l]) + fabs(solver->v[l]));
+        sizes[l] = solver->h * (torque + fabs(solver->applied[l])) + solver->diagonal[l] * grain;
+        roundings[l] = fabs(solver->slope[0][l] * solver->q[l]);
     }
-    return *total <= BALANCED * size + 4.0 * DBL_EPSILON * rounding;
+    for (int i = 0; i < JOINTS; i++) {
+        const bool waits = solver->holding && solver->held[i];
+        total += waits && !held ? 0.0 : fabs(residual[i]);
+        size += sizes[i];
+        rounding += waits ? 0.0 : roundings[i];
+    }
+    *least = BALANCED * size + 4.0 * DBL_EPSILON * rounding;
+    return total;
 }
 
-static bool any_held(const Solver *solver) {
-    bool found = false;
-    for (int i = 0; i < JOINTS; i++) {
-        found |= solver->axis[i].held;
-    }
-    return found;
-}
-
-static bool settle(Solver *solver, bool sweeping, Message *why) {
-    double residual[JOINTS], total, before = INFINITY;
-    bool updated = false, waiting = false; /* for the balance with axes that were just held */
+INLINED bool settle(Solver *solver, bool sweeping, Message *why) {
+    double least, before = INFINITY;
+    Lanes residual;
+    bool waiting = false; /* for the balance with axes that were just held */
     for (int n = 0; n < MOST_ITERATIONS; n++) {
         const bool swept = sweeping;
         if (swept && !sweep(solver, why)) {
             return false;
         }
-        if (!updated) {
-            balance_all(solver, residual);
-        }
-        const bool done = balanced_all(solver, swept, residual, &total);
+        balance_all(solver, residual);
+        const double total = sum_all(solver, swept, residual, &least);
+        const bool done = total <= least;
         if (!isfinite(total)) {
             break;
         }
-        if (done && (swept || !any_held(solver))) {
+        if (done && (swept || !solver->holding)) {
             return true;
         }
         const bool slow = n > 1 && !swept && total > 0.5 * before;
         before = swept ? INFINITY : total;
         sweeping = slow || done || (n >= PATIENCE && !swept && !waiting) ||
                    (n >= SWEEPING && (n % 4 != 0 || n >= SWEEPS_ONLY));
-        updated = !sweeping && newton(solver, residual);
-        waiting = !sweeping && !updated;
+        const int end = sweeping ? WAITING : newton(solver, residual, least);
+        if (end == BALANCES) {
+            return true;
+        }
+        waiting = !sweeping && end == WAITING;
         before = waiting ? INFINITY : before;
     }
     snprintf(why->text, sizeof why->text,
@@ -336,54 +391,60 @@ static bool settle(Solver *solver, bool sweeping, Message *why) {
     return false;
 }
 
-/* Choose midpoint or implicit Euler, and start from the speeds of constant acceleration. */
-static bool predict(Solver *solver) {
+/* Choose midpoint or implicit Euler, and start from the speeds of an acceleration that changes as
+ * before, or of a constant one where these turn; whether an axis may be held. */
+INLINED bool predict(Solver *solver) {
+    const double h = solver->h;
     bool at_rest = false;
-    double first[JOINTS];
-    for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        const double v = axis->from.dq, next = v + solver->h * axis->from.ddq;
-        const double z = solver->h * axis->slope / solver->mass[i][i];
-        axis->weight = v * next > 0.0 ? 1.0 - 0.5 / (1.0 + z * z) : 1.0;
-        axis->held = false;
-        const bool turns = jumps(axis) && v * next <= 0.0;
-        first[i] = turns ? v : v + axis->weight * (next - v);
-        at_rest |= jumps(axis) && first[i] == 0.0;
+    int turns = 0;
+    Lanes first;
+    for (int l = 0; l < LANES; l++) {
+        const double v = solver->v[l], constant = h * solver->a[l], next = v + constant;
+        const double z = h * solver->steep[l] / (solver->diagonal[l] + TINY);
+        const double weight = v * next > 0.0 ? 1.0 - 0.5 / (1.0 + z * z) : 1.0;
+        const double linear = v + weight * (2.0 * constant - h * solver->last[l]);
+        first[l] = v * linear > 0.0 ? linear : v + weight * constant;
+        solver->weight[l] = weight;
+        turns |= l < JOINTS && v * next <= 0.0;
     }
-    update_lanes(solver);
+    memset(solver->held, 0, sizeof solver->held);
+    solver->holding = false;
+    for (int i = 0; i < JOINTS && turns; i++) {
+        const double v = solver->v[i];
+        first[i] = jumps(i) && v * (v + h * solver->a[i]) <= 0.0 ? v : first[i];
+        at_rest |= jumps(i) && first[i] == 0.0;
+    }
     attempt_all(solver, first);
     return at_rest;
 }
 
 /* Advance the axes' motions by a step, with mass matrix, applied torques and loads given. */
-static bool advance(Solver *solver, Message *why) {
-    bool again = true, sweeping = predict(solver);
+INLINED bool advance(Solver *solver, Message *why) {
+    const double h = solver->h;
+    int again = 1, sweeping = predict(solver);
+    Lanes change;
     while (again) {
         if (!settle(solver, sweeping, why)) {
             return false;
         }
-        again = false;
-        for (int i = 0; i < JOINTS; i++) {
-            Axis *axis = &solver->axis[i];
-            const double v = axis->from.dq, end = v + (axis->trial.v - v) / axis->weight;
-            if (axis->weight < 1.0 && v * end <= 0.0) {
-                axis->weight = 1.0;
-                again = true;
-            }
+        again = 0;
+        changes(solver, change);
+        for (int l = 0; l < LANES; l++) {
+            const double v = solver->v[l];
+            const int turned = solver->weight[l] < 1.0 && v * (v + change[l]) <= 0.0;
+            solver->weight[l] = turned ? 1.0 : solver->weight[l];
+            again |= turned;
         }
     }
-    for (int i = 0; i < JOINTS; i++) {
-        Axis *axis = &solver->axis[i];
-        Motion *from = &axis->from;
-        const Trial *trial = &axis->trial;
-        from->ddq = (trial->v - from->dq) / axis->weight / solver->h;
-        from->dq += solver->h * from->ddq;
-        from->q += solver->h * trial->v;
-        from->tau_f = trial->tau_f;
-        from->tau_link = trial->tau_link;
-        memcpy(from->x, trial->x, (size_t)axis->step.joint->states * sizeof from->x[0]);
-        axis->inertial = axis->applied - torque_of(axis);
+    memcpy(solver->last, solver->a, sizeof solver->a);
+    memcpy(solver->steep, solver->slope[0], sizeof solver->steep);
+    for (int l = 0; l < LANES; l++) {
+        solver->a[l] = change[l] * (1.0 / h);
+        solver->v[l] += change[l];
+        solver->q[l] += h * solver->u[l];
+        solver->inertial[l] = solver->applied[l] - (solver->friction[0][l] + solver->stop[l]);
     }
+    memcpy(solver->x, solver->moved, sizeof solver->x);
     return true;
 }
 

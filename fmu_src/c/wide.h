@@ -3,6 +3,15 @@
 #ifndef WIDE_H
 #define WIDE_H
 
+/* A loop of few rounds, and one of long rounds that do not wait for each other. */
+#ifdef __clang__
+#define UNROLLED _Pragma("clang loop unroll(full)")
+#define INTERLEAVED _Pragma("clang loop interleave_count(2)")
+#else
+#define UNROLLED
+#define INTERLEAVED
+#endif
+
 #if defined(__GNUC__) && defined(__x86_64__)
 #include <cpuid.h>
 

@@ -50,8 +50,9 @@ SIGNATURES: Mapping[str, str] = {
     "follow": "IN(k), IN(u), IN(s), IN(x), double dt, double euler, IN(du), OUT(moved)",
     "attempt": "IN(k), IN(u), IN(x), double dt, double euler, IN(du), OUT(moved), OUT(y), "
     "OUT(slope)",
-    "attempts": "LANES(const, k), LANES(const, u), LANES(const, x), double dt, double euler, "
-    "LANES(, moved), LANES(, y), LANES(, slope)",
+    "prepare": "IN(k), IN(u), OUT(c)",
+    "attempts": "LANES(const, c), LANES(const, u), LANES(const, x), double dt, double euler, "
+    "LANES(, moved), LANES(, rise), LANES(, y), LANES(, slope)",
 }
 """Arguments of the functions, with arrays that are read or written."""
 
@@ -218,9 +219,9 @@ class Functions:
         return Invariants.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
 
     @property
-    def invariant_count(self) -> int:
-        """Number of values that `invariants` writes."""
-        return len(self._invariants.kept)
+    def invariant(self) -> tuple[sympy.Symbol, ...]:
+        """Terms that `invariants` writes."""
+        return self._invariants.kept
 
     def invariants(self) -> str:
         """Write into c the terms of a step that depend only on parameters and its length."""
@@ -293,14 +294,35 @@ class Functions:
         targets |= _array("slope", map(change_of, self._outputs))
         return self._with_changes("attempt", sampled(self.component), targets, self._input_seeds)
 
-    def attempts(self) -> str:
-        """Do as `attempt` for LANES instances, along their velocity, which moves their position."""
-        places = Arguments().plus(self._parameters, "k", "[l]").plus(self._inputs, "u", "[l]")
-        places = places.plus(self._states, "x", "[l]").single(DT, "dt").single(EULER, "euler")
+    @cached_property
+    def _attempted(self) -> Invariants:
         program = sampled(self.component)
         seeds = dict(zip(self._inputs[:2], (sympy.Integer(1), DT), strict=True))
         whole = {**program, **changes_along(seeds, program)}
+        found = (*self._moved, *self._outputs)
+        fixed = {*self._parameters, *self._inputs[len(self.component.inputs) :]}
+        return Invariants.of(whole, (*found, *map(change_of, found)), fixed)
+
+    @property
+    def prepared(self) -> tuple[sympy.Symbol, ...]:
+        """Terms of `attempts` that depend only on parameters."""
+        return (*self._attempted.kept, *self._parameters)
+
+    def prepare(self) -> str:
+        """Write the prepared terms into c."""
+        once, targets = self._attempted.once, _array("c", self.prepared)
+        return printed(self._head("prepare"), once, {}, targets, self._arguments.places)
+
+    def attempts(self) -> str:
+        """Do as `attempt` for LANES instances, along their velocity, which moves their position.
+
+        The values c are from `prepare`; `rise` is the change of `moved`.
+        """
+        own = self._attempted
+        places = Arguments().plus(self.prepared, "c", "[l]").plus(self._inputs, "u", "[l]")
+        places = places.plus(self._states, "x", "[l]").single(DT, "dt").single(EULER, "euler")
         targets = _array("moved", self._moved) | _array("y", self._outputs)
+        targets |= _array("rise", map(change_of, self._moved))
         targets |= _array("slope", map(change_of, self._outputs))
         targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
-        return function(self._head("attempts"), whole, targets, places.places)
+        return printed(self._head("attempts"), own.moving, own.names, targets, places.places)

@@ -18,7 +18,7 @@ _SAME_NAMES = (
 )
 _POWERS = {2: "square", 3: "cube"}
 _OF_ANGLES = {"sin": sympy.sin, "cos": sympy.cos, "cardinal_sine": cardinal_sine}
-_SELDOM = ("start", "rates", "invariants", "begin", "begin_tangent", "tangent", "follow")
+_SELDOM = ("start", "rates", "prepare", "invariants", "begin", "begin_tangent", "tangent", "follow")
 """Attribute of functions optimised for size."""
 _ALWAYS = ("step", "switches")
 _SHORT = 60  # statements of a function that is worth inlining for each joint
@@ -126,6 +126,7 @@ def printed(
         far = [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
         content = (
             "int far = 0;",
+            *(("INTERLEAVED",) if wide else ()),
             "for (int l = 0; l < LANES; l++) {",
             *(f"    {line}" for line in (*content, *far)),
             "}",

@@ -49,7 +49,7 @@ FRICTION = (
 SOLVER = ("rates", "begin", "attempt", "solved_derivatives")
 """Functions called by a solver inside an FMU."""
 
-SOLVER_OF_ALL = ("begin", "begin_tangent", "attempt", "attempts", "flow", "flow_tangent")
+SOLVER_OF_ALL = ("attempts", "prepare", "attempt", "begin", "begin_tangent", "flow", "flow_tangent")
 """Functions called by a solver for all joints."""
 
 
@@ -60,6 +60,13 @@ def own_size(joints: Sequence[Joint]) -> int:
     own = sum(sizes[f"MAX_{name}"] for name in of_joint)
     signs = sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
     return sizes["OWN_FIXED"] + len(joints) * own + signs
+
+
+def prepared_size(joints: Sequence[Joint]) -> tuple[int, int]:
+    """Return the shape of a solver's memory for arguments of laws, in whole vectors of 2 or 4."""
+    length = 4 if len(joints) > 2 else 2
+    most = max(1, *(_count(j.component, j.gathered, "prepared") for j in joints))
+    return most, -(-len(joints) // length) * length
 
 
 def indicators(joints: Sequence[Joint]) -> int:
@@ -111,9 +118,9 @@ def equations_header(
         "BAND": next((k for k, e in enumerate(joints[0].component.outputs) if e.name == LOWER), 0),
         **{name: table.places[variable] for name, variable in places.items()},
     }
-    if "attempts" in wanted:  # whole vectors of two or four
-        length = 4 if len(joints) > 2 else 2
-        constants["LANES"] = -(-len(joints) // length) * length
+    if wanted[0] == "attempts":
+        constants["PREPARED"], constants["LANES"] = prepared_size(joints)
+        constants["ALIKE"] = int(len({found[1] for found in names.values()}) == 1)
     return _HEADER.format(
         widths='#include "wide.h"\n' if "attempts" in wanted else "",
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
@@ -204,18 +211,18 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
         "MAX_STATES": most(lambda c: len(c.memory)),
         "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
         "MAX_REMEMBERED": max(len(j.component.remembered) for j in joints),
-        "MAX_INVARIANTS": max(_invariants(j.component, j.gathered) for j in joints),
+        "MAX_INVARIANTS": max(_count(j.component, j.gathered, "invariant") for j in joints),
         "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
         "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
     }
 
 
 @cache
-def _invariants(component: Component, gathered: bool) -> int:
+def _count(component: Component, gathered: bool, name: str) -> int:
     count = kept(
         "functions",
-        (software(), "invariants", str(gathered), repr(component)),
-        lambda: str(Functions(component, "", gathered=gathered).invariant_count).encode(),
+        (software(), name, str(gathered), repr(component)),
+        lambda: str(len(getattr(Functions(component, "", gathered=gathered), name))).encode(),
     )
     return int(count)
 

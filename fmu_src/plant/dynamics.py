@@ -106,8 +106,8 @@ def _sum(graph: Expressions, terms: Iterable[Expression]) -> Expression:
     return sum(terms, graph.constant(0.0))
 
 
-def _times(matrix: Array, a: Vector) -> Vector:
-    return [_sum(a[0].graph, (x * float(f) for x, f in zip(a, row, strict=True))) for row in matrix]
+def _times(matrix: Array | list[Vector], a: Vector) -> Vector:
+    return [_sum(a[0].graph, (x * f for x, f in zip(a, row, strict=True))) for row in matrix]
 
 
 def _plus(a: Vector, b: Vector) -> Vector:
@@ -126,8 +126,25 @@ def _rows(tensor: Vector) -> list[Vector]:
     return [[tensor[k] for k in row] for row in _TENSOR]
 
 
-def _apply(tensor: Vector, a: Vector) -> Vector:
-    return [_sum(a[0].graph, (x * y for x, y in zip(row, a, strict=True))) for row in _rows(tensor)]
+def _spin(w: Vector, turn: Vector) -> list[Vector]:
+    """Return the matrix of turn x + w x (w x ..)."""
+    (x, y, z), (p, q, r) = w, turn
+    return [
+        [-(y * y + z * z), x * y - r, x * z + q],
+        [x * y + r, -(x * x + z * z), y * z - p],
+        [x * z - q, y * z + p, -(x * x + y * y)],
+    ]
+
+
+def _gyro(inertia: Vector, w: Vector, turn: Vector) -> Vector:
+    """Return inertia turn + w x (inertia w), with the products of `_spin`."""
+    (x, y, z), (p, q, r), (xx, xy, yy, xz, yz, zz) = w, turn, inertia
+    (_, s01, s02), (s10, _, s12), (s20, s21, _) = _spin(w, turn)
+    return [
+        xx * p + (zz - yy) * (y * z) - xy * s20 + xz * s10 + yz * (y * y - z * z),
+        yy * q + (xx - zz) * (x * z) + xy * s21 - yz * s01 + xz * (z * z - x * x),
+        zz * r + (yy - xx) * (x * y) - xz * s12 + yz * s02 + xy * (x * x - y * y),
+    ]
 
 
 class _Joint:
@@ -192,7 +209,7 @@ class _Arm:
         terms = (x * float(f) for x, f in zip(names, self.slopes[link], strict=True))
         return _sum(self.graph, terms) + (float(self.offsets[link]) if motion == "q" else 0.0)
 
-    def along(self, stores: Mapping[str, Expression]) -> list[str]:
+    def along(self, stores: Mapping[str, Expression]) -> str:
         """Return C statements that store changes of expressions along tq, tdq, tp and so on."""
         moving = ("q[", "dq[", "p[", "rotor[", "spring[", "gravity[")
         names = {n.name for n in self.graph.nodes if n.name.startswith(moving)}
@@ -217,7 +234,7 @@ class _Arm:
         forces, moments = [], []
         for i, joint in enumerate(self.joints):
             w, turn, a = states[joint.link.parent] if joint.link.parent >= 0 else base
-            carried = _plus(_cross(turn, joint.arm), _cross(w, _cross(w, joint.arm)))
+            carried = _times(_spin(w, turn), joint.arm)
             w, turn, a = joint.down(w), joint.down(turn), joint.down(_plus(a, carried))
             dq = self.followed("dq", i)
             ddq = self.followed("ddq", i) if accelerated else zeros[0]
@@ -229,10 +246,8 @@ class _Arm:
                 w = [w[0], w[1], w[2] + dq]
             states.append((w, turn, a))
             m, h, inertia = self._body(i)
-            centre = _plus(_cross(turn, h), _cross(w, _cross(w, h)))
-            forces.append(_plus(_scaled(a, m), centre))
-            gyro = _plus(_apply(inertia, turn), _cross(w, _apply(inertia, w)))
-            moments.append(_plus(gyro, _cross(h, a)))
+            forces.append(_plus(_scaled(a, m), _times(_spin(w, turn), h)))
+            moments.append(_plus(_gyro(inertia, w, turn), _cross(h, a)))
         links = _plus(self._collected(forces, moments), self.spring_torques())
         return [self.on_joints(links, j) for j in range(self.robot.n)]
 
@@ -306,13 +321,14 @@ def change_header(robot: Robot) -> str:
         f"change[{i}]": one + _sum(arm.graph, (_rotors(arm, i, j) * a for j, a in enumerate(ddq)))
         for i, one in enumerate(arm.torques(accelerated=True))
     }
-    return _CHANGE.format(angles=_angles(arm), statements="\n    ".join(arm.along(stores)))
+    return _file("CHANGE", _CHANGE.format(angles=_angles(arm), statements=arm.along(stores)))
 
 
-def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
+def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOINTS") -> str:
     """Return dynamics.h: the function `dynamics`, and the map to its parameters.
 
-    With a transmission, coordinates are those of the friction unless `of_joints`.
+    With a transmission, coordinates are those of the friction unless `of_joints`. Rows of the mass
+    matrix are `width` apart.
     """
     arm = _Arm(robot, of_joints=of_joints)
     n = range(robot.n)
@@ -322,14 +338,15 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False) -> str:
     for i in n:
         for j in range(i + 1):
             links = arm.on_joints([row[j] for row in half], i)
-            stores[f"mass[{i}][{j}]"] = links + _rotors(arm, i, j)
+            stores[f"mass[{i}][{j}]"] = stores[f"mass[{j}][{i}]"] = links + _rotors(arm, i, j)
     entries = table(robot)
     rows, columns = np.nonzero(entries)
     return _HEADER.format(
         links=len(arm.links),
+        width=width,
         last=_last(robot),
         angles=_angles(arm),
-        statements="\n".join(f"    {line}" for line in arm.graph.to_c(stores)),
+        statements=arm.graph.to_c(stores),
         entries="\n".join(
             f"    {{{i}, {j}, {literal(float(entries[i, j]))}}},"
             for i, j in zip(rows, columns, strict=True)
@@ -343,23 +360,24 @@ def _last(robot: Robot) -> int:
 
 
 def _angles(arm: _Arm) -> str:
-    angles = {
-        f"angle[{i}]": arm.followed("q", i)
-        for i, link in enumerate(arm.links)
-        if not link.prismatic
-    }
-    return _ANGLES.format("\n".join(f"    {line}" for line in arm.graph.to_c(angles)))
+    turning = [i for i, link in enumerate(arm.links) if not link.prismatic]
+    angles = {f"angle[{i}]": arm.followed("q", i) for i in turning}
+    return _ANGLES.format(arm.graph.to_c(angles))
 
 
 _ANGLES = """\
-    double angle[LINKS] = {{0.0}}, sine[LINKS], cosine[LINKS];
+    double angle[ANGLES] = {{0.0}}, sine[ANGLES], cosine[ANGLES]; /* whole vectors */
     {{
 {}
     }}
-    for (int i = 0; i < LINKS; i++) {{
-        sine[i] = even_sin(angle[i]);
-        cosine[i] = even_cos(angle[i]);
+    for (int i = 0; i < ANGLES; i++) {{
+        sine[i] = even_turn(angle[i], &cosine[i]);
     }}"""
+
+
+def _file(name: str, functions: str) -> str:
+    head = f'/* Generated. */\n#ifndef {name}_H\n#define {name}_H\n\n#include "dynamics.h"\n\n'
+    return f"{head}{functions}\n#endif\n"
 
 
 def jacobian_header(robot: Robot) -> str:
@@ -386,8 +404,8 @@ def jacobian_header(robot: Robot) -> str:
         for k in range(6)
         for j in range(robot.n)
     }
-    statements = "\n".join(f"    {line}" for line in arm.graph.to_c(stores))
-    return _JACOBIAN.format(angles=_angles(arm), statements=statements)
+    statements = arm.graph.to_c(stores)
+    return _file("JACOBIAN", _JACOBIAN.format(angles=_angles(arm), statements=statements))
 
 
 def tool_header(robot: Robot, place: int | None) -> str:
@@ -397,8 +415,9 @@ def tool_header(robot: Robot, place: int | None) -> str:
     nothing.
     """
     if place is None:
-        none = "(void)v, (void)q;"
-        return _TOOL.format(angles="", statements=none, changes=f"{none} (void)tq;")
+        none = "    (void)v, (void)q;"
+        changes = f"{none}\n    (void)tq;"
+        return _file("TOOL", _TOOL.format(angles="", statements=none, changes=changes))
     arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
     at = _last(robot)
@@ -410,8 +429,8 @@ def tool_header(robot: Robot, place: int | None) -> str:
         at = joint.link.parent
     pose = enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place)
     stores = {f"v[{k}]": value for k, value in pose}
-    statements, changes = map("\n    ".join, (arm.graph.to_c(stores), arm.along(stores)))
-    return _TOOL.format(angles=_angles(arm), statements=statements, changes=changes)
+    found = {"statements": arm.graph.to_c(stores), "changes": arm.along(stores)}
+    return _file("TOOL", _TOOL.format(angles=_angles(arm), **found))
 
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
@@ -431,7 +450,7 @@ _HEADER = """\
 #include <math.h>
 
 /* Number of moving links, and the one that carries the payload. */
-enum {{ LINKS = {links}, LAST_LINK = {last} }};
+enum {{ LINKS = {links}, LAST_LINK = {last}, ANGLES = (LINKS + 3) / 4 * 4 }};
 
 /* Parameters p (10 a link) from masses, first moments and inertias about the joint frames: what the
  * parent can carry belongs to the parent. */
@@ -444,11 +463,11 @@ static const Entry regrouped[] = {{
 {entries}
 }};
 
-/* The lower triangle of the mass matrix, and the torque at zero acceleration. */
-static void dynamics(const double *restrict p, const double *restrict rotor,
-                     const double *restrict spring, const double *restrict gravity,
-                     const double *restrict q, const double *restrict dq,
-                     double mass[restrict][JOINTS], double *restrict bias) {{
+/* The mass matrix, and the torque at zero acceleration. */
+QUICK void dynamics(const double *restrict p, const double *restrict rotor,
+                    const double *restrict spring, const double *restrict gravity,
+                    const double *restrict q, const double *restrict dq,
+                    double mass[restrict][{width}], double *restrict bias) {{
 {angles}
     (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq; /* a robot need not use all */
 {statements}
@@ -458,12 +477,6 @@ static void dynamics(const double *restrict p, const double *restrict rotor,
 """
 
 _CHANGE = """\
-/* Generated: change of the torque that a motion needs. */
-#ifndef CHANGE_H
-#define CHANGE_H
-
-#include "dynamics.h"
-
 /* Change of M ddq + bias with ddq held, along tq, tdq, tp and `seed`. */
 SELDOM static void torque_change(const Component *component, const double *seed, const double *tp,
                                  const double *q, const double *dq, const double *ddq,
@@ -474,44 +487,28 @@ SELDOM static void torque_change(const Component *component, const double *seed,
     (void)p, (void)rotor, (void)spring, (void)gravity, (void)q, (void)dq, (void)ddq;
     (void)tp, (void)trotor, (void)tspring, (void)tgravity, (void)tq, (void)tdq;
 {angles}
-    {statements}
+{statements}
 }}
-
-#endif
 """
 
 _JACOBIAN = """\
-/* Generated: Jacobian of the origin of the last joint's frame, in axes of the base. */
-#ifndef JACOBIAN_H
-#define JACOBIAN_H
-
-#include "dynamics.h"
-
+/* Jacobian of the origin of the last joint's frame, in axes of the base. */
 static void flange_jacobian(const double *restrict q, double jacobian[restrict][JOINTS]) {{
 {angles}
 {statements}
 }}
-
-#endif
 """
 
 _TOOL = """\
-/* Generated: pose of the last joint's frame, in axes of the base. */
-#ifndef TOOL_H
-#define TOOL_H
-
-#include "dynamics.h"
-
+/* Pose of the last joint's frame, in axes of the base. */
 static void store_tool(double *v, const double *q) {{
 {angles}
-    {statements}
+{statements}
 }}
 
 /* Store the change along tq. */
 SELDOM static void change_tool(double *v, const double *q, const double *tq) {{
 {angles}
-    {changes}
+{changes}
 }}
-
-#endif
 """

@@ -88,25 +88,20 @@ class Expressions:
                 found.append(seeds.get(node.name, self.constant(0.0)))
         return found
 
-    def to_c(self, stores: Mapping[str, "Expression"]) -> list[str]:
-        """Return C statements that store expressions."""
-        needed = self._needed(e.index for e in stores.values())
-        lines = [
-            f"const double t{i} = {self._text(i)};"
-            for i in sorted(needed)
-            if self.nodes[i].kind != "const"
-        ]
-        return lines + [f"{place} = {self._operand(e.index)};" for place, e in stores.items()]
+    def to_c(self, stores: Mapping[str, "Expression"]) -> str:
+        """Return the C statements of a function that store expressions."""
+        needed = sorted(self._needed(e.index for e in stores.values()))
+        moving = [i for i in needed if self.nodes[i].kind != "const"]
+        lines = [f"    const double t{i} = {self._text(i)};" for i in moving]
+        lines += [f"    {place} = {self._operand(e.index)};" for place, e in stores.items()]
+        return "\n".join(lines)
 
     def _needed(self, roots: Iterable[int]) -> set[int]:
-        found: set[int] = set()
-        ahead = list(roots)
-        while ahead:
-            index = ahead.pop()
+        found = set(roots)
+        for index in reversed(range(len(self.nodes))):  # operands come first
             node = self.nodes[index]
-            if index not in found:
-                found.add(index)
-                ahead += [node.left, node.right] if node.kind in ("add", "mul") else []
+            if index in found and node.kind in ("add", "mul"):
+                found |= {node.left, node.right}
         return found
 
     def _operand(self, index: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 
 from fmu_src.blocks.block import places, vector
-from fmu_src.equations.header import SOLVER_OF_ALL, equations_header
+from fmu_src.equations.header import SOLVER_OF_ALL, Joint, equations_header, prepared_size
 from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
@@ -127,9 +127,10 @@ def _inputs(servo: "ServoGains | None") -> dict[str, tuple[str, str]]:
     return tau | {"dq_cmd": ("rad/s", "speed command of the servo")} | more
 
 
-def _memory(joints: int, links: int, servo: "ServoGains | None") -> int:
+def _memory(laws: Sequence[Joint], links: int, servo: "ServoGains | None") -> int:
     """Return the number of doubles in the own memory of plant.c."""
-    plant = 1 + 2 * joints + 10 * links
+    joints, (rows, lanes) = len(laws), prepared_size(laws)
+    plant = 1 + 3 * joints + 10 * links + rows * lanes
     kinds = 0 if servo is None else 2 if servo.kp else 1
     return plant + (joints + 1 + COMMANDS * (1 + kinds * joints) if kinds else 0)
 
@@ -210,15 +211,9 @@ class ServoGains:
         yield Variable("latency", "fixed", text, unit="s")
 
 
-_PLACES_OF_SERVO = {
-    "DQ_CMD": "dq_cmd[1]",
-    "TAU_MOTOR": "tau_motor[1]",
-    "KV": "servo_kv[1]",
-    "KI": "servo_ki[1]",
-    "TORQUE_LIMIT": "torque_limit[1]",
-    "GRAVITY_SHARE": "gravity_share[1]",
-    "LATENCY": "latency",
-}
+_PLACES_OF_SERVO = {"KV": "servo_kv[1]", "KI": "servo_ki[1]", "LATENCY": "latency"}
+_OTHERS = ("dq_cmd", "tau_motor", "torque_limit", "gravity_share")
+_PLACES_OF_SERVO |= {name.upper(): f"{name}[1]" for name in _OTHERS}
 _PLACES_OF_POSITION = {"Q_CMD": "q_cmd[1]", "KP": "servo_kp[1]"}
 
 
@@ -273,7 +268,7 @@ def _interface(
     found = [at_joint(v, model.slides) for v in found]
     return Interface(
         variables=tuple(of_the_last_step(v, commands) if servo else v for v in found),
-        own=_memory(len(laws), body.robot.links, servo),
+        own=_memory(laws, body.robot.links, servo),
         model_exchange=servo is None,
         directional_derivatives=servo is None,
         inner_steps=True,
@@ -385,7 +380,7 @@ def content(
     found = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
     found |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
     kinds = {"SERVO": int(servo is not None), "POSITION": int(position)}
-    sources |= {"dynamics.h": dynamics_header(body.robot), "equations.h": header}
+    sources |= {"dynamics.h": dynamics_header(body.robot, width="LANES"), "equations.h": header}
     sources |= {"change.h": change_header(body.robot)}
     sources |= {"servo.h": places(table, "SERVO_H", found, **kinds)}
     sources |= {"tool.h": tool_header(body.robot, table.places.get("tool_position[1]"))}

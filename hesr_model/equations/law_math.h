@@ -139,8 +139,8 @@ static inline double nearest(double x) {
  * exact. */
 #define LARGEST_ANGLE 1e6
 
-/* sin(x + quarters pi / 2) for |x| <= LARGEST_ANGLE: Taylor series on an eighth of a turn. */
-static inline double turned_sin(double x, double quarters) {
+/* Sine and cosine for |x| <= LARGEST_ANGLE: Taylor series on an eighth of a turn. */
+static inline double even_turn(double x, double *cosine) {
     const double n = nearest(x * 0x1.45f306dc9c883p-1);
     const double r = ((x - n * 0x1.921fb544p+0) - n * 0x1.0b4611a6p-34) - n * 0x1.3198a2e037073p-69;
     const double z = r * r;
@@ -153,17 +153,21 @@ static inline double turned_sin(double x, double quarters) {
     const double e5 = -1.0 / 3628800.0 + z * (1.0 / 479001600.0);
     const double e7 = -1.0 / 87178291200.0 + z * (1.0 / 20922789888000.0);
     const double even = 1.0 + z * ((e1 + y * e3) + w * (e5 + y * e7));
-    const uint64_t quadrant = bits_of((n + quarters) + TO_INTEGER);
-    const double found = quadrant & 1 ? even : odd;
-    return quadrant & 2 ? -found : found;
+    const uint64_t quadrant = bits_of(n + TO_INTEGER);
+    const double s = quadrant & 1 ? even : odd, c = quadrant & 1 ? odd : even;
+    *cosine = (quadrant + 1) & 2 ? -c : c;
+    return quadrant & 2 ? -s : s;
 }
 
 static inline double even_sin(double x) {
-    return turned_sin(x, 0.0);
+    double unused;
+    return even_turn(x, &unused);
 }
 
 static inline double even_cos(double x) {
-    return turned_sin(x, 1.0);
+    double cosine;
+    even_turn(x, &cosine);
+    return cosine;
 }
 
 /* Below this value series are exact to double precision and quotients are not; as in
@@ -240,7 +244,7 @@ static inline double share_slope(double z, double e, double euler) {
     if (euler > 0.0) {
         return 0.0;
     }
-    return small ? series : (1.0 + e + e / divisor) / divisor;
+    return small ? series : (1.0 + e - -e / divisor) / divisor;
 }
 
 /* sin(x) / x, continued by 1 at 0, from x and its sine. */

@@ -20,7 +20,8 @@ sys.path.append(str(Path(__file__).parents[1] / "fmu" / "plant"))
 from plant_robots import chain
 from plant_runs import open_stops, plant
 
-STEP, STEPS, PART, ROUNDS = 1e-3, 10_000, 200, 20
+STEP, STEPS, ROUNDS = 1e-3, 10_000, 20
+PART = 1000  # steps of a call from Python, which takes 10 us
 AIMS = {3: 0.25, 6: 0.35, 7: 0.5}  # of MuJoCo's step; not reached yet
 LEVELS = (12.0, 12.0, 8.0, 3.0, 3.0, 3.0, 3.0)  # Coulomb friction [N.m]
 

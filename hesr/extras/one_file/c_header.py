@@ -158,7 +158,7 @@ def _rows(
                 "first_state": states,
                 "first_coefficient": coefficients,
                 "switches": len(own.jumps.expressions),
-                "invariants": max(own.invariant_count, 1),
+                "invariants": max(len(own.invariant), 1),
                 "names": [m.name for m in law.form.memory],
                 "euler": euler and bool(law.form.relaxations),
             }
