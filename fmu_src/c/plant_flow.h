@@ -229,7 +229,7 @@ SELDOM static void component_tangent(const Component *component, const double *s
         at.continuous = 1.0;
         component_tangent(&at, seed, continuous);
         for (int i = 0; i < JOINTS; i++) {
-            const Joint *joint = solver.axis[i].step.joint;
+            const Joint *joint = &joints[i];
             const int first = joint->first_state + joint->states;
             memcpy(&tangent[first], &continuous[first], (size_t)joint->states * sizeof *tangent);
         }
