@@ -31,7 +31,7 @@ WIDTHS = """
 #include <stdlib.h>
 
 static double k[MAX_PARAMETERS][LANES], u[MAX_INPUTS][LANES], x[MAX_STATES][LANES];
-static double found[2][3][MAX_STATES + MAX_OUTPUTS][LANES];
+static double c[PREPARED][LANES], found[2][4][MAX_STATES + MAX_OUTPUTS][LANES];
 
 static void fill(double *to, size_t bytes, double low, double high) {
     for (size_t i = 0; i < bytes / sizeof *to; i++) {
@@ -48,8 +48,20 @@ int main(void) {
         fill(k[0], sizeof k, 0.1, 1e4);
         fill(u[0], sizeof u, -5.0, 5.0);
         fill(x[0], sizeof x, -1e-3, 1e-3);
-        law_1_attempts_wide(k, u, x, 1e-3, 0.0, found[0][0], found[0][1], found[0][2]);
-        law_1_attempts_inlined(k, u, x, 1e-3, 0.0, found[1][0], found[1][1], found[1][2]);
+        for (int l = 0; l < LANES; l++) {
+            double own[MAX_PARAMETERS], prepared[PREPARED];
+            for (int i = 0; i < MAX_PARAMETERS; i++) {
+                own[i] = k[i][l];
+            }
+            law_1_prepare(own, u[0], prepared);
+            for (int i = 0; i < PREPARED; i++) {
+                c[i][l] = prepared[i];
+            }
+        }
+        law_1_attempts_wide(c, u, x, 1e-3, 0.0, found[0][0], found[0][1], found[0][2],
+                            found[0][3]);
+        law_1_attempts_inlined(c, u, x, 1e-3, 0.0, found[1][0], found[1][1], found[1][2],
+                               found[1][3]);
         differ += memcmp(found[0], found[1], sizeof found[0]) != 0;
     }
     return differ > 0;
