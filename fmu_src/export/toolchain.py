@@ -107,9 +107,9 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
     compile_c(source, flags, output, last)
     header.write_text(text, encoding="utf-8")
     binary = bytearray(output.read_bytes())
-    if (place := binary.find(NUMBERS) + len(NUMBERS)) >= len(NUMBERS):
-        binary[place : place + len(content)] = content
-        _sign_again(binary)
+    place = binary.index(NUMBERS) + len(NUMBERS)
+    binary[place : place + len(content)] = content
+    _sign_again(binary)
     return bytes(binary)
 
 

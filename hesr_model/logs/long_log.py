@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import sample_pieces
 from hesr_model.logs.robot_log import (
     LONGEST_GAP,
@@ -16,7 +17,9 @@ from hesr_model.logs.robot_log import (
     Log,
     arrays_of,
     log_of,
-    require_steady_time,
+    require_increase,
+    require_rate,
+    require_rows,
     without_parts,
 )
 from hesr_model.logs.signals import Grid, Motion, filtered
@@ -61,9 +64,12 @@ class StepCounts:
     def longest(self) -> float:
         """Step [s] above which there is a gap, as `Log.longest_step`."""
         (most,) = self._at(int(USUAL * (self._counts.sum() - 1)))
-        usual = self.values <= most
-        mean = np.average(self.values[usual], weights=self._counts[usual])
-        return LONGEST_GAP * max(self.period, float(mean))
+        return LONGEST_GAP * max(self.period, self.mean(most))
+
+    def mean(self, longest: float) -> float:
+        """Mean [s] of the steps up to `longest` [s]."""
+        usual = self.values <= longest
+        return float(np.average(self.values[usual], weights=self._counts[usual]))
 
 
 @dataclass(kw_only=True)
@@ -92,31 +98,45 @@ class LongLog:
         robot.require_one_per_joint()
         self._robot, self._rows, self._sha256 = robot, rows, ""
         if isinstance(source, Path):
-            in_pieces = next(sample_pieces(source, robot, rows), None) is not None
+            in_pieces = not robot.log.sort and next(sample_pieces(source, robot, rows), None)
             self._sha256 = sha256(source)
             source = source if in_pieces else Log.read(source, robot)
-        self._source = source
+        self._source, self._time = source, ""
+        self._state = _state(source)
         self.stretches: list[Log] = []
-        low, high, every = np.array(np.inf), np.array(-np.inf), 1
+        low, high, every, dropped = np.array(np.inf), np.array(-np.inf), 1, 0
         for k, log in enumerate(self._pieces()):
+            dropped += log.dropped
             low, high = np.minimum(low, log.q.min(axis=0)), np.maximum(high, log.q.max(axis=0))
             if k % every == 0 and (k == 0 or 2 * len(log.t) > rows):  # checks need many rows
                 self.stretches.append(log)
             if len(self.stretches) > _STRETCHES:
                 self.stretches, every = self.stretches[::2], 2 * every
         self.travel: Array = high - low
-        (whole,) = parts = self._split(np.inf)
+        parts = self._split(np.inf)
+        require_rows(self._where, parts[0].last if parts else 0)
+        (whole,) = parts
         longest = whole.steps.longest
+        if isinstance(source, Path):
+            place = f"{self._where}: {self._time}"
+            require_rate(place, whole.steps.period, whole.steps.mean(longest), robot)
         if whole.steps.values[-1] > longest:
             parts = self._split(longest)
             self.stretches = [_longest_part(log, longest) for log in self.stretches]
+        self.stretches = [
+            replace(log, dropped=0 if k else dropped) for k, log in enumerate(self.stretches)
+        ]
         self.gaps, self.longest_step = len(parts) - 1, float(whole.steps.values[-1])
         self._parts = [p for p in parts if p is whole or p.end - p.start >= SHORTEST_PART]
         if not self._parts:
-            raise without_parts(self.stretches[0].where, len(parts) - 1, longest)
+            raise without_parts(self._where, len(parts) - 1, longest)
         for part in self._parts:
             cutoff = robot.log.filter_cutoff
-            part.grid.require(self.stretches[0].where, part.last - part.first, cutoff)
+            part.grid.require(self._where, part.last - part.first, cutoff)
+
+    @property
+    def _where(self) -> str:
+        return str(self._source) if isinstance(self._source, Path) else self._source.where
 
     @property
     def starts(self) -> set[float]:
@@ -144,7 +164,9 @@ class LongLog:
                 if not complete:
                     break
                 parts.pop(0)
-            keep = max(done - margin, at)
+            if not parts:
+                return
+            keep = max(done - margin, min(parts[0].first, there), at)
             held, at = held.rows(slice(keep - at, None)), keep
 
     def _split(self, longest: float) -> list[_Part]:
@@ -174,14 +196,23 @@ class LongLog:
             if not len(samples.t):
                 continue
             log = log_of(source, samples, self._robot)
-            log = replace(log, sha256=self._sha256, q_cmd=None, dq_cmd=None)
-            checked, place = log, samples.place
+            dropped = len(read.t) - len(samples.t)
+            log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
+            checked, place, self._time = log, samples.place, samples.time
             if last is not None:
                 checked = joined([last, log], arrays_of(log))
                 place = partial(_one_before, place)
-            require_steady_time(checked, replace(samples, place=place), self._robot)
+            require_increase(checked, replace(samples, place=place))
             last = log.rows(slice(-1, None))
             yield log
+        if _state(source) != self._state:
+            raise LogError(f"{source}: was changed while it was read; read it when it is complete.")
+
+
+def _state(source: Log | Path) -> tuple[int, int]:
+    """Return size [B] and time of the last change [ns] of a file."""
+    about = source.stat() if isinstance(source, Path) else None
+    return (about.st_size, about.st_mtime_ns) if about else (0, 0)
 
 
 def _longest_part(log: Log, longest: float) -> Log:

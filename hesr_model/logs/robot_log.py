@@ -365,8 +365,19 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
 
 def require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription) -> None:
     """Raise LogError if time does not increase, or with another rate than the robot file's."""
-    if len(log.t) < 2:
-        raise LogError(f"{log.where}: has {len(log.t)} rows of data; at least 2 are needed.")
+    require_rows(log.where, len(log.t))
+    require_increase(log, samples)
+    require_rate(f"{log.where}: {samples.time}", log.period, 1.0 / log.rate, robot)
+
+
+def require_rows(where: str, rows: int) -> None:
+    """Raise LogError for fewer than two rows."""
+    if rows < 2:
+        raise LogError(f"{where}: has {rows} rows of data; at least 2 are needed.")
+
+
+def require_increase(log: Log, samples: LogSamples) -> None:
+    """Raise LogError if time does not increase."""
     steps = np.diff(log.t)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0)) + 1
@@ -382,12 +393,16 @@ def require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription) 
             f"{log.where}: {samples.time}, {samples.place(k)}: time must increase, but "
             f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{why}."
         )
+
+
+def require_rate(where: str, median: float, mean: float, robot: RobotDescription) -> None:
+    """Raise LogError if the time between rows [s] is not that of the robot file."""
     nominal = robot.log.sample_rate or robot.log.rate
     # The mean is robust against jitter, the median against missing rows.
-    found = [nominal * period for period in (log.period, 1.0 / log.rate) if nominal]
+    found = [nominal * period for period in (median, mean) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):
         raise LogError(
-            f"{log.where}: {samples.time}: rows are {log.period:.4g} s apart, but the robot file's "
+            f"{where}: rows are {median:.4g} s apart, but the robot file's "
             f"sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; give the unit of time, "
             "'log.units.t'."
         )

@@ -223,3 +223,47 @@ def test_the_median_of_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(long_log, "_DISTINCT", 1000)
     assert steps().period == pytest.approx(log.period, rel=2e-5)
     assert len(steps().values) < 4999
+
+
+def with_settings(robot: RobotDescription, **settings: object) -> RobotDescription:
+    return robot.model_copy(update={"log": robot.log.model_copy(update=settings)})
+
+
+def test_the_rate_is_that_of_the_whole_log(robot: RobotDescription, tmp_path: Path) -> None:
+    """A piece of one row follows a long step."""
+    table = long_table(tmp_path / "robot.toml", 801)
+    table[-1, 0] += 0.4 * (table[1, 0] - table[0, 0])
+    path = written(tmp_path / "log.csv", table)
+    rate = 1.0 / float(table[1, 0] - table[0, 0])
+    same = with_settings(robot, sample_rate=rate)
+    assert len(Log.read(path, same).t) == 801
+    assert LongLog(path, same, rows=200).gaps == 0
+    other = with_settings(robot, sample_rate=2.0 * rate)
+    with pytest.raises(LogError) as expected:
+        Log.read(path, other)
+    with pytest.raises(LogError) as found:
+        LongLog(path, other, rows=200)
+    assert str(found.value) == str(expected.value)
+
+
+def test_rows_without_numbers_are_left_out(robot: RobotDescription, tmp_path: Path) -> None:
+    """Of the first piece one row is complete."""
+    table, drop = long_table(tmp_path / "robot.toml", 1001), with_settings(robot, missing="drop")
+    table[:199, 1] = np.nan
+    path = written(tmp_path / "log.csv", table)
+    assert Log.read(path, drop).dropped == 199
+    assert sum(log.dropped for log in LongLog(path, drop, rows=200).stretches) == 199
+    table[:, 1] = np.nan
+    path = written(tmp_path / "log.csv", table)
+    for read in (Log.read, LongLog):
+        with pytest.raises(LogError, match=r"log\.csv: has 0 rows of data; at least 2 are needed"):
+            read(path, drop)
+
+
+def test_a_log_that_changes_is_refused(robot: RobotDescription, tmp_path: Path) -> None:
+    table = long_table(tmp_path / "robot.toml", 1001)
+    path = written(tmp_path / "log.csv", table)
+    log = LongLog(path, robot, rows=200)
+    written(path, table[:700])
+    with pytest.raises(LogError, match=r"log\.csv: was changed while it was read; read it when"):
+        list(log.motions())

@@ -214,6 +214,8 @@ class Refinement:
         products = self.run_of_slopes.products(numbers, self.weights)[:-1, :-1]
         used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
         gram = (products * np.outer(factors, factors))[np.ix_(used, used)]
+        if not np.isfinite(gram).all():  # refused as a step
+            return np.full_like(gram, np.inf)
         sizes = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
         gram /= np.outer(sizes, sizes)
         try:
