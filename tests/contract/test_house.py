@@ -10,13 +10,14 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # Maximum lines of Python, C and headers: 59,000, plus 1,800 for evidence, robots and logs, and
 # 1,600 for the plant, 1,180 for FMUs and SSPs of other tools, 230 for the sandbox of systems,
 # 850 for the observer and the plug-in of MuJoCo, 1,050 for friction in simulation and on other
-# machines, and 510 for following errors.
+# machines, 510 for following errors, and 530 for plants in model exchange, long logs and numbers
+# that are written into binaries.
 BUDGET = {
     "hesr_model": 23_531,
     "fmu_src": 19_739,
     "cosim": 11_444,
     "hesr": 835,
-    "hesr.extras": 14_199,
+    "hesr.extras": 14_070,
     "all": 69_619,
 }
 
