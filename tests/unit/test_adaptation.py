@@ -86,7 +86,7 @@ def test_a_change_that_a_proof_does_not_allow_is_cut(monkeypatch: pytest.MonkeyP
     model, _ = adapt(prior, [[new]])
     assert certify(model.laws[0], prior.trained[0]).verdict == "proven"
     assert error(model, new) < error(prior, new)
-    monkeypatch.setattr(days, "_SHARES", (1.0,))
+    monkeypatch.setattr("hesr_model.fitting.days._SHARES", (1.0,))
     cut, _ = adapt(prior, [[new]])
     assert cut.laws[0].values == prior.laws[0].values  # the whole change was not allowed
 
