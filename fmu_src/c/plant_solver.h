@@ -48,7 +48,7 @@ typedef struct {
     Lanes weight;            /* 1/2: midpoint; 1: implicit Euler */
     Lanes inertial;          /* mass matrix times acceleration */
     Lanes command;           /* integral of the servo's command */
-    Lanes support;           /* torque of the motor besides the servo's */
+    Lanes support;           /* torque of the motor without the servo's */
     Lanes servo, gain, most; /* torque of a servo at speed 0, minus its slope, and its limit */
     const Component *component;
     double h;
@@ -391,8 +391,8 @@ INLINED bool settle(Solver *solver, bool sweeping, Message *why) {
     return false;
 }
 
-/* Choose midpoint or implicit Euler, and start from the speeds of an acceleration that changes as
- * before, or of a constant one where these turn; whether an axis may be held. */
+/* Choose midpoint or implicit Euler. Start from the speeds of an acceleration that changes as in
+ * the last step, or stays constant if a speed reverses. Return whether an axis may be held. */
 INLINED bool predict(Solver *solver) {
     const double h = solver->h;
     bool at_rest = false;

@@ -1,6 +1,6 @@
 """Logs that are read in pieces, with memory that does not grow with the rows."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -28,7 +28,10 @@ from hesr_model.support.arrays import Array, joined
 from hesr_model.support.files import sha256
 
 ROWS = 2**14  # rows of a piece
-_DISTINCT, _DIGITS = 2**20, 2.0**16  # steps told apart; beyond, by this many digits
+_DISTINCT, _DIGITS = (
+    2**20,
+    2.0**16,
+)  # distinct steps kept exactly; more are rounded to this many digits
 _SETTLED = 10.0  # overlap in periods of the cut-off; transients decay to 1e-19
 _SPLINE = 100  # rows after which the ends of a spline do not matter
 _STRETCHES = 8  # most pieces kept for checks
@@ -104,16 +107,9 @@ class LongLog:
         self._source, self._time = source, ""
         self._state = _state(source)
         self.stretches: list[Log] = []
-        low, high, every, dropped = np.array(np.inf), np.array(-np.inf), 1, 0
-        for k, log in enumerate(self._pieces()):
-            dropped += log.dropped
-            low, high = np.minimum(low, log.q.min(axis=0)), np.maximum(high, log.q.max(axis=0))
-            if k % every == 0 and (k == 0 or 2 * len(log.t) > rows):  # checks need many rows
-                self.stretches.append(log)
-            if len(self.stretches) > _STRETCHES:
-                self.stretches, every = self.stretches[::2], 2 * every
-        self.travel: Array = high - low
-        parts = self._split(np.inf)
+        self.travel: Array = np.empty(0)
+        self._dropped = 0
+        parts = self._split(self._surveyed(), np.inf)
         require_rows(self._where, parts[0].last if parts else 0)
         (whole,) = parts
         longest = whole.steps.longest
@@ -121,10 +117,10 @@ class LongLog:
             place = f"{self._where}: {self._time}"
             require_rate(place, whole.steps.period, whole.steps.mean(longest), robot)
         if whole.steps.values[-1] > longest:
-            parts = self._split(longest)
+            parts = self._split(self._pieces(), longest)
             self.stretches = [_longest_part(log, longest) for log in self.stretches]
         self.stretches = [
-            replace(log, dropped=0 if k else dropped) for k, log in enumerate(self.stretches)
+            replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
         ]
         self.gaps, self.longest_step = len(parts) - 1, float(whole.steps.values[-1])
         self._parts = [p for p in parts if p is whole or p.end - p.start >= SHORTEST_PART]
@@ -169,11 +165,24 @@ class LongLog:
             keep = max(done - margin, min(parts[0].first, there), at)
             held, at = held.rows(slice(keep - at, None)), keep
 
-    def _split(self, longest: float) -> list[_Part]:
-        """Split the rows at steps above `longest` [s]."""
+    def _surveyed(self) -> Iterator[Log]:
+        """Yield the pieces, and keep stretches, travel and the number of rows left out."""
+        low, high, every = np.array(np.inf), np.array(-np.inf), 1
+        for k, log in enumerate(self._pieces()):
+            self._dropped += log.dropped
+            low, high = np.minimum(low, log.q.min(axis=0)), np.maximum(high, log.q.max(axis=0))
+            self.travel = high - low
+            if k % every == 0 and (k == 0 or 2 * len(log.t) > self._rows):  # checks need many rows
+                self.stretches.append(log)
+            if len(self.stretches) > _STRETCHES:
+                self.stretches, every = self.stretches[::2], 2 * every
+            yield log
+
+    def _split(self, pieces: Iterable[Log], longest: float) -> list[_Part]:
+        """Split the rows of all pieces at steps above `longest` [s]."""
         parts: list[_Part] = []
         rows = 0
-        for log in self._pieces():
+        for log in pieces:
             steps = np.diff(log.t, prepend=parts[-1].end if parts else log.t[0])
             starts = {*np.flatnonzero(steps > longest).tolist(), *([] if parts else [0])}
             for first, last in pairwise(sorted({0, *starts, len(log.t)})):

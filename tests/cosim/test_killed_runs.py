@@ -227,7 +227,7 @@ def used_until(process: "subprocess.Popen[str]", seconds: float) -> float:
         with suppress(psutil.Error):
             tree = (running, *running.children(recursive=True))
             now = max(now, sum(sum(one.cpu_times()[:4]) for one in tree))
-        time.sleep(0.05)  # every look at all processes takes CPU time, too
+        time.sleep(0.05)  # listing all processes also takes CPU time
     return now
 
 

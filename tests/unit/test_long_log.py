@@ -247,7 +247,7 @@ def test_the_rate_is_that_of_the_whole_log(robot: RobotDescription, tmp_path: Pa
 
 
 def test_rows_without_numbers_are_left_out(robot: RobotDescription, tmp_path: Path) -> None:
-    """Of the first piece one row is complete."""
+    """Only one row of the first piece is complete."""
     table, drop = long_table(tmp_path / "robot.toml", 1001), with_settings(robot, missing="drop")
     table[:199, 1] = np.nan
     path = written(tmp_path / "log.csv", table)
