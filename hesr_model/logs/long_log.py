@@ -28,10 +28,7 @@ from hesr_model.support.arrays import Array, joined
 from hesr_model.support.files import sha256
 
 ROWS = 2**14  # rows of a piece
-_DISTINCT, _DIGITS = (
-    2**20,
-    2.0**16,
-)  # distinct steps kept exactly; more are rounded to this many digits
+_DISTINCT, _DIGITS = 2**20, 2.0**16  # most steps kept exactly; digits of more
 _SETTLED = 10.0  # overlap in periods of the cut-off; transients decay to 1e-19
 _SPLINE = 100  # rows after which the ends of a spline do not matter
 _STRETCHES = 8  # most pieces kept for checks
