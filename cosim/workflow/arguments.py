@@ -43,7 +43,7 @@ PerJoint = float | Sequence[float]
 """One number for each joint, or one for all."""
 
 MOST_CELLS, _CELL = 2**22, 8  # numbers of logs held in memory, and their size [B]
-MOST_ROWS = 10**6  # rows of a fit
+MOST_ROWS = 10**6  # rows of a fit or test
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -162,7 +162,8 @@ def test(
         Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1; on a leaderboard
         with several robots ROBOT=FILE.
     on : sequence of logs, optional
-        Logs for the prediction, or one leaderboard file (.toml); repeatable.
+        Logs for the prediction, or one leaderboard file (.toml); repeatable. Of more than 10^6
+        rows those that cover speed, load and rest are used.
     kind : sequence of str, optional
         Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
         stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
@@ -268,7 +269,7 @@ def _predicted(
     if not logs or rigid_body is None:
         missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
         raise ArgumentError(f"'kind' prediction needs {missing}.")
-    read = checked_logs(logs, robot, accept, progress)
+    read = checked_logs(logs, robot, accept, progress, in_pieces=True)
     body = body_of(rigid_body, read.logs, read.robot)
     records = by_joint(read.records(body))
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}

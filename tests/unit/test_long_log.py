@@ -160,6 +160,26 @@ def test_fit_takes_whole_stretches_of_long_logs(
     assert all(np.ptp(np.diff(part[0].t)) < 1e-3 for part in some)
 
 
+def test_laws_are_tested_on_long_logs(
+    robot: RobotDescription, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path / "log.npz", with_gap(robot, tmp_path, 2500))
+    body, make = hesr.identify(path, robot=robot), arguments.LongLog
+    law = hesr.fit(path, law="stribeck", robot=robot, rigid_body=body)
+    monkeypatch.setattr(arguments, "LongLog", lambda *given: make(*given, rows=400))
+
+    def errors() -> list[float]:
+        found = hesr.test({"law": law}, on=path, kind="prediction", robot=robot, rigid_body=body)
+        assert found.scores and found.positions
+        return list(found.scores.zero_phase["law"])
+
+    expected = errors()
+    monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
+    np.testing.assert_allclose(errors(), expected, rtol=1e-9)
+    monkeypatch.setattr(arguments, "MOST_ROWS", 1500)
+    assert max(np.abs(np.array(errors()) / expected - 1.0)) > 1e-9
+
+
 def test_arrays_stored_by_column_are_read_as_a_whole(
     robot: RobotDescription, tmp_path: Path
 ) -> None:
