@@ -170,7 +170,8 @@ def test_laws_are_tested_on_long_logs(
 
     def errors() -> list[float]:
         found = hesr.test({"law": law}, on=path, kind="prediction", robot=robot, rigid_body=body)
-        assert found.scores and found.positions
+        assert found.scores is not None
+        assert found.positions is not None
         return list(found.scores.zero_phase["law"])
 
     expected = errors()
