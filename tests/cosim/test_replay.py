@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmu_src import model_file
-from fmu_src.run.replay import replay
+from fmu_src.run.replay import replay, require_finite
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -53,3 +53,10 @@ def test_missing_values_are_reported_with_their_time(friction_fmu, log):
     dq[30, 1] = np.nan
     with pytest.raises(SimulationError, match=r"at t = 0\.145 s: fmi2SetReal: dq\[2\] is nan"):
         replay(friction_fmu, t, dq)
+
+
+def test_torques_that_are_not_finite_are_reported(friction_fmu):
+    torque = np.zeros((4, 3))
+    torque[2, 1] = np.inf
+    with pytest.raises(SimulationError, match=r"at t = 0\.2 s tau\[2\] is not a finite number\.$"):
+        require_finite(friction_fmu, np.arange(4) / 10.0, torque)

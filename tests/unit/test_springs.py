@@ -207,6 +207,17 @@ def test_springs_of_locked_joints_are_left_out(sprung: Robot) -> None:
     assert (robot.springs, robot.balancers) == (("j1",), ())
 
 
+def test_masses_are_known_beside_springs(make_motion: MakeMotion, sprung: Robot) -> None:
+    """Springs are identified before the checks; masses identified too would hide the scale."""
+    motion = with_springs(make_motion(friction=0.8))
+    found = []
+    for scale in (1.0, 1.0 / 12.0):
+        log = Log(name="log", t=motion.t, q=motion.q, dq=motion.dq, tau=scale * motion.tau)
+        findings = examine([log], sprung.description, sprung).findings
+        found.append([f.joints for f in findings if f.check == "torque-scale"])
+    assert found == [[], [("j3",)]]  # the scale of others may be that of their springs
+
+
 def test_a_balancer_is_no_wrong_scale(tmp_path: Path) -> None:
     """A balancer takes four fifths of the weight."""
     plain, balanced = pendulum(tmp_path), pendulum(tmp_path, balancers=("a",))
