@@ -37,7 +37,7 @@ _SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
 """Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""
 
-_UPPER = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
+_PLACES = (0, 1, 2, 3, 0, 0, 1, 0, 1, 2), (0, 1, 2, 3, 1, 2, 2, 3, 3, 3)  # of an upper triangle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,10 +65,13 @@ def pseudo_inertia(parameters: Array) -> Array:
 
 
 def link_parameters(pseudo: Array) -> Array:
-    """Return a link's ten parameters from its pseudo-inertia."""
-    sigma, (mx, my, mz), m = pseudo[:3, :3], pseudo[:3, 3], pseudo[3, 3]
-    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = np.trace(sigma) * np.eye(3) - sigma
-    return np.array([m, mx, my, mz, ixx, ixy, iyy, ixz, iyz, izz])
+    """Return the ten parameters (..., 10) of links from their pseudo-inertias (..., 4, 4)."""
+    sigma = pseudo[..., :3, :3]
+    inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
+    first, second = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+    return np.concatenate(
+        [pseudo[..., 3, 3:], pseudo[..., :3, 3], inertia[..., first, second]], axis=-1
+    )
 
 
 def fit(
@@ -185,28 +188,20 @@ class _Chart:
     def parameters(self, x: Array) -> Array:
         """Return the standard parameters (P,) at coordinates."""
         links = 10 * len(self.factors)
-        parts = [
-            link_parameters(b @ u @ u.T @ b.T)
-            for b, u in zip(self.factors, map(_triangle, x[:links].reshape(-1, 10)), strict=True)
-        ]
-        return np.concatenate([*parts, x[links:] ** 2])
+        b, u = self.factors, _triangles(x[:links].reshape(-1, 10))
+        own = link_parameters(b @ u @ u.mT @ b.mT)
+        return np.concatenate([own.ravel(), x[links:] ** 2])
 
     def slopes(self, x: Array) -> Array:
         """Return the derivatives (P, 10 n + r) of the parameters."""
         links = 10 * len(self.factors)
-        out = np.zeros((len(x), len(x)))
-        for k, b in enumerate(self.factors):
-            own = slice(10 * k, 10 * k + 10)
-            u = _triangle(x[own])
-            for c in range(10):
-                du = np.zeros((4, 4))
-                place = (c, c) if c < 4 else _UPPER[c - 4]
-                du[place] = u[place] if c < 4 else 1.0
-                half = b @ du @ u.T @ b.T
-                out[own, 10 * k + c] = link_parameters(half + half.T)
-        rotors = np.arange(links, len(x))
-        out[rotors, rotors] = 2 * x[links:]
-        return out
+        u, changes = _triangles(x[:links].reshape(-1, 10)), np.zeros((len(self.factors), 10, 4, 4))
+        changes[:, range(10), *_PLACES] = 1.0
+        changes[:, range(4), range(4), range(4)] = np.exp(x[:links].reshape(-1, 10)[:, :4])
+        b, u = self.factors[:, None], u[:, None]
+        half = b @ changes @ u.mT @ b.mT
+        blocks = link_parameters(half + half.mT).transpose(0, 2, 1)
+        return np.asarray(scipy.linalg.block_diag(*blocks, np.diag(2 * x[links:])))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,10 +218,9 @@ class _Problem:
         return np.vstack([self.rows[:, :-1] @ self.chart.slopes(x), np.diag(self.pull)])
 
 
-def _triangle(x: Array) -> Array:
-    u = np.diag(np.exp(x[:4]))
-    for place, value in zip(_UPPER, x[4:], strict=True):
-        u[place] = value
+def _triangles(x: Array) -> Array:
+    u = np.zeros((len(x), 4, 4))
+    u[:, *_PLACES] = np.hstack([np.exp(x[:, :4]), x[:, 4:]])
     return u
 
 
