@@ -21,6 +21,7 @@ from hesr.cli.console import (
     home_where_needed,
     plain_where_needed,
     refuse,
+    require_environment,
     shown_progress,
 )
 from hesr_model.errors import ConfigError
@@ -275,3 +276,14 @@ def test_matplotlib_gets_a_folder_only_if_home_is_not_writable(
     home_where_needed()
     assert os.environ["MPLCONFIGDIR"] == str(empty_cache / "matplotlib")
     monkeypatch.delenv("MPLCONFIGDIR")
+
+
+@pytest.mark.parametrize("date", ["x", "-1", "1.5", "\u0663", "9" * 12])
+def test_dates_are_whole_seconds(date: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
+    with pytest.raises(ConfigError) as caught:
+        require_environment()
+    sentence = f"SOURCE_DATE_EPOCH is '{date}'; expected whole seconds since 1970."
+    assert str(caught.value) == sentence
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1760000000")
+    require_environment()

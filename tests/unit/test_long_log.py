@@ -110,6 +110,7 @@ def test_identify_reads_long_logs_in_pieces(
         written(path, long_table(tmp_path / "robot.toml", 2000, seed=k))
     file = tmp_path / "robot.toml"
     expected = hesr.identify(paths, robot=file)
+    physical = hesr.identify(paths, robot=file, physical=True)
     monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
     monkeypatch.setattr(long_log, "ROWS", 500)
     used: list[LongLog] = []
@@ -124,6 +125,9 @@ def test_identify_reads_long_logs_in_pieces(
     from_memory = hesr.identify([Log.read(path, robot) for path in paths])
     assert len(used) == 4
     assert_same(from_memory, expected)
+    at_once = hesr.identify(paths, robot=file, physical=True)
+    assert len(used) == 4
+    assert_same(at_once, physical)
 
 
 def test_fit_takes_whole_stretches_of_long_logs(

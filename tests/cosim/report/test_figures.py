@@ -305,14 +305,14 @@ def test_lines_of_a_view_share_times_and_are_rounded() -> None:
 
 
 def test_long_charts_are_thinned_for_a_view() -> None:
-    def item(points: int) -> dict:
+    def item(points: int, rows_of_plots: int) -> dict:
         x = np.linspace(0.0, 1.0, points)
         line = Line(name="a", x=x, y=x, stroke=DASHED)
-        rows = ((Panel(title="t", y="y", lines=(line, LONG)),),) * 2
+        rows = ((Panel(title="t", y="y", lines=(line, LONG)),),) * rows_of_plots
         text = zoom_data(Chart(x="t [s]", rows=rows))
         return json.loads(zlib.decompress(base64.b64decode(text)))
 
-    data = item(24_000)
+    data = item(24_000, rows_of_plots=2)
     assert data["names"] == {
         name: {"colour": "#0069a8", "dash": [5.0, 1.5]} for name in ("a", "long")
     }
@@ -329,4 +329,5 @@ def test_long_charts_are_thinned_for_a_view() -> None:
 
     assert longest(data) == 24_000
     # 50,002 values
-    assert longest(item(24_200)) == 12_100
+    assert longest(item(24_200, rows_of_plots=2)) == 12_100
+    assert longest(item(24_200, rows_of_plots=1)) == 24_200
