@@ -38,9 +38,13 @@ class Section:
 
 @dataclass
 class Pictures:
-    """Figures of a page, also written as PDF and PNG; data of zooming views by key."""
+    """Figures of a page, also written as PDF and PNG; data of zooming views by key.
+
+    `brief` pages have neither files nor zooming views.
+    """
 
     folder: Path
+    brief: bool = False
     zooms: dict[str, str] = field(default_factory=dict)
 
     def figure(
@@ -51,7 +55,8 @@ class Pictures:
 
         if picture is None:
             return Markup()
-        write(file or picture, self.folder / key)
+        if not self.brief:
+            write(file or picture, self.folder / key)
         return self.shown(key, picture, **texts)
 
     def shown(self, key: str, picture: "Figure", caption: str = "", **texts: Any) -> Markup:
@@ -66,7 +71,7 @@ class Pictures:
 
         if chart is None:
             return Markup()
-        if can_zoom():
+        if can_zoom() and not self.brief:
             self.zooms[key] = zoom_data(chart)
         return self.figure(key, drawn(chart), **texts)
 

@@ -96,24 +96,33 @@ def write_report(folder: Path, output: Path | None = None, *, progress: Stages =
 
 
 def compose_report(
-    results: Results, folder: Path, page: Path, place: Path, *, progress: Stages = silent
+    results: Results,
+    folder: Path,
+    page: Path,
+    place: Path,
+    *,
+    brief: bool = False,
+    progress: Stages = silent,
 ) -> None:
-    """Write the page of results, which is read at `place`, and figures and tables to a folder."""
+    """Write the page of results, which is read at `place`, and figures and tables to a folder.
+
+    For `brief` see `Pictures`.
+    """
     *first, last = SECTIONS.items()
     further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]
     folded = dict([*first, *(((f.key, f.title), (replace(f, title=""),)) for f in further), last])
     parts = [part for of_section in folded.values() for part in of_section]
     home = _link_from(place.resolve(), results.folder.resolve())
-    jobs = [partial(_made, part, results, folder, home) for part in parts]
+    jobs = [partial(_made, part, results, folder, home, brief) for part in parts]
     made: list[Made] = []
     # starting processes costs more
-    workers, names = None if parallel.shared() else 1, [part.title or part.key for part in parts]
+    workers, names = None if parallel.shared() and not brief else 1, [part.title or part.key for part in parts]
     with parallel.results_of(jobs, workers, names=names) as found:
-        made += filter(None, [_made(_SUMMARY, results, folder, home)])
+        made += filter(None, [_made(_SUMMARY, results, folder, home, brief)])
         for _ in counted(jobs, partial(progress, "writing the report")):
             made += filter(None, [next(found)])
     zooms = {key: data for one in made for key, data in one.zooms.items()}
-    if not can_zoom():
+    if not can_zoom() and not brief:
         _log.warning("figures of the report do not zoom: pip install 'hesr[report]'.")
     sections = [
         _section(*names, [one for one in made if one.part in of_section], home)
@@ -141,11 +150,17 @@ def _link_from(place: Path, folder: Path) -> str:
     return "" if way == "." else f"{way}/"
 
 
-def _made(part: Chapter, results: Results, folder: Path, home: str) -> Made | None:
-    pictures, tables = Pictures(folder / FIGURES), Tables(folder / TABLES)
+def _made(part: Chapter, results: Results, folder: Path, home: str, brief: bool) -> Made | None:
+    pictures, tables = Pictures(folder / FIGURES, brief), Tables(folder / TABLES)
     if (values := part.values(results)) is None:
         return None
-    values |= {"home": home, "unit": results.unit, "table": tables.table, "csv": tables.csv}
+    values |= {
+        "home": home,
+        "brief": brief,
+        "unit": results.unit,
+        "table": tables.table,
+        "csv": tables.csv,
+    }
     values |= {"figure": pictures.figure, "chart": pictures.chart, "drawing": pictures.drawing}
     html = render(f"sections/{part.key}.html.j2", folder=part.folder, **values)
     return Made(part, html, pictures.zooms, tables.written)

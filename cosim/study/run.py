@@ -119,7 +119,7 @@ def run_study(
             )
             following = job.following(run, made, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
-            _report(folder, audits, job.progress)
+            _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
         shutil.rmtree(kept, ignore_errors=True)
     return Outcome(
@@ -152,13 +152,15 @@ def _shortened(study: Study) -> Study:
     return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
 
 
-def _report(folder: Path, audits: Mapping[str, ModelAudit | None], progress: Stages) -> None:
+def _report(
+    folder: Path, audits: Mapping[str, ModelAudit | None], progress: Stages, *, brief: bool
+) -> None:
     from cosim.report.page import REPORT, compose_report  # slow to import
     from cosim.report.results import Results
 
     known = {law: audit for law, audit in audits.items() if audit}
     results = replace(Results.read(folder), audited=known)
-    compose_report(results, folder, folder / REPORT, folder, progress=progress)
+    compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
 
 
 def score_study(

@@ -164,7 +164,8 @@ def run(
     platform : sequence of str
         Platforms of the FMUs: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
     quick : bool
-        Stribeck, LuGre and ParFam-H only, in closed loop on one motion, without physics checks.
+        Stribeck, LuGre and ParFam-H only, in closed loop on one motion, without physics checks;
+        figures of the report neither zoom nor are files until 'hesr report' is run.
     seeds : int, optional
         Twin only: score the laws over N draws of noise, motions and true friction instead, without
         FMUs; writes seeds.json.

@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from hesr_model.support.files import written_whole
@@ -33,10 +36,17 @@ VARIABLES = {
 """CSS variable of each colour."""
 
 _DPI = 150
+_CANVASES: dict[str, tuple[Any, str]] = {
+    "svg": (FigureCanvasSVG, "Date"),
+    "png": (FigureCanvasAgg, "Software"),
+    "pdf": (FigureCanvasPdf, "CreationDate"),
+}
+"""Canvas of each format, and the metadatum that differs between runs."""
 _PATH = re.compile(r'(?<= d=")[^"]*')
 _COMMAND = re.compile(r"([A-Za-z])([^A-Za-z]*)")
 _RC: "dict[RcKeyType, Any]" = {
     "axes.edgecolor": LINE,
+    "axes.facecolor": "none",
     "axes.labelcolor": INK,
     "axes.labelsize": 9,
     "axes.titlesize": 9.5,
@@ -103,22 +113,30 @@ styled = partial(rc_context, _RC)  # applies the style of the report
 
 
 def _settle(figure: Figure) -> None:
-    if figure.get_layout_engine() is not None:
-        figure.draw_without_rendering()
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
         figure.set_layout_engine("none")
 
 
-def _drawn(figure: Figure, salt: str, **options: Any) -> str:
+def _print(figure: Figure, kind: str, file: Any) -> None:
+    # `savefig` would draw a figure that had a layout twice.
+    canvas, varying = _CANVASES[kind]
+    getattr(canvas(figure), f"print_{kind}")(file, metadata={varying: None})
+
+
+def _drawn(figure: Figure, salt: str, *, opaque: bool = False) -> str:
     _settle(figure)
+    figure.patch.set_visible(opaque)
     text = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": salt}):
-        figure.savefig(text, format="svg", metadata={"Date": None}, **options)
+        _print(figure, "svg", text)
+    figure.patch.set_visible(True)
     return text.getvalue()
 
 
 def svg(figure: Figure, key: str) -> str:
     """Return a figure as SVG with the page's colours and fonts; `key` prefixes its identifiers."""
-    drawn = _drawn(figure, key, transparent=True)
+    drawn = _drawn(figure, key)
     width, height = 72.0 * figure.get_size_inches()
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
@@ -129,15 +147,16 @@ def svg(figure: Figure, key: str) -> str:
 def write_svg(figure: Figure, path: Path) -> None:
     """Write a figure as a standalone SVG with reproducible bytes."""
     with written_whole(path) as temporary:
-        temporary.write_text(_short(_drawn(figure, path.stem, facecolor="white")), encoding="utf-8")
+        temporary.write_text(_short(_drawn(figure, path.stem, opaque=True)), encoding="utf-8")
 
 
 def write(figure: Figure, stem: Path) -> None:
     """Write a figure as PDF and PNG with reproducible bytes."""
     _settle(figure)
-    for suffix, metadata in ((".pdf", {"CreationDate": None}), (".png", {"Software": None})):
-        with written_whole(stem.with_name(f"{stem.name}{suffix}")) as temporary:
-            figure.savefig(temporary, dpi=_DPI, metadata=metadata)
+    for kind in ("png", "pdf"):
+        figure.set_dpi(_DPI)
+        with written_whole(stem.with_name(f"{stem.name}.{kind}")) as temporary:
+            _print(figure, kind, temporary)
 
 
 def _short(body: str) -> str:
