@@ -115,8 +115,8 @@ def compose_report(
     home = _link_from(place.resolve(), results.folder.resolve())
     jobs = [partial(_made, part, results, folder, home, brief) for part in parts]
     made: list[Made] = []
-    # starting processes costs more
-    workers, names = None if parallel.shared() and not brief else 1, [part.title or part.key for part in parts]
+    workers = None if parallel.shared() and not brief else 1  # starting processes costs more
+    names = [part.title or part.key for part in parts]
     with parallel.results_of(jobs, workers, names=names) as found:
         made += filter(None, [_made(_SUMMARY, results, folder, home, brief)])
         for _ in counted(jobs, partial(progress, "writing the report")):
