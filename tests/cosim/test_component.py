@@ -46,6 +46,7 @@ def test_values_are_set_and_read_by_name(friction_fmu):
 def test_batches_use_one_buffer(friction_fmu):
     with FmuInstance(friction_fmu) as friction:
         friction.initialise()
+        assert friction.time == 0.0
         inputs, outputs = friction.buffer(["dq[1]", "dq[2]"]), friction.buffer(["tau[1]", "tau[2]"])
         inputs.values[:] = 0.3, -0.3
         inputs.write()

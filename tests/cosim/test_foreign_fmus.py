@@ -21,7 +21,7 @@ from test_cli_interrupts import started, wait_for
 from cosim.systems.simulation import Master, System
 from cosim.systems.system import SystemSpec
 from fmu_src.check.run import check
-from fmu_src.run import sandbox_rights
+from fmu_src.run import sandbox_child, sandbox_rights
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import Instance
 from fmu_src.run.sandbox import Sandbox
@@ -505,3 +505,13 @@ def test_old_hashes_are_forgotten(
     remember(lag_fmu)
     assert len(list(place.iterdir())) == 6
     assert is_ours(lag_fmu)
+
+
+def test_limits_are_those_of_the_page() -> None:
+    page = Path(__file__).parents[2].joinpath("docs/security.md").read_text(encoding="utf-8")
+    limits = (
+        f"{sandbox_child.MOST_MEMORY >> 30} GiB of address space",
+        f"{sandbox_child.MOST_IN_A_FILE >> 30} GiB per file",
+        f"{sandbox_child.MOST_FILES} open files",
+    )
+    assert ", ".join(limits) in page
