@@ -628,6 +628,8 @@ def test_missing_files_of_a_study_are_reported(
 
 def test_a_missing_study_is_reported(refused: Callable[..., str], tmp_path: Path) -> None:
     assert refused("run", tmp_path / "none.toml") == f"{tmp_path / 'none.toml'}: no such file."
+    # "paper" alone is a shipped study.
+    assert refused("run", "a/paper") == "a/paper: no such file."
 
 
 # --- laws and platforms -----------------------------------------------------------------------

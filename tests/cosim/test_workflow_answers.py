@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from joint_data import law
 
+from cosim.study.results import Seeds
 from cosim.systems.signals import Signals
-from cosim.workflow import export, fit, identify, report, simulate
+from cosim.workflow import export, fit, identify, report, run, simulate
 from hesr_model.findings import Finding
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
@@ -145,3 +146,8 @@ def test_a_report_is_reported_by_its_file(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert report.answer(page, None).summary() == f"Written: {page}"
     assert report.answer(tmp_path, None).summary() == f"Shown: {tmp_path}"
+
+
+def test_scores_over_draws_are_printed_as_tables() -> None:
+    found = Seeds(seeds=2, joints=("j1",), reference="lugre", tests={})
+    assert run.answer(found, None).shows_tables
