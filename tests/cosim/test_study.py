@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from small_study import uf850
 from small_twin import MOTIONS
 
 from cosim.study.run import Outcome, run_study
 from cosim.study.scores import ORACLE
 from cosim.study.steps import Job
-from cosim.study.study import Study
+from cosim.study.study import Part, Study
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -94,6 +95,12 @@ def test_all_keys_of_a_study_are_read(write: Callable[[str], Path]) -> None:
     assert study.logs.reversed == ("one_reversed", "three_reversed")
     assert study.logs.training == ("sweep",)
     assert dict(study.logs.test) == {"unseen": ("two",), "other": ("four", "five")}
+
+
+def test_parts_begin_anywhere_in_a_log() -> None:
+    assert Part(log="a.csv", start=0.5).start == 0.5
+    with pytest.raises(ValidationError, match="greater than or equal to 0"):
+        Part(log="a.csv", start=-0.5)
 
 
 def test_optional_keys_have_defaults(write: Callable[[str], Path]) -> None:

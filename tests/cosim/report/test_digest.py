@@ -47,6 +47,8 @@ def test_every_figure_is_that_of_the_run(results: Path, tmp_path: Path) -> None:
     assert f"## {read.run.study}: {read.run.robot}\n" in text
     assert read.verdict
     assert read.verdict.sentences[0] in text.splitlines()
+    share = 100.0 * read.comparisons[read.tests[0]].size(read.best)
+    assert f" leaves {share:.0f} % of the friction unexplained, averaged over joints" in text
     head = next(line for line in text.splitlines() if "over all rows" in line)
     assert read.tests[0] in head
     scores = read.comparisons[read.tests[0]]
