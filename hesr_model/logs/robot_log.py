@@ -289,7 +289,7 @@ def require_different(logs: Sequence[Log]) -> None:
 
 def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
     """Raise LogError if a joint moves in no log."""
-    travel: Array = np.max([np.ptp(log.q, axis=0) for log in logs], axis=0)
+    travel: Array = np.array([np.ptp(log.q, axis=0) for log in logs]).max(axis=0)
     require_travel(", ".join(log.where for log in logs), travel, joints)
 
 

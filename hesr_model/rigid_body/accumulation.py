@@ -130,7 +130,7 @@ class Streamed:
 def identify_long(logs: Sequence[LongLog], model: Robot) -> identification.RigidBody:
     """Identify as `identification.identify` by the stacked method, with bounded memory."""
     names = dict.fromkeys(log.stretches[0].where for log in logs)
-    travel: Array = np.max([log.travel for log in logs], axis=0)
+    travel: Array = np.array([log.travel for log in logs]).max(axis=0)
     require_travel(", ".join(names), travel, model.description.joints)
 
     def motions() -> Iterator[Motion]:
