@@ -99,7 +99,7 @@ def test_all_keys_of_a_study_are_read(write: Callable[[str], Path]) -> None:
 
 def test_parts_begin_anywhere_in_a_log() -> None:
     assert Part(log="a.csv", start=0.5).start == 0.5
-    with pytest.raises(ValidationError, match="greater than or equal to 0"):
+    with pytest.raises(ValidationError):
         Part(log="a.csv", start=-0.5)
 
 
