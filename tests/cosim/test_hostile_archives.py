@@ -180,6 +180,16 @@ def test_size_limits_are_enforced(
         pass
 
 
+def test_as_many_entries_as_allowed_are_read(
+    lag_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with zipfile.ZipFile(lag_fmu) as archive:
+        names = archive.namelist()
+    monkeypatch.setattr("fmu_src.run.archive.MOST_ENTRIES", len(names))
+    with Archive(lag_fmu) as found:
+        assert set(found.names) <= set(names)
+
+
 def read_fmu(path: Path, folder: Path, *, run: bool) -> None:
     model_description(path)
     embedded_model(path)

@@ -13,6 +13,8 @@ from small_fmus import lag
 from small_study import Hesr, hesr_here
 
 import hesr
+from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError, SimulationError
 
 
@@ -77,6 +79,21 @@ def test_inputs_and_outputs_have_every_type(typed_fmu: Path, tmp_path: Path, run
     assert columns[2] == ("0", "1", "1", "1", "1")
     assert columns[3] == ("false", "false", "false", "true", "true")
     assert set(columns[4][1:]) == {"some text"}
+
+
+def test_values_of_every_type_are_read_in_this_process(typed_fmu: Path) -> None:
+    remember(typed_fmu)
+    with FmuInstance(typed_fmu) as typed:
+        typed.set({"i": 7, "b": True, "s": "text"})
+        typed.initialise()
+        typed.step(0.0, 0.1)
+        for kind, name, value in (
+            ("Integer", "io", 7),
+            ("Boolean", "bo", 1),
+            ("String", "so", "text"),
+        ):
+            references = typed.variables.references([name], kind)
+            assert typed._instance.get(kind, references) == [value]
 
 
 def test_times_are_those_of_the_file(lag_fmu: Path, tmp_path: Path) -> None:
