@@ -21,7 +21,7 @@ BUDGET = {
     "all": 69_662,
 }
 
-TEMPLATES = 3_784  # lines of templates, styles and scripts, without those of project folders
+TEMPLATES = 3_837  # lines of templates, styles and scripts, without those of project folders
 
 FMT_SKIPS = 20  # lines that `ruff format` must skip
 

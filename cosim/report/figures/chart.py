@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import ceil
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +16,8 @@ from hesr_model.support.arrays import Array
 
 _COLUMNS, _ROWS = 520, 4
 """Columns of extreme values of a line over the whole width, fewer in more rows."""
+_NAMES = 6  # names in a row of a legend
+_RIGHT = 0.05  # right margin of a figure [in]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,16 +54,45 @@ def drawn(chart: Chart, width: float = 9.0) -> Figure:
     """Draw a chart, with one legend above all panels."""
     rows, columns = len(chart.rows), len(chart.rows[0])
     most = min(_COLUMNS, _COLUMNS * _ROWS // rows)
+    lines = [line for row in chart.rows for panel in row for line in panel.lines]
+    size = (width, chart.height * rows + 0.5)
+    named = len({line.name for line in lines})
+    top = 0.28 + (0.18 * ceil(named / _NAMES) if named > 1 else 0.0)
+    places = placed(size, rows, columns, (0.62, top, 0.42))
     with styled():
-        figure = Figure(figsize=(width, chart.height * rows + 0.5), layout="constrained")
-        axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        figure = Figure(figsize=size)
+        axes = figure.subplots(rows, columns, sharex=True, squeeze=False, gridspec_kw=places)
         for row, of_row in zip(axes, chart.rows, strict=True):
             for axis, panel in zip(row, of_row, strict=True):
                 _draw(axis, panel, chart.window, most // columns)
         for axis in axes[-1]:
             axis.set_xlabel(chart.x)
-        legend(figure, [line for row in chart.rows for p in row for line in p.lines])
+        legend(figure, lines)
     return figure
+
+
+def placed(
+    size: tuple[float, float],
+    rows: int,
+    columns: int,
+    margins: tuple[float, float, float],
+    gaps: tuple[float, float] = (0.66, 0.32),
+) -> dict[str, float]:
+    """Return the places of axes from a figure's size, left, top and bottom margin, and gaps [in].
+
+    Laying out axes by their texts takes as long as drawing them.
+    """
+    (width, height), (left, top, bottom), (aside, above) = size, margins, gaps
+    across = (width - left - _RIGHT - (columns - 1) * aside) / columns
+    down = (height - top - bottom - (rows - 1) * above) / rows
+    return {
+        "left": left / width,
+        "right": 1.0 - _RIGHT / width,
+        "top": 1.0 - top / height,
+        "bottom": bottom / height,
+        "wspace": aside / across,
+        "hspace": above / down,
+    }
 
 
 def legend(figure: Figure, lines: Sequence[Line]) -> None:
@@ -74,7 +106,7 @@ def legend(figure: Figure, lines: Sequence[Line]) -> None:
         list(map(proxy, named.values())),
         list(named),
         loc="outside upper left",
-        ncols=min(len(named), 6),
+        ncols=min(len(named), _NAMES),
         borderaxespad=0.0,
         handlelength=2.6,
         columnspacing=1.6,

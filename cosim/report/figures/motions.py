@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.report.figures.chart import Line, legend, plot
+from cosim.report.figures.chart import Line, legend, placed, plot
 from cosim.report.figures.style import INK, SERIES, SOFT, styled
 from hesr_model.motions.excitation import Excitation
 from hesr_model.motions.limits import Limits
@@ -88,21 +88,9 @@ def joints(views: Sequence[JointView]) -> Figure:
     height = _ROW * len(views) + 0.75
     with styled():
         figure = Figure(figsize=(9.0, height))
-        # Fixed places: laying out many axes is slower than drawing them.
-        axes = figure.subplots(
-            len(views),
-            4,
-            squeeze=False,
-            gridspec_kw={
-                "left": 0.06,
-                "right": 0.995,
-                "top": 1.0 - 0.5 / height,
-                "bottom": 0.3 / height,
-                "wspace": 0.16,
-                "hspace": 0.62,
-                "width_ratios": [1.0, 1.0, 0.6, 0.6],
-            },
-        )
+        places = placed((9.0, height), len(views), 4, (0.54, 0.5, 0.3), (0.3, 0.58))
+        wide = {"width_ratios": [1.0, 1.0, 0.6, 0.6]}
+        axes = figure.subplots(len(views), 4, squeeze=False, gridspec_kw=places | wide)
         for row, view in zip(axes, views, strict=True):
             for line in view.velocities:
                 plot(row[0], line)

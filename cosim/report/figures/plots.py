@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from cosim.report.figures.chart import Panel, plot, proxy
+from cosim.report.figures.chart import Panel, placed, plot, proxy
 from cosim.report.figures.style import INK, SERIES, SOFT, styled
 from cosim.study.scores import Ratio
 from hesr_model.support.arrays import Array
@@ -18,6 +18,7 @@ _MARKERS = ("o", "s", "^", "D", "v", "P")
 _FINE = tuple(0.05 * k for k in range(10, 41))
 _COARSE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 _NARROW = 1.7  # width of the range above which ticks are coarse
+_LETTER = 0.075  # width of a letter of a law's name [in]
 _LOOP_COLUMNS = 5
 _REACH = 0.25  # range of loops over the maximum speed; laws differ little beyond it
 _SEEN = 700  # maximum number of measured points of a loop
@@ -26,8 +27,10 @@ _SEEN = 700  # maximum number of measured points of a loop
 def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
     """Draw panels of closed lines over named axes next to each other, with a legend below each."""
     with styled():
-        figure = Figure(figsize=(9.0, 2.95), layout="constrained")
-        for axis, (x, panel) in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        figure = Figure(figsize=(size := (9.0, 2.95)))
+        places = placed(size, 1, len(panels), (0.66, 0.26, 0.84))
+        axes = figure.subplots(1, len(panels), gridspec_kw=places)
+        for axis, (x, panel) in zip(axes, panels, strict=True):
             for line in panel.lines:
                 plot(axis, line)
             axis.set_title(panel.title)
@@ -62,22 +65,11 @@ def loops(
     columns = min(_LOOP_COLUMNS, len(laws))
     rows = ceil(len(laws) / columns)
     with styled():
-        height = 1.75 * rows + 0.55
-        figure = Figure(figsize=(9.0, height))
+        _, height = size = (9.0, 1.75 * rows + 0.55)
+        figure = Figure(figsize=size)
+        places = placed(size, rows, columns, (0.63, 0.25, 0.5), (0.11, 0.26))
         axes = figure.subplots(
-            rows,
-            columns,
-            sharex=True,
-            sharey=True,
-            squeeze=False,
-            gridspec_kw={
-                "left": 0.07,
-                "right": 0.995,
-                "top": 1.0 - 0.25 / height,
-                "bottom": 0.5 / height,
-                "wspace": 0.07,
-                "hspace": 0.2,
-            },
+            rows, columns, sharex=True, sharey=True, squeeze=False, gridspec_kw=places
         ).ravel()
         fastest = float(np.max(np.abs(measured[0])))
         slow = np.abs(measured[0]) <= _REACH * fastest
@@ -101,8 +93,10 @@ def loops(
 def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str) -> Figure:
     """Draw a dot with its interval for each law and joint, on a logarithmic axis."""
     with styled():
-        figure = Figure(figsize=(9.0, 0.34 * len(laws) + 1.1), layout="constrained")
-        axis = figure.subplots()
+        figure = Figure(figsize=(size := (9.0, 0.34 * len(laws) + 1.1)))
+        left = 0.2 + _LETTER * max(map(len, laws))
+        places = placed(size, 1, 1, (left, 0.24, 0.44))
+        axis = figure.subplots(gridspec_kw=places)
         offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]

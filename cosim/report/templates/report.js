@@ -92,8 +92,61 @@
     const data = JSON.parse(text);
     hide(box);
     box.querySelector(".names").replaceChildren(...legend(data.names, box));
-    const views = await Bokeh.embed.embed_item(data.item, box.querySelector(".place"));
+    const item = models(data, (name) => style.getPropertyValue(name).trim());
+    const views = await Bokeh.embed.embed_item(item, box.querySelector(".place"));
     opened.set(box, [...views][0].model.document);
+  }
+
+  // Bokeh's models of a chart; absent attributes have Bokeh's defaults.
+  function models(data, colour) {
+    const ink = colour("--ink"), soft = colour("--soft"), line = colour("--line");
+    let last = 0;
+    const model = (name, attributes = {}) => ({ type: "object", name, id: `p${++last}`, attributes });
+    const reference = ({ id }) => ({ id });
+    const written = new Set();
+    const once = (one) => written.has(one) ? reference(one) : (written.add(one), one);
+    const numbers = (values) => values.map((value) => value ?? NaN);
+    const range = model("DataRange1d");
+    const source = (x) => model("ColumnDataSource", { data: { type: "map", entries: [["x", numbers(x)]] } });
+    const sources = data.times.map(source);
+    const drag = (tools) => ({ tools, active_drag: reference(tools[0]), active_scroll: null });
+    const kinds = { BoxZoomTool: {}, PanTool: {}, WheelZoomTool: { dimensions: "width" }, ResetTool: {} };
+    const shared = Object.keys(kinds).map(() => []);
+    const axis = (label) => model("LinearAxis", {
+      axis_label: label, axis_label_text_color: ink, axis_label_text_font_size: "12px",
+      axis_label_text_font_style: "normal", major_label_text_color: soft,
+      axis_line_color: line, major_tick_line_color: line, minor_tick_line_color: line,
+    });
+    const glyph = ({ name, time, y, colour, width, dash }) => {
+      const { entries } = sources[time].attributes.data;
+      const field = `y${entries.length}`;
+      entries.push([field, numbers(y)]);
+      const style = { line_color: colour, line_width: width, line_dash: dash };
+      const fields = { x: { type: "field", field: "x" }, y: { type: "field", field } };
+      const shape = model("Line", { ...fields, ...style });
+      return model("GlyphRenderer", { name, data_source: once(sources[time]), glyph: shape });
+    };
+    const plot = ({ title, y, lines, marks }, label) => {
+      const below = axis(label), left = axis(y);
+      const grid = (one, dimension) => model("Grid", { axis: reference(one), dimension, grid_line_color: line });
+      const mark = (location) => model("Span", { location, dimension: "height", line_color: ink, line_dash: [6] });
+      const tools = Object.entries(kinds).map(([name, options]) => model(name, options));
+      tools.forEach((tool, k) => shared[k].push(reference(tool)));
+      return model("Figure", {
+        height: data.height, sizing_mode: "stretch_width", x_range: once(range),
+        title: model("Title", { text: title, text_color: ink, text_font_size: "13px" }),
+        renderers: lines.map(glyph), toolbar: model("Toolbar", drag(tools)), toolbar_location: null,
+        left: [left], below: [below], center: [grid(below, 0), grid(left, 1), ...marks.map(mark)],
+        outline_line_color: null, background_fill_alpha: 0, border_fill_alpha: 0, min_border_left: 52,
+      });
+    };
+    const children = data.rows.flatMap((row, k) => row.map(
+      (panel, j) => [plot(panel, k === data.rows.length - 1 ? data.x : null), k, j],
+    ));
+    const proxies = shared.map((tools) => model("ToolProxy", { tools }));
+    const bar = model("Toolbar", { ...drag([...proxies, model("SaveTool")]), logo: null });
+    const grid = model("GridPlot", { children, toolbar: bar, sizing_mode: "stretch_width" });
+    return { target_id: null, root_id: grid.id, doc: { version: Bokeh.version, title: "", roots: [grid] } };
   }
 
   const opened = new Map();
