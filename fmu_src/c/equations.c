@@ -192,6 +192,20 @@ QUICK void put_sample(Component *component, int i, double step, double *y) {
     put_outputs(component->v, i, y);
 }
 
+#ifdef TOGETHER
+#define ADVANCE(i, step_of)                                                                        \
+    for (int j = 0; j < joints[i].states; j++) {                                                   \
+        x[j] = moved[j][i];                                                                        \
+    }                                                                                              \
+    for (int j = 0; j < joints[i].outputs; j++) {                                                  \
+        y[j] = found[j][i];                                                                        \
+    }
+#else
+#define ADVANCE(i, step_of)                                                                        \
+    step_of(parameters_of(component, i), u, signs_of(component, i), previous_of(component, i),     \
+            invariants_of(component, i), step, euler, x, y, latest_of(component, i));
+#endif
+
 /* Step of joint i, with its functions known to the compiler. */
 #define STEP(i, step_of, switches_of, gather)                                                      \
     {                                                                                              \
@@ -200,8 +214,7 @@ QUICK void put_sample(Component *component, int i, double step, double *y) {
         memcpy(previous_of(component, i), latest_of(component, i),                                 \
                (size_t)joints[i].remembered * sizeof(double));                                     \
         memcpy(&own[BEFORE + i * MAX_STATES], x, (size_t)joints[i].states * sizeof(double));       \
-        step_of(parameters_of(component, i), u, signs_of(component, i), previous_of(component, i), \
-                invariants_of(component, i), step, euler, x, y, latest_of(component, i));          \
+        ADVANCE(i, step_of)                                                                        \
         put_sample(component, i, step, y);                                                         \
     }
 
@@ -214,6 +227,10 @@ static void sample(Component *component, double step) {
     }
     own[LAST_STEP] = step;
     clear_torques(component->v);
+#ifdef TOGETHER
+    double moved[MAX_STATES][LANES], found[MAX_OUTPUTS][LANES];
+    TOGETHER(v, &own[INVARIANTS], step, euler, moved, found);
+#endif
     EACH_JOINT(STEP)
     put_ends(component->v, component->v);
     if (component->changed > 0.0) {

@@ -7,16 +7,19 @@
 #ifdef __clang__
 #define UNROLLED _Pragma("clang loop unroll(full)")
 #define INTERLEAVED _Pragma("clang loop interleave_count(2)")
+#pragma clang diagnostic ignored "-Wpass-failed"
+#define PAIRED _Pragma("clang loop vectorize_width(2) interleave_count(2)")
 #else
 #define UNROLLED
 #define INTERLEAVED
+#define PAIRED
 #endif
 
 #if defined(__GNUC__) && defined(__x86_64__)
 #include <cpuid.h>
 
 /* Whether processor and operating system support AVX2; asking them is slow. */
-static int has_wide_vectors(void) {
+static inline int has_wide_vectors(void) {
     static volatile int known = -1;
     unsigned a, b, c, d, saved = 0;
     if (known < 0) {
@@ -43,6 +46,16 @@ static int has_wide_vectors(void) {
     static bool name signature {                                                                   \
         return name##_inlined arguments;                                                           \
     }
+#endif
+
+/* The same for a loop that is PAIRED: GCC does not interleave, so it needs the wide form. */
+#ifdef __clang__
+#define IN_PAIRS(name, signature, arguments)                                                       \
+    static bool name signature {                                                                   \
+        return name##_inlined arguments;                                                           \
+    }
+#else
+#define IN_PAIRS IN_WIDTHS
 #endif
 
 #endif

@@ -41,6 +41,7 @@ SIGNATURES: Mapping[str, str] = {
     "start": "IN(k), IN(u), IN(s), IN(x), OUT(p), OUT(y), OUT(r)",
     "invariants": "IN(k), double dt, double euler, OUT(c)",
     "step": "IN(k), IN(u), IN(s), IN(p), IN(c), double dt, double euler, double *x, OUT(y), OUT(r)",
+    "together": "IN(v), IN(c), double dt, double euler, LANES(, x), LANES(, y)",
     "lanes": "IN(k), IN(c), LANES(const, u), double dt, double euler, LANES(, x), LANES(, y)",
     "rates": "IN(k), IN(u), IN(x), OUT(rate)",
     "begin": "IN(k), IN(u), double *x",
@@ -240,16 +241,30 @@ class Functions:
 
         The C function returns whether all angles are small enough for the branch-free sine.
         """
+        places = Arguments().plus(self._parameters, "k").plus(self.invariant, "c")
+        places = places.plus(self._inputs, "u", "[l]").plus(self._states, "x", "[l]")
+        return self._in_lanes("lanes", places)
+
+    def together(self) -> str:
+        """Do as `lanes` for the joints of an FMU with variables v, by the indices of `header`."""
+        own = (("k", "v", self._parameters), ("c", "c", self.invariant), ("x", "v", self._states))
+        places = {
+            symbol: (f"{name}_{i}", f"{array}[{name}_at[l] + {i}]")
+            for name, array, symbols in own
+            for i, symbol in enumerate(symbols)
+        }
+        places |= {s: (f"u_{i}", f"v[u_at[{i}][l]]") for i, s in enumerate(self._inputs)}
+        return self._in_lanes("together", Arguments(places))
+
+    def _in_lanes(self, name: str, places: Arguments) -> str:
         own = self._invariants
-        places = Arguments().plus(self._parameters, "k").plus(own.kept, "c").single(DT, "dt")
-        places = places.single(EULER, "euler").plus(self._inputs, "u", "[l]")
-        places = places.plus(self._states, "x", "[l]")
+        places = places.single(DT, "dt").single(EULER, "euler")
         used = set().union(*(e.free_symbols for e in own.moving.values()))
         pairs = zip(self.jumps.signs, self.jumps.expressions, strict=True)
         lines = {s: sgn(e) for s, e in pairs if s in used} | dict(own.moving)
         targets = _array("x", self._moved) | _array("y", self._outputs)
         targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
-        return printed(self._head("lanes"), lines, own.names, targets, places.places)
+        return printed(self._head(name), lines, own.names, targets, places.places)
 
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""

@@ -115,8 +115,10 @@ def printed(
     seldom = any(f"_{name}(" in signature for name in _SELDOM)
     always = len(body) <= _SHORT and any(f"_{name}(" in signature for name in _ALWAYS)
     kind = "SELDOM static" if seldom else "QUICK" if always else "static"
-    wide = re.fullmatch(r"(\w+_attempts)(\(.*\))", signature)
-    after = f"IN_WIDTHS({wide[1]}, {wide[2]}, ({', '.join(arguments)}))\n" if wide else ""
+    wide = re.fullmatch(r"(\w+_(?:attempts|together))(\(.*\))", signature)
+    paired = wide is not None and wide[1].endswith("together")
+    widths = "IN_PAIRS" if paired else "IN_WIDTHS"
+    after = f"{widths}({wide[1]}, {wide[2]}, ({', '.join(arguments)}))\n" if wide else ""
     if wide:
         kind, signature = "INLINED", f"{wide[1]}_inlined{wide[2]}"
     content: Iterable[str] = (*reads, *body, *writes)
@@ -126,7 +128,7 @@ def printed(
         far = [f"far |= !(fabs({_c(printer, angle)}) <= LARGEST_ANGLE);" for angle in angles]
         content = (
             "int far = 0;",
-            *(("INTERLEAVED",) if wide else ()),
+            *(("PAIRED",) if paired else ("INTERLEAVED",) if wide else ()),
             "for (int l = 0; l < LANES; l++) {",
             *(f"    {line}" for line in (*content, *far)),
             "}",

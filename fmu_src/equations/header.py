@@ -64,9 +64,13 @@ def own_size(joints: Sequence[Joint]) -> int:
 
 def prepared_size(joints: Sequence[Joint]) -> tuple[int, int]:
     """Return the shape of a solver's memory for arguments of laws, in whole vectors of 2 or 4."""
-    length = 4 if len(joints) > 2 else 2
     most = max(1, *(_count(j.component, j.gathered, "prepared") for j in joints))
-    return most, -(-len(joints) // length) * length
+    return most, _lanes(len(joints))
+
+
+def _lanes(joints: int) -> int:
+    length = 4 if joints > 2 else 2
+    return -(-joints // length) * length
 
 
 def indicators(joints: Sequence[Joint]) -> int:
@@ -104,6 +108,9 @@ def equations_header(
         rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, names[own.name]))}}},")
         arrays += _arrays(joint, i, own, table)
         before += len(own.jumps.expressions)
+    together = ""
+    if wanted == FRICTION and coupling is None:
+        together = _together(joints, table, functions[joints[0].component])
     sample_time = joints[0].component.sample_time
     constants = _sizes(joints) | {
         "DISCRETISATION": -1,
@@ -121,8 +128,10 @@ def equations_header(
     if wanted[0] == "attempts":
         constants["PREPARED"], constants["LANES"] = prepared_size(joints)
         constants["ALIKE"] = int(len({found[1] for found in names.values()}) == 1)
+    if together:
+        constants["LANES"] = _lanes(len(joints))
     return _HEADER.format(
-        widths='#include "wide.h"\n' if "attempts" in wanted else "",
+        widths='#include "wide.h"\n' if together or "attempts" in wanted else "",
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
         members="\n".join(map(_member, wanted)),
         functions="\n".join(texts),
@@ -132,6 +141,7 @@ def equations_header(
         arrays="\n".join(arrays),
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
+        together=together,
         each=_each(joints, table, functions, names, wanted, coupled=coupling is not None),
     )
 
@@ -155,6 +165,41 @@ def _each(
         gather = ", ".join(f"u[{j}] = {read}" for j, read in enumerate(reads))
         lines.append(f"    DO({', '.join((str(i), *called))}, ({gather}))")
     return " \\\n".join(["#define EACH_JOINT(DO)", *lines])
+
+
+def _together(joints: Sequence[Joint], table: Interface, own: Functions) -> str:
+    """Return the step of three or more joints with short equal equations, and indices of its lanes.
+
+    Lanes hide latencies; those without a joint repeat the first. Previous values, constants and
+    angles are not supported.
+    """
+    component = own.component
+    holds = component.remembered or component.sample_time or component.holds
+    alike = len(joints) > 2 and all(j.component == component for j in joints)
+    if not alike or holds or own.gathered or not own.tunable:
+        return ""
+    text = _texts(own, ("step", "together"))
+    if not text["step"].startswith("QUICK") or "far |=" in text["together"]:
+        return ""
+    order = [i if i < len(joints) else 0 for i in range(_lanes(len(joints)))]
+    padded = [joints[i] for i in order]
+    size = _sizes(joints)["MAX_INVARIANTS"]
+    reads = ([table.places[j.names[q.name]] for j in padded] for q in own.gathers)
+    indices = {
+        "k_at[LANES]": [table.first(j.parameters) if j.parameters else 0 for j in padded],
+        "x_at[LANES]": [table.first(j.states) if j.states else 0 for j in padded],
+        "c_at[LANES]": [size * i for i in order],
+        "u_at[][LANES]": list(reads),
+    }
+    lines = [
+        f"static const ptrdiff_t {name} = {str(places).translate(_BRACES)};"
+        for name, places in indices.items()
+        if f"{name[:4]}[" in text["together"]
+    ]
+    return "\n".join([*lines, text["together"], f"#define TOGETHER {own.name}_together\n"])
+
+
+_BRACES = str.maketrans("[]", "{}")
 
 
 def _member(function: str) -> str:
@@ -323,7 +368,7 @@ static const Joint joints[JOINTS] = {{
 
 /* Repeats code for each joint with its functions and the assignment of its inputs. */
 {each}
-
+{together}
 /* If COUPLED: coordinates of the equations from motions of the joints, and torques. */
 {coupling}
 

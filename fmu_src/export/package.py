@@ -88,7 +88,7 @@ def own_source(name: str) -> str:
 
 def equation_sources(header: str) -> dict[str, str]:
     """Return the C files of a component made of equations, with the given equations.h."""
-    names = ("coupling.h", "equations.c", "law_math.h")
+    names = ("coupling.h", "equations.c", "law_math.h", "wide.h")
     return {name: own_source(name) for name in names} | {"equations.h": header}
 
 

@@ -1,6 +1,7 @@
 """Terms that depend only on parameters and step are computed once, until one changes."""
 
 import ctypes
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from oracles.over_log import lowered_program
 
 from fmu_src.friction.friction_component import component
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.run.replay import replay
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import Invariants, sampled
 
@@ -91,6 +93,22 @@ def test_states_can_be_saved_with_infinite_invariants(fitted, make_model, load, 
     assert fmu("SerializeFMUstate", c, state, data, size) == 0
     other = ctypes.c_void_p()
     assert fmu("DeSerializeFMUstate", c, data, len(data), ctypes.byref(other)) == 0
+
+
+@pytest.mark.parametrize("law", ["lugre", "parfam_h"])
+def test_joints_that_step_together_give_the_same_bits_as_one(
+    law: str, fitted, make_model, make_motion, tmp_path
+) -> None:
+    t, *signals = make_motion(5)
+    laws = [
+        replace(own, values={n: (1.0 + 0.1 * i) * x for n, x in own.values.items()})
+        for i, own in enumerate([fitted[law]] * 5)
+    ]
+    all_of_them = replay(export_bare(make_model(*laws), tmp_path / "All.fmu"), t, *signals)
+    for i in (0, 4):
+        alone = export_bare(make_model(laws[i]), tmp_path / f"{i}.fmu")
+        found = replay(alone, t, *(x[:, i : i + 1] for x in signals))
+        assert found.tobytes() == all_of_them[:, i : i + 1].tobytes()
 
 
 def test_invariant_terms_and_factors_share_one_name() -> None:
