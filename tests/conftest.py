@@ -42,6 +42,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # Tests with an empty cache would have every process list all fonts again, and say so if slow.
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("MPLCONFIGDIR", str(home / "matplotlib"))
+    # Programs in Java run for seconds: optimising them would take as long again.
+    os.environ.setdefault("JAVA_TOOL_OPTIONS", "-XX:TieredStopAtLevel=1")
     # Test processes use all cores: jobs stay in them, except in commands that tests start.
     os.cpu_count = lambda: 1
     # Shells start background jobs with SIGINT ignored, which test processes would inherit.

@@ -26,6 +26,7 @@ OVER = """() => {
   const over = document.documentElement.scrollWidth - width;
   return over > 1 ? `${over} px beyond ${width} px` : null;
 }"""
+CONTRAST = "axe.run({runOnly: ['color-contrast'], resultTypes: ['violations']})"
 OVERLAP = """() => {
   const found = [], lines = [];
   for (const e of document.querySelectorAll("article p, article li, article h1, article h2")) {
@@ -69,23 +70,20 @@ def test_no_link_is_dead_and_no_diagram_raw() -> None:
 
 
 @pytest.mark.parametrize("page", STAYING, ids=lambda page: str(page.relative_to(SITE)))
-def test_a_page_fits_its_window_without_a_network(open_page: "OpenPage", page: Path) -> None:
+def test_a_page_fits_its_window_and_its_text_has_contrast(
+    open_page: "OpenPage", page: Path, axe: str
+) -> None:
+    """Without a network; level AA of WCAG 2.2, in light and dark."""
     opened = open_page(page)
     for width in WIDTHS:
         opened.set_viewport_size({"width": width, "height": 900})
         assert opened.evaluate(OVER) is None, width
         assert opened.evaluate(OVERLAP) == [], width
-
-
-@pytest.mark.parametrize("page", STAYING, ids=lambda page: str(page.relative_to(SITE)))
-def test_text_has_contrast(open_page: "OpenPage", page: Path, axe: str) -> None:
-    """Level AA of WCAG 2.2, in light and dark."""
-    opened = open_page(page)
     opened.evaluate(axe)
     for scheme in ("light", "dark"):
         opened.emulate_media(color_scheme=scheme)
         opened.evaluate("theme => { document.body.dataset.theme = theme; }", scheme)
-        found = opened.evaluate("axe.run({runOnly: ['color-contrast']})")
+        found = opened.evaluate(CONTRAST)
         bad = [
             (n["html"][:90], n["failureSummary"][-160:])
             for v in found["violations"]

@@ -496,7 +496,7 @@ def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None
     number = tmp_path / "display"
     with number.open("w") as written:
         screen = subprocess.Popen(
-            ["Xvfb", "-displayfd", "1", "-screen", "0", "800x600x24"],
+            ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24"],
             stdout=written,
             stderr=subprocess.DEVNULL,
         )
