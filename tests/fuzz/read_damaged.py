@@ -1,11 +1,14 @@
 """Read damaged files in a separate process, which may crash, and print one line of JSON each.
 
-Run as `python read_damaged.py READER FIRST COUNT FOLDER`; damage k has the seed k.
+Run as `python read_damaged.py READER FIRST COUNT FOLDER`; damage k has the seed k. Without
+arguments it reads them, as JSON, from each line of its input, forks with the imports done, lets
+the fork write to FOLDER.out and FOLDER.err, and answers with its exit code.
 """
 
 import faulthandler
 import json
 import logging
+import os
 import resource
 import sys
 import time
@@ -32,8 +35,7 @@ def say(**found: object) -> None:
     sys.stdout.flush()
 
 
-def main() -> None:
-    name, first, count, folder = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
+def damaged(name: str, first: int, count: int, folder: Path) -> None:
     reader = READERS[name]
     path = folder / f"file{reader.suffix}"
     reader.write(path)
@@ -65,4 +67,19 @@ def main() -> None:
     say(refused=refused, memory=memory() - before, longest=longest, slowest=slowest)
 
 
-main()
+def serve() -> None:
+    for line in sys.stdin:
+        name, first, count, folder = json.loads(line)
+        child = os.fork()
+        if not child:
+            for suffix, own in ((".out", sys.stdout), (".err", sys.stderr)):
+                os.dup2(os.open(folder + suffix, os.O_WRONLY | os.O_CREAT), own.fileno())
+            damaged(name, first, count, Path(folder))
+            return
+        say(code=os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+
+
+if len(sys.argv) > 1:
+    damaged(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))
+else:
+    serve()

@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -29,21 +30,38 @@ NEEDS = {
 }
 
 
-def read_damaged(name: str, first: int, count: int, folder: Path) -> None:
+Ask = Callable[[str, int, int, Path], int]
+
+
+@pytest.fixture(scope="module")
+def ask() -> Iterator[Ask]:
+    """Return a function that reads in a fork of one process, and returns its exit code."""
+    command = [sys.executable, str(CHILD)]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        given, said = process.stdin, process.stdout
+        assert given is not None
+        assert said is not None
+
+        def answer(name: str, first: int, count: int, folder: Path) -> int:
+            given.write(json.dumps([name, first, count, str(folder)]) + "\n")
+            given.flush()
+            return int(json.loads(said.readline())["code"])
+
+        yield answer
+
+
+def read_damaged(ask: Ask, name: str, first: int, count: int, folder: Path) -> None:
     if needed := NEEDS.get(READERS[name].suffix):
         pytest.importorskip(needed, reason=f"{needed} is not installed")
     sys.stdout.write(f"seeds {first} to {first + count - 1}\n")
-    child = subprocess.run(
-        [sys.executable, str(CHILD), name, str(first), str(count), str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-        errors="replace",
-    )
-    lines = [json.loads(line) for line in child.stdout.splitlines() if line.startswith("{")]
+    code = ask(name, first, count, folder)
+    out, err = (Path(f"{folder}{kind}").read_text(errors="replace") for kind in (".out", ".err"))
+    lines = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
     wrong = [line for line in lines if "wrong" in line]
     assert not wrong, "\n".join(f"seed {line['seed']}: {line['wrong']}" for line in wrong[:5])
-    assert child.returncode == 0, f"after {lines[-1:]}: {child.stderr[-3000:]}"
+    assert code == 0, f"after {lines[-1:]}: {err[-3000:]}"
     end = lines[-1]
     assert 0.3 * count < end["refused"] <= count  # most damage does matter
     share, more = MOST_MEMORY
@@ -51,11 +69,11 @@ def read_damaged(name: str, first: int, count: int, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_damaged_file_is_read_or_refused(name: str, tmp_path: Path) -> None:
-    read_damaged(name, 0, 200, tmp_path)
+def test_a_damaged_file_is_read_or_refused(ask: Ask, name: str, tmp_path: Path) -> None:
+    read_damaged(ask, name, 0, 200, tmp_path)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", READERS)
-def test_many_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
-    read_damaged(name, 200, MANY, tmp_path)
+def test_many_damaged_files_are_read_or_refused(ask: Ask, name: str, tmp_path: Path) -> None:
+    read_damaged(ask, name, 200, MANY, tmp_path)
