@@ -21,7 +21,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 override IGNORED += tests/benchmarks
-SPREAD := -n 3 --dist loadfile --no-loadscope-reorder
+PROCESSES ?= 3
+SPREAD := -n $(PROCESSES) --dist loadfile --no-loadscope-reorder
 C_FILES := $(wildcard hesr_model/equations/*.[ch] fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c tests/benchmarks/*.c)
 
 # As many test processes as cores: more threads of linear algebra would wait for each other.
