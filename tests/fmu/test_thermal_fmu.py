@@ -76,6 +76,15 @@ def test_the_law_is_unchanged_at_the_reference_temperature(tmp_path: Path) -> No
     np.testing.assert_allclose(found, plain, rtol=0.0, atol=1e-12 * np.abs(plain).max())
 
 
+def test_logs_without_temperature_are_replayed_with_start_values(tmp_path: Path) -> None:
+    thermal = export_bare(MODEL, tmp_path / "T.fmu")
+    t, dq, *_ = motion(2.0)
+    columns = t, np.column_stack([dq, dq])
+    start = {f"coulomb_scale[{i}]": 0.0 for i in (1, 2)}
+    without, found = replay(thermal, *columns), replay(thermal, *columns, start=start)
+    assert np.abs(without - found).max(axis=0).min() > 0.1
+
+
 def test_the_fmu_is_valid_and_states_its_kind(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []
     assert check(fmu).problems == ()
