@@ -17,7 +17,7 @@ from hesr_model.support.arrays import Array
 _COLUMNS, _ROWS = 520, 4
 """Columns of extreme values of a line over the whole width, fewer in more rows."""
 _NAMES = 6  # names in a row of a legend
-_RIGHT = 0.05  # right margin of a figure [in]
+_RIGHT = 0.16  # right margin of a figure [in]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
