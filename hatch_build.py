@@ -1,6 +1,7 @@
 """Build hook: compiled kernels in the wheel, so that fits and simulations compile nothing."""
 
 import atexit
+import os
 import platform
 import shutil
 import sys
@@ -36,7 +37,10 @@ class Kernels(BuildHookInterface[Any]):
         def kept(source: Path, flags: Any, output: Path, last: Any = ()) -> None:
             compile_c(source, flags, output, last)
             names.append(compiler.digest(source, flags, output, last))
-            (place / names[-1]).write_bytes(output.read_bytes())
+            # Whole at once: another installation of the same checkout may read it.
+            part = place / f"{names[-1]}.{os.getpid()}"
+            part.write_bytes(output.read_bytes())
+            part.replace(place / names[-1])
 
         compile_c, names = compiler.compile_c, list[str]()
         rows.compile_c = toolchain.compile_c = kept
