@@ -21,7 +21,8 @@
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
-#pragma GCC optimize("fp-contract=off", "no-trapping-math", "tree-vectorize", "vect-cost-model=dynamic")
+#pragma GCC optimize("fp-contract=off", "no-trapping-math", "tree-vectorize",                      \
+                     "vect-cost-model=dynamic")
 #elif defined(_MSC_VER)
 #pragma fp_contract(off)
 #endif
