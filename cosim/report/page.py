@@ -106,7 +106,7 @@ def compose_report(
 ) -> None:
     """Write the page of results, which is read at `place`, and figures and tables to a folder.
 
-    For `brief` see `Pictures`.
+    A `brief` page has neither files of figures nor zooming views.
     """
     *first, last = SECTIONS.items()
     further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]

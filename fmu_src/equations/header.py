@@ -110,7 +110,7 @@ def equations_header(
         before += len(own.jumps.expressions)
     together = ""
     if wanted == FRICTION and coupling is None:
-        together = _together(joints, table, functions[joints[0].component])
+        together = _together(joints, table, functions[joints[0].component], texts)
     sample_time = joints[0].component.sample_time
     constants = _sizes(joints) | {
         "DISCRETISATION": -1,
@@ -167,19 +167,23 @@ def _each(
     return " \\\n".join(["#define EACH_JOINT(DO)", *lines])
 
 
-def _together(joints: Sequence[Joint], table: Interface, own: Functions) -> str:
+def _together(
+    joints: Sequence[Joint], table: Interface, own: Functions, texts: Sequence[str]
+) -> str:
     """Return the step of three or more joints with short equal equations, and indices of its lanes.
 
     Lanes hide latencies; those without a joint repeat the first. Previous values, constants and
-    angles are not supported.
+    angles are not supported. `texts` are the written functions.
     """
     component = own.component
     holds = component.remembered or component.sample_time or component.holds
     alike = len(joints) > 2 and all(j.component == component for j in joints)
     if not alike or holds or own.gathered or not own.tunable:
         return ""
-    text = _texts(own, ("step", "together"))
-    if not text["step"].startswith("QUICK") or "far |=" in text["together"]:
+    if not any(text.startswith(f"QUICK void {own.name}_step(") for text in texts):
+        return ""
+    text = _texts(own, ("together",))["together"]
+    if "far |=" in text:
         return ""
     order = [i if i < len(joints) else 0 for i in range(_lanes(len(joints)))]
     padded = [joints[i] for i in order]
@@ -194,9 +198,9 @@ def _together(joints: Sequence[Joint], table: Interface, own: Functions) -> str:
     lines = [
         f"static const ptrdiff_t {name} = {str(places).translate(_BRACES)};"
         for name, places in indices.items()
-        if f"{name[:4]}[" in text["together"]
+        if f"{name[:4]}[" in text
     ]
-    return "\n".join([*lines, text["together"], f"#define TOGETHER {own.name}_together\n"])
+    return "\n".join([*lines, text, f"#define TOGETHER {own.name}_together\n"])
 
 
 _BRACES = str.maketrans("[]", "{}")

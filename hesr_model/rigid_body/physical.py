@@ -197,7 +197,7 @@ class _Chart:
         links = 10 * len(self.factors)
         u, changes = _triangles(x[:links].reshape(-1, 10)), np.zeros((len(self.factors), 10, 4, 4))
         changes[:, range(10), *_PLACES] = 1.0
-        changes[:, range(4), range(4), range(4)] = np.exp(x[:links].reshape(-1, 10)[:, :4])
+        changes[:, range(4), range(4), range(4)] = u[:, range(4), range(4)]
         b, u = self.factors[:, None], u[:, None]
         half = b @ changes @ u.mT @ b.mT
         blocks = link_parameters(half + half.mT).transpose(0, 2, 1)

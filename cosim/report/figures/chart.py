@@ -49,14 +49,18 @@ class Chart:
     height: float = 1.7
     window: tuple[float, float] | None = None
 
+    @property
+    def lines(self) -> list[Line]:
+        """Lines of all panels."""
+        return [line for row in self.rows for panel in row for line in panel.lines]
+
 
 def drawn(chart: Chart, width: float = 9.0) -> Figure:
     """Draw a chart, with one legend above all panels."""
     rows, columns = len(chart.rows), len(chart.rows[0])
     most = min(_COLUMNS, _COLUMNS * _ROWS // rows)
-    lines = [line for row in chart.rows for panel in row for line in panel.lines]
     size = (width, chart.height * rows + 0.5)
-    named = len({line.name for line in lines})
+    named = len({line.name for line in chart.lines})
     top = 0.28 + (0.18 * ceil(named / _NAMES) if named > 1 else 0.0)
     places = placed(size, rows, columns, (0.62, top, 0.42))
     with styled():
@@ -67,7 +71,7 @@ def drawn(chart: Chart, width: float = 9.0) -> Figure:
                 _draw(axis, panel, chart.window, most // columns)
         for axis in axes[-1]:
             axis.set_xlabel(chart.x)
-        legend(figure, lines)
+        legend(figure, chart.lines)
     return figure
 
 

@@ -4,7 +4,7 @@ import base64
 import json
 import zlib
 from importlib.util import find_spec
-from math import ceil, isnan, log10
+from math import ceil, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from hesr_model.support.arrays import Array
 
 if TYPE_CHECKING:
-    from cosim.report.figures.chart import Chart
+    from cosim.report.figures.chart import Chart, Panel
 
 _PIXELS = 105  # pixels per inch of a row's height
 _MOST_VALUES = 50_000  # maximum number of values of a chart; more are thinned
@@ -28,12 +28,11 @@ def can_zoom() -> bool:
 
 def zoom_data(chart: "Chart") -> str:
     """Return the data of a chart, packed as text; the page makes Bokeh's models of it."""
-    lines = [line for row in chart.rows for panel in row for line in panel.lines]
-    every = sum(len(line.y) for line in lines) // _MOST_VALUES + 1
-    times = {id(line.x): line.x for line in lines}
+    every = sum(len(line.y) for line in chart.lines) // _MOST_VALUES + 1
+    times = {id(line.x): line.x for line in chart.lines}
     numbers = {key: k for k, key in enumerate(times)}
 
-    def shown(panel: Any) -> dict[str, Any]:
+    def shown(panel: "Panel") -> dict[str, Any]:
         of_panel = [
             {
                 "name": line.name,
@@ -54,7 +53,7 @@ def zoom_data(chart: "Chart") -> str:
         "times": [_rounded(x[::every]) for x in times.values()],
         "rows": [[shown(panel) for panel in row] for row in chart.rows],
         "names": {
-            one.name: {"colour": one.stroke.colour, "dash": one.stroke.dash} for one in lines
+            one.name: {"colour": one.stroke.colour, "dash": one.stroke.dash} for one in chart.lines
         },
     }
     return packed(json.dumps(data, separators=(",", ":")))
@@ -78,6 +77,6 @@ def unpacked(text: str) -> str:
 
 
 def _rounded(values: Array) -> list[float | None]:
-    size = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+    size = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0)) or 1.0
     rounded = np.round(values, _DIGITS - ceil(log10(size))).tolist()
-    return [None if isnan(value) else value for value in rounded]
+    return [value if isfinite(value) else None for value in rounded]  # JSON has no others
