@@ -12,7 +12,7 @@ import secrets
 import stat
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -20,6 +20,7 @@ from pathlib import Path
 LIMIT = 256 * 1024 * 1024  # [B] per kind, some thousand FMUs
 USED: Counter[tuple[str, bool]] = Counter()
 """Cache hits (True) and misses by kind, of this process and its workers."""
+_SHELVES = 256  # folders per kind, by the first byte of names
 _DIGEST = hashlib.sha256().digest_size
 _OTHERS = 0o077  # permissions of group and others
 _log = logging.getLogger(__name__)
@@ -54,7 +55,9 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
             found = make()
             with suppress(OSError):
                 _write(shelf / name, found)
-                _prune(shelf.parent)
+                # Shelves fill alike: below its share, one tells that there is room in all.
+                if sum(size for _, size, _ in _files(shelf)) > LIMIT / _SHELVES:
+                    _prune(shelf.parent)
     finally:
         lock.release()
     return found
@@ -222,15 +225,19 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 
 def _prune(kind: Path) -> None:
-    files = []
-    for shelf in kind.iterdir():
-        for entry in os.scandir(shelf):  # quicker than paths, for thousands of entries
-            with suppress(FileNotFoundError):
-                files.append((entry.stat(), Path(entry.path)))
-    total = sum(found.st_size for found, _ in files)
-    for found, file in sorted(files, key=lambda pair: pair[0].st_mtime):
+    files = sorted(file for shelf in kind.iterdir() for file in _files(shelf))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in files:
         if total <= LIMIT:
             break
-        if file.name != "lock":
-            file.unlink(missing_ok=True)
-            total -= found.st_size
+        if not path.endswith("lock"):
+            Path(path).unlink(missing_ok=True)
+            total -= size
+
+
+def _files(shelf: Path) -> Iterator[tuple[float, int, str]]:
+    """Yield time of last use, size and path of entries, quicker than `Path` would."""
+    for entry in os.scandir(shelf):
+        with suppress(FileNotFoundError):
+            found = entry.stat()
+            yield found.st_mtime, found.st_size, entry.path
