@@ -235,18 +235,18 @@ class Refinement:
                 last = (point.copy(), self._reduced(point))
             return last[1]
 
-        solution = scipy.optimize.least_squares(
+        # Calls MINPACK with a sixth of the overhead of `least_squares`.
+        point, _, found, *_ = scipy.optimize.leastsq(
             lambda point: reduced(point)[:, -1],
             self.pack(),
-            jac=lambda point: reduced(point)[:, :-1],
-            method="lm",
-            max_nfev=evaluations,
-            xtol=1e-15,
+            Dfun=lambda point: reduced(point)[:, :-1],
+            full_output=True,
             ftol=1e-15,
+            xtol=1e-15,
             gtol=1e-15,
-            x_scale="jac",
+            maxfev=evaluations,
         )
-        return self.unpack(solution.x, float(np.sum(solution.fun**2)) / self.count)
+        return self.unpack(point, float(np.sum(found["fvec"] ** 2)) / self.count)
 
     def statistics(self) -> Array:
         """Return the t-statistics (11,) of the start, 0 of absent coefficients."""
