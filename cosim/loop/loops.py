@@ -12,12 +12,12 @@ from cosim.loop.motions import require_within
 from cosim.loop.traces import Tracked
 from cosim.loop.tracking import LoopMotion, LoopRow, track
 from cosim.systems.system import SystemSpec
-from fmu_src import export_fmu
 from fmu_src.arm.plant import Plant
 from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import trajectory
 from fmu_src.export.package import Content, write_fmu
+from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.errors import ConfigError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.motions.trajectories import Fourier, random_fourier
@@ -152,7 +152,7 @@ def build(
         ),
     }
     jobs = [
-        partial(export_fmu, oracle, folder / f"{oracle.law}.fmu"),
+        partial(export_bare, oracle, folder / f"{oracle.law}.fmu"),
         *(partial(_written, make, folder / f"{name}.fmu") for name, make in contents.items()),
     ]
     with parallel.results_of(jobs) as written:

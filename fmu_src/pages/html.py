@@ -4,6 +4,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ def rendered(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values:
 
     Whole pages run only their own scripts and those in `injected`, and load nothing.
     """
-    text = _environment(folders, autoescape=True).get_template(template).render(**values)
+    text = _environment(tuple(folders), autoescape=True).get_template(template).render(**values)
     if _POLICY not in text:
         return text
     scripts = [*_SCRIPT.findall(text), *values.get("injected", ())]
@@ -33,7 +34,8 @@ def code_templates(folder: Path, **options: str) -> jinja2.Environment:
     return _environment((folder,), autoescape=False, keep_trailing_newline=True, **options)
 
 
-def _environment(folders: Sequence[Path], **options: Any) -> jinja2.Environment:
+@cache  # with its compiled templates
+def _environment(folders: tuple[Path, ...], **options: Any) -> jinja2.Environment:
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(folders),
         trim_blocks=True,
