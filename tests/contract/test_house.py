@@ -13,12 +13,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # machines, 510 for following errors, and 530 for plants in model exchange, long logs and numbers
 # that are written into binaries.
 BUDGET = {
-    "hesr_model": 23_539,
-    "fmu_src": 19_835,
+    "hesr_model": 23_541,
+    "fmu_src": 19_837,
     "cosim": 11_463,
     "hesr": 835,
     "hesr.extras": 14_070,
-    "all": 69_742,
+    "all": 69_746,
 }
 
 TEMPLATES = 3_837  # lines of templates, styles and scripts, without those of project folders
