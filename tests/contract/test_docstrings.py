@@ -7,6 +7,7 @@ import ast
 import builtins
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,15 +23,20 @@ SOURCES = [
     for package in (hesr_model, fmu_src, cosim, hesr)
     for path in sorted(Path(package.__file__).parent.rglob("*.py"))
 ]
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
 Node = ast.ClassDef | ast.FunctionDef
 # Example names that are generated or come from other libraries.
 FOREIGN = {"q1", "q2", "a_0", "theta1_dq", "der", "R7", "ParfamH", "__dir__", "__getattr__"}
 
 
+@cache
+def trees() -> dict[Path, ast.Module]:
+    """Return every module, parsed."""
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
+
+
 def documented() -> Iterator[tuple[Path, Node, str]]:
     """Yield classes and functions with their docstrings."""
-    for path, tree in TREES.items():
+    for path, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, Node) and (text := ast.get_docstring(node)):
                 yield path, node, text
@@ -81,7 +87,7 @@ def test_described_parameters_exist() -> None:
 def test_names_in_docstrings_exist() -> None:
     """Each name is a word of its module or defined elsewhere."""
     defined = set(FOREIGN)
-    for tree in TREES.values():
+    for tree in trees().values():
         nodes = list(ast.walk(tree))
         defined |= {n.name for n in nodes if isinstance(n, Node)}
         defined |= {n.arg for n in nodes if isinstance(n, ast.arg)}
@@ -92,7 +98,7 @@ def test_names_in_docstrings_exist() -> None:
         defined |= {text for text in texts if isinstance(text, str) and text.isidentifier()}
     for path in Path(fmu_src.__file__).parent.rglob("*.[ch]"):
         defined |= set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
-    of_module = {path: words(tree) for path, tree in TREES.items()}
+    of_module = {path: words(tree) for path, tree in trees().items()}
     named = 0
     unknown = []
     for path, node, text in documented():

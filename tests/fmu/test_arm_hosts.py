@@ -2,7 +2,6 @@
 
 import subprocess
 
-import lief
 import mujoco
 import numpy as np
 import pytest
@@ -97,6 +96,8 @@ def test_the_arm_runs_without_python_in_an_empty_environment(fmu, unpacked, tmp_
 
 
 def test_mujoco_is_found_next_to_the_binary(unpacked):
+    import lief  # slow
+
     elf = lief.parse(str(unpacked.library))
     mujoco_name = f"libmujoco.so.{mujoco.__version__}"
     assert mujoco_name in elf.libraries

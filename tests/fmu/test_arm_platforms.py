@@ -6,7 +6,6 @@ import subprocess
 import zipfile
 from pathlib import Path
 
-import lief
 import mujoco
 import numpy as np
 import pytest
@@ -113,6 +112,8 @@ def test_linux_on_arm_matches(unpacked, reference, tmp_path):
 
 
 def test_macos_finds_mujoco_by_its_install_name(unpacked):
+    import lief  # slow
+
     folder = unpacked / "binaries" / "darwin64"
     fat = lief.MachO.parse(str(folder / "uf850.dylib"))
     place = "mujoco.framework/Versions/A/libmujoco." + mujoco.__version__ + ".dylib"
@@ -132,6 +133,8 @@ def test_macos_finds_mujoco_by_its_install_name(unpacked):
 
 
 def test_dependencies_of_each_binary_are_next_to_it(unpacked):
+    import lief  # slow
+
     version = mujoco.__version__
     for library, name in (
         ("linux64/uf850.so", f"libmujoco.so.{version}"),

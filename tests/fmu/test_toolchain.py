@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import lief
 import numpy as np
 import pytest
 from c_hosts import LINUX
@@ -133,6 +132,8 @@ def test_only_fmi_functions_are_exported(folder, table1, tmp_path):
 @pytest.mark.ci
 def test_windows_binaries_need_only_system_libraries_and_no_start_up(table1, tmp_path):
     """Libraries of every Windows since 10; no code runs when the library is loaded."""
+    import lief  # slow
+
     fmu = export_fmu(table1, tmp_path / "F.fmu", platforms=["win64"])
     with zipfile.ZipFile(fmu) as archive:
         data = archive.read("binaries/win64/friction_parfam_h.dll")
@@ -219,6 +220,8 @@ def test_overwritten_numbers_give_the_bytes_of_the_compiler(sources):
 
 
 def test_the_signature_of_overwritten_libraries_for_macos_is_valid(sources, tmp_path):
+    import lief  # slow
+
     binary = build(sources / "all.c", "friction", TARGETS["darwin64"])
     file = tmp_path / "friction.dylib"
     file.write_bytes(binary)
