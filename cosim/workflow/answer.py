@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from hesr_model.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from cosim.report.tables.table import ResultTable
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
 
-class PluginJob(Protocol):
-    """Kind of TOML file that a plug-in runs: its verb and its distinguishing key."""
+@dataclass(frozen=True)
+class PluginJob:
+    """Kind of TOML file that a plug-in runs with options: its verb and its distinguishing key."""
 
     verb: str
     key: str
-
-    def read(self, path: Path) -> Any:
-        """Read and validate a file."""
-
-    def run(self, path: Path, **options: Any) -> Answer:
-        """Run a file with the options of the verb."""
+    run: Callable[..., Answer]
 
 
 def find_job(path: Path, verb: str) -> PluginJob | None:

@@ -64,7 +64,7 @@ def test_a_single_input_explains_all_variance(study: Path) -> None:
     for share in found.sensitivities:
         assert share.first == pytest.approx([1.0], abs=0.2)
         assert share.total == pytest.approx([1.0], abs=0.2)
-        assert share.first_interval.shape == share.total_interval.shape == (1, 2)
+        assert share.intervals.shape == (2, 1, 2)
 
 
 def written(folder: Path, text: str, name: str = "study.toml") -> Path:
@@ -140,7 +140,7 @@ def test_sensitivities_match_a_known_function():
     (one,) = sensitivities(np.column_stack([y, np.full(len(y), np.nan)]), study)
     np.testing.assert_allclose(one.first, [0.3139, 0.4424, 0.0], atol=0.02)
     np.testing.assert_allclose(one.total, [0.5576, 0.4424, 0.2437], atol=0.02)
-    assert np.all(one.total_interval[:, 0] <= one.total)
+    assert np.all(one.intervals[1, :, 0] <= one.total)
 
 
 # --- results -----------------------------------------------------------------------------------

@@ -8,9 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from hesr.extras.excite.clearance import Clearance
 from hesr.extras.excite.motion import PlannedMotion, pulses
-from hesr.extras.excite.planner import Guard, MotionSettings, Planner
+from hesr.extras.excite.planner import Clearance, Guard, MotionSettings, Planner
 from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.limits import MotionLimits
 from hesr_model.robots.robot import Robot

@@ -9,7 +9,7 @@ import numpy as np
 from cosim.loop.excite import export_twin, loaded_arm, record, twin_plant
 from cosim.study.forecast import SUFFIX
 from cosim.study.study import Twin
-from cosim.workflow.answer import Written
+from cosim.workflow.answer import PluginJob, Written
 from hesr.extras.excite.motion import PlannedMotion
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.logs.tables import read_table
@@ -28,41 +28,33 @@ class TwinFile(Config):
     seed: int = 1
 
 
-class TwinJob:
-    """Logs of a twin, by default in the folder `logs`."""
-
-    verb, key = "simulate", "plays"
-    read = staticmethod(TwinFile.read)
-
-    def run(
-        self, path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
-    ) -> Written:
-        """Record each motion without a log; plans are copied next to their logs."""
-        if given := [name for name, value in options.items() if value]:
-            raise ArgumentError(f"'{given[0]}' is for a sweep; {path} is a twin.")
-        chosen, logs = self.read(path), output or path.parent / "logs"
-        motions = sorted(path.parent.glob(chosen.plays))
-        left = [motion for motion in motions if not (logs / f"{motion.stem}.csv").exists()]
-        if not left:
-            raise ConfigError(
-                f"{path}: each of the {len(motions)} motions '{chosen.plays}' has a log."
-            )
-        files = []
-        twin = Twin(plant=chosen.plant, signals=chosen.signals, motions=path, truth=chosen.truth)
-        with scratch_folder() as folder:
-            plant, signals = twin_plant(twin, path, folder)
-            with loaded_arm(plant, fmu=export_twin(plant, folder, signals)) as arm:
-                for motion in counted(left, lambda *of: progress("running the arm", *of)):
-                    table = read_table(motion)
-                    names = ["t", *(f"q{k + 1}" for k in range(len(plant.joints)))]
-                    t, *q = table.numbers(names).T
-                    rate = float(1.0 / np.median(np.diff(t)))
-                    planned = PlannedMotion(rate=rate, rows=np.column_stack(q))
-                    files.append(logs / f"{motion.stem}.csv")
-                    record(arm, planned, chosen.seed, name=motion.stem).log.write(files[-1])
-                    if (plan := motion.with_suffix(SUFFIX)).is_file():
-                        shutil.copyfile(plan, files[-1].with_suffix(SUFFIX))
-        return Written(lines=[f"{len(files)} motions on the twin."], files=files)
+def _run(
+    path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
+) -> Written:
+    """Record each motion without a log; plans are copied next to their logs."""
+    if given := [name for name, value in options.items() if value]:
+        raise ArgumentError(f"'{given[0]}' is for a sweep; {path} is a twin.")
+    chosen, logs = TwinFile.read(path), output or path.parent / "logs"
+    motions = sorted(path.parent.glob(chosen.plays))
+    left = [motion for motion in motions if not (logs / f"{motion.stem}.csv").exists()]
+    if not left:
+        raise ConfigError(f"{path}: each of the {len(motions)} motions '{chosen.plays}' has a log.")
+    files = []
+    twin = Twin(plant=chosen.plant, signals=chosen.signals, motions=path, truth=chosen.truth)
+    with scratch_folder() as folder:
+        plant, signals = twin_plant(twin, path, folder)
+        with loaded_arm(plant, fmu=export_twin(plant, folder, signals)) as arm:
+            for motion in counted(left, lambda *of: progress("running the arm", *of)):
+                table = read_table(motion)
+                names = ["t", *(f"q{k + 1}" for k in range(len(plant.joints)))]
+                t, *q = table.numbers(names).T
+                rate = float(1.0 / np.median(np.diff(t)))
+                planned = PlannedMotion(rate=rate, rows=np.column_stack(q))
+                files.append(logs / f"{motion.stem}.csv")
+                record(arm, planned, chosen.seed, name=motion.stem).log.write(files[-1])
+                if (plan := motion.with_suffix(SUFFIX)).is_file():
+                    shutil.copyfile(plan, files[-1].with_suffix(SUFFIX))
+    return Written(lines=[f"{len(files)} motions on the twin."], files=files)
 
 
-JOB = TwinJob()
+JOB = PluginJob("simulate", "plays", _run)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, PluginJob, shortened
 from hesr.extras.fleet.result import Fleet, all_tables
 from hesr.extras.fleet.study import FleetStudy
 from hesr_model.findings import Finding
@@ -14,33 +14,26 @@ from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json
 
 
-class FleetJob:
-    """Comparison of the robots of a fleet."""
+def _run(
+    path: Path,
+    *,
+    output: Path | None = None,
+    workers: int | None = None,
+    progress: Stages = silent,
+) -> "FleetResult":
+    """Process all robots, by default into ``results/NAME``."""
+    from hesr.extras.fleet.run import PAGE, TABLE, run_fleet
 
-    verb, key = "monitor", "types"
-    read = staticmethod(FleetStudy.read)
-
-    def run(
-        self,
-        path: Path,
-        *,
-        output: Path | None = None,
-        workers: int | None = None,
-        progress: Stages = silent,
-    ) -> "FleetResult":
-        """Process all robots, by default into ``results/NAME``."""
-        from hesr.extras.fleet.run import PAGE, TABLE, run_fleet
-
-        folder = output or Path("results") / self.read(path).name
-        fleet = run_fleet(path, folder, workers=workers, progress=progress)
-        findings = [
-            Finding(check="logs", where=one.robot, found=one.sentences[0]) for one in fleet.broken
-        ]
-        files = (folder / PAGE, folder / TABLE)
-        return FleetResult(**vars(fleet), findings=findings, files=files)
+    folder = output or Path("results") / FleetStudy.read(path).name
+    fleet = run_fleet(path, folder, workers=workers, progress=progress)
+    findings = [
+        Finding(check="logs", where=one.robot, found=one.sentences[0]) for one in fleet.broken
+    ]
+    files = (folder / PAGE, folder / TABLE)
+    return FleetResult(**vars(fleet), findings=findings, files=files)
 
 
-JOB = FleetJob()
+JOB = PluginJob("monitor", "types", _run)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

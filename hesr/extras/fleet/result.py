@@ -237,7 +237,7 @@ def _rows(fleet: Fleet) -> Iterator[dict[str, Any]]:
         changes.setdefault((change.robot, change.law, change.joint), []).append(change.kind)
     worse = {(c.robot, c.law, c.joint) for c in fleet.changes if c.worse}
     for robot in fleet.robots:
-        of_robot = {
+        of_robot: dict[str, Any] = {
             "type": robot.type,
             "robot": robot.robot,
             "logs": robot.logs,
@@ -251,29 +251,20 @@ def _rows(fleet: Fleet) -> Iterator[dict[str, Any]]:
         for one in robot.joints:
             key = (robot.robot, one.law, one.joint)
             fmu = fleet.fmus.get((robot.type, one.law, robot.structure(one.law)))
-            yield (
-                of_robot
-                | _numbers(one, fleet, key)
-                | {
-                    "fmu": fmu.relative_to(fleet.folder).as_posix() if fmu else None,
-                    "deviates": key in deviating,
-                    "worse": key in worse,
-                    "changes": changes.get(key, []),
-                }
-            )
-
-
-def _numbers(one: JointResult, fleet: Fleet, key: tuple[str, str, str]) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        "law": one.law,
-        "joint": one.joint,
-        "structure": one.structure,
-        "coefficients": list(one.values.items()),
-        "standard_errors": list(one.errors.items()),
-        "z": list(fleet.z.get(key, {}).items()),
-    }
-    if one.law != BODY:
-        found |= {"rmse": one.rmse, "tau_std": one.tau_std}
-    for name, trend in one.trends.items():
-        found |= {f"{name}_change": trend.change, f"{name}_per_day": trend.slope}
-    return found
+            found = of_robot | {
+                "law": one.law,
+                "joint": one.joint,
+                "structure": one.structure,
+                "coefficients": list(one.values.items()),
+                "standard_errors": list(one.errors.items()),
+                "z": list(fleet.z.get(key, {}).items()),
+                "fmu": fmu.relative_to(fleet.folder).as_posix() if fmu else None,
+                "deviates": key in deviating,
+                "worse": key in worse,
+                "changes": changes.get(key, []),
+            }
+            if one.law != BODY:
+                found |= {"rmse": one.rmse, "tau_std": one.tau_std}
+            for name, trend in one.trends.items():
+                found |= {f"{name}_change": trend.change, f"{name}_per_day": trend.slope}
+            yield found

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -44,11 +45,9 @@ _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
     """Process one robot into its folder; return whether it was complete before."""
     key, file = _key(member, study), folder / RESULT
-    try:
+    with suppress(ArtifactError):  # missing or incomplete
         if read_result(folder).key == key:
             return True
-    except ArtifactError:
-        pass  # missing or incomplete
     try:
         with threadpool_limits(1):
             result = _Robot(member, study, key).result(folder)

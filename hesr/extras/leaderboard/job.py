@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, PluginJob, shortened
 from hesr.extras.leaderboard.board_file import BoardFile
 from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_leaderboard
 from hesr.extras.leaderboard.tables import standings, write_page
@@ -15,34 +15,27 @@ from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json
 
 
-class LeaderboardJob:
-    """Ranking of friction FMUs."""
+def _run(
+    path: Path,
+    *,
+    fmus: Sequence[str | Path],
+    output: Path | None = None,
+    trust: bool = False,
+    progress: Stages = silent,
+) -> "LeaderboardResult":
+    """Score FMUs, given as FILE or ROBOT=FILE, and write the page."""
+    from cosim.workflow.arguments import remember_trust
 
-    verb, key = "test", "robots"
-    read = staticmethod(BoardFile.read)
-
-    def run(
-        self,
-        path: Path,
-        *,
-        fmus: Sequence[str | Path],
-        output: Path | None = None,
-        trust: bool = False,
-        progress: Stages = silent,
-    ) -> "LeaderboardResult":
-        """Score FMUs, given as FILE or ROBOT=FILE, and write the page."""
-        from cosim.workflow.arguments import remember_trust
-
-        rules = self.read(path)
-        entries = entries_of([str(fmu) for fmu in fmus], rules)
-        remember_trust((entry.fmu for entry in entries), trust=trust)
-        board = run_leaderboard(rules, entries, progress=partial(progress, "scoring entries"))
-        if output is not None:
-            write_page(board, output)
-        return LeaderboardResult(**vars(board), files=(output,) if output else ())
+    rules = BoardFile.read(path)
+    entries = entries_of([str(fmu) for fmu in fmus], rules)
+    remember_trust((entry.fmu for entry in entries), trust=trust)
+    board = run_leaderboard(rules, entries, progress=partial(progress, "scoring entries"))
+    if output is not None:
+        write_page(board, output)
+    return LeaderboardResult(**vars(board), files=(output,) if output else ())
 
 
-JOB = LeaderboardJob()
+JOB = PluginJob("test", "robots", _run)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

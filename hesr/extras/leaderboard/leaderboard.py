@@ -29,7 +29,6 @@ from hesr.extras.properties.scale import standing_inertia
 from hesr_model.audit.properties import Properties, Subject
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
@@ -73,7 +72,11 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
                 f"{entry.fmu}: is for {joints} joints; the robot '{entry.robot}' has "
                 f"{ground.model.n}."
             )
-        columns = [_columns(part) for part in ground.records]
+        columns: list[dict[str, Any]] = [
+            {"t": part[0].t}
+            | {x: np.column_stack([getattr(r, x) for r in part]) for x in ("dq", *_OPTIONAL)}
+            for part in ground.records
+        ]
         begin = time.perf_counter()
         torques = [replay(component, **part) for part in columns]
         seconds = time.perf_counter() - begin
@@ -98,11 +101,6 @@ def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
         model=model,
         properties=found,
     )
-
-
-def _columns(part: Sequence[FrictionRecord]) -> dict[str, Any]:
-    names = ("dq", *_OPTIONAL)
-    return {"t": part[0].t} | {x: np.column_stack([getattr(r, x) for r in part]) for x in names}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from cosim.workflow.answer import Written
+from cosim.workflow.answer import PluginJob, Written
 from hesr.extras.paper.evidence import PaperStudy
 from hesr_model.errors import ArgumentError
 from hesr_model.support import parallel
@@ -12,34 +12,28 @@ from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json, write_json
 
 
-class PaperJob:
-    """The paper's claims on a twin."""
+def _run(
+    path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
+) -> Written:
+    """Judge all claims and write results, page and tables, by default into ``results/NAME``."""
+    from hesr.extras.paper.evidence import gather
+    from hesr.extras.paper.report import FILE, FORMAT, PaperResult, opening, tables, write_page
 
-    verb, key = "run", "claims"
-    read = staticmethod(PaperStudy.read)
-
-    def run(
-        self, path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
-    ) -> Written:
-        """Judge all claims and write results, page and tables, by default into ``results/NAME``."""
-        from hesr.extras.paper.evidence import gather
-        from hesr.extras.paper.report import FILE, FORMAT, PaperResult, opening, tables, write_page
-
-        if given := [name for name, value in options.items() if value]:
-            raise ArgumentError(f"'{given[0]}' is for a study of laws; omit it for {path}.")
-        study = self.read(path)
-        folder = output or Path("results") / study.name
-        command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
-        with folder_written_whole(folder) as temporary, parallel.one_pool("hesr_model.fitting.fit"):
-            result = PaperResult.of(gather(study, path, temporary / "fmus", progress), command)
-            write_json(temporary / FILE, {"format": FORMAT, **to_json(result)})
-            write_page(temporary)
-        return Written(
-            format=FORMAT,
-            lines=[*opening(result), f"Report: {folder / 'report.html'}"],
-            shown=[*tables(result).values()],
-            data=to_json(result),
-        )
+    if given := [name for name, value in options.items() if value]:
+        raise ArgumentError(f"'{given[0]}' is for a study of laws; omit it for {path}.")
+    study = PaperStudy.read(path)
+    folder = output or Path("results") / study.name
+    command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
+    with folder_written_whole(folder) as temporary, parallel.one_pool("hesr_model.fitting.fit"):
+        result = PaperResult.of(gather(study, path, temporary / "fmus", progress), command)
+        write_json(temporary / FILE, {"format": FORMAT, **to_json(result)})
+        write_page(temporary)
+    return Written(
+        format=FORMAT,
+        lines=[*opening(result), f"Report: {folder / 'report.html'}"],
+        shown=[*tables(result).values()],
+        data=to_json(result),
+    )
 
 
-JOB = PaperJob()
+JOB = PluginJob("run", "claims", _run)

@@ -79,8 +79,7 @@ def run_battery(
         _require_inertia(subject)
     jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]
     costs = [subject.model.size if subject.model else 0 for subject in subjects]
-    names = [subject.name for subject in subjects]
-    with parallel.results_of(jobs, workers, costs, names) as results:
+    with parallel.results_of(jobs, workers, costs, [s.name for s in subjects]) as results:
         return [next(results) for _ in counted(jobs, progress)]
 
 
@@ -217,20 +216,14 @@ def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
     sample = model.sample_time if model else _SAMPLE_TIME
     if model and model.trained:
         return [replace(seen, sample_time=sample) for seen in model.trained]
-    unknown = TrainedRange(
-        sample_time=sample,
-        dq=(-UNKNOWN_SPEED, UNKNOWN_SPEED),
-        q=(0.0, 0.0),
-        tau_load=(0.0, 0.0),
-        tau=(0.0, 0.0),
-    )
+    still, dq = (0.0, 0.0), (-UNKNOWN_SPEED, UNKNOWN_SPEED)
+    unknown = TrainedRange(sample_time=sample, dq=dq, q=still, tau_load=still, tau=still)
     return [unknown] * joints
 
 
 def _require_inertia(subject: Subject, joints: int | None = None) -> Array | None:
     """Return the inertia of the joints [kg.m2]; None if unknown."""
-    model = subject.model
-    given = subject.inertia
+    model, given = subject.model, subject.inertia
     if given is None and model is not None:
         given = INERTIA.get(model.robot)
     if given is None:

@@ -148,15 +148,8 @@ _PER_PERIOD = 20  # steps of the dither
 
 def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Raise the torque from rest at several rates until the joints slide."""
-    peaks, ways = [], []
-    for seconds in RAMPS:
-        peak, way = _ramp(bench, scale, seconds)
-        peaks.append(peak)
-        ways.append(way)
-    return [
-        _broken(np.array(peaks)[:, j], np.array(ways)[:, j], float(scale.level[j]))
-        for j in range(bench.joints)
-    ]
+    peaks, ways = np.swapaxes([_ramp(bench, scale, seconds) for seconds in RAMPS], 0, 1)
+    return [_broken(peaks[:, j], ways[:, j], float(scale.level[j])) for j in range(bench.joints)]
 
 
 def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:

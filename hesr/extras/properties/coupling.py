@@ -4,7 +4,7 @@ import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import SLIDING, Scale, curve, figures, plot
-from hesr_model.audit.properties import STEP, PropertyResult
+from hesr_model.audit.properties import STEP, PropertyResult, PropertyVerdict
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
@@ -112,22 +112,17 @@ def _judged(
     end = min(len(shown), int(0.2 / STEP))
     t = STEP * np.arange(end, dtype=float)
     drawn = plot("time", "velocity", curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200))
+    verdict: PropertyVerdict = "fail"
     if driven:
-        return PropertyResult(
-            verdict="not applicable",
-            figures=measured,
-            reason="The joint does not stop at any step: the law drives it.",
-            plot=drawn,
+        verdict, reason = (
+            "not applicable",
+            "The joint does not stop at any step: the law drives it.",
         )
-    if largest is None:
+    elif largest is None:
         reason = f"It chatters even at the smallest step tried, {1e3 * LEAST:g} ms."
     elif largest < STEP:
         reason = "Coupled explicitly at 1 ms it chatters."
     else:
+        verdict = "pass"
         reason = "No chatter up to the largest step tried." if largest == MOST else ""
-    return PropertyResult(
-        verdict="pass" if largest is not None and largest >= STEP else "fail",
-        figures=measured,
-        reason=reason,
-        plot=drawn,
-    )
+    return PropertyResult(verdict=verdict, figures=measured, reason=reason, plot=drawn)

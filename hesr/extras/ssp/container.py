@@ -16,6 +16,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 from posixpath import normpath
 from typing import Any
+from uuid import UUID
 
 from cosim.systems.system import SystemSpec
 from fmu_src.export.interface import literal
@@ -52,7 +53,12 @@ def write_container(contents: SystemContents, path: Path) -> Path:
     """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
-    _require_one_step(contents)
+    for component in contents.spec.components:
+        if contents.spec.every(component) > 1:
+            raise ConfigError(
+                f"{contents.path}: component '{component.name}' has a step of {component.step:g} "
+                f"s; it must equal the container's, {contents.spec.step:g} s."
+            )
     nested = {
         c.name: _members(c.fmu, contents.descriptions[c.name]) for c in contents.spec.components
     }
@@ -78,16 +84,6 @@ def write_container(contents: SystemContents, path: Path) -> Path:
     if all(ours):
         remember(path)
     return path
-
-
-def _require_one_step(contents: SystemContents) -> None:
-    spec = contents.spec
-    for component in spec.components:
-        if spec.every(component) > 1:
-            raise ConfigError(
-                f"{contents.path}: component '{component.name}' has a step of {component.step:g} "
-                f"s; it must equal the container's, {spec.step:g} s."
-            )
 
 
 def _members(fmu: Path, description: Any) -> dict[str, bytes]:
@@ -261,5 +257,4 @@ def _guid(members: Mapping[str, bytes]) -> str:
     content = hashlib.sha256()
     for name, data in members.items():
         content.update(f"\0{name}\0{len(data)}\0".encode() + data)
-    digest = content.hexdigest()
-    return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+    return f"{{{UUID(content.hexdigest()[:32])}}}"

@@ -166,7 +166,7 @@ class _Reader:
             name = self.attribute(node, "name", "an element")
             kind = node.tag.rpartition("}")[2]
             if (own := (*place, name)) in self.places:
-                raise self.error(f"two elements are named '{shown_place(own)}'.")
+                raise self.error(f"two elements are named '{'.'.join(own)}'.")
             if kind == "System":
                 self.elements(node, own, units)
                 self.parameters(node, own)
@@ -180,7 +180,7 @@ class _Reader:
             self.connection(node, place)
 
     def component(self, node: ET.Element, place: ElementPath) -> None:
-        where = f"component '{shown_place(place)}'"
+        where = f"component '{'.'.join(place)}'"
         source = self.attribute(node, "source", where)
         if not source.lower().endswith(".fmu"):
             raise self.refuse(f"{where} is {source}, no FMU, which is")
@@ -270,7 +270,7 @@ class _Reader:
     def parameters(self, node: ET.Element, place: ElementPath) -> None:
         """Apply the parameter bindings of an element, which replace those of inner ones."""
         kind = "component" if place in self.fmus else "system"
-        where = f"{kind} '{shown_place(place) or node.get('name')}'"
+        where = f"{kind} '{'.'.join(place) or node.get('name')}'"
         for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
             if binding.get("sourceBase") == "component":
                 raise self.refuse(f"{where}: a parameter source inside an FMU is")
@@ -357,7 +357,7 @@ class _Reader:
             elements = variables.elements(name)
         except SimulationError:
             return False
-        where = f"{self.path}: component '{shown_place(place)}': parameter '{name}'"
+        where = f"{self.path}: component '{'.'.join(place)}': parameter '{name}'"
         for element in elements:
             value, unit = parameter.value, None if parameter.suppressed else parameter.unit
             into = connector and self.graph.unit(connector)
@@ -368,10 +368,8 @@ class _Reader:
             if parameter.after:
                 value = parameter.after.applied(value, where)
             if isinstance(value, str | bool):
-                for hop in way:
-                    value = (
-                        hop.transformation.applied(value, where) if hop.transformation else value
-                    )
+                for change in (hop.transformation for hop in way if hop.transformation):
+                    value = change.applied(value, where)
             elif connector:
                 for step in self.graph.conversions(connector, way, into or unit):
                     value = step(value)
@@ -382,11 +380,6 @@ class _Reader:
         if not connector or re.search(r"\s", connector):
             raise self.refuse(f"connector '{connector}' of '{component}': names with spaces are")
         return f"{component}.{connector}"
-
-
-def shown_place(place: ElementPath) -> str:
-    """Return an element in messages."""
-    return ".".join(place)
 
 
 def _one(node: ET.Element, path: str) -> ET.Element | None:

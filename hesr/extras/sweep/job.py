@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.answer import Answer, Written, shortened
+from cosim.workflow.answer import Answer, PluginJob, Written, shortened
 from hesr.extras.sweep import tables
 from hesr.extras.sweep.plan import SweepRuns
 from hesr.extras.sweep.study import SweepStudy
@@ -14,38 +14,31 @@ from hesr.extras.sweep.work import RUNS
 from hesr_model.support.progress import Stages, silent
 
 
-class SweepJob:
-    """Many runs of one system."""
+def _run(
+    path: Path,
+    *,
+    output: Path | None = None,
+    only: int | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    insecure: bool = False,
+    progress: Stages = silent,
+) -> Answer:
+    """Do all runs, by default into ``results/NAME``, or only one into ``runN.csv``."""
+    from hesr.extras.sweep.run import PAGE, run_sweep
 
-    verb, key = "simulate", "outputs"
-    read = staticmethod(SweepStudy.read)
+    if only is not None:
+        return _replay(path, only, output or Path(f"run{only}.csv"))
+    folder = output or Path("results") / SweepStudy.read(path).name
+    if cluster is not None:
+        from hesr.extras.sweep.cluster import require_encryption
 
-    def run(
-        self,
-        path: Path,
-        *,
-        output: Path | None = None,
-        only: int | None = None,
-        workers: int | None = None,
-        cluster: str | None = None,
-        insecure: bool = False,
-        progress: Stages = silent,
-    ) -> Answer:
-        """Do all runs, by default into ``results/NAME``, or only one into ``runN.csv``."""
-        from hesr.extras.sweep.run import PAGE, run_sweep
-
-        if only is not None:
-            return _replay(path, only, output or Path(f"run{only}.csv"))
-        folder = output or Path("results") / self.read(path).name
-        if cluster is not None:
-            from hesr.extras.sweep.cluster import require_encryption
-
-            require_encryption(cluster, insecure=insecure)
-        runs = run_sweep(path, folder, workers=workers, cluster=cluster, progress=progress)
-        return SweepResult(**vars(runs), path=path, files=(folder / PAGE, folder / RUNS))
+        require_encryption(cluster, insecure=insecure)
+    runs = run_sweep(path, folder, workers=workers, cluster=cluster, progress=progress)
+    return SweepResult(**vars(runs), path=path, files=(folder / PAGE, folder / RUNS))
 
 
-JOB = SweepJob()
+JOB = PluginJob("simulate", "outputs", _run)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
@@ -24,9 +23,11 @@ _DESIGNS = {
 def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
     """Write the page, with commands for the sweep file `study`."""
     pictures = Pictures(folder=path.parent)  # figures are embedded
+    order = paragraph("Largest magnitude first, failed runs before all others.")
+    worst = (tables.worst(swept, k, study) for k in range(len(swept.plan.study.outputs)))
     sections = [
         Section(key="outputs", title="Outputs", html=_outputs(swept, pictures)),
-        Section(key="worst", title="Worst runs", html=_worst(swept, study)),
+        Section(key="worst", title="Worst runs", html=joined(order, *map(table, worst))),
     ]
     if swept.sensitivities:
         html = _sensitivities(swept, pictures)
@@ -57,14 +58,6 @@ def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
     return joined(drawn, table(tables.outputs(swept)))
 
 
-def _worst(swept: "SweepRuns", study: Path) -> Markup:
-    count = len(swept.plan.study.outputs)
-    return joined(
-        paragraph("Largest magnitude first, failed runs before all others."),
-        *(table(tables.worst(swept, k, study)) for k in range(count)),
-    )
-
-
 def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
     parts = [
         paragraph(
@@ -74,13 +67,8 @@ def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
     ]
     found = zip(swept.sensitivities, tables.sensitivities(swept), strict=True)
     for k, (one, listed) in enumerate(found):
-        intervals = np.stack([one.first_interval, one.total_interval])
-        figure = shares(swept.plan.study.names, one.first, one.total, intervals)
-        drawn = pictures.shown(
-            f"shares-{k}",
-            figure,
-            f"Shares of the variance of {one.output}.",
-            alt="Two bars for each input.",
-        )
+        figure = shares(swept.plan.study.names, one.first, one.total, one.intervals)
+        caption = f"Shares of the variance of {one.output}."
+        drawn = pictures.shown(f"shares-{k}", figure, caption, alt="Two bars for each input.")
         parts += [drawn, table(listed)]
     return joined(*parts)

@@ -26,13 +26,12 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
-    """Shares of the variance of an output by input (d,), with 95 % bootstrap intervals (d, 2)."""
+    """Shares of the variance of an output by input (d,), 95 % bootstrap intervals (2, d, 2)."""
 
     output: str
     first: Array
     total: Array
-    first_interval: Array
-    total_interval: Array
+    intervals: Array
 
 
 def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
@@ -58,15 +57,7 @@ def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
         )
         first, total = _shares(blocks)
         intervals = np.stack(spread.confidence_interval, axis=-1)
-        found.append(
-            Sensitivity(
-                output=one.name,
-                first=first,
-                total=total,
-                first_interval=intervals[0],
-                total_interval=intervals[1],
-            )
-        )
+        found.append(Sensitivity(output=one.name, first=first, total=total, intervals=intervals))
     return found
 
 
@@ -246,15 +237,13 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
 
 
 def _key(study: SweepStudy, spec: SystemSpec, digests: dict[Path, str]) -> str:
-    system = spec.model_dump(mode="json", exclude={"components"})
-    components = [
-        c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}
-        for c in spec.components
-    ]
     data = {
         "study": study.model_dump(mode="json", exclude={"system"}),
-        "system": system,
-        "components": components,
+        "system": spec.model_dump(mode="json", exclude={"components"}),
+        "components": [
+            c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}
+            for c in spec.components
+        ],
         "version": version("hesr"),
         "numpy": np.__version__,
     }

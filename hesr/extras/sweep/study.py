@@ -132,17 +132,13 @@ class SweepStudy(Config):
         for name, count in Counter((*variables, *[output.name for output in self.outputs])).items():
             if count > 1:
                 raise ValueError(f"'{name}' is varied or measured twice")
-        self._fits_design()
-        return self
-
-    def _fits_design(self) -> None:
         if self.design == "grid":
             if self.runs is not None:
                 raise ValueError("a grid determines the number of runs; remove 'runs'")
             if self.correlated or any(one.mean is not None for one in self.inputs):
                 raise ValueError("a grid needs 'values' or 'low' and 'high' of every input")
-            return
-        if self.runs is None:
+        elif self.runs is None:
             raise ValueError(f"the design '{self.design}' needs the key 'runs'")
-        if self.design == "sobol" and self.runs & (self.runs - 1):
+        elif self.design == "sobol" and self.runs & (self.runs - 1):
             raise ValueError(f"the design 'sobol' needs a power of 2 as 'runs', not {self.runs}")
+        return self

@@ -56,8 +56,8 @@ def sensitivities(swept: "SweepRuns") -> Iterator[ResultTable]:
         rows = [
             row_of(
                 name,
-                _with(one.first[i], one.first_interval[i]),
-                _with(one.total[i], one.total_interval[i]),
+                _with(one.first[i], one.intervals[0, i]),
+                _with(one.total[i], one.intervals[1, i]),
             )
             for i, name in enumerate(swept.plan.study.names)
         ]

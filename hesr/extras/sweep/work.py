@@ -122,12 +122,10 @@ RUNS = "runs"  # folder of the Parquet files, which form one data set
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RunTable:
-    """All runs: inputs (runs, d), outputs (runs, m), NaN for failures, and reasons."""
+class RunTable(RunOutputs):
+    """All runs with their inputs (runs, d)."""
 
     inputs: Array
-    outputs: Array
-    failures: tuple[str, ...]
 
 
 class Store:
@@ -154,21 +152,14 @@ class Store:
     def has(self, first: int, values: Array) -> bool:
         """Whether a chunk exists, is readable and has these inputs."""
         try:
-            return np.array_equal(self._read(first).inputs, values)
+            return np.array_equal(self.read([first]).inputs, values)
         except (OSError, ValueError, KeyError, self._arrow.ArrowException):
             return False
 
     def read(self, firsts: list[int]) -> RunTable:
         """Read chunks in the given order."""
-        parts = [self._read(first) for first in firsts]
-        return RunTable(
-            inputs=np.concatenate([part.inputs for part in parts]),
-            outputs=np.concatenate([part.outputs for part in parts]),
-            failures=tuple(text for part in parts for text in part.failures),
-        )
-
-    def _read(self, first: int) -> RunTable:
-        found = self._arrow.parquet.read_table(self.file(first))
+        parts = [self._arrow.parquet.read_table(self.file(first)) for first in firsts]
+        found = self._arrow.concat_tables(parts)
 
         def numbers(names: tuple[str, ...]) -> Array:
             return np.column_stack([found.column(name).to_numpy() for name in names])

@@ -9,9 +9,8 @@ from mujoco_joints import Joints
 
 from fmu_src import model_file
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from hesr.extras.mjcf.mjcf_file import export_mjcf_law
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law, projected
 from hesr.extras.mjcf.parts import parts_of
-from hesr.extras.mjcf.projection import projected
 from hesr_model.errors import ExportError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import DQ
