@@ -151,16 +151,14 @@ def excite(
     The true friction is written next to each log. Noise seed and FMU default to those of `plant`.
     """
     paths = {}
-    for recording in recordings(motions, plant, seed=seed, fmu=fmu):
-        path = folder / f"{recording.log.name}.csv"
-        recording.log.write(path)
-        columns = {"t": recording.log.t}
-        columns |= {f"tau_f{k}": f for k, f in enumerate(recording.truth.tau_f_true.T, start=1)}
+    for one in recordings(motions, plant, seed=seed, fmu=fmu):
+        paths[one.log.name] = path = folder / f"{one.log.name}.csv"
+        one.log.write(path)
+        columns = {f"tau_f{k}": f for k, f in enumerate(one.truth.tau_f_true.T, start=1)}
         with written_whole(truth_of(path)) as temporary:
-            write_table(temporary, columns)
-        paths[recording.log.name] = path
-        worst = np.abs(recording.truth.q - recording.desired).max() * 1e3
-        _log.info("%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), worst)
+            write_table(temporary, {"t": one.log.t} | columns)
+        worst = np.abs(one.truth.q - one.desired).max() * 1e3
+        _log.info("%s: %d samples, at most %.0f mrad off", path, len(one.log.t), worst)
     return paths
 
 
@@ -215,7 +213,8 @@ def record(
         )
     require_within(arm.limits, desired, joints, f"motion '{name}':")
     commands = np.diff(desired, axis=0) * rate
-    truth = arm.run(desired[0], commands, seed=_seed_of_log(seed, name), unlogged=first)
+    stream = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    truth = arm.run(desired[0], commands, seed=int(words(seed, stream, 0)), unlogged=first)
     log = Log(
         name=name,
         t=np.arange(count - first) / rate,
@@ -230,8 +229,3 @@ def record(
 def truth_of(log: Path) -> Path:
     """Return the file of the true friction of a log: t, tau_f1.."""
     return log.parent / "truth" / log.name
-
-
-def _seed_of_log(seed: int, name: str) -> int:
-    stream = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
-    return int(words(seed, stream, 0))

@@ -166,12 +166,15 @@ class Results:
         truths = read_json(folder / TRUTHS) if (folder / TRUTHS).is_file() else {}
         plants, path = "the errors on alternative plants", folder / FOLLOWING
         follow = read_json(path) if path.is_file() else {}
+        scores, loop = folder / "evaluation.json", folder / "closed_loop.json"
+        if not (comparisons := _by_test(Comparison, scores, "the scores of a run")):
+            raise ArtifactError(f"{scores}: not the scores of a run (it has no test set).")
         return cls(
             folder=folder,
             run=run,
             body=body,
             models={law: FrictionModel.read(folder / "laws" / f"{law}.json") for law in run.inputs},
-            comparisons=_comparisons(folder / "evaluation.json"),
+            comparisons=comparisons,
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
             simulated=_by_test(PositionErrors, positions, "the simulations of a run")
             if positions.is_file()
@@ -179,7 +182,10 @@ class Results:
             truths=from_json(dict[str, Errors], truths, folder / TRUTHS, plants),
             following=from_json(Following, follow, path, "following errors") if follow else None,
             provenance=body.provenance,
-            **(_loop(folder) if run.controller else {}),
+            loop=from_json(LoopOutcome, read_json(loop), loop, "the closed loop of a run")
+            if run.controller
+            else None,
+            paths=read_traces(folder / PATHS) if run.controller else {},
         )
 
 
@@ -190,18 +196,6 @@ def _simulated(found: PositionErrors | None, law: str, joint: int) -> tuple[floa
     return (found.open_loop.get(law) or found.windows[law][-1])[joint : joint + 1]
 
 
-def _comparisons(path: Path) -> dict[str, Comparison]:
-    if found := _by_test(Comparison, path, "the scores of a run"):
-        return found
-    raise ArtifactError(f"{path}: not the scores of a run (it has no test set).")
-
-
 def _by_test(kind: Any, path: Path, what: str) -> dict[str, Any]:
     found = read_json(path).items()
     return {name: from_json(kind, one, path, f"{what} on {name!r}") for name, one in found}
-
-
-def _loop(folder: Path) -> dict[str, Any]:
-    path = folder / "closed_loop.json"
-    loop = from_json(LoopOutcome, read_json(path), path, "the closed loop of a run")
-    return {"loop": loop, "paths": read_traces(folder / PATHS)}

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,9 +30,9 @@ class NewProject:
 
     folder: Path
     joints: tuple[str, ...]  # joints in the robot file
-    followers: tuple[str, ...]
-    locked: Mapping[str, float]  # positions of other joints [rad or m]
-    doubts: tuple[Finding, ...]
+    followers: tuple[str, ...] = ()
+    locked: Mapping[str, float] = field(default_factory=dict)  # of other joints [rad or m]
+    doubts: tuple[Finding, ...] = ()
     bench: str = ""  # kind of a bench, or "twin", whose folder has no logs and no study
 
 
@@ -103,9 +103,7 @@ def start_twin(folder: Path) -> NewProject:
         for file in (*shipped, *(models_folder() / "new" / "twin").iterdir()):
             (temporary / file.name).write_bytes(file.read_bytes())
         joints = RobotDescription.read(temporary / "robot.toml").joints
-    return NewProject(
-        folder=folder, joints=joints, followers=(), locked={}, doubts=(), bench="twin"
-    )
+    return NewProject(folder=folder, joints=joints, bench="twin")
 
 
 def require_new(folder: Path) -> None:
@@ -241,6 +239,4 @@ def start_bench(
         Robot(description)
         head = "Written by 'hesr new'; 'hesr inspect --write' adds the columns of a log."
         file.write_text(robot_text(description, file, head), encoding="utf-8")
-    return NewProject(
-        folder=folder, joints=bench.joints, followers=(), locked={}, doubts=(), bench=bench.kind
-    )
+    return NewProject(folder=folder, joints=bench.joints, bench=bench.kind)

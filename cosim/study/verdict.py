@@ -192,8 +192,11 @@ def recommend(
     count = len(scores.joints)
     long = [j for j in range(count) if not scores.too_short[j]]
     if not long:
-        law, why = _by_training(names, scores, models)
-        return (law,) * count, why
+        known = [law for law in names if models[law].left_out_rmse]
+        if not known:
+            return (min(names, key=scores.size),) * count, f"{_SHORT}; it has the lowest error."
+        law = min(known, key=lambda name: fmean(scores.unexplained(models[name].left_out_rmse)))
+        return (law,) * count, f"{_SHORT}; it has the lowest error on left-out training logs."
     lowest = [scores.laws[leading[0]].rmse[j] for j, leading in enumerate(scores.leading)]
     rmse = {law: zip(scores.laws[law].rmse, lowest, strict=True) for law in names}
     above = {law: [e / max(least, 1e-300) for e, least in of_law] for law, of_law in rmse.items()}
@@ -220,16 +223,6 @@ def recommend(
         "no law is significantly better, and of those within "
         f"{100 * (CLOSE - 1):.0f} % of the lowest error it is the simplest ({said})."
     )
-
-
-def _by_training(
-    names: Sequence[str], scores: Comparison, models: Mapping[str, FrictionModel]
-) -> tuple[str, str]:
-    known = [law for law in names if models[law].left_out_rmse]
-    if not known:
-        return min(names, key=scores.size), f"{_SHORT}; it has the lowest error."
-    law = min(known, key=lambda name: fmean(scores.unexplained(models[name].left_out_rmse)))
-    return law, f"{_SHORT}; it has the lowest error on left-out training logs."
 
 
 def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int, int]:

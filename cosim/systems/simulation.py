@@ -240,8 +240,10 @@ class Master:
         except SimulationError as error:
             failure = error
         done = stepper.done
-        # a NaN may make another component fail
-        failure = self._not_finite(self.spec.begin + done * step) or failure
+        if not (finite := np.isfinite(self._layout.values)).all():
+            # a NaN may make another component fail
+            ended = self.spec.begin + done * step
+            failure = self._layout.not_finite(int(np.argmin(finite)), ended)
         progress(steps, steps)
         signals = {
             ".".join(e): self._typed(e, kept[:done, i]) for i, e in enumerate(self._wiring.observed)
@@ -282,27 +284,18 @@ class Master:
         for name, slave in self._slaves.items():
             if slave.used:
                 slave.reset()
-            own = slave.variables.expanded(more.get(name, {}))
-            start = self._wiring.start[name] | own
-            begin, stop = self.spec.begin, self.spec.stop
-            slave.enter_initialisation(time=begin, stop=stop, start=start)
+            start = self._wiring.start[name] | slave.variables.expanded(more.get(name, {}))
+            slave.enter_initialisation(time=self.spec.begin, stop=self.spec.stop, start=start)
         if self._scheme.first == "propagated":
-            self._propagate()
+            before = None
+            for _ in self._wiring.order:
+                self._layout.propagate(self.spec.begin)
+                if before is not None and np.array_equal(before, self._layout.values):
+                    break
+                before = self._layout.values.copy()
         for slave in self._slaves.values():
             slave.exit_initialisation()
         for station in self._layout.stations:
             station.read_outputs()
         if self._scheme.first == "zero":
             self._layout.values.fill(0.0)
-
-    def _propagate(self) -> None:
-        before = None
-        for _ in self._wiring.order:
-            self._layout.propagate(self.spec.begin)
-            if before is not None and np.array_equal(before, self._layout.values):
-                break
-            before = self._layout.values.copy()
-
-    def _not_finite(self, time: float) -> SimulationError | None:
-        finite = np.isfinite(self._layout.values)
-        return None if finite.all() else self._layout.not_finite(int(np.argmin(finite)), time)

@@ -305,18 +305,12 @@ def _write_law(
         known = {**given, "platforms": list(platform or ("linux64",))}
         if copied(model_file(str(law)), {**known, "format": format, "body": None}, output):
             return
-    from cosim.workflow.arguments import (
-        model_given,
-        page_body,
-        plant_body,
-        possible_body,
-        require_choice,
-    )
+    from cosim.workflow import arguments
     from hesr_model.friction.model import FrictionModel
     from hesr_model.support import plugins
 
     formats = plugins.load("hesr.exports")
-    require_choice("format", format, formats)
+    arguments.require_choice("format", format, formats)
     _refuse_others({k: v for k, v in given.items() if k in _OF_ARMS}, (), "an MJCF (.xml)")
     _refuse_others({k: v for k, v in given.items() if k in _OF_SYSTEMS}, (), "a system")
     writer = formats[format].load()
@@ -332,13 +326,14 @@ def _write_law(
     if format in _OF_ROBOTS and "robot" not in given:
         raise ArgumentError(f"'format' {format} needs 'robot', the robot of the law.")
     if "body" in taken and "robot" in given:
-        body_of = {"plant": possible_body, "observer": plant_body}.get(format, page_body)
+        own = {"plant": arguments.possible_body, "observer": arguments.plant_body}
+        body_of = own.get(format, arguments.page_body)
         given["body"] = body_of(given.pop("robot"), given.pop("rigid_body", None))
     if "progress" in taken:
         given["progress"] = partial(progress, f"building {output.name}")
 
     def write() -> None:
-        model = model_given(law)
+        model = arguments.model_given(law)
         written = writer(model, output, **_completed(format, given, model, progress))
         for line in getattr(written, "lines", list)():
             _log.warning("%s", line)
@@ -352,7 +347,7 @@ def _write_law(
     else:
         write()
     if given.get("band"):
-        plugins.find("hesr.exports", "ssv")(model_given(law), output.with_suffix(".ssv"))
+        plugins.find("hesr.exports", "ssv")(arguments.model_given(law), output.with_suffix(".ssv"))
 
 
 def _motors(body: BodyArg) -> dict[str, Any]:

@@ -104,21 +104,13 @@ def simulate(
 
     path = path_of(system, "a system")
     file = None if output is None else path_of(output, "an output")
+    given = {"only": only, "workers": workers, "cluster": cluster, "insecure": insecure or None}
     if job := find_job(path, "simulate"):
         if isolate:
             raise ArgumentError(f"'isolate' is for a system; {path} is a sweep.")
         if only is not None and file is not None:
             _require_table(file)
-        return job.run(
-            path,
-            output=file,
-            only=only,
-            workers=workers,
-            cluster=cluster,
-            insecure=insecure,
-            progress=progress,
-        )
-    given = {"only": only, "workers": workers, "cluster": cluster, "insecure": insecure or None}
+        return job.run(path, output=file, progress=progress, **given)
     for name in (name for name, value in given.items() if value is not None):
         raise ArgumentError(f"'{name}' is for a sweep; {path} is a system.")
     if file is not None:

@@ -1,7 +1,7 @@
 """Charts of lines over a common axis, for figures and zooming views."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
 
@@ -149,8 +149,7 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
         if window:
             low, high = np.searchsorted(line.x, window)
             rows = slice(int(low), int(high) + 1)
-        part = Line(name=line.name, x=line.x[rows], y=line.y[rows], stroke=line.stroke)
-        plot(axis, part, columns)
+        plot(axis, replace(line, x=line.x[rows], y=line.y[rows]), columns)
     for place, word in panel.marks:
         axis.axvline(place, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
         axis.annotate(

@@ -104,17 +104,12 @@ def joints(views: Sequence[JointView]) -> Figure:
                     _note(axis, "no model" if values is None else "none")
                 else:
                     axis.hist(values, bins=_BINS, color=SERIES[2])
-            titles = (
-                f"{view.name}: {view.unit} over s",
-                "torque minus model",
-                "rows by velocity",
-                "rows by gravity",
-            )
-            for axis, title in zip(row, titles, strict=True):
+            titles = ("torque minus model", "rows by velocity", "rows by gravity")
+            row[0].set_title(f"{view.name}: {view.unit} over s", fontsize=8.5)
+            units = (view.unit, view.unit, "N" if view.unit == "m/s" else "N.m")
+            for axis, title, unit in zip(row[1:], titles, units, strict=True):
                 axis.set_title(title, fontsize=8.5)
-            row[1].set_xlabel(view.unit, fontsize=8, labelpad=1)
-            row[2].set_xlabel(view.unit, fontsize=8, labelpad=1)
-            row[3].set_xlabel("N" if view.unit == "m/s" else "N.m", fontsize=8, labelpad=1)
+                axis.set_xlabel(unit, fontsize=8, labelpad=1)
         legend(figure, [line for view in views for line in view.velocities])
     return figure
 

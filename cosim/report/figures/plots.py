@@ -76,13 +76,14 @@ def loops(
         reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
         count = int(np.count_nonzero(near))
         seen, every = (max(1, count // most) for most in (points or _SEEN, points or count + 1))
-        span = _span(measured[1][near])
+        low, high = np.quantile(measured[1][near], (0.002, 0.998))
+        margin = 0.15 * (high - low)
         for axis, (title, (dq, tau)) in zip(axes, laws.items(), strict=False):
             axis.plot(*_parts(near, *measured, seen), color=SOFT, linewidth=0.6, alpha=0.7)
             axis.plot(*_parts(near, dq, tau, every), color=SERIES[0], linewidth=1.2)
             axis.set_title(title, fontsize=8.5)
             axis.set_xlim(-reach, reach)
-            axis.set_ylim(*span)
+            axis.set_ylim(low - margin, high + margin)
         for axis in axes[len(laws) :]:
             axis.set_visible(False)
         figure.supxlabel(x, fontsize=9, y=0.04 / height, va="bottom")
@@ -131,8 +132,7 @@ def _ratio_axis(axis: Axes) -> None:
     axis.set_xscale("log")
     low, high = axis.get_xlim()
     steps = _FINE if high / low < _NARROW else _COARSE
-    ticks = [t for t in steps if low <= t <= high]
-    axis.set_xticks(ticks)
+    axis.set_xticks([t for t in steps if low <= t <= high])
     axis.xaxis.set_major_formatter(ScalarFormatter())
     axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())
@@ -144,9 +144,3 @@ def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple
     shown[1:] |= near[:-1]
     rows = np.flatnonzero(shown | np.roll(shown, 1))[::every]
     return x[rows], np.where(shown, y, np.nan)[rows]
-
-
-def _span(tau: Array) -> tuple[float, float]:
-    low, high = np.quantile(tau, (0.002, 0.998))
-    margin = 0.15 * (high - low)
-    return float(low - margin), float(high + margin)

@@ -105,23 +105,25 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
     if not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
     first = pairs[0][1]
-    alpha, beta = first.values["alpha"], first.values["beta"]
-    speed = model.trained[0].speed if model.trained else _SPEED
+    beta, speed = first.values["beta"], model.trained[0].speed if model.trained else _SPEED
     near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
     styles = strokes(list(_FACTORS.values()))
-
     slopes = tuple(
         Line(name=name, x=1e3 * near, y=np.tanh(f * beta * near), stroke=styles[name])
         for f, name in _FACTORS.items()
     )
     widths = tuple(
-        _loop(replace(first, values={**first.values, "alpha": f * alpha}), speed, name, styles)
+        _loop(
+            replace(first, values={**first.values, "alpha": f * first.values["alpha"]}),
+            speed,
+            name,
+            styles,
+        )
         for f, name in _FACTORS.items()
     )
     styles = strokes(results.joints)
     fitted = tuple(_loop(law, speed, short, styles) for short, law in pairs)
-    dq = f"dq [{results.unit('rad/s', 0)}]"
-    slow = f"dq [{results.unit('mrad/s', 0)}]"
+    slow, dq = (f"dq [{results.unit(unit, 0)}]" for unit in ("mrad/s", "rad/s"))
     picture = sheets(
         (
             (slow, Panel(title="(a) β: slope at rest", y="tanh(β dq)", lines=slopes)),
@@ -148,8 +150,7 @@ def _loop(law: FrictionLaw, speed: float, name: str, styles: Mapping[str, Stroke
 
 def ablation(results: Results) -> dict[str, Any] | None:
     """Return the change of the error with each added part."""
-    test = results.tests[0]
-    laws = results.comparisons[test].laws
+    laws = results.comparisons[test := results.tests[0]].laws
     steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
     variants = [n for n in results.run.variants if n in laws and not n.endswith("_relaxed")]
     tables = {}
@@ -219,11 +220,7 @@ def audit(results: Results) -> dict[str, Any] | None:
     energy = ResultTable(
         caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "
         f"rest [{results.unit('N.m')}]",
-        head=(
-            "law",
-            *(f"energy {short}" for short in results.joints),
-            *(f"chatter {short}" for short in results.joints),
-        ),
+        head=("law", *(f"{what} {j}" for what in ("energy", "chatter") for j in results.joints)),
         rows=[
             row_of(
                 title(law),

@@ -270,9 +270,8 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
 
 def following(results: Results) -> dict[str, Any] | None:
     """Return predicted following errors of the robot on a log with commands."""
-    if results.following is None:
+    if (found := results.following) is None:
         return None
-    found = results.following
     return {
         "found": found,
         "sentence": loop_tables.benefit(found, results.sliding),

@@ -38,13 +38,10 @@ class Clearance:
         self._pin, self._model, self._data, self._configurations = robot.kinematics
         self.exact = robot.geometry is not None
         self._geometry: Any = robot.geometry or self._capsules(robot, radius)
-        links = self._geometry.ngeoms
+        pin, links = self._pin, self._geometry.ngeoms
         for k, (*normal, offset) in enumerate(planes, start=1):
-            wall, place = (
-                self._pin.coal.Halfspace(np.array(normal), offset),
-                self._pin.SE3.Identity(),
-            )
-            self._geometry.addGeometryObject(self._pin.GeometryObject(f"plane {k}", 0, place, wall))
+            wall, place = pin.coal.Halfspace(np.array(normal), offset), pin.SE3.Identity()
+            self._geometry.addGeometryObject(pin.GeometryObject(f"plane {k}", 0, place, wall))
         parents, of = list(self._model.parents), self._geometry.geometryObjects
         joint = [int(body.parentJoint) for body in of]
         pairs = [
@@ -334,11 +331,8 @@ class Planner:
 
     def _fourier(self, count: int, seed: int | None, progress: Progress) -> Array:
         """Return `count` rows of the best Fourier motion, or of a random one, from the start."""
-        limits, robot, near = (
-            self.guard.limits,
-            self.guard.robot,
-            _NEAR * self.guard.limits.velocity,
-        )
+        limits, robot = self.guard.limits, self.guard.robot
+        near = _NEAR * limits.velocity
         low, high = np.maximum(limits.lower, self.start - near), self.start + near
         period = count / self.rate
         allowed = MotionLimits(

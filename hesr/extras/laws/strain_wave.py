@@ -59,11 +59,9 @@ class StrainWave(OneForm):
 
 
 RISE_BOUNDS = (1e-4, 10.0)  # bounds of the relative rise per load [1/(N.m)]
-RISE_D = Coefficient(
-    name="rise_d", unit="1/(N.m)", description="relative rise per load, driving motor"
-)
-RISE_B = Coefficient(
-    name="rise_b", unit="1/(N.m)", description="relative rise per load, driven motor"
+RISE_D, RISE_B = (
+    Coefficient(name=name, unit="1/(N.m)", description=f"relative rise per load, {which} motor")
+    for name, which in (("rise_d", "driving"), ("rise_b", "driven"))
 )
 
 

@@ -102,7 +102,10 @@ def equations(form: LawForm) -> Equations:
         for m in form.memory
     ]
     return Equations(
-        signs={s.name: _sign(text(e)) for e, s in zip(bends, signs, strict=True)},
+        signs={
+            s.name: f"if {x} > 0 then 1 elseif {x} < 0 then -1 else 0"
+            for s, x in zip(signs, map(text, bends), strict=True)
+        },
         lines=tuple(_wrapped(line) for line in (*lines, f"tau = {text(form.output.subs(DT, 0))}")),
         beginning=tuple(
             (name, _wrapped(text(e, begins=True))) for name, e in _beginning(form).items()
@@ -122,10 +125,6 @@ def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
 def start_of(state: str) -> str:
     """Return the name of a state's start value."""
     return f"{state}_start"
-
-
-def _sign(argument: str) -> str:
-    return f"if {argument} > 0 then 1 elseif {argument} < 0 then -1 else 0"
 
 
 def _wrapped(line: str) -> str:

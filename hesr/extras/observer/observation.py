@@ -242,10 +242,8 @@ def _of_joint(
 ) -> tuple[tuple[float, ...], Array]:
     """Return a joint's numbers, and its errors over the half-width."""
     errors = np.concatenate([run.outputs["tau_ext"][:, j] for run in runs])
-    best, some = (
-        (np.inf, (0.0,) * len(NAMES), errors),
-        slice(None, None, -(-len(errors) // _ENOUGH)),
-    )
+    best: tuple[float, tuple[float, ...], Array] = (np.inf, (0.0,) * len(NAMES), errors)
+    some = slice(None, None, -(-len(errors) // _ENOUGH))
     for speed in SLOW_SPEEDS:
         parts = []
         for run in runs:

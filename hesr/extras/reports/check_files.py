@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version as installed
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as ET
 
 from fmu_src.check.rules import RULES, rule_of
@@ -61,7 +60,16 @@ def write_sarif(path: Path, reports: Sequence[Report]) -> None:
     driver = {
         "name": "hesr check",
         "version": installed("hesr"),
-        "rules": [_described(name) for name in names],
+        "rules": [
+            {
+                "id": name,
+                "shortDescription": {"text": rule.finds},
+                "help": {"text": f"{rule.finds} ({rule.clause})"},
+                "helpUri": rule.link,
+                "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+            }
+            for name, rule in zip(names, map(rule_of, names), strict=True)
+        ],
     }
     data = {
         "$schema": _SCHEMA,
@@ -70,14 +78,3 @@ def write_sarif(path: Path, reports: Sequence[Report]) -> None:
     }
     with written_whole(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-
-
-def _described(name: str) -> dict[str, Any]:
-    rule = rule_of(name)
-    return {
-        "id": name,
-        "shortDescription": {"text": rule.finds},
-        "help": {"text": f"{rule.finds} ({rule.clause})"},
-        "helpUri": rule.link,
-        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
-    }
