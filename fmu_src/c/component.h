@@ -10,7 +10,9 @@
 #ifndef COMPONENT_H
 #define COMPONENT_H
 
+#include <stdarg.h>
 #include <stdbool.h>
+#include <stdio.h>
 
 #include "interface.h"
 
@@ -45,6 +47,20 @@ typedef struct {
 typedef struct {
     char text[256];
 } Message;
+
+/* Fill in a message, by default the reason of a refusal; return false. */
+SELDOM static inline bool deny(Message *why, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(why->text, sizeof why->text, format, arguments);
+    va_end(arguments);
+    return false;
+}
+
+/* Check a parameter; NaN fails. */
+static inline bool sound(const double *v, int i, bool right, const char *needed, Message *why) {
+    return right || deny(why, "%s is %g; it must %s.", variables[i].name, v[i], needed);
+}
 
 /* Functions of a component. Before calling any, the glue stores start values, parameters and inputs
  * in `v`. One that returns false has changed nothing and gives the reason. */

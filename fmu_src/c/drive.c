@@ -40,12 +40,11 @@ static bool can_relax(const Step *step, int i, const Motion *from, const Trial *
     step->joint->rates(step->k, u, from->x, rate);
     for (int j = 0; j < step->joint->states; j++) {
         if (!(rate[j] * step->h < 1.0)) {
-            snprintf(why->text, sizeof why->text,
-                     "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
-                     "step or the exact discretisation.",
-                     variables[step->joint->first_state + j].name, rate[j] * step->h,
-                     variables[DQ + i].name, at->v);
-            return false;
+            return deny(why,
+                        "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
+                        "step or the exact discretisation.",
+                        variables[step->joint->first_state + j].name, rate[j] * step->h,
+                        variables[DQ + i].name, at->v);
         }
     }
     return true;
@@ -104,26 +103,17 @@ static void begin(const Component *component, const Step *step, Motion *motion) 
     }
 }
 
-/* Check a parameter; NaN fails. */
-static bool sound(int variable, double value, bool right, const char *needed, Message *why) {
-    if (!right) {
-        snprintf(why->text, sizeof why->text, "%s is %g; it must %s.", variables[variable].name,
-                 value, needed);
-    }
-    return right;
-}
-
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     const double *v = component->v;
-    if (!sound(SUBSTEP, v[SUBSTEP], v[SUBSTEP] > 0.0, "be positive", why)) {
+    if (!sound(v, SUBSTEP, v[SUBSTEP] > 0.0, "be positive", why)) {
         return false;
     }
     for (int i = 0; i < JOINTS; i++) {
         const int j = INERTIA + i, s = STIFFNESS + i, d = DAMPING + i, r = RATIO + i;
-        if (!sound(j, v[j], v[j] > 0.0, "be positive", why) ||
-            !sound(s, v[s], v[s] >= 0.0, "not be negative", why) ||
-            !sound(d, v[d], v[d] >= 0.0, "not be negative", why) ||
-            !sound(r, v[r], v[r] != 0.0, "not be zero", why)) {
+        if (!sound(v, j, v[j] > 0.0, "be positive", why) ||
+            !sound(v, s, v[s] >= 0.0, "not be negative", why) ||
+            !sound(v, d, v[d] >= 0.0, "not be negative", why) ||
+            !sound(v, r, v[r] != 0.0, "not be zero", why)) {
             return false;
         }
     }
@@ -161,12 +151,11 @@ static bool component_step(Component *component, void *workspace, double step, M
     Motion motion[JOINTS];
     (void)workspace;
     if (!(parts <= MOST_PARTS)) {
-        snprintf(
-            why->text, sizeof why->text,
+        return deny(
+            why,
             "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step or "
             "a longer substep than %g s.",
             step, parts, MOST_PARTS, component->v[SUBSTEP]);
-        return false;
     }
     for (int i = 0; i < JOINTS; i++) {
         motion[i] = motion_of(component, i);

@@ -133,9 +133,7 @@ static bool component_initialise(Component *component, void *workspace, Message 
         const int bad = at.joint->refused ? at.joint->refused(at.u, &needed) : -1;
         if (bad >= 0) {
             const int place = at.joint->input[bad];
-            snprintf(why->text, sizeof why->text, "%s is %g%s", variables[place].name,
-                     component->v[place], needed);
-            return false;
+            return deny(why, "%s is %g%s", variables[place].name, component->v[place], needed);
         }
     }
     component_output(component, workspace, why); /* of joints that have not started yet */
@@ -152,12 +150,12 @@ static bool can_relax(const Component *component, double step, Message *why) {
         at.joint->rates(at.k, at.u, &component->v[at.joint->first_state], rate);
         for (int j = 0; j < at.joint->states; j++) {
             if (!(rate[j] * step < 1.0)) {
-                snprintf(why->text, sizeof why->text,
-                         "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
-                         "step or the exact discretisation.",
-                         variables[at.joint->first_state + j].name, rate[j] * step,
-                         variables[at.joint->input[0]].name, at.u[0]);
-                return false;
+                return deny(
+                    why,
+                    "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
+                    "step or the exact discretisation.",
+                    variables[at.joint->first_state + j].name, rate[j] * step,
+                    variables[at.joint->input[0]].name, at.u[0]);
             }
         }
     }
@@ -244,10 +242,8 @@ static bool samples(Component *component, double step, Message *why) {
     const double at = (component->time + step - own[BEGIN]) / time;
     const double whole = floor(at + ROUNDING), done = floor(fabs(own[TICKS]));
     if (!(whole - done <= MOST_SAMPLES)) {
-        snprintf(why->text, sizeof why->text,
-                 "A step of %g s would be %g samples of %g s; at most %g are taken.", step,
-                 whole - done, time, MOST_SAMPLES);
-        return false;
+        return deny(why, "A step of %g s would be %g samples of %g s; at most %g are taken.", step,
+                    whole - done, time, MOST_SAMPLES);
     }
     for (double n = done; n < whole; n++) {
         sample(component, time);
@@ -313,11 +309,6 @@ SELDOM static void component_demand(Component *component) {
     }
 }
 
-SELDOM static void tell_sign(const Joint *joint, int i, int j, double sign, Message *what) {
-    snprintf(what->text, sizeof what->text, "The sign of %s of joint %d becomes %g.",
-             joint->names[j], i + 1, sign);
-}
-
 /* Hold the signs of joint i; the description of a change is for logs only. */
 QUICK bool hold(Component *component, int i, double rest, const double *z, Message *what) {
     const Joint *joint = &joints[i];
@@ -326,7 +317,7 @@ QUICK bool hold(Component *component, int i, double rest, const double *z, Messa
     for (int j = 0; j < joint->switches_of_joint; j++) {
         const double sign = fabs(z[j]) < rest ? 0.0 : sgn(z[j]);
         if (what && sign != held[j]) {
-            tell_sign(joint, i, j, sign, what);
+            deny(what, "The sign of %s of joint %d becomes %g.", joint->names[j], i + 1, sign);
         }
         changed = changed || sign != held[j];
         held[j] = sign;

@@ -12,20 +12,15 @@ FMI2_TEXT(fmi2GetVersion)(void) {
 FMI2_STATUS(fmi2SetDebugLogging)
 (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String category[]) {
     static const char function[] = "fmi2SetDebugLogging";
-    Instance *instance =
-        n > 0 ? entered_with(c, MAY_DEBUG, function, category) : entered(c, MAY_DEBUG, function);
     bool events = n == 0;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(n > 0 ? entered_with(c, MAY_DEBUG, function, category) : entered(c, MAY_DEBUG, function));
     for (size_t i = 0; i < n; i++) {
         const char *wanted = category[i] ? category[i] : "";
         if (strcmp(wanted, EVENTS) == 0 || strcmp(wanted, ALL) == 0) {
             events = true;
         } else if (strcmp(wanted, ERRORS) != 0 && strcmp(wanted, DISCARDS) != 0) {
-            complain(instance, "%s: a category is unknown; known are %s, %s, %s and %s.", function,
-                     EVENTS, DISCARDS, ERRORS, ALL);
-            return fmi2Error;
+            return complain(instance, "%s: a category is unknown; known are %s, %s, %s and %s.",
+                            function, EVENTS, DISCARDS, ERRORS, ALL);
         }
     }
     if (events) {
@@ -58,8 +53,7 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
     }
     copy_guid(own);
     if (!guid || strcmp(guid, own) != 0) {
-        snprintf(why.text, sizeof why.text,
-                 "fmi2Instantiate: the GUID is not that of this binary, %s.", own);
+        deny(&why, "fmi2Instantiate: the GUID is not that of this binary, %s.", own);
         return not_instantiated(functions, name, why.text);
     }
     Instance *instance = calloc(1, sizeof *instance + strlen(name) + 1);
@@ -91,14 +85,11 @@ FMI2_EXPORT void FMI2_NAME(fmi2FreeInstance)(fmi2Component c) {
 FMI2_STATUS(fmi2SetupExperiment)
 (fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start,
  fmi2Boolean stop_defined, fmi2Real stop) {
-    Instance *instance = entered(c, MAY_SET_UP, "fmi2SetupExperiment");
     (void)tolerance_defined, (void)tolerance; /* nothing here iterates to a tolerance */
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_SET_UP, "fmi2SetupExperiment"));
     if (!isfinite(start) || (stop_defined && !(stop >= start))) {
-        complain(instance, "fmi2SetupExperiment: the experiment goes from %g to %g.", start, stop);
-        return failed(instance);
+        return FAIL(instance, "fmi2SetupExperiment: the experiment goes from %g to %g.", start,
+                    stop);
     }
     instance->memory.component.time = start;
     instance->memory.stop = stop_defined ? stop : INFINITY;
@@ -106,27 +97,20 @@ FMI2_STATUS(fmi2SetupExperiment)
 }
 
 FMI2_STATUS(fmi2EnterInitializationMode)(fmi2Component c) {
-    Instance *instance = entered(c, MAY_ENTER_INITIALISATION, "fmi2EnterInitializationMode");
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_ENTER_INITIALISATION, "fmi2EnterInitializationMode"));
     instance->memory.mode = INITIALISING;
     return fmi2OK;
 }
 
 FMI2_STATUS(fmi2ExitInitializationMode)(fmi2Component c) {
-    Instance *instance = entered(c, MAY_EXIT_INITIALISATION, "fmi2ExitInitializationMode");
     Message why;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_EXIT_INITIALISATION, "fmi2ExitInitializationMode"));
     Memory *memory = &instance->memory;
     component_event(&memory->component, rest_of(memory), NULL);
     memory->stale = true;
     if (!component_initialise(&memory->component, instance->workspace, &why) ||
         !refresh(instance, &why)) {
-        complain(instance, "%s", why.text);
-        return failed(instance);
+        return FAIL(instance, "%s", why.text);
     }
     memory->mode = memory->type == fmi2ModelExchange ? AT_EVENT : STEPPING;
     report(instance, "Initialised at %.9g s.", memory->component.time);
@@ -134,10 +118,7 @@ FMI2_STATUS(fmi2ExitInitializationMode)(fmi2Component c) {
 }
 
 FMI2_STATUS(fmi2Terminate)(fmi2Component c) {
-    Instance *instance = entered(c, MAY_TERMINATE, "fmi2Terminate");
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_TERMINATE, "fmi2Terminate"));
     instance->memory.mode = TERMINATED;
     report(instance, "Terminated at %.9g s.", instance->memory.component.time);
     return fmi2OK;

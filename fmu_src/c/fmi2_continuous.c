@@ -2,21 +2,15 @@
 #include "fmi2_instance.h"
 
 FMI2_STATUS(fmi2EnterEventMode)(fmi2Component c) {
-    Instance *instance = entered(c, MAY_ENTER_EVENT, "fmi2EnterEventMode");
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_ENTER_EVENT, "fmi2EnterEventMode"));
     instance->memory.mode = AT_EVENT;
     return fmi2OK;
 }
 
 /* One iteration suffices: the held values depend only on inputs and parameters. */
 FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
-    Instance *instance = entered_with(c, AT_EVENT, "fmi2NewDiscreteStates", info);
     Message what;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, AT_EVENT, "fmi2NewDiscreteStates", info));
     if (component_event(&instance->memory.component, REST, &what)) {
         instance->memory.stale = true;
         report(instance, "%s (%.9g s)", what.text, instance->memory.component.time);
@@ -26,11 +20,8 @@ FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
 }
 
 FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
-    Instance *instance = entered(c, AT_EVENT, "fmi2EnterContinuousTimeMode");
     Message why;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, AT_EVENT, "fmi2EnterContinuousTimeMode"));
     /* On-demand variables are discrete: they keep their values until the next event. */
     if (component_output(&instance->memory.component, instance->workspace, &why)) {
         component_demand(&instance->memory.component);
@@ -43,25 +34,18 @@ FMI2_STATUS(fmi2EnterContinuousTimeMode)(fmi2Component c) {
 FMI2_STATUS(fmi2CompletedIntegratorStep)
 (fmi2Component c, fmi2Boolean no_set_state_before, fmi2Boolean *event, fmi2Boolean *terminate) {
     static const char function[] = "fmi2CompletedIntegratorStep";
-    Instance *instance = entered_with(c, CONTINUOUS, function, event && terminate ? event : NULL);
     double indicator[INDICATORS > 0 ? INDICATORS : 1];
     (void)no_set_state_before;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, CONTINUOUS, function, event && terminate ? event : NULL));
     *event = !component_indicators(&instance->memory.component, REST, indicator);
     *terminate = fmi2False;
     return fmi2OK;
 }
 
 FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
-    Instance *instance = entered(c, MAY_SET_TIME, "fmi2SetTime");
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_SET_TIME, "fmi2SetTime"));
     if (!isfinite(time)) {
-        complain(instance, "fmi2SetTime: the time is %g.", time);
-        return failed(instance);
+        return FAIL(instance, "fmi2SetTime: the time is %g.", time);
     }
     instance->memory.component.time = time;
     return fmi2OK;
@@ -84,10 +68,7 @@ static Instance *with_array(fmi2Component c, int modes, const char *function, co
 
 FMI2_STATUS(fmi2SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t n) {
     static const char function[] = "fmi2SetContinuousStates";
-    Instance *instance = with_array(c, CONTINUOUS, function, x, n, STATES);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(with_array(c, CONTINUOUS, function, x, n, STATES));
     for (int i = 0; i < STATES; i++) {
         if (!isfinite(x[i])) {
             return refuse(instance, "%s: %s is %g; a finite number is needed.", function,
@@ -102,10 +83,7 @@ FMI2_STATUS(fmi2SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t
 }
 
 FMI2_STATUS(fmi2GetDerivatives)(fmi2Component c, fmi2Real dx[], size_t n) {
-    Instance *instance = with_array(c, MAY_GET_CONTINUOUS, "fmi2GetDerivatives", dx, n, STATES);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(with_array(c, MAY_GET_CONTINUOUS, "fmi2GetDerivatives", dx, n, STATES));
     const fmi2Status status = refreshed(instance);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
         dx[i] = i < STATES ? instance->memory.component.v[derivatives[i]] : 0.0;
@@ -114,11 +92,7 @@ FMI2_STATUS(fmi2GetDerivatives)(fmi2Component c, fmi2Real dx[], size_t n) {
 }
 
 FMI2_STATUS(fmi2GetEventIndicators)(fmi2Component c, fmi2Real indicator[], size_t n) {
-    Instance *instance =
-        with_array(c, MAY_GET_CONTINUOUS, "fmi2GetEventIndicators", indicator, n, INDICATORS);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(with_array(c, MAY_GET_CONTINUOUS, "fmi2GetEventIndicators", indicator, n, INDICATORS));
     if (n > INDICATORS) {
         indicator[0] = 1.0;
     }

@@ -95,11 +95,12 @@ static void tell(const Instance *instance, fmi2Status status, const char *catego
     }
 }
 
-SELDOM static void complain(const Instance *instance, const char *format, ...) {
+SELDOM static fmi2Status complain(const Instance *instance, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
     tell(instance, fmi2Error, ERRORS, format, arguments);
     va_end(arguments);
+    return fmi2Error;
 }
 
 /* Refuse a call that changed nothing; the simulation can continue. */
@@ -135,6 +136,13 @@ static Instance *entered(fmi2Component c, int modes, const char *function) {
     return instance;
 }
 
+/* Declare the instance of a call, or end the call if it is not accepted. */
+#define ENTER(call)                                                                                \
+    Instance *instance = call;                                                                     \
+    if (!instance) {                                                                               \
+        return fmi2Error;                                                                          \
+    }
+
 /* The same for a function that requires one of its arguments. */
 static Instance *entered_with(fmi2Component c, int modes, const char *function,
                               const void *argument) {
@@ -151,6 +159,9 @@ static fmi2Status failed(Instance *instance) {
     instance->memory.mode = FAILED;
     return fmi2Error;
 }
+
+/* The same with a message. */
+#define FAIL(...) (complain(__VA_ARGS__), failed(instance))
 
 /* Whether sums of values are finite: false if one is not, or if they overflow. */
 static bool sums_finite(const double *v, int count) {
@@ -173,9 +184,8 @@ static bool all_finite(const Memory *memory, Message *why) {
     for (int i = sums_finite(memory->component.v, count) ? count : 0; i < count; i++) {
         const double value = memory->component.v[watched[i]];
         if (!isfinite(value)) {
-            snprintf(why->text, sizeof why->text, "%s became %g at time %.9g.",
-                     variables[watched[i]].name, value, memory->component.time);
-            return false;
+            return deny(why, "%s became %g at time %.9g.", variables[watched[i]].name, value,
+                        memory->component.time);
         }
     }
     return true;

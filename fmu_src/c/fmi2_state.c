@@ -43,14 +43,12 @@ SELDOM static bool in_range(const Component *component, Message *why) {
                            (variables[i].type == REAL || value == floor(value));
         const bool set = role == INPUT || role == STATE || role == FIXED || role == TUNABLE;
         if (set && !(isfinite(value) && isfinite(slope) && whole)) {
-            snprintf(why->text, sizeof why->text, "%s is %g", variables[i].name, value);
-            return false;
+            return deny(why, "%s is %g", variables[i].name, value);
         }
     }
     for (int i = 0; i < OWN; i++) {
         if (!isfinite(component->own[i])) {
-            snprintf(why->text, sizeof why->text, "a state in it is %g", component->own[i]);
-            return false;
+            return deny(why, "a state in it is %g", component->own[i]);
         }
     }
     return true;
@@ -64,22 +62,17 @@ SELDOM static bool is_possible(const Memory *memory, Message *why) {
         memory->refusals > MOST_REFUSALS + 1 ||
         (memory->sloped | memory->stale | memory->paused) >> 1 != 0 || isnan(memory->stop) ||
         !isfinite(memory->refused) || !isfinite(memory->component.time)) {
-        snprintf(why->text, sizeof why->text, "no instance can have this state");
-        return false;
+        return deny(why, "no instance can have this state");
     }
     return memory->mode == FAILED ||
            (in_range(&memory->component, why) && (memory->stale || all_finite(memory, why)));
 }
 
 FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
-    Instance *instance = entered_with(c, MAY_COPY_STATE, "fmi2GetFMUstate", state);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, MAY_COPY_STATE, "fmi2GetFMUstate", state));
     Saved *saved = *state ? *state : calloc(1, sizeof *saved);
     if (!saved) {
-        complain(instance, "fmi2GetFMUstate: out of memory.");
-        return fmi2Error;
+        return complain(instance, "fmi2GetFMUstate: out of memory.");
     }
     copy_guid(saved->guid);
     saved->version = STATE_VERSION;
@@ -90,14 +83,10 @@ FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
 
 FMI2_STATUS(fmi2SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
     static const char function[] = "fmi2SetFMUstate";
-    Instance *instance = entered_with(c, MAY_COPY_STATE, function, state);
     const Saved *saved = state;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, MAY_COPY_STATE, function, state));
     if (saved->memory.type != instance->memory.type) {
-        complain(instance, "%s: the state is one of the FMU's other type.", function);
-        return fmi2Error;
+        return complain(instance, "%s: the state is one of the FMU's other type.", function);
     }
     memcpy(&instance->memory, &saved->memory, sizeof instance->memory);
     return fmi2OK;
@@ -126,14 +115,10 @@ FMI2_STATUS(fmi2SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, siz
 FMI2_STATUS(fmi2SerializeFMUstate)
 (fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
     static const char function[] = "fmi2SerializeFMUstate";
-    Instance *instance = entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL));
     if (size < sizeof(Saved)) {
-        complain(instance, "%s: %lu bytes for a state of %lu.", function, (unsigned long)size,
-                 (unsigned long)sizeof(Saved));
-        return fmi2Error;
+        return complain(instance, "%s: %lu bytes for a state of %lu.", function,
+                        (unsigned long)size, (unsigned long)sizeof(Saved));
     }
     const uint64_t sum = sum_of(state);
     memcpy(bytes, state, sizeof(Saved));
@@ -146,13 +131,11 @@ static bool is_sound(Saved *saved, Message *why) {
     const uint64_t sum = saved->sum;
     saved->sum = 0;
     if (saved->version != STATE_VERSION) {
-        snprintf(why->text, sizeof why->text, "it is of version %lu, expected %d",
-                 (unsigned long)saved->version, STATE_VERSION);
-        return false;
+        return deny(why, "it is of version %lu, expected %d", (unsigned long)saved->version,
+                    STATE_VERSION);
     }
     if (sum != sum_of(saved)) {
-        snprintf(why->text, sizeof why->text, "its checksum is wrong");
-        return false;
+        return deny(why, "its checksum is wrong");
     }
     return is_possible(&saved->memory, why);
 }
@@ -162,20 +145,15 @@ FMI2_STATUS(fmi2DeSerializeFMUstate)
     static const char function[] = "fmi2DeSerializeFMUstate";
     Message why;
     char guid[sizeof numbers.guid];
-    Instance *instance = entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL));
     copy_guid(guid);
     if (size != sizeof(Saved) || memcmp(bytes, guid, sizeof guid) != 0) {
-        complain(instance, "%s: the %lu bytes are not a state of this model.", function,
-                 (unsigned long)size);
-        return fmi2Error;
+        return complain(instance, "%s: the %lu bytes are not a state of this model.", function,
+                        (unsigned long)size);
     }
     Saved *saved = malloc(sizeof *saved);
     if (!saved) {
-        complain(instance, "%s: out of memory.", function);
-        return fmi2Error;
+        return complain(instance, "%s: out of memory.", function);
     }
     memcpy(saved, bytes, sizeof *saved);
     if (!is_sound(saved, &why)) {

@@ -69,28 +69,23 @@ static fmi2Status refuse_step(Instance *instance, double step, const Message *wh
     if (memory->refusals <= MOST_REFUSALS) {
         return refuse(instance, "%s", why->text);
     }
-    complain(instance, "%s This step has been requested %d times.", why->text, memory->refusals);
-    return failed(instance);
+    return FAIL(instance, "%s This step has been requested %d times.", why->text, memory->refusals);
 }
 
 FMI2_STATUS(fmi2DoStep)
 (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set_state_before) {
-    Instance *instance = entered(c, MAY_STEP, "fmi2DoStep");
     Message why;
     (void)no_set_state_before;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_STEP, "fmi2DoStep"));
     Memory *memory = &instance->memory;
     if (!isfinite(time) || !isfinite(step) || !(step > 0.0)) {
-        complain(instance, "fmi2DoStep: the step is %g s from time %g s; it must be positive.",
-                 step, time);
-        return failed(instance);
+        return FAIL(instance, "fmi2DoStep: the step is %g s from time %g s; it must be positive.",
+                    step, time);
     }
     if (passes_end(memory, time, step)) {
-        complain(instance, "fmi2DoStep: the step from %.17g s to %.17g s passes the end, %.17g s.",
-                 time, time + step, memory->stop);
-        return failed(instance);
+        return FAIL(instance,
+                    "fmi2DoStep: the step from %.17g s to %.17g s passes the end, %.17g s.", time,
+                    time + step, memory->stop);
     }
     if (is_rounding(step)) {
         memory->refusals = 0;
@@ -108,18 +103,14 @@ FMI2_STATUS(fmi2DoStep)
     memory->component.time = time + memory->component.done;
     memory->stale = false;
     if (!all_finite(memory, &why)) {
-        complain(instance, "%s", why.text);
-        return failed(instance);
+        return FAIL(instance, "%s", why.text);
     }
     return fmi2OK;
 }
 
 /* Steps are synchronous: there is nothing to cancel and no status to report. */
 static fmi2Status no_status(fmi2Component c, const char *function) {
-    Instance *instance = entered(c, MAY_GET_STATUS, function);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_GET_STATUS, function));
     return refuse(instance, "%s: steps are never asynchronous, so this status does not exist.",
                   function);
 }
@@ -147,10 +138,7 @@ FMI2_STATUS(fmi2GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2R
     if (kind != fmi2LastSuccessfulTime) {
         return no_status(c, function);
     }
-    Instance *instance = entered_with(c, MAY_GET_STATUS, function, value);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, MAY_GET_STATUS, function, value));
     *value = instance->memory.component.time;
     return fmi2OK;
 }
@@ -161,10 +149,7 @@ FMI2_STATUS(fmi2GetBooleanStatus)
     if (kind != fmi2Terminated) {
         return no_status(c, function);
     }
-    Instance *instance = entered_with(c, MAY_GET_STATUS, function, value);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered_with(c, MAY_GET_STATUS, function, value));
     *value = fmi2False;
     return fmi2OK;
 }

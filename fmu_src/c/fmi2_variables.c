@@ -110,11 +110,8 @@ static void derive(Instance *instance) {
 
 static fmi2Status read(fmi2Component c, const char *function, Type type,
                        const fmi2ValueReference vr[], size_t n, const void *value) {
-    Instance *instance = entered(c, MAY_GET, function);
     bool demanded = false, derived = false;
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_GET, function));
     if (!known(instance, function, type, vr, n, value)) {
         return failed(instance);
     }
@@ -186,10 +183,7 @@ FMI2_STATUS(fmi2SetReal)
         memory->stale |= all->used;
         return fmi2OK;
     }
-    Instance *instance = settable_in(c, function, REAL, vr, n, value);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(settable_in(c, function, REAL, vr, n, value));
     const size_t odd = first_odd(value, n);
     if (odd < n) {
         return refuse_number(instance, function, vr[odd], value[odd]);
@@ -210,16 +204,12 @@ FMI2_STATUS(fmi2SetReal)
 FMI2_STATUS(fmi2SetInteger)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[]) {
     static const char function[] = "fmi2SetInteger";
-    Instance *instance = settable_in(c, function, INTEGER, vr, n, value);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(settable_in(c, function, INTEGER, vr, n, value));
     for (size_t i = 0; i < n; i++) {
         const double low = numbers.of[vr[i]].low, high = numbers.of[vr[i]].high;
         if (value[i] < low || value[i] > high) {
-            complain(instance, "%s: %s is %d; expected %g to %g.", function,
-                     variable_of(vr[i])->name, value[i], low, high);
-            return failed(instance);
+            return FAIL(instance, "%s: %s is %d; expected %g to %g.", function,
+                        variable_of(vr[i])->name, value[i], low, high);
         }
     }
     for (size_t i = 0; i < n; i++) {
@@ -230,13 +220,9 @@ FMI2_STATUS(fmi2SetInteger)
 
 /* A component without variables of a type accepts only an empty list. */
 static fmi2Status none(fmi2Component c, int modes, const char *function, size_t n) {
-    Instance *instance = entered(c, modes, function);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, modes, function));
     if (n > 0) {
-        complain(instance, "%s: there are no variables of this type.", function);
-        return failed(instance);
+        return FAIL(instance, "%s: there are no variables of this type.", function);
     }
     return fmi2OK;
 }
@@ -283,18 +269,14 @@ FMI2_STATUS(fmi2SetRealInputDerivatives)
 (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
  const fmi2Real value[]) {
     static const char function[] = "fmi2SetRealInputDerivatives";
-    Instance *instance = entered(c, MAY_SET_SLOPES, function);
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_SET_SLOPES, function));
     if (!known(instance, function, REAL, vr, n, order ? value : NULL)) {
         return failed(instance);
     }
     for (size_t i = 0; i < n; i++) {
         if (variable_of(vr[i])->role != INPUT || order[i] != 1) {
-            complain(instance, "%s: only first derivatives of inputs can be set, not of %s.",
-                     function, variable_of(vr[i])->name);
-            return failed(instance);
+            return FAIL(instance, "%s: only first derivatives of inputs can be set, not of %s.",
+                        function, variable_of(vr[i])->name);
         }
     }
     const size_t odd = first_odd(value, n);
@@ -356,14 +338,10 @@ SELDOM FMI2_STATUS(fmi2GetDirectionalDerivative)(fmi2Component c,
                                                  const fmi2ValueReference knowns[], size_t n_known,
                                                  const fmi2Real d_known[], fmi2Real d_unknown[]) {
     static const char function[] = "fmi2GetDirectionalDerivative";
-    Instance *instance = entered(c, MAY_GET, function);
     double seed[VARIABLES] = {0.0}, tangent[VARIABLES] = {0.0};
-    if (!instance) {
-        return fmi2Error;
-    }
+    ENTER(entered(c, MAY_GET, function));
     if (!DIRECTIONAL_DERIVATIVES) {
-        complain(instance, "%s: this FMU provides no directional derivatives.", function);
-        return fmi2Error;
+        return complain(instance, "%s: this FMU provides no directional derivatives.", function);
     }
     if (!known(instance, function, REAL, unknowns, n_unknown, d_unknown) ||
         !known(instance, function, REAL, knowns, n_known, d_known) ||

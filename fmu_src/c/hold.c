@@ -16,41 +16,70 @@
 /* Tolerance of times for round-off, as a fraction of the runtime's step. */
 #define ROUNDING 1e-6
 
-#define EACH_FUNCTION(F)                                                                           \
-    F(fmi2SetDebugLogging)                                                                         \
-    F(fmi2Instantiate)                                                                             \
-    F(fmi2FreeInstance)                                                                            \
-    F(fmi2SetupExperiment)                                                                         \
-    F(fmi2EnterInitializationMode)                                                                 \
-    F(fmi2ExitInitializationMode)                                                                  \
-    F(fmi2Terminate)                                                                               \
-    F(fmi2Reset)                                                                                   \
-    F(fmi2GetReal)                                                                                 \
-    F(fmi2GetInteger)                                                                              \
-    F(fmi2GetBoolean)                                                                              \
-    F(fmi2GetString)                                                                               \
-    F(fmi2SetReal)                                                                                 \
-    F(fmi2SetInteger)                                                                              \
-    F(fmi2SetBoolean)                                                                              \
-    F(fmi2SetString)                                                                               \
-    F(fmi2GetFMUstate)                                                                             \
-    F(fmi2SetFMUstate)                                                                             \
-    F(fmi2FreeFMUstate)                                                                            \
-    F(fmi2SerializedFMUstateSize)                                                                  \
-    F(fmi2SerializeFMUstate)                                                                       \
-    F(fmi2DeSerializeFMUstate)                                                                     \
-    F(fmi2GetDirectionalDerivative)                                                                \
-    F(fmi2SetRealInputDerivatives)                                                                 \
-    F(fmi2GetRealOutputDerivatives)                                                                \
-    F(fmi2DoStep)                                                                                  \
-    F(fmi2CancelStep)                                                                              \
-    F(fmi2GetStatus)                                                                               \
-    F(fmi2GetRealStatus)                                                                           \
-    F(fmi2GetIntegerStatus)                                                                        \
-    F(fmi2GetBooleanStatus)                                                                        \
-    F(fmi2GetStringStatus)
+#define EACH_ACCESS(F, kind)                                                                       \
+    F(fmi2Get##kind,                                                                               \
+      (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##kind value[]), own->inner,  \
+      vr, n, value)                                                                                \
+    F(fmi2Set##kind,                                                                               \
+      (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2##kind value[]),        \
+      own->inner, vr, n, value)
 
-#define MEMBER(name) __typeof__(&name) name;
+/* Calls that are forwarded: name, parameters, and arguments for the runtime. */
+#define EACH_FORWARDED(F)                                                                          \
+    F(fmi2EnterInitializationMode, (fmi2Component c), own->inner)                                  \
+    F(fmi2ExitInitializationMode, (fmi2Component c), own->inner)                                   \
+    F(fmi2Terminate, (fmi2Component c), own->inner)                                                \
+    F(fmi2CancelStep, (fmi2Component c), own->inner)                                               \
+    EACH_ACCESS(F, Real)                                                                           \
+    EACH_ACCESS(F, Integer)                                                                        \
+    EACH_ACCESS(F, Boolean)                                                                        \
+    EACH_ACCESS(F, String)                                                                         \
+    F(fmi2SetDebugLogging,                                                                         \
+      (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String category[]), own->inner, on, n, \
+      category)                                                                                    \
+    F(fmi2GetFMUstate, (fmi2Component c, fmi2FMUstate * state), own->inner, state)                 \
+    F(fmi2SetFMUstate, (fmi2Component c, fmi2FMUstate state), own->inner, state)                   \
+    F(fmi2FreeFMUstate, (fmi2Component c, fmi2FMUstate * state), own->inner, state)                \
+    F(fmi2SerializedFMUstateSize, (fmi2Component c, fmi2FMUstate state, size_t *size), own->inner, \
+      state, size)                                                                                 \
+    F(fmi2SerializeFMUstate, (fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size), \
+      own->inner, state, bytes, size)                                                              \
+    F(fmi2DeSerializeFMUstate,                                                                     \
+      (fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state), own->inner,     \
+      bytes, size, state)                                                                          \
+    F(fmi2GetDirectionalDerivative,                                                                \
+      (fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,                      \
+       const fmi2ValueReference known[], size_t n_known, const fmi2Real d_known[],                 \
+       fmi2Real d_unknown[]),                                                                      \
+      own->inner, unknown, n_unknown, known, n_known, d_known, d_unknown)                          \
+    F(fmi2SetRealInputDerivatives,                                                                 \
+      (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],        \
+       const fmi2Real value[]),                                                                    \
+      own->inner, vr, n, order, value)                                                             \
+    F(fmi2GetRealOutputDerivatives,                                                                \
+      (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],        \
+       fmi2Real value[]),                                                                          \
+      own->inner, vr, n, order, value)                                                             \
+    F(fmi2GetStatus, (fmi2Component c, const fmi2StatusKind asked, fmi2Status *value), own->inner, \
+      asked, value)                                                                                \
+    F(fmi2GetRealStatus, (fmi2Component c, const fmi2StatusKind asked, fmi2Real *value),           \
+      own->inner, asked, value)                                                                    \
+    F(fmi2GetIntegerStatus, (fmi2Component c, const fmi2StatusKind asked, fmi2Integer *value),     \
+      own->inner, asked, value)                                                                    \
+    F(fmi2GetBooleanStatus, (fmi2Component c, const fmi2StatusKind asked, fmi2Boolean *value),     \
+      own->inner, asked, value)                                                                    \
+    F(fmi2GetStringStatus, (fmi2Component c, const fmi2StatusKind asked, fmi2String *value),       \
+      own->inner, asked, value)
+
+#define EACH_FUNCTION(F)                                                                           \
+    F(fmi2Instantiate, own)                                                                        \
+    F(fmi2FreeInstance, own)                                                                       \
+    F(fmi2SetupExperiment, own)                                                                    \
+    F(fmi2Reset, own)                                                                              \
+    F(fmi2DoStep, own)                                                                             \
+    EACH_FORWARDED(F)
+
+#define MEMBER(name, ...) __typeof__(&name) name;
 typedef struct {
     EACH_FUNCTION(MEMBER)
 } Runtime;
@@ -65,7 +94,7 @@ typedef struct {
 static bool load(Runtime *runtime) {
     void *library = beside(RUNTIME_FILE);
     bool all = library != NULL;
-#define LOOK_UP(name) all = all && look_up(library, #name, &runtime->name);
+#define LOOK_UP(name, ...) all = all && look_up(library, #name, &runtime->name);
     EACH_FUNCTION(LOOK_UP)
     return all;
 }
@@ -148,63 +177,9 @@ FMI2_STATUS(fmi2DoStep)
     return status;
 }
 
-/* --- forwarded calls --- */
-
 #define PASS_ON(name, parameters, ...)                                                             \
     FMI2_STATUS(name) parameters {                                                                 \
         Instance *own = c;                                                                         \
-        return own ? own->runtime.name(own->inner, __VA_ARGS__) : fmi2Error;                       \
+        return own ? own->runtime.name(__VA_ARGS__) : fmi2Error;                                   \
     }
-#define PASS_ON_ALONE(name)                                                                        \
-    FMI2_STATUS(name)(fmi2Component c) {                                                           \
-        Instance *own = c;                                                                         \
-        return own ? own->runtime.name(own->inner) : fmi2Error;                                    \
-    }
-#define PASS_ON_VALUES(kind)                                                                       \
-    PASS_ON(fmi2Get##kind,                                                                         \
-            (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##kind value[]), vr, n, \
-            value)                                                                                 \
-    PASS_ON(fmi2Set##kind,                                                                         \
-            (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2##kind value[]),  \
-            vr, n, value)
-#define PASS_ON_STATUS(name, kind)                                                                 \
-    PASS_ON(name, (fmi2Component c, const fmi2StatusKind asked, kind *value), asked, value)
-
-PASS_ON_ALONE(fmi2EnterInitializationMode)
-PASS_ON_ALONE(fmi2ExitInitializationMode)
-PASS_ON_ALONE(fmi2Terminate)
-PASS_ON_ALONE(fmi2CancelStep)
-PASS_ON_VALUES(Real)
-PASS_ON_VALUES(Integer)
-PASS_ON_VALUES(Boolean)
-PASS_ON_VALUES(String)
-PASS_ON_STATUS(fmi2GetStatus, fmi2Status)
-PASS_ON_STATUS(fmi2GetRealStatus, fmi2Real)
-PASS_ON_STATUS(fmi2GetIntegerStatus, fmi2Integer)
-PASS_ON_STATUS(fmi2GetBooleanStatus, fmi2Boolean)
-PASS_ON_STATUS(fmi2GetStringStatus, fmi2String)
-PASS_ON(fmi2SetDebugLogging,
-        (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String category[]), on, n, category)
-PASS_ON(fmi2GetFMUstate, (fmi2Component c, fmi2FMUstate *state), state)
-PASS_ON(fmi2SetFMUstate, (fmi2Component c, fmi2FMUstate state), state)
-PASS_ON(fmi2FreeFMUstate, (fmi2Component c, fmi2FMUstate *state), state)
-PASS_ON(fmi2SerializedFMUstateSize, (fmi2Component c, fmi2FMUstate state, size_t *size), state,
-        size)
-PASS_ON(fmi2SerializeFMUstate, (fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size),
-        state, bytes, size)
-PASS_ON(fmi2DeSerializeFMUstate,
-        (fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state), bytes, size,
-        state)
-PASS_ON(fmi2GetDirectionalDerivative,
-        (fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
-         const fmi2ValueReference known[], size_t n_known, const fmi2Real d_known[],
-         fmi2Real d_unknown[]),
-        unknown, n_unknown, known, n_known, d_known, d_unknown)
-PASS_ON(fmi2SetRealInputDerivatives,
-        (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
-         const fmi2Real value[]),
-        vr, n, order, value)
-PASS_ON(fmi2GetRealOutputDerivatives,
-        (fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
-         fmi2Real value[]),
-        vr, n, order, value)
+EACH_FORWARDED(PASS_ON)

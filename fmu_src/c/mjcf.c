@@ -74,19 +74,16 @@ static void *component_open(const char *resources, Message *why) {
         return NULL;
     }
     if (mj_version() != mjVERSION_HEADER) {
-        snprintf(why->text, sizeof why->text, "The host has loaded another MuJoCo, version %d.",
-                 mj_version());
+        deny(why, "The host has loaded another MuJoCo, version %d.", mj_version());
         return NULL;
     }
     if (!path_of_resource(resources, MODEL_FILE, path, sizeof path)) {
-        snprintf(why->text, sizeof why->text,
-                 "fmi2Instantiate: the location of the FMU's resources is needed, as a file URI.");
+        deny(why, "fmi2Instantiate: the location of the FMU's resources is needed, as a file URI.");
         return NULL;
     }
     Call call = {.workspace = calloc(1, sizeof(Workspace)), .why = why, .path = path};
     if (!call.workspace || !guarded(load, &call, why)) {
-        snprintf(why->text, sizeof why->text, "%s cannot be loaded from the FMU's resources.",
-                 MODEL_FILE);
+        deny(why, "%s cannot be loaded from the FMU's resources.", MODEL_FILE);
         component_close(call.workspace);
         return NULL;
     }
@@ -242,9 +239,8 @@ static bool drive(const Component *component, const Workspace *w, Message *why) 
     for (int i = 0; i < DRIVES; i++) {
         const double value = component->v[drives[i].input];
         if (!(fabs(value) <= mjMAXVAL)) {
-            snprintf(why->text, sizeof why->text, "%s is %g; the largest that MuJoCo takes is %g.",
-                     variables[drives[i].input].name, value, mjMAXVAL);
-            return false;
+            return deny(why, "%s is %g; the largest that MuJoCo takes is %g.",
+                        variables[drives[i].input].name, value, mjMAXVAL);
         }
         w->data->ctrl[drives[i].control] = value;
     }
@@ -302,8 +298,7 @@ static bool advance(void *argument) {
         age(call->component, w);
     }
     if (out_of_bounds(w->model, w->data)) {
-        snprintf(call->why->text, sizeof call->why->text, "The simulation has diverged.");
-        return false;
+        return deny(call->why, "The simulation has diverged.");
     }
     call->component->own[SAMPLES] += 1.0;
     call->component->own[MADE] += call->steps;
@@ -319,10 +314,8 @@ static bool component_step(Component *component, void *workspace, double step, M
     const double passed = component->time + step - component->own[ORIGIN];
     const double due = floor(passed / w->model->opt.timestep + ROUNDING) - component->own[MADE];
     if (!(due <= MOST_STEPS)) {
-        snprintf(why->text, sizeof why->text,
-                 "A step of %g s would be %g of the simulation's own; at most %g are made.", step,
-                 due, MOST_STEPS);
-        return false;
+        return deny(why, "A step of %g s would be %g of the simulation's own; at most %g are made.",
+                    step, due, MOST_STEPS);
     }
     if (due < 1.0) {
         return true;

@@ -30,12 +30,7 @@ static double seed_half(const double *v, int half) {
 }
 
 static bool not_negative(const double *v, int place, Message *why) {
-    if (place >= 0 && !(v[place] >= 0.0)) {
-        snprintf(why->text, sizeof why->text, "%s is %g; it must not be negative.",
-                 variables[place].name, v[place]);
-        return false;
-    }
-    return true;
+    return place < 0 || sound(v, place, v[place] >= 0.0, "not be negative", why);
 }
 
 static bool parameters_are_usable(const double *v, Message *why) {
@@ -46,18 +41,15 @@ static bool parameters_are_usable(const double *v, Message *why) {
     }
     for (int i = 0; usable && i < 2; i++) {
         const double half = seed_half(v, i);
-        usable = half >= 0.0 && half <= 4294967295.0 && half == floor(half);
-        if (!usable) {
-            snprintf(why->text, sizeof why->text,
-                     "%s is %.17g; a whole number from 0 to 4294967295 is needed.",
-                     variables[NOISE_SEED + i].name, half);
+        if (!(half >= 0.0 && half <= 4294967295.0 && half == floor(half))) {
+            return deny(why, "%s is %.17g; a whole number from 0 to 4294967295 is needed.",
+                        variables[NOISE_SEED + i].name, half);
         }
     }
     /* Accumulated time steps have an error of a few bits. */
-    if (usable && LATENCY >= 0 && value_or(v, LATENCY, 0.0) > LONGEST_LATENCY * (1.0 + 1e-9)) {
-        snprintf(why->text, sizeof why->text, "latency is %g s; the model's buffers hold %g s.",
-                 value_or(v, LATENCY, 0.0), LONGEST_LATENCY);
-        usable = false;
+    if (usable && value_or(v, LATENCY, 0.0) > LONGEST_LATENCY * (1.0 + 1e-9)) {
+        return deny(why, "latency is %g s; the model's buffers hold %g s.", v[LATENCY],
+                    LONGEST_LATENCY);
     }
     return usable;
 }

@@ -45,14 +45,11 @@ static bool library_is_there(Message *why) {
     bool all = library != NULL;
 #define LOOK_UP(name) all = all && look_up(library, #name, &name##_);
     EACH_FUNCTION(LOOK_UP)
-    if (!all) {
-        snprintf(why->text, sizeof why->text,
-                 "mujoco.dll cannot be loaded from the folder of the FMU's binary (error %lu of "
-                 "Windows); "
-                 "it needs Microsoft's Visual C++ redistributable.",
-                 GetLastError());
-    }
-    return all;
+    return all ||
+           deny(why,
+                "mujoco.dll cannot be loaded from the folder of the FMU's binary (error %lu of "
+                "Windows); it needs Microsoft's Visual C++ redistributable.",
+                GetLastError());
 }
 
 #define mj_copyModel mj_copyModel_

@@ -137,15 +137,6 @@ static bool inner_step(Solver *solver, double time, double h, int halvings, Mess
             inner_step(solver, time, 0.5 * h, halvings - 1, why));
 }
 
-/* Check a parameter; NaN fails. */
-static bool sound(int variable, double value, bool right, const char *needed, Message *why) {
-    if (!right) {
-        snprintf(why->text, sizeof why->text, "%s is %g; it must %s.", variables[variable].name,
-                 value, needed);
-    }
-    return right;
-}
-
 /* Before the first step, outputs follow start values and inputs; then they are those of the last
  * step, or, in model exchange, those of the motion. */
 static bool component_output(Component *component, void *workspace, Message *why) {
@@ -163,19 +154,19 @@ static bool component_output(Component *component, void *workspace, Message *why
 
 static bool component_initialise(Component *component, void *workspace, Message *why) {
     const double *v = component->v;
-    if (!sound(SUBSTEP, v[SUBSTEP], v[SUBSTEP] > 0.0, "be positive", why)) {
+    if (!sound(v, SUBSTEP, v[SUBSTEP] > 0.0, "be positive", why)) {
         return false;
     }
     for (int i = 0; i < JOINTS; i++) {
         const int k = STIFFNESS + i, d = DAMPING + i, most = Q_MAX + i;
-        if (!sound(k, v[k], v[k] >= 0.0, "not be negative", why) ||
-            !sound(d, v[d], v[d] >= 0.0, "not be negative", why) ||
-            !sound(most, v[most], v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
+        if (!sound(v, k, v[k] >= 0.0, "not be negative", why) ||
+            !sound(v, d, v[d] >= 0.0, "not be negative", why) ||
+            !sound(v, most, v[most] >= v[Q_MIN + i], "not be below the lower limit", why)) {
             return false;
         }
         const int own[] = {KV + i, KI + i, TORQUE_LIMIT + i, LATENCY, KP + i};
         for (int n = 0; SERVO && n < 4 + POSITION; n++) {
-            if (!sound(own[n], v[own[n]], v[own[n]] >= 0.0, "not be negative", why)) {
+            if (!sound(v, own[n], v[own[n]] >= 0.0, "not be negative", why)) {
                 return false;
             }
         }
@@ -196,17 +187,15 @@ static bool component_step(Component *component, void *workspace, double step, M
     const double longest = fmin(component->v[SUBSTEP], LONGEST_MOTION / fastest);
     const double parts = fmax(1.0, ceil(step / longest * (1.0 - ROUNDING)));
     if (!(parts <= MOST_PARTS)) {
-        snprintf(why->text, sizeof why->text,
-                 "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step "
-                 "or a longer substep than %g s, or look at the speeds.",
-                 step, parts, MOST_PARTS, component->v[SUBSTEP]);
-        return false;
+        return deny(
+            why,
+            "A step of %g s would be %g inner ones; at most %g are made. Take a shorter step "
+            "or a longer substep than %g s, or look at the speeds.",
+            step, parts, MOST_PARTS, component->v[SUBSTEP]);
     }
     if (SERVO && !forget(component, 0.0)) {
-        snprintf(why->text, sizeof why->text,
-                 "The latency of %g s is longer than %d steps; take longer steps.",
-                 component->v[LATENCY], MOST_COMMANDS);
-        return false;
+        return deny(why, "The latency of %g s is longer than %d steps; take longer steps.",
+                    component->v[LATENCY], MOST_COMMANDS);
     }
     adopt(component);
     Solver solver;

@@ -46,10 +46,9 @@ static bool rub(Solver *solver, int i, double load, double *dx, Message *why) {
         joint->flow_tangent(step.k, u, at.x, no_change, along_load, no_change, tdx, ty);
         u[LOAD] += missing / (1.0 + ty[0]);
     }
-    snprintf(why->text, sizeof why->text,
-             "%s: no load was found that balances friction and torque; look at the coefficients.",
-             variables[TAU_FRICTION + i].name);
-    return false;
+    return deny(
+        why, "%s: no load was found that balances friction and torque; look at the coefficients.",
+        variables[TAU_FRICTION + i].name);
 }
 
 /* Follow parameters that have changed. */
@@ -119,10 +118,9 @@ static bool flow(Component *component, Solver *solver, Message *why) {
         solver->inertial[i] = rest[i];
     }
     if (!solved(solver, zero, rest)) {
-        snprintf(why->text, sizeof why->text,
-                 "The mass matrix is not positive definite at this posture; check masses, inertias "
+        return deny(
+            why, "The mass matrix is not positive definite at this posture; check masses, inertias "
                  "and the payload.");
-        return false;
     }
     memcpy(solver->a, rest, sizeof rest);
     memcpy(solver->last, rest, sizeof rest);

@@ -384,11 +384,10 @@ INLINED bool settle(Solver *solver, bool sweeping, Message *why) {
         waiting = !sweeping && end == WAITING;
         before = waiting ? INFINITY : before;
     }
-    snprintf(why->text, sizeof why->text,
-             "No speeds were found that balance the torques in a step of %g s; the motion keeps "
-             "its last value. Take a smaller substep, or look at torques and coefficients.",
-             solver->h);
-    return false;
+    return deny(why,
+                "No speeds were found that balance the torques in a step of %g s; the motion keeps "
+                "its last value. Take a smaller substep, or look at torques and coefficients.",
+                solver->h);
 }
 
 /* Choose midpoint or implicit Euler. Start from the speeds of an acceleration that changes as in

@@ -7,7 +7,6 @@
 #define ROOT_H
 
 #include <float.h>
-#include <stdio.h>
 
 #include "balance.h"
 
@@ -67,15 +66,6 @@ static bool hold(const Step *step, const Motion *from, double v, Trial *trial) {
     trial->v = v;
     trial->tau_f = (step->tau_motor - inert) / step->gear - trial->tau_link;
     return true;
-}
-
-static bool refused(const char *name, double h, const char *what, Message *why) {
-    snprintf(
-        why->text, sizeof why->text,
-        "%s: %s in a step of %g s; it keeps its last value. Take a smaller substep, or look at "
-        "the torque and the coefficients.",
-        name, what, h);
-    return false;
 }
 
 /* Whether the residual bends or falls within a stride, which may then have passed a root. */
@@ -144,10 +134,13 @@ static bool solve(const Step *step, const Motion *from, Trial *trial, const char
             return hold(step, from, 0.0, trial);
         }
     }
-    return refused(name, step->h,
-                   isfinite(trial->size) ? "no speed was found that balances the torques"
-                                         : "the torques are not finite",
-                   why);
+    return deny(why,
+                "%s: %s in a step of %g s; it keeps its last value. Take a smaller substep, or "
+                "look at the torque and the coefficients.",
+                name,
+                isfinite(trial->size) ? "no speed was found that balances the torques"
+                                      : "the torques are not finite",
+                step->h);
 }
 
 #endif

@@ -4,7 +4,6 @@
  * the time. A sweep is at rest before its start and after its end. The generated motion.h holds the
  * indices of the variables. */
 #include <math.h>
-#include <stdio.h>
 
 #include "component_alone.h"
 #include "component_plain.h"
@@ -159,9 +158,8 @@ static bool component_initialise(Component *component, void *workspace, Message 
     static const int positive[] = {PERIOD, SWING_PERIOD, FIRST, LAST, LENGTH};
     (void)workspace;
     for (size_t i = 0; i < sizeof positive / sizeof positive[0]; i++) {
-        if (!(component->v[positive[i]] > 0.0)) {
-            snprintf(why->text, sizeof why->text, "%s is %g; it must be positive.",
-                     variables[positive[i]].name, component->v[positive[i]]);
+        const double *v = component->v;
+        if (!sound(v, positive[i], v[positive[i]] > 0.0, "be positive", why)) {
             return false;
         }
     }

@@ -11,7 +11,17 @@ UNUSED = '#pragma clang diagnostic ignored "-Wunused-function"\n'
 COMPONENT = """
 #ifndef COMPONENT_H
 #define COMPONENT_H
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stdio.h>
 typedef struct { char text[256]; } Message;
+static inline bool deny(Message *why, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(why->text, sizeof why->text, format, arguments);
+    va_end(arguments);
+    return false;
+}
 #endif
 """
 
