@@ -210,6 +210,7 @@ def inspect(name: str, folder: Path, hesr: Hesr) -> tuple[Path, list[str]]:
     answer = hesr("inspect", log, "--robot", given, "--write", robot, "--study", study)
     assert (answer.code, answer.err) == (0, "")
     assert answer.out.startswith("Nothing wrong or unusual was found.\n")
+    assert '# refinement = "output_error"' in study.read_text(encoding="utf-8")
     return log, answer.out.splitlines()[-1].removeprefix("Next: hesr ").split()
 
 

@@ -106,6 +106,7 @@ def test_the_proposed_study_reads_the_inspected_log(
     assert said.out.endswith(f"Next: hesr run {study}\n")
     read = Study.read(study)
     assert read.name == "cell_7"
+    assert "output_error" not in study.read_text(encoding="utf-8")  # of three joints
     job = Job(study=read, path=study, progress=silent)
     first, rest = (job.read(name, messy) for name in ("first", "rest"))
     whole = Log.read(messy, RobotDescription.read(written))
