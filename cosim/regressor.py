@@ -185,8 +185,7 @@ class FrictionRegressor:
             found = self.predict(X)
             found = found.reshape(len(found), -1)
             wanted = torques(y, len(found))
-        spread = np.std(wanted, axis=0)
-        pairs = zip([rmse(e) for e in (found - wanted).T], spread, strict=True)
+        pairs = zip([rmse(e) for e in (found - wanted).T], np.std(wanted, axis=0), strict=True)
         return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0) for e, s in pairs]))
 
     def equation(self) -> str:

@@ -153,8 +153,7 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
             spec = example(own, compensation="torque_error", duration=_SECONDS)
             with Master(spec, native=native) as master:
                 runs.append(master.run().signals)
-    worst = max(_difference(run, runs[0]) for run in runs[1:])
-    if worst <= _AGREEMENT:
+    if (worst := max(_difference(run, runs[0]) for run in runs[1:])) <= _AGREEMENT:
         return []
     return [
         caution(

@@ -82,10 +82,7 @@ _SUMMARY = Chapter("summary", "Summary", summary)
 
 
 def write_report(folder: Path, output: Path | None = None, *, progress: Stages = silent) -> Path:
-    """Write the page, by default report.html in `folder`, figures and tables; return its path.
-
-    A killed process leaves all files of the folder as they were, or all new ones.
-    """
+    """Write the page, by default report.html, figures and tables, all or none; return its path."""
     results = Results.read(folder)
     path = output or folder / REPORT
     with folder_written_whole(folder) as temporary:

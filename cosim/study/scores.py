@@ -294,10 +294,7 @@ def _reference(
     models: Mapping[str, FrictionModel],
     fallback: str,
 ) -> str:
-    """Return the strongest classic law on a joint without further inputs.
-
-    It has the lowest error on left-out training logs, or on the test if that is unknown.
-    """
+    """Return the classic law of no further inputs with the lowest left-out, or else test, error."""
     if law not in inputs:
         return fallback
     own, suffix = set(inputs[law].split(", ")), MEASURED_START * law.endswith(MEASURED_START)

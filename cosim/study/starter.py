@@ -52,6 +52,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     others = [joint for joint in joints_of(model) if joint not in used]
     rest, springs = locked(others), load(model).springs
     name = project_name(folder)
+    last = f"..{{}}{len(used)}" if len(used) > 1 else ""
     with folder_written_whole(folder) as temporary:
         mjcf = model.suffix.lower() == ".xml"
         content = with_includes(model) if mjcf else model.read_bytes()
@@ -73,7 +74,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                     ", ".join("100.0" if i == k else "0.0" for i in range(len(used)))
                     for k in range(len(used))
                 ],
-                columns=_columns(len(used)),
+                columns=", ".join(["t", *(f"{c}1{last.format(c)}" for c in ("q", "dq", "tau"))]),
                 rate=RATE,
             )
             (temporary / file).write_text(text, encoding="utf-8")
@@ -117,11 +118,6 @@ def require_new(folder: Path) -> None:
 def project_name(folder: Path) -> str:
     """Return the name of a project, from that of its folder."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
-
-
-def _columns(joints: int) -> str:
-    last = f"..{{}}{joints}" if joints > 1 else ""
-    return ", ".join(["t", *(f"{c}1{last.format(c)}" for c in ("q", "dq", "tau"))])
 
 
 def environment() -> jinja2.Environment:
@@ -215,10 +211,7 @@ class Bench:
 def start_bench(
     folder: Path, bench: Bench, log: Mapping[str, Any], source: str | None = None
 ) -> NewProject:
-    """Create a folder with the model of a bench and its robot file, which has `log` as [log].
-
-    `source` is that of the torque constants in `log`.
-    """
+    """Create a folder with the model of a bench and its robot file, with [log] and its `source`."""
     require_new(folder)
     with folder_written_whole(folder) as temporary:
         model, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))

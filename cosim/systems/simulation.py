@@ -221,10 +221,7 @@ class Master:
     def run(
         self, progress: Progress = silent, *, start: Mapping[str, Mapping[str, Value]] | None = None
     ) -> Signals:
-        """Run the system after a reset; a failure ends the run and is part of the result.
-
-        `start` adds start values of components to those of the system.
-        """
+        """Run the system after a reset, with more `start` values; a failure is part of it."""
         steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
         kept = np.empty((steps + 1, len(self._layout.rows)))
         failure = None
@@ -252,8 +249,7 @@ class Master:
         return Signals(t=t, signals=signals, failure=failure)
 
     def _typed(self, element: Element, values: Array) -> Array:
-        kind = self._slaves[element[0]].variables[element[1]].type
-        if kind == "String":
+        if (kind := self._slaves[element[0]].variables[element[1]].type) == "String":
             return np.array([numbered_text(value) for value in values])
         return values if kind == "Real" else values.astype(bool if kind == "Boolean" else np.int64)
 

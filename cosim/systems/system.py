@@ -35,10 +35,7 @@ Bounds = Annotated[tuple[float, float], AfterValidator(_ordered)]
 
 
 class ComponentSpec(Config):
-    """One FMU of a system.
-
-    Start values are a number, a list for all elements of a vector, or the name of a choice.
-    """
+    """One FMU of a system; start values are a number, a list of elements, or a choice's name."""
 
     name: Name
     fmu: RelativePath

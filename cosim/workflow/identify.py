@@ -89,13 +89,7 @@ def identify(
     >>> hesr.identify("excitation.csv", robot="robot.toml")
     RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
     """
-    from cosim.workflow.arguments import (
-        body_of,
-        checked_logs,
-        listed,
-        model_given,
-        require_choice,
-    )
+    from cosim.workflow import arguments
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_body
     from hesr_model.rigid_body.accumulation import identify_long
@@ -105,7 +99,7 @@ def identify(
     from hesr_model.support.files import path_of, provenance
     from hesr_model.support.typed_files import to_json
 
-    require_choice("method", method, get_args(Method))
+    arguments.require_choice("method", method, get_args(Method))
     if (friction is None) != (rigid_body is None):
         raise ArgumentError("'friction' and 'rigid_body' must be given together.")
     if payload is not None and (physical or friction is not None or method != "stacked"):
@@ -114,21 +108,23 @@ def identify(
         )
     if physical and friction is not None:
         raise ArgumentError("'physical' excludes 'friction'; give one of them.")
-    forward_logs = listed(logs)
-    several = [*forward_logs, *listed(reversed_logs)]
+    forward_logs = arguments.listed(logs)
+    several = [*forward_logs, *arguments.listed(reversed_logs)]
     plain = method == "stacked" and not physical and friction is None and payload is None
-    read = checked_logs(several, robot, accept, progress, in_pieces=plain)
+    read = arguments.checked_logs(several, robot, accept, progress, in_pieces=plain)
     forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]
     progress("identifying", 0, 1)
-    files = [*read.files, *_paths(payload, friction, rigid_body)]
+    others = (one for one in (payload, friction, rigid_body) if isinstance(one, str | PathLike))
+    files = [*read.files, *map(Path, others)]
     more: dict[str, Any] = {**read.robot.description.constants}
     if payload is not None:
-        without = body_of(payload, (), read.robot)
+        without = arguments.body_of(payload, (), read.robot)
         carried = identify_payload(read.logs, read.robot, without)
         found = loaded(without, carried, read.robot)
         more["payload"] = carried.to_dict()
     elif friction is not None and rigid_body is not None:
-        law, body = model_given(friction), body_of(rigid_body, (), read.robot)
+        law = arguments.model_given(friction)
+        body = arguments.body_of(rigid_body, (), read.robot)
         found = identify_again(forward, read.robot, body, law, reversed_logs=backward)
     elif read.longs:
         found = identify_long(read.longs, read.robot)
@@ -145,11 +141,6 @@ def identify(
         found.write(path_of(output, "a rigid body"))
     log_findings(impossible)
     return found
-
-
-def _paths(*given: object) -> list[Any]:
-    """Return the arguments that are paths."""
-    return [Path(one) for one in given if isinstance(one, str | PathLike)]
 
 
 def answer(body: RigidBody, output: PathArg | None) -> Answer:

@@ -192,8 +192,7 @@ def inspect(
     if None in files:
         raise ArgumentError("logs are inspected as files; give their paths.")
     progress("inspecting logs", 0, 1)
-    names = joint_names(joints)
-    if names and robot is None:
+    if (names := joint_names(joints)) and robot is None:
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
     proposal = inspected([file for file in files if file], robot, names)
     constants: Sequence[Constant] = ()
@@ -220,10 +219,7 @@ def inspect(
 def _write(
     proposal: Proposal, output: PathArg | None, write: PathArg | None, study: PathArg | None
 ) -> tuple[list[Path], str]:
-    """Write page, robot file and study, as far as requested; return their paths.
-
-    A study that fails in a dry run is not written; the text says why.
-    """
+    """Write what is wanted; return the paths, and why a study that cannot run is not written."""
     from hesr_model.health.proposal import robot_file
     from hesr_model.support.files import path_of, written_together
 

@@ -92,8 +92,7 @@ class LawReport(Answer):
 
         shown: list[ResultTable | str] = []
         for law in self.laws:
-            found = self.audits.get(law.name)
-            if found is None or law.model is None:
+            if (found := self.audits.get(law.name)) is None or law.model is None:
                 continue
             shown.append(audit(law.name, found.audits, law.model.sliding))
             shown += [

@@ -55,10 +55,7 @@ _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 
 @contextmanager
 def errors_said() -> Iterator[None]:
-    """Print every error as one sentence and exit with 2; bugs keep their traceback.
-
-    These include errors that readers do not report, such as a full disk.
-    """
+    """Print every error, also of the system, as one sentence and exit with 2; bugs propagate."""
     try:
         try:
             yield

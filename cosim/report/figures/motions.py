@@ -70,15 +70,12 @@ _DESIGN_ROW, _WIDTH, _DPI = 1.8, 9.0, 120
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointView:
-    """Row of a joint: velocity over time, friction over velocity, rows of all logs (N,).
-
-    Friction and gravity loads are None without a model.
-    """
+    """Row of a joint: velocity over time, friction over velocity, rows of all logs (N,)."""
 
     name: str
     unit: str
     velocities: Sequence[Line]
-    friction: Line | None
+    friction: Line | None  # None without a model, as the loads
     covered: Array
     loads: Array | None
 

@@ -96,8 +96,7 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
     with styled():
         figure = Figure(figsize=(size := (9.0, 0.34 * len(laws) + 1.1)))
         left = 0.2 + _LETTER * max(map(len, laws))
-        places = placed(size, 1, 1, (left, 0.24, 0.44))
-        axis = figure.subplots(gridspec_kw=places)
+        axis = figure.subplots(gridspec_kw=placed(size, 1, 1, (left, 0.24, 0.44)))
         offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]

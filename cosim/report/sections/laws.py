@@ -96,8 +96,7 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
 
 def hysteresis(results: Results) -> dict[str, Any] | None:
     """Draw the effect of alpha and beta at the values fitted to the first joint."""
-    model = results.models.get(papers_law())
-    if model is None:
+    if (model := results.models.get(papers_law())) is None:
         return None
     named = zip(results.joints, model.laws, strict=True)
     # Without an effect of h, a law has no such state.

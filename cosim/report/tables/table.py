@@ -172,14 +172,11 @@ def markdown(table: ResultTable) -> str:
         for row in table.rows
     ]
     whole = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
-    lines = [_line(row) for row in (table.head, sides, *whole)]
+    escaped = ([cell.replace("|", r"\|") for cell in row] for row in (table.head, sides, *whole))
+    lines = [f"| {' | '.join(row)} |" for row in escaped]
     shown = table.caption.replace("; small: ", "; in brackets: ")
     caption = [f"{shown}.", ""] if shown else []
     return "\n".join([*caption, *lines, *(["", table.note] if table.note else [])]) + "\n"
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def _text(cell: TableCell) -> str:

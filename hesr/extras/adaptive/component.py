@@ -194,7 +194,9 @@ def _factors(
 ) -> list[Equation]:
 
     def limited(name: str, x: sympy.Expr) -> sympy.Expr:
-        return _between(x, *limits[name]) if name in limits else clip(x, tuning.offset * sigma)
+        if name not in limits:
+            return clip(x, tuning.offset * sigma)
+        return larger(_at_most(x, limits[name][1]), limits[name][0])
 
     steps = [g * _named("gain") * _named("innovation") for g in _G]
     steps[2] = clip(steps[2], tuning.offset_rate * sigma * DT)
@@ -227,8 +229,7 @@ def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equ
 def _cusum(name: str, d: sympy.Expr, regressor: sympy.Expr, alarm: float) -> Equation:
     weight, error = _named("weight"), _named("innovation")
     change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
-    limited = _at_most(positive(previous(name) + change), 1.5 * alarm)
-    return _hidden(name, limited, sympy.S.Zero)
+    return _hidden(name, _at_most(positive(previous(name) + change), 1.5 * alarm), sympy.S.Zero)
 
 
 def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equation:
@@ -306,7 +307,3 @@ def _number(x: sympy.Expr) -> sympy.Expr:
 
 def _at_most(x: sympy.Expr, most: float) -> sympy.Expr:
     return -larger(-x, -most)
-
-
-def _between(x: sympy.Expr, low: float, high: float) -> sympy.Expr:
-    return larger(_at_most(x, high), low)

@@ -266,8 +266,7 @@ class Planner:
             path = (self.start, *poses, self.start)
             moves = [moved(a, b, limits, self.rate) for a, b in pairwise(path)]
             each = (count - 1 - sum(map(len, moves))) // 2
-            budget = each / self.rate - 2.0 * _PAUSE
-            if budget < _SHORTEST:
+            if (budget := each / self.rate - 2.0 * _PAUSE) < _SHORTEST:
                 raise FitError(
                     f"robot '{self.guard.robot.name}': {time:g} s are too short for strokes in two "
                     f"poses; they need at least {time - 2.0 * (budget - _SHORTEST):.0f} s."
@@ -359,8 +358,7 @@ def _steady(mix: Mix, time: float, room: float, speed: float, acceleration: floa
         for levels in range(_LEVELS, 1, -1):
             speeds = np.geomspace(min(mix.low * speed, 0.5 * high), high, levels)
             ramps = np.maximum(1.5 * speeds / acceleration, _RAMP)
-            hold = (time - 4.0 * ramps.sum()) / (2.0 * levels)
-            if hold < _HOLD:
+            if (hold := (time - 4.0 * ramps.sum()) / (2.0 * levels)) < _HOLD:
                 continue
             held = np.clip(room / speeds - ramps, 0.0, hold)
             rows = np.column_stack([speeds, ramps, held, hold - held])

@@ -87,8 +87,7 @@ class Knowledge:
         """
         pairs = [(self.residual(one), one) for one in self.laws.values()]
         least, best = min(pairs, key=lambda pair: np.linalg.norm(pair[0]))
-        ratios = self.shrinking(law, new)
-        if not ratios or best is law:
+        if not (ratios := self.shrinking(law, new)) or best is law:
             return ratios
         own, slopes, names = self.residual(law), self._slopes(law), list(ratios)
         blocks = blocks_of_time(np.zeros(len(own), dtype=int))

@@ -204,10 +204,7 @@ class _Kind(NamedTuple):
 def write_types(
     study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
 ) -> dict[tuple[str, str, str], Path]:
-    """Write FMUs with the median coefficients of a type, by (type, law, structure).
-
-    Rarer structures of a type are numbered.
-    """
+    """Write FMUs of median coefficients by (type, law, structure); rare structures are numbered."""
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:
         for law in robot.laws:

@@ -76,8 +76,7 @@ class _Problem:
         gram, gradient = self._normal_equations(point, shrinkage)
         for _ in range(ITERATIONS):
             trial = point - np.linalg.solve(gram + np.diag(damping * np.diag(gram)), gradient)
-            trial_cost = self._cost(trial, shrinkage)
-            if trial_cost < cost:
+            if (trial_cost := self._cost(trial, shrinkage)) < cost:
                 converged = cost - trial_cost < CONVERGED * cost
                 point, cost = trial, trial_cost
                 if converged:

@@ -58,7 +58,12 @@ def projected(
 ) -> tuple[FrictionLaw, Misfit, Misfit]:
     """Return the nearest law from parts of MuJoCo, and its errors on the fitted and another motion.
 
-    Reproducible bit for bit on one machine; the step of the law is `sample_time` [s].
+        tau = sum_i F_i / x_i (z_i + T z_i') + sigma_2 v + tau_0 + sum_p a_p cos(p q) + b_p sin(p q)
+        z_i' = v - |v| / (x_i s(v)) z_i,    s = 1 + (ratio - 1) exp(-(v / v_s)^2)
+
+    The deflections x_i are those of the Dahl basis; ratio, v_s and T are searched, the rest is
+    least squares with non-negative F_i and sigma_2, on the law along a Fourier motion at trained
+    speeds. Reproducible bit for bit on one machine; the step of the law is `sample_time` [s].
     """
     seen, unseen = records(law, trained, sample_time)
     form, space = _family(_poles(law))
@@ -96,14 +101,12 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
 def _record(
     law: FrictionLaw, trajectory: Trajectory, trained: TrainedRange | None, sample_time: float
 ) -> FrictionRecord:
-    rows = np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
-    t = sample_time * rows
+    t = sample_time * np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
     q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
     if trained:
         q = q + trained.middle
     low, high = trained.tau_load if trained else (0.0, 0.0)
-    swing = np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
-    load = 0.5 * (low + high) + 0.5 * (high - low) * swing
+    load = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked below
         tau = predict(law, t=t, dq=dq, q=q, tau_load=load)
     if not np.all(np.isfinite(tau)):

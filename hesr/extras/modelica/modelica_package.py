@@ -92,11 +92,7 @@ def _page(template: str, **values: Any) -> str:
 
 
 def export_modelica(model: FrictionModel, path: Path) -> Path:
-    """Write a friction model as a Modelica package NAME.mo.
-
-    It has a block and a bearing per joint and examples, and needs the Modelica Standard Library
-    4.0.
-    """
+    """Write a package NAME.mo (MSL 4.0) with a block and a bearing per joint, and examples."""
     if path.suffix != ".mo":
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
     if odd := _oddity(path.stem, _WORDS | _LIBRARIES):
@@ -128,7 +124,8 @@ def package(model: FrictionModel, name: str) -> str:
         comment_start_string="<#",
         comment_end_string="#>",
     )
-    environment.filters["quoted"] = _quoted
+    escapes = str.maketrans({"\\": r"\\", '"': r"\""})
+    environment.filters["quoted"] = lambda text: f'"{text.translate(escapes)}"'
     laws = _forms(model.laws)
     forms = [_form(form, law) for form, law in laws.items()]
     audits, refused = datasheet.audited(model)
@@ -232,8 +229,3 @@ def _modifications(law: FrictionLaw) -> list[str]:
         values.append(f"{start_of(element.name)}={start!r}")
         values.append(f"{element.name}(nominal={nominal(law, element):g})")
     return values
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'

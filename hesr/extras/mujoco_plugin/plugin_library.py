@@ -20,10 +20,7 @@ from hesr_model.support.files import scratch_folder, written_whole
 
 
 def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
-    """Write the library NAME.so for the installed MuJoCo and this platform, and NAME.xml.
-
-    The MJCF has one instance of the plug-in `hesr.NAME` per joint, for the joint of the same name.
-    """
+    """Write NAME.so for the installed MuJoCo, and NAME.xml with a plug-in `hesr.NAME` per joint."""
     if path.suffix != ".so" or PLATFORM not in ("linux64", "aarch64-linux"):
         raise ExportError(f"{path}: a plug-in of MuJoCo is a library (.so) for Linux.")
     require_exportable(model, "a plug-in of MuJoCo", coupled=False)

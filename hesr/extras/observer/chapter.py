@@ -74,8 +74,7 @@ def external_torque(results: Results) -> dict[str, Any] | None:
         head=("log", "joint", "at [s]", "for [s]", f"largest [{unit}]", f"threshold [{unit}]"),
         rows=rows[:_MOST],
     )
-    chart = _chart(results, *curves)
-    return {"events": table, "count": len(rows), "log": name, "torques": chart}
+    return {"events": table, "count": len(rows), "log": name, "torques": _chart(results, *curves)}
 
 
 def _chart(results: Results, t: Array, external: Array, threshold: Array) -> Chart:

@@ -120,10 +120,7 @@ def observed_logs(
     logs: Sequence[Log],
     bandwidth: float = BANDWIDTH,
 ) -> list[ObservedLog]:
-    """Run the observer over the parts of logs.
-
-    The speed is the logged one, or that of the position behind the low pass of the robot file.
-    """
+    """Run the observer over the parts of logs; unlogged speeds are those of the low pass."""
     bare = content(model, body, limits, bandwidth=bandwidth, bare=True)
     arrays, found = outputs_of(bare.table), []
     names = [v.name for v in bare.table.variables if v.role == "input"]
@@ -252,8 +249,7 @@ def _of_joint(
         columns = np.concatenate(parts)
         found = variance_shares(columns[some], errors[some] ** 2, np.zeros_like(errors[some]))
         variance = columns @ found + 1e-30
-        loss = float(np.mean(np.log(variance) + errors**2 / variance))
-        if loss < best[0]:
+        if (loss := float(np.mean(np.log(variance) + errors**2 / variance))) < best[0]:
             found, squares = _scaled(columns, found, errors**2)
             floor, slow, *others = np.sqrt(found).tolist()
             best = (loss, (floor, slow, speed, *others), np.sqrt(errors**2 / squares))
@@ -325,5 +321,4 @@ def observe(
     model, read = arguments.model_given(law), arguments.checked_logs(logs, robot, accept)
     body = arguments.plant_body(read.robot, rigid_body)
     free = [] if calibration is None else arguments.listed(calibration)
-    limits = limits_of(model, body, free, bandwidth)
-    return observed_logs(model, body, limits, read.logs, bandwidth)
+    return observed_logs(model, body, limits_of(model, body, free, bandwidth), read.logs, bandwidth)

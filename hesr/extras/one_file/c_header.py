@@ -132,7 +132,9 @@ def header(model: FrictionModel, name: str) -> str:
             coefficients=sum(len(law.values) for law in model.laws),
         )
     )
-    return _with_prefix(text, name)
+    text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
+    names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
+    return re.sub(rf"\b({names})\(", r"law_\1(", text)
 
 
 def _rows(
@@ -170,9 +172,3 @@ def _rows(
 
 def _comment(text: str) -> str:
     return text.replace("*/", "* /").replace("\\", "/")
-
-
-def _with_prefix(text: str, name: str) -> str:
-    text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
-    names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
-    return re.sub(rf"\b({names})\(", r"law_\1(", text)

@@ -13,7 +13,6 @@ from fmu_src.equations.printer import LanguagePrinter
 from fmu_src.friction.validity import discretisation_of, require_exportable
 from fmu_src.pages.html import code_templates
 from hesr.extras.one_file.c_header import TEMPLATES, write_beside
-from hesr_model.equations.component import Component
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import (
     Assignments,
@@ -70,8 +69,7 @@ class _Printer(LanguagePrinter):
     def _print_Function(self, expr: sympy.Function) -> str:
         if expr.is_number:
             return self._print_Float(expr)
-        name = expr.func.__name__
-        if name not in self.known_functions:
+        if (name := expr.func.__name__) not in self.known_functions:
             raise ExportError(f"friction law: '{expr}' has no counterpart in tensor code.")
         arguments = ", ".join(map(self._print, expr.args))
         return f"{self.known_functions[name]}({arguments})"
@@ -95,20 +93,6 @@ class _Printer(LanguagePrinter):
         return f"_wrapped({self._print(position)}, {high!r}, {float(turns - high)!r})"
 
 
-def law_function(form: LawForm, name: str) -> str:
-    """Return the text of `name(c, dq, q, tau_load, dt, x_0, ..)`: torque and moved states."""
-    component: Component = form.component
-    torque = component.outputs[0].symbol
-    ends = [moved(m) for m in form.memory]
-    return _function(form, name, sampled(component), (DT,), (torque,), ends)
-
-
-def begin_function(form: LawForm, name: str) -> str:
-    """Return the text of `name(c, dq, q, tau_load, x_0, ..)`: the initial states."""
-    program = initial_state(form.memory, form.component.settling)
-    return _function(form, name, program, (), (), [initial_symbol(m) for m in form.memory])
-
-
 def _function(
     form: LawForm,
     name: str,
@@ -117,6 +101,7 @@ def _function(
     read: Sequence[sympy.Symbol],
     ends: Sequence[sympy.Symbol],
 ) -> str:
+    """Return the text of a function that reads outputs and returns them with the ends of states."""
     program = {symbol: _wrapped(e) for symbol, e in program.items()}
     lines, names = straight_line(program, (*read, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]
@@ -170,10 +155,7 @@ def _export(model: FrictionModel, path: Path, library: Library) -> Path:
 
 
 def tensor_code(model: FrictionModel, library: Library) -> str:
-    """Return the text of a Python file that needs only PyTorch or JAX.
-
-    It steps batches of robots with their hidden states, all joints of one form together.
-    """
+    """Return the text of a Python file, only for PyTorch or JAX, that steps batches of robots."""
     require_exportable(model, "a file of tensors")
     discretisation = discretisation_of(model)
     groups: dict[LawForm, list[int]] = {}
@@ -198,10 +180,13 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
 
 
 def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
+    torque, ends = form.component.outputs[0].symbol, [moved(m) for m in form.memory]
+    start = initial_state(form.memory, form.component.settling)
+    first = [initial_symbol(m) for m in form.memory]
     return {
         "name": name,
-        "function": law_function(form, name),
-        "begin": begin_function(form, f"{name}_begin"),
+        "function": _function(form, name, sampled(form.component), (DT,), (torque,), ends),
+        "begin": _function(form, f"{name}_begin", start, (), (), first),
         "joints": tuple(joints),
         "values": {c.name: tuple(law.values[c.name] for law in laws) for c in form.coefficients},
         "units": {c.name: c.unit for c in form.coefficients},

@@ -153,10 +153,7 @@ def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:
-    """Return peak friction before sliding (n,) [N.m] and displacement at half of it (n,) [rad].
-
-    Both are NaN for a joint that does not slide.
-    """
+    """Return peak friction before sliding [N.m], displacement at half of it [rad]; NaN if none."""
     bench.start(load=scale.load, torque=scale.offset)
     dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
     rows: list[Array] = []

@@ -126,8 +126,7 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
 def _deflections(before: Array, tau: Array, way: Array) -> Array:
     """Return the displacement at half of the torque change after a reversal [rad]."""
     turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
-    first = np.argmax(turned >= 0.5, axis=0)
-    found = way[first, np.arange(len(before))]
+    found = way[np.argmax(turned >= 0.5, axis=0), np.arange(len(before))]
     inside = (found >= _DEFLECTIONS[0]) & (found <= _DEFLECTIONS[1])
     return np.where(inside, found, DEFLECTION)
 

@@ -38,8 +38,7 @@ def exposed_variables(contents: SystemContents) -> Iterator[Exposed]:
             element = (name, variable.name)
             fed, shown = element in wiring.sources, element in observed
             given = None if fed else wiring.start[name].get(variable.name)
-            seen = variable.causality
-            if seen == "output":
+            if (seen := variable.causality) == "output":
                 seen = "output" if shown or not observed else "local"
             elif seen != "parameter" and (fed or seen != "input"):
                 if seen == "independent" or not (shown or given is not None):

@@ -48,10 +48,7 @@ def export_ssp(spec: SystemSpec, path: Path, output: Path, *, ssp: Version = "1.
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
-    """Write a system with its FMUs as an SSP and return the path; the bytes are reproducible.
-
-    libcosim and ecos read version 1.0 only.
-    """
+    """Write a system with its FMUs as a reproducible SSP; libcosim and ecos read version 1.0."""
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
     members = {SSD: to_ssd(contents, version)}
@@ -67,10 +64,7 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def left_out(contents: SystemContents) -> str | None:
-    """Return a sentence on missing parts of a system's SSP, if any.
-
-    Engines refuse connectors of unconnected inputs, parameters and local variables.
-    """
+    """Return a sentence on parts of a system that engines refuse in an SSP, if there are any."""
     used = set(contents.used)
     observed = [".".join(e) for e in contents.wiring.observed if e not in used]
     parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
@@ -162,8 +156,7 @@ def _component(
 
 
 def _annotation(parent: ET.Element, kind: str) -> ET.Element:
-    annotations = ET.SubElement(parent, "ssd:Annotations")
-    return ET.SubElement(annotations, "ssc:Annotation", type=kind)
+    return ET.SubElement(ET.SubElement(parent, "ssd:Annotations"), "ssc:Annotation", type=kind)
 
 
 def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:

@@ -19,10 +19,7 @@ _NAME: TypeAdapter[str] = TypeAdapter(Name)
 
 
 def safe_names(names: Iterable[str]) -> dict[str, str]:
-    """Map names of components to unique names that a system allows.
-
-    Other characters become `_`; colliding names get a number.
-    """
+    """Map names of components to unique ones of allowed characters, numbered if they collide."""
     names = list(dict.fromkeys(names))
     found = {name: name for name in names if _allowed(name)}
     taken = set(found)

@@ -52,10 +52,7 @@ class UnsupportedError(ConfigError):
 def opened_ssp(
     path: Path, times: Mapping[str, float | None], values: Mapping[str, Any]
 ) -> Iterator[SystemSpec]:
-    """Yield the system of an SSP; see `opened_system`.
-
-    Nested systems become one level; all outputs with a connector are observed.
-    """
+    """Yield the system of an SSP as one level with all outputs observed; see `opened_system`."""
     with Archive(path, "SSP") as archive, scratch_folder() as folder:
         reader = _Reader(path, archive, Path(folder))
         try:

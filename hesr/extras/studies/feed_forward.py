@@ -44,10 +44,7 @@ def predict_following(
     models: Mapping[str, FrictionModel],
     plant: FrictionModel,
 ) -> Following:
-    """Predict the following error under every law, on the first log with commands.
-
-    `plant` is the friction of the plant.
-    """
+    """Predict following errors of laws on the first log with commands, for the friction `plant`."""
     try:
         known = [log for log in logs if log.q_cmd is not None or log.dq_cmd is not None]
         log = max((known or logs)[0].parts(), key=lambda part: np.ptp(part.t))
@@ -80,8 +77,7 @@ def _predicted(
     with FmuInstance(fmu, name="plant") as instance:
 
         def run(command: str, torque: Array, factors: Array = servo.factors) -> Array:
-            one = commands[command]
-            return _run(instance, log, one, torque, servo, factors, position=any(kp))
+            return _run(instance, log, commands[command], torque, servo, factors, position=any(kp))
 
         nothing = np.zeros_like(missed)
         bases = [run(AS_LOGGED, nothing, factors) for factors in drawn]
@@ -198,6 +194,5 @@ def _run(
     inputs = instance.buffer([f"{name}[{i}]" for name in (*names, "tau") for i in joints])
     outputs = instance.buffer([f"q[{i}]" for i in joints])
     first = outputs.read().copy()
-    steps = np.diff(log.t)
-    rows = through(instance, inputs, outputs, log.t[:-1] - log.t[0], steps, values[:-1])
+    rows = through(instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), values[:-1])
     return np.vstack([first, rows])

@@ -47,8 +47,7 @@ def run_seeds(
         )
     if seeds < LEAST:
         raise ConfigError(f"--seeds is {seeds}; at least {LEAST} are needed.")
-    named = tuple(laws or study.laws)
-    if not named:
+    if not (named := tuple(laws or study.laws)):
         raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
     jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
     with parallel.results_of(jobs, names=[f"draw {k + 1}" for k in range(seeds)]) as results:
@@ -150,10 +149,7 @@ def _spreads(values: Array, shown: Callable[[Array], Array] = np.asarray) -> tup
 def under_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
-    """Return the errors of laws by alternative plant of the twin, refitted to each.
-
-    The twin's bristles favour bristle laws.
-    """
+    """Return the errors of laws refitted to each alternative plant; the twin's favours bristles."""
     twin = study.twin
     return {
         truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from fmu_src.run.trust import is_known, is_ours, remember
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _ROUNDS = 5
 _ENCRYPTED = ("tls", "wss")
+_LOST = ("KilledWorker", "CancelledError", "FutureCancelledError", "CommClosedError")
 _SECONDS = 20  # time limit for the scheduler to answer and to have a worker [s]
 
 
@@ -95,23 +96,16 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
                 first = futures[future]
                 del left[first]
                 yield first, future.result()
-            else:
-                _require_lost(future)
+            elif future.status == "error":
+                error = future.exception()
+                if type(error).__name__ not in _LOST:
+                    raise error
             future.release()
     if left:
         raise WorkerError(
             f"workers of the cluster died {_ROUNDS} times; {len(left)} chunks of runs are left; "
             "repeat the command to continue."
         )
-
-
-def _require_lost(future: Any) -> None:
-    error = future.exception() if future.status == "error" else None
-    if error is not None and type(error).__name__ not in _LOST:
-        raise error
-
-
-_LOST = ("KilledWorker", "CancelledError", "FutureCancelledError", "CommClosedError")
 
 
 def run_there(

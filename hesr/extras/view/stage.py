@@ -33,10 +33,7 @@ class Paint:
 
 
 def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
-    """Return an arm as an MjSpec with only bodies, joints and shapes.
-
-    Without own shapes, capsules between the joints are drawn.
-    """
+    """Return an arm as an MjSpec of bodies, joints and shapes, or else capsules between joints."""
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
         _strip(spec)
@@ -212,9 +209,8 @@ class Stage:
     def annotate(self, scene: mujoco.MjvScene, t: float) -> None:
         """Add trails and labels to a scene."""
         for one, path in zip(self._arms, self._paths, strict=True):
-            last = _row(one.t, t)
-            first = _row(one.t, t - _TRAIL)
-            rows = np.unique(np.linspace(first, last, _PIECES).astype(int))
+            ends = _row(one.t, t - _TRAIL), _row(one.t, t)
+            rows = np.unique(np.linspace(*ends, _PIECES).astype(int))
             for side, pixels, colour in ((0, 9.0, _BLUE), (1, 3.0, _RUST)):
                 for a, b in pairwise(rows):
                     _line(scene, path[a, side], path[b, side], pixels, colour)
