@@ -108,11 +108,7 @@ class StudyLoop:
         for compensation in _COMPENSATIONS:
             for Kx in (0.0, outer):
                 scheme = Scheme(compensation=compensation, Kx=Kx)
-                for law in (
-                    StandIn.BODY_ONLY,
-                    *self.friction,
-                    StandIn.ORACLE,
-                ):
+                for law in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
                     yield self.row(law, scheme)
         for law in self.tracking.sources:
             for compensation in _COMPENSATIONS:

@@ -11,16 +11,7 @@ import numpy as np
 from cosim.study.scores import by_joint
 from fmu_src.friction.predictions import Records
 from hesr_model.errors import SimulationError
-from hesr_model.forward.simulation import (
-    Simulator,
-    Windows,
-    inner_steps,
-    joined,
-    position_errors,
-    weightless,
-    whole,
-    windows_of,
-)
+from hesr_model.forward import simulation
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
@@ -51,17 +42,17 @@ def simulate_tests(
 
     Whole logs are scored without gravity only: an upright arm diverges with any friction.
     """
-    windows: dict[str, list[Windows]] = {}
-    logs: dict[str, list[Windows]] = {}
+    windows: dict[str, list[simulation.Windows]] = {}
+    logs: dict[str, list[simulation.Windows]] = {}
     for test, records in tests.items():
         of_joints = by_joint(records)
         try:
-            windows[test] = [windows_of(of_joints, length) for length in LENGTHS]
+            windows[test] = [simulation.windows_of(of_joints, length) for length in LENGTHS]
         except SimulationError as error:
             _warn(error)
             continue
-        if weightless(of_joints, robot, body):
-            logs[test] = list(map(whole, of_joints))
+        if simulation.weightless(of_joints, robot, body):
+            logs[test] = list(map(simulation.whole, of_joints))
     cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
     jobs = [partial(_errors, model, cut, robot, body) for model in models.values()]
     with parallel.results_of(jobs, names=list(models)) as results:
@@ -94,25 +85,25 @@ def _warn(reason: SimulationError) -> None:
 
 
 def _errors(
-    model: FrictionModel, cut: Sequence[Windows], robot: Robot, body: RigidBody
+    model: FrictionModel, cut: Sequence[simulation.Windows], robot: Robot, body: RigidBody
 ) -> list[_Errors] | SimulationError:
-    simulator = Simulator(robot=robot, parameters=body.parameters, friction=model)
+    simulator = simulation.Simulator(robot=robot, parameters=body.parameters, friction=model)
     found: dict[int, _Errors] = {}
     groups: dict[tuple[int, int], list[int]] = {}
     for i, w in enumerate(cut):
-        groups.setdefault((w.t.shape[1], inner_steps(np.diff(w.t))), []).append(i)
+        groups.setdefault((w.t.shape[1], simulation.inner_steps(np.diff(w.t))), []).append(i)
     try:
         for places in groups.values():
-            q = simulator.run(joined([cut[i] for i in places]))
+            q = simulator.run(simulation.joined([cut[i] for i in places]))
             ends = np.cumsum([len(cut[i].t) for i in places])
             for i, part in zip(places, np.split(q, ends[:-1]), strict=True):
-                found[i] = position_errors(part, cut[i])
+                found[i] = simulation.position_errors(part, cut[i])
     except SimulationError as error:
         return error
     return [found[i] for i in range(len(cut))]
 
 
-def _over_all(errors: Iterator[_Errors], logs: Sequence[Windows]) -> _Errors:
+def _over_all(errors: Iterator[_Errors], logs: Sequence[simulation.Windows]) -> _Errors:
     rows = [log.t.shape[1] for log in logs]
     return tuple(
         None

@@ -12,7 +12,7 @@ from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
-from cosim.study.scores import Comparison, Errors, LogRecords, records_of
+from cosim.study.scores import Comparison, Errors, records_of
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
@@ -27,9 +27,8 @@ from hesr_model.findings import log_findings
 from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
 from hesr_model.health.examine import check_body, check_laws, checked
-from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records
+from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.cache import USED, since
@@ -119,7 +118,13 @@ def run_study(
             )
             following = job.following(run, made, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
-            _report(folder, audits, job.progress, brief=quick)
+            from cosim.report.page import REPORT, compose_report  # slow to import
+            from cosim.report.results import Results
+
+            saved = Results.read(folder)
+            saved = replace(saved, audited={law: a for law, a in audits.items() if a})
+            page = folder / REPORT
+            compose_report(saved, folder, page, folder, brief=quick, progress=job.progress)
             record_files(folder)
         shutil.rmtree(kept, ignore_errors=True)
     return Outcome(
@@ -152,17 +157,6 @@ def _shortened(study: Study) -> Study:
     return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
 
 
-def _report(
-    folder: Path, audits: Mapping[str, ModelAudit | None], progress: Stages, *, brief: bool
-) -> None:
-    from cosim.report.page import REPORT, compose_report  # slow to import
-    from cosim.report.results import Results
-
-    known = {law: audit for law, audit in audits.items() if audit}
-    results = replace(Results.read(folder), audited=known)
-    compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
-
-
 def score_study(
     job: Job, folder: Path, *, platforms: Sequence[str] = ("linux64",), accepted: Sequence[str] = ()
 ) -> Scored:
@@ -180,7 +174,13 @@ def score_study(
     if study.twin is None:  # the twin's logs are new in each run
         source |= {"created": newest([files[name] for name in job.trained_on])}
     replace(rigid_body, provenance=source).write(folder / "rigid_body.json")
-    runs = _runs(job, files, logs, partial(friction_records, model=model, rigid_body=rigid_body))
+    tested = {name for names in study.logs.test.values() for name in names}
+    runs = {}
+    for name, log in logs.items():  # a tested part of a log with all rows before it
+        whole = job.led_up_to(name, files[name]) if name in tested else None
+        ends = {part.t[-1]: part for part in (whole or log).parts()}
+        parts = [ends.get(part.t[-1], part) for part in log.parts()]
+        runs[name] = [friction_records(part, model, rigid_body) for part in parts]
     records = {
         name: [
             [run.rows(slice(-len(part.t), None)) for run in of_joints]
@@ -219,22 +219,6 @@ def score_study(
         predictions=predictions,
         refined=refinements,
     )
-
-
-def _runs(
-    job: Job,
-    files: Mapping[str, Path],
-    logs: Mapping[str, Log],
-    decouple: Callable[[Log], list[FrictionRecord]],
-) -> LogRecords:
-    """Return records of all logs; a tested part of a log includes all rows before it."""
-    tested = {name for names in job.study.logs.test.values() for name in names}
-    found = {}
-    for name, log in logs.items():
-        whole = job.led_up_to(name, files[name]) if name in tested else None
-        ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
-        found[name] = [decouple(ends.get(part.t[-1], part)) for part in log.parts()]
-    return found
 
 
 def _documented(

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from hesr_model.audit.certificate import Certificate
     from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.rigid_body.residual import FrictionRecord
     from hesr_model.support.files import PathArg
 
 
@@ -116,10 +115,12 @@ def fit(
     from cosim.workflow.arguments import checked_logs
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
+    from hesr_model.fitting.fit import fit_models
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.health.examine import check_owner
+    from hesr_model.health.examine import check_laws, check_owner
     from hesr_model.support.files import path_of
     from hesr_model.support.plugins import load
+    from hesr_model.support.typed_files import to_json
 
     refinements = load("hesr.refinements")
     for name in add:
@@ -128,14 +129,27 @@ def fit(
     fitted = _fitted_law(law, add, options, prior)
     read = checked_logs(logs, robot, accept, progress, in_pieces=True)
     records = read.records(read.body(rigid_body), seed)
+    joined = by_joint(records)
     if fitted is None:
-        model = _fit(str(law), records, read, rigid_body, seed, options or {}, progress)
+        own, source = str(law), _provenance(read, rigid_body, seed, options or {})
+        model = fit_models(
+            [own],
+            joined,
+            robot=read.robot.description.name,
+            seed=seed,
+            options={own: dict(options or {})},
+            provenance=source,
+            progress=partial(progress, f"fitting {own}"),
+        )[own]
+        if found := list(check_laws({own: model}, joined)):
+            health = [*source["health"], *map(to_json, found)]
+            model = replace(model, provenance={**model.provenance, "health": health})
     else:
         model = fitted
     if prior:
         log_findings(check_owner(model, read.robot))
         progress("adapting", 0, 1)
-        model, sentences = adapt(model, by_joint(records))
+        model, sentences = adapt(model, joined)
         source = _provenance(read, rigid_body, seed, {})
         earlier = [one for one in prior if not isinstance(one, FrictionModel)]
         source |= {"prior": [str(path) for path in earlier], "adaptation": sentences}
@@ -174,37 +188,6 @@ def _fitted_law(
     if not add or options:
         raise ArgumentError(f"'law' is fitted already ({law}); give 'add', and no 'options'.")
     return model_given(law)
-
-
-def _fit(
-    law: str,
-    records: list[list[FrictionRecord]],
-    read: CheckedLogs,
-    rigid_body: BodyArg | None,
-    seed: int,
-    options: Mapping[str, Any],
-    progress: Stages,
-) -> FrictionModel:
-    from cosim.study.scores import by_joint
-    from hesr_model.fitting.fit import fit_models
-    from hesr_model.health.examine import check_laws
-    from hesr_model.support.typed_files import to_json
-
-    source = _provenance(read, rigid_body, seed, options)
-    joined = by_joint(records)
-    model = fit_models(
-        [law],
-        joined,
-        robot=read.robot.description.name,
-        seed=seed,
-        options={law: dict(options)},
-        provenance=source,
-        progress=partial(progress, f"fitting {law}"),
-    )[law]
-    if found := list(check_laws({law: model}, joined)):
-        health = [*source["health"], *map(to_json, found)]
-        model = replace(model, provenance={**model.provenance, "health": health})
-    return model
 
 
 def _provenance(

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hesr.cli.console import (
-    MOVED,
-    answer_file,
-    command_output,
-    refuse,
-    require_environment,
-    shown_progress,
-)
+from hesr.cli import console
 from hesr.cli.derive import Function, command
 from hesr_model.errors import ArgumentError, ConfigError
 
@@ -51,8 +44,8 @@ class _Verbs(click.Group):
         return [*_VERBS, *names("hesr.commands")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in MOVED:
-            refuse(MOVED[cmd_name])
+        if cmd_name in console.MOVED:
+            console.refuse(console.MOVED[cmd_name])
         if cmd_name not in _VERBS and cmd_name not in self.list_commands(ctx):
             return None
         function = workflow(cmd_name)
@@ -77,12 +70,12 @@ def further(function: Function) -> Sequence[inspect.Parameter]:
 
 
 def _invoke(function: Function, given: dict[str, Any]) -> None:
-    require_environment()
+    console.require_environment()
     json_file = given.pop("json_file", None)
     fail_on, quiet, verbose = (given.pop(name) for name in ("fail_on", "quiet", "verbose"))
     file = None if json_file is None else Path(json_file)
-    with command_output(quiet=quiet, verbose=verbose, json_file=file):
-        with answer_file(file) as wanted:
+    with console.command_output(quiet=quiet, verbose=verbose, json_file=file):
+        with console.answer_file(file) as wanted:
             listing = given.pop("listing", False) and _module(function)["listing"]
             answer = listing() if listing else _answer(function, given)
             if wanted:
@@ -109,7 +102,7 @@ def _module(function: Function) -> dict[str, Any]:
 def _answer(function: Function, given: dict[str, Any]) -> "Answer":
     from cosim.workflow.answer import Answer
 
-    with shown_progress() as progress:
+    with console.shown_progress() as progress:
         taken = inspect.signature(function).parameters
         more = {"progress": progress} if "progress" in taken else {}
         try:
@@ -124,28 +117,11 @@ def _answer(function: Function, given: dict[str, Any]) -> "Answer":
     return describe(result, given.get("output"))
 
 
-def _version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:  # Click's
-    if wanted:
-        from importlib.metadata import version
-
-        click.echo(f"hesr {version('hesr')}")
-        ctx.exit()
-
-
 app = _Verbs(
     name="hesr",
     help="From a robot's log to a friction model as an FMU, with proof that it works.",
     epilog=_EPILOG,
     no_args_is_help=True,
-    params=[
-        click.Option(
-            ["--version"],
-            is_flag=True,
-            expose_value=False,
-            is_eager=True,
-            callback=_version,
-            help="Show the version.",
-        )
-    ],
     context_settings={"max_content_width": 80},
 )
+click.version_option(package_name="hesr", message="hesr %(version)s", help="Show the version.")(app)

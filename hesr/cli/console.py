@@ -292,21 +292,13 @@ def shown_progress() -> Iterator[Stages]:
 
 @contextmanager
 def _progress_bar() -> Iterator[Stages]:
+    from rich import progress
     from rich.console import Console, RenderableType
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskID,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
     from rich.text import Text
 
     names: list[str] = []
 
-    class Block(Progress):
+    class Block(progress.Progress):
         def get_renderables(self) -> Iterable[RenderableType]:
             yield from super().get_renderables()
             if at_work := "; ".join(names):
@@ -314,15 +306,15 @@ def _progress_bar() -> Iterator[Stages]:
 
     # Messages above the bar are not wrapped, so that paths in them can be copied.
     console = Console(stderr=True, soft_wrap=True)
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, progress.TaskID] = {}
     block = Block(
-        TextColumn("{task.description}"),
-        BarColumn(20),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("spent,"),
-        TimeRemainingColumn(),
-        TextColumn("left"),
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(20),
+        progress.TaskProgressColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TextColumn("spent,"),
+        progress.TimeRemainingColumn(),
+        progress.TextColumn("left"),
         console=console,
         transient=True,
     )

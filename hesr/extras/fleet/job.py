@@ -15,11 +15,7 @@ from hesr_model.support.typed_files import to_json
 
 
 def _run(
-    path: Path,
-    *,
-    output: Path | None = None,
-    workers: int | None = None,
-    progress: Stages = silent,
+    path: Path, *, output: Path | None = None, workers: int | None = None, progress: Stages = silent
 ) -> "FleetResult":
     """Process all robots, by default into ``results/NAME``."""
     from hesr.extras.fleet.run import PAGE, TABLE, run_fleet

@@ -49,11 +49,6 @@ class RobotResult:
         return [*filter(None, [self.failure]), *self.refused]
 
     @property
-    def broken(self) -> bool:
-        """Whether something was left out."""
-        return bool(self.sentences)
-
-    @property
     def laws(self) -> list[str]:
         """Names of the fitted laws."""
         return [law for law in dict.fromkeys(one.law for one in self.joints) if law != BODY]
@@ -117,7 +112,7 @@ class Fleet:
     @property
     def broken(self) -> Iterator[RobotResult]:
         """Robots with omitted logs or laws."""
-        return (robot for robot in self.robots if robot.broken)
+        return (robot for robot in self.robots if robot.sentences)
 
 
 _MOST = 30  # maximum rows per table; the Parquet file is complete

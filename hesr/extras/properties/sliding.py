@@ -4,15 +4,8 @@ import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import Scale, curve, judged, plot
+from hesr_model.audit import audit
 from hesr_model.audit.attack import loaded_motions
-from hesr_model.audit.audit import (
-    AMPLITUDES,
-    FREQUENCIES,
-    Cycle,
-    closed_motions,
-    cycles,
-    encoder_noise,
-)
 from hesr_model.audit.properties import BEGINS, PASSIVE, QUIET, WIDTH, PropertyResult
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
@@ -122,7 +115,7 @@ def chatter(
     bench: FrictionBench, scale: Scale, trained: list[TrainedRange]
 ) -> list[PropertyResult]:
     """Rest under encoder noise, with the sample time and discretisation of the law."""
-    noise = [encoder_noise(seen) for seen in trained]
+    noise = [audit.encoder_noise(seen) for seen in trained]
     dq, q = (np.column_stack([of_joint[part] for of_joint in noise]) for part in (0, 1))
     settling, sample = noise[0][2], trained[0].sample_time
     bench.start(load=scale.load, exact=False)
@@ -147,9 +140,11 @@ def work(
     bench: FrictionBench, trained: list[TrainedRange], loads: list[tuple[float, ...]]
 ) -> list[PropertyResult]:
     """Sum up the work of the audit's closed cycles under loads [N.m] by joint."""
-    found: list[list[Cycle]] = [[] for _ in trained]
-    for wanted in FREQUENCIES:
-        motions = [closed_motions(r, np.multiply(AMPLITUDES, r.speed), wanted) for r in trained]
+    found: list[list[audit.Cycle]] = [[] for _ in trained]
+    for wanted in audit.FREQUENCIES:
+        motions = [
+            audit.closed_motions(r, np.multiply(audit.AMPLITUDES, r.speed), wanted) for r in trained
+        ]
         for k in range(max(map(len, loads))):
             held = np.array([of_joint[min(k, len(of_joint) - 1)] for of_joint in loads])
             dq, q = (
@@ -159,15 +154,15 @@ def work(
             tau = bench.move(np.full(len(dq) - 1, trained[0].sample_time), dq[1:], q[1:])
             tau = np.concatenate([tau[:1], tau]).reshape(*motions[0].dq.shape, -1)
             for joint, motion in enumerate(motions):
-                found[joint] += cycles(motion, float(held[joint]), tau[:, :, joint])
+                found[joint] += audit.cycles(motion, float(held[joint]), tau[:, :, joint])
     if any(len(of_joint) > 1 for of_joint in loads):
         for joint, under_load in enumerate(_with_moving_load(bench, trained)):
             found[joint] += under_load if len(loads[joint]) > 1 else []
     return [_worked(of_joint) for of_joint in found]
 
 
-def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list[list[Cycle]]:
-    found: list[list[Cycle]] = [[] for _ in trained]
+def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list[list[audit.Cycle]]:
+    found: list[list[audit.Cycle]] = [[] for _ in trained]
     of_joints = (loaded_motions(r, _ANGLES, _PHASES, _LOADED_TURNS) for r in trained)
     for motions in zip(*of_joints, strict=True):
         dq, q, load = (
@@ -180,7 +175,7 @@ def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list
             power = np.abs(tau[rows, joint] * motion.dq[rows]).sum() * trained[0].sample_time
             given = motion.given(tau[:, joint])
             found[joint].append(
-                Cycle(
+                audit.Cycle(
                     amplitude=motion.cycle.amplitude,
                     frequency=motion.cycle.frequency,
                     tau_load=motion.cycle.mean,
@@ -192,7 +187,7 @@ def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list
     return found
 
 
-def _worked(found: list[Cycle]) -> PropertyResult:
+def _worked(found: list[audit.Cycle]) -> PropertyResult:
     worst = min(found, key=lambda c: c.work)
     given = max(0.0, -worst.work)
     share = min(found, key=lambda c: c.share)

@@ -107,11 +107,7 @@ def _predicted(
 
 
 def feed_forward(
-    log: Log,
-    robot: Robot,
-    body: RigidBody,
-    models: Mapping[str, FrictionModel],
-    servo: ServoFit,
+    log: Log, robot: Robot, body: RigidBody, models: Mapping[str, FrictionModel], servo: ServoFit
 ) -> Iterator[tuple[str, tuple[Array, Array]]]:
     """Yield commanded positions and velocities (N, n) by name."""
     t, position, speed = log.t, *commanded(log)
