@@ -7,17 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.loop.closed_loop import (
-    ARM,
-    Compensation,
-    Fmus,
-    Scheme,
-    Setting,
-    StandIn,
-    Tracking,
-    VelocitySource,
-    system,
-)
+from cosim.loop import closed_loop
 from cosim.loop.motions import require_within
 from cosim.loop.traces import Tracked
 from cosim.loop.tracking import LoopMotion, LoopRow, track
@@ -37,17 +27,17 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Stages, silent
 
-_COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
-_MEASURED: tuple[VelocitySource, ...] = ("measured", "filtered")
+_COMPENSATIONS: tuple[closed_loop.Compensation, ...] = ("torque_error", "servo_inversion")
+_MEASURED: tuple[closed_loop.VelocitySource, ...] = ("measured", "filtered")
 _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has diverged
 
 
-def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
+def motions(tracking: closed_loop.Tracking, periods: int = 1) -> list[LoopMotion]:
     """Return the motions of a study."""
     return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
 
 
-def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
+def _fourier(tracking: closed_loop.Tracking, seed: int, periods: int = 1) -> Fourier:
     return random_fourier(
         seed=seed,
         harmonics=tracking.harmonics,
@@ -58,7 +48,7 @@ def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
     )
 
 
-def require_reachable(tracking: Tracking, robot: Robot) -> None:
+def require_reachable(tracking: closed_loop.Tracking, robot: Robot) -> None:
     """Raise ConfigError if a motion leaves the limits of the robot."""
     for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
         if len(entries) != robot.n:
@@ -76,10 +66,10 @@ def require_reachable(tracking: Tracking, robot: Robot) -> None:
 class StudyLoop:
     """Common data of the rows of a study."""
 
-    tracking: Tracking
+    tracking: closed_loop.Tracking
     friction: Mapping[str, Path]  # by law
     oracle: Path  # true friction
-    fmus: Fmus  # FMUs with the identified rigid body
+    fmus: closed_loop.Fmus  # FMUs with the identified rigid body
     true_body: Path
     step: float  # [s]
     limits: Array  # (n, 2) [rad] where a run ends
@@ -87,16 +77,16 @@ class StudyLoop:
     kept: Path | None = None  # finished rows of a resumed study
     progress: Stages = silent
 
-    def setting(self, law: str, scheme: Scheme) -> Setting:
+    def setting(self, law: str, scheme: closed_loop.Scheme) -> closed_loop.Setting:
         """Return the loop of a law in a scheme."""
         fmus = self.fmus
-        if law == StandIn.ORACLE:
+        if law == closed_loop.StandIn.ORACLE:
             fmus = replace(fmus, friction=self.oracle, body=self.true_body)
         elif law in self.friction:
             fmus = replace(fmus, friction=self.friction[law])
-        if law == StandIn.BODY_ONLY:
+        if law == closed_loop.StandIn.BODY_ONLY:
             scheme = replace(scheme, friction_gain=0.0)
-        return Setting(
+        return closed_loop.Setting(
             fmus=fmus, scheme=scheme, gains=self.tracking.gains, step=self.step, noise=self.noise
         )
 
@@ -104,19 +94,25 @@ class StudyLoop:
         """Yield the rows of the tables: every law in every scheme, and no law."""
         outer = self.tracking.Kx
         for Kx in (0.0, outer):
-            yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
+            yield self.row(
+                closed_loop.StandIn.VELOCITY_ONLY, closed_loop.Scheme(compensation="none", Kx=Kx)
+            )
         for compensation in _COMPENSATIONS:
             for Kx in (0.0, outer):
-                scheme = Scheme(compensation=compensation, Kx=Kx)
-                for law in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
+                scheme = closed_loop.Scheme(compensation=compensation, Kx=Kx)
+                for law in (
+                    closed_loop.StandIn.BODY_ONLY,
+                    *self.friction,
+                    closed_loop.StandIn.ORACLE,
+                ):
                     yield self.row(law, scheme)
         for law in self.tracking.sources:
             for compensation in _COMPENSATIONS:
                 for source in _MEASURED:
-                    scheme = Scheme(compensation=compensation, source=source)
+                    scheme = closed_loop.Scheme(compensation=compensation, source=source)
                     yield self.row(law, scheme)
 
-    def row(self, law: str, scheme: Scheme) -> LoopRow:
+    def row(self, law: str, scheme: closed_loop.Scheme) -> LoopRow:
         """Return one row."""
         return LoopRow(scheme=scheme, law=law, setting=self.setting(law, scheme))
 
@@ -171,7 +167,7 @@ def assemble(
     folder: Path,
     robot: Robot,
     *,
-    tracking: Tracking,
+    tracking: closed_loop.Tracking,
     friction: Mapping[str, Path],
     plant: Plant,
     kept: Path | None = None,
@@ -183,8 +179,8 @@ def assemble(
         tracking=tracking,
         friction=friction,
         oracle=folder / "true_friction.fmu",
-        fmus=Fmus(
-            arm=folder / ARM,
+        fmus=closed_loop.Fmus(
+            arm=folder / closed_loop.ARM,
             trajectory=folder / "Trajectory.fmu",
             body=folder / "InverseDynamics.fmu",
             friction=next(iter(friction.values())),
@@ -203,15 +199,15 @@ def assemble(
 def example(
     loop: StudyLoop,
     *,
-    compensation: Compensation = "servo_inversion",
+    compensation: closed_loop.Compensation = "servo_inversion",
     duration: float | None = None,
 ) -> SystemSpec:
     """Return a loop of `duration` [s]: the last of the study's `sources` on its first motion."""
     tracking = loop.tracking
     law = (tracking.sources or tuple(loop.friction))[-1]
-    scheme = Scheme(compensation=compensation, Kx=tracking.Kx)
+    scheme = closed_loop.Scheme(compensation=compensation, Kx=tracking.Kx)
     setting, motion = loop.setting(law, scheme), motions(tracking)[0]
-    return system(
+    return closed_loop.system(
         replace(setting, arm={**setting.arm, "q0": motion.q0}),
         duration=duration or tracking.duration,
         limits=loop.limits,
@@ -237,10 +233,10 @@ def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked]
 
 
 def _drifting(loop: StudyLoop) -> Iterator[LoopRow]:
-    laws: Sequence[str] = (*loop.tracking.sources, StandIn.ORACLE)
-    yield loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none"))
-    for law in (StandIn.BODY_ONLY, *laws):
-        yield loop.row(law, Scheme(compensation="torque_error"))
+    laws: Sequence[str] = (*loop.tracking.sources, closed_loop.StandIn.ORACLE)
+    yield loop.row(closed_loop.StandIn.VELOCITY_ONLY, closed_loop.Scheme(compensation="none"))
+    for law in (closed_loop.StandIn.BODY_ONLY, *laws):
+        yield loop.row(law, closed_loop.Scheme(compensation="torque_error"))
     for law in laws:
-        yield loop.row(law, Scheme(compensation="servo_inversion"))
-        yield loop.row(law, Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))
+        yield loop.row(law, closed_loop.Scheme(compensation="servo_inversion"))
+        yield loop.row(law, closed_loop.Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))

@@ -14,15 +14,7 @@ from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.replay import replay
 from fmu_src.run.trust import is_ours
-from hesr.extras.leaderboard.board_file import (
-    KINDS,
-    BoardFile,
-    Ground,
-    Interval,
-    Judge,
-    Kind,
-    read_grounds,
-)
+from hesr.extras.leaderboard import board_file
 from hesr.extras.properties.battery import measure
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import standing_inertia
@@ -63,7 +55,7 @@ class Tried:
     properties: Properties | None
 
 
-def tried(entry: Entry, ground: Ground, *, properties: bool) -> Tried:
+def tried(entry: Entry, ground: board_file.Ground, *, properties: bool) -> Tried:
     """Replay an entry over all logs of its robot."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
@@ -140,9 +132,9 @@ class Standing:
     law: str
     group: str
     inputs: tuple[str, ...]
-    relative: Mapping[Kind, Interval | None]
-    joints: Mapping[Kind, tuple[float | None, ...]]
-    ratio: Interval | None
+    relative: Mapping[board_file.Kind, board_file.Interval | None]
+    joints: Mapping[board_file.Kind, tuple[float | None, ...]]
+    ratio: board_file.Interval | None
     leads: bool
     properties: Properties | None
     step: float | None
@@ -162,7 +154,7 @@ class Leaderboard:
     standings: tuple[Standing, ...]
 
 
-def entries_of(given: Sequence[str], rules: BoardFile) -> list[Entry]:
+def entries_of(given: Sequence[str], rules: board_file.BoardFile) -> list[Entry]:
     """Return entries given as FILE or ROBOT=FILE."""
     robots = [robot.name for robot in rules.robots]
     found = []
@@ -182,7 +174,7 @@ def entries_of(given: Sequence[str], rules: BoardFile) -> list[Entry]:
 
 
 def run_leaderboard(
-    rules: BoardFile,
+    rules: board_file.BoardFile,
     entries: Sequence[Entry],
     *,
     workers: int | None = None,
@@ -191,13 +183,13 @@ def run_leaderboard(
     """Score entries in separate processes; `workers` changes measured times only."""
     if not entries:
         raise ConfigError("the leaderboard has no entries; give at least one FMU.")
-    grounds = read_grounds(rules)
+    grounds = board_file.read_grounds(rules)
     wanted = "properties" in rules.scores
     jobs = [partial(tried, e, grounds[e.robot], properties=wanted) for e in entries]
     with parallel.results_of(jobs, workers, names=[entry.name for entry in entries]) as results:
         done = [next(results) for _ in counted(jobs, progress)]
     judges = {
-        name: Judge(ground, warm_up=rules.warm_up, block=rules.block)
+        name: board_file.Judge(ground, warm_up=rules.warm_up, block=rules.block)
         for name, ground in grounds.items()
     }
     groups: dict[tuple[str, str], list[Tried]] = {}
@@ -238,7 +230,7 @@ def run_leaderboard(
     )
 
 
-def _group(rules: BoardFile, one: Tried) -> str:
+def _group(rules: board_file.BoardFile, one: Tried) -> str:
     holding = [n for n, may in rules.classes.items() if set(one.inputs) <= {*may, "dq"}]
     if not holding:
         raise ConfigError(
@@ -248,7 +240,9 @@ def _group(rules: BoardFile, one: Tried) -> str:
     return min(holding, key=lambda name: len(rules.classes[name]))
 
 
-def _ranked(rules: BoardFile, group: str, members: Sequence[Tried], judge: Judge) -> list[Standing]:
+def _ranked(
+    rules: board_file.BoardFile, group: str, members: Sequence[Tried], judge: board_file.Judge
+) -> list[Standing]:
     errors = {one.entry.name: judge.errors(one.torques) for one in members}
     size = {
         name: float(np.mean(np.square(np.vstack(of_entry) / judge.tau_std)))
@@ -256,7 +250,7 @@ def _ranked(rules: BoardFile, group: str, members: Sequence[Tried], judge: Judge
     }
     ranked = sorted(members, key=lambda one: size[one.entry.name])
     leader = ranked[0].entry
-    kinds = [kind for kind in KINDS if kind in rules.scores]
+    kinds = [kind for kind in board_file.KINDS if kind in rules.scores]
     found = []
     for one in ranked:
         entry, own, ratio = one.entry, errors[one.entry.name], None
