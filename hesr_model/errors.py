@@ -1,7 +1,4 @@
-"""Errors that a user can cause.
-
-Each is one sentence with file, column or key, row, value found and value needed.
-"""
+"""Errors that a user can cause: one sentence each, with place, value found and value needed."""
 
 import re
 from collections.abc import Mapping

@@ -43,10 +43,7 @@ def backwards(unit: str | float) -> str | float:
 
 
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
-    """Return whether a joint can be logged in a unit; numbers fit any joint.
-
-    Sliding joints accept rad, rad/s and N.m as the default of robot files.
-    """
+    """Return whether a joint can be logged in a unit; sliding joints accept default units."""
     if quantity in OTHERS or not isinstance(unit, str):
         return True
     unit = unit.removeprefix("-")

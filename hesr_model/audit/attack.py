@@ -1,7 +1,4 @@
-"""Search for cycles with net energy: sines, also with a load at twice their frequency.
-
-If a proof fails at a pair of speeds, cycles forward at one and backward at the other are tried too.
-"""
+"""Search for cycles with net energy: sines, moving loads, and pairs of speeds that fail a proof."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -55,10 +52,7 @@ class Attack:
 def attack(
     law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]] = ()
 ) -> tuple[Attack | None, int]:
-    """Return the cycle that generates the most energy, if any, and the number of cycles tried.
-
-    `speeds` are pairs [rad/s] for both directions, tried until one generates energy.
-    """
+    """Return the cycle that generates the most energy, if any, and the number of cycles tried."""
     tried = [*_still(law, trained), *_ways(law, trained, speeds)]
     if TAU_LOAD in law.form.inputs:
         tried += _moving(law, trained)

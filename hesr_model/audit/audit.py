@@ -54,10 +54,7 @@ class ClosedMotions:
 
 
 def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
-    """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle position.
-
-    Each position occurs once at dq and once at -dq, so torques of position alone do zero work.
-    """
+    """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle place."""
     half = max(4, round(0.5 / (wanted * trained.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))
     phase = np.pi / half * np.arange(-settling, 2 * half)

@@ -57,10 +57,7 @@ class Choice(Parameter):
 
 @dataclass(frozen=True, kw_only=True)
 class Equation(Quantity):
-    """name = expression.
-
-    `start` is previous(name) at the first sample, with the same symbols, or None if unused.
-    """
+    """name = expression; `start` is previous(name) at the first sample, None if unused."""
 
     unit: str = "1"
     description: str = ""
@@ -182,10 +179,7 @@ class Component:
         return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
-        """Return the given symbols and states that an expression depends on.
-
-        Previous values depend on their starts before the first step (`starting`).
-        """
+        """Return the given symbols and states behind an expression, at the start if `starting`."""
         into = {e.symbol: e.expression for e in self.equations}
         into |= self.starts if starting else {}
         into |= {m.derivative: sympy.Tuple(m.state, *m.parts) for m in self.memory}

@@ -99,10 +99,7 @@ class KernelRun(ProgramRun):
         return self.starts
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Return the (N, K) results, valid until the next call; see `begin`.
-
-        Raises SimulationError if Euler's step is unstable.
-        """
+        """Return the (N, K) results, valid until the next call; raises SimulationError."""
         self.begin(numbers, start, settled=settled)
         self.on(numbers)
         return self.found

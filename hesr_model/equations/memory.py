@@ -1,8 +1,4 @@
-"""Memory of a component: relaxations and stops, each as expressions in three forms.
-
-The sampled form moves a state with held inputs, the continuous one is for model exchange, the
-settled one is the limit for inputs held forever.
-"""
+"""Memory of a component: relaxations and stops, each in sampled, continuous and settled form."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -57,10 +53,7 @@ class _Element:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(_Element):
-    """x' = drive - rate x; a negative rate counts as 0.
-
-    Both may use earlier states; the rate may also use x, frozen over a step.
-    """
+    """x' = drive - rate x of earlier states, the rate also of x; a negative rate counts as 0."""
 
     drive: sympy.Expr
     rate: sympy.Expr

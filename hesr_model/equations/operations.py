@@ -1,7 +1,4 @@
-"""Equations as operations on registers, run by `rows.c` over blocks of rows.
-
-Values equal for all rows are computed once per run, values of inputs alone once per log.
-"""
+"""Equations as operations on registers, run by `rows.c`; uniform values are computed once."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,10 +38,7 @@ class Dependence(IntEnum):
 
 @dataclass(frozen=True)
 class Node:
-    """Value of every row; `operation` is empty for literals, numbers and inputs.
-
-    `detail` is the state's number, the literal, or the index of the number or input.
-    """
+    """Value of every row; `detail` is a literal, or the index of a number, input or state."""
 
     operation: str
     operands: "tuple[int, ...]"

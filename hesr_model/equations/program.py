@@ -45,10 +45,7 @@ def initial_symbol(element: Element) -> sympy.Symbol:
 def initial_state(
     memory: Iterable[Element], settling: sympy.Expr
 ) -> dict[sympy.Symbol, sympy.Expr]:
-    """Return initial states for the first inputs, and intermediate values.
-
-    Each moves from its start by the share `Component.settling` to the steady state.
-    """
+    """Return initial states, moved by the share `settling` to steady ones, and other values."""
     found: dict[sympy.Symbol, sympy.Expr] = {}
     seen: dict[sympy.Symbol, sympy.Expr] = {}
     for element in memory:
@@ -220,10 +217,7 @@ def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
 
 @dataclass(frozen=True, kw_only=True)
 class Invariants:
-    """Program split into `once`, assignments of fixed symbols alone, and `moving`, the rest.
-
-    `kept` are the fixed symbols used by the rest.
-    """
+    """Program split into `once`, of fixed symbols alone, and `moving`, which uses those `kept`."""
 
     once: Assignments
     kept: tuple[sympy.Symbol, ...]

@@ -22,10 +22,7 @@ from hesr_model.support.arrays import Array
 
 
 class Steps:
-    """Functions of numbers, or of arrays of parallel runs (`lanes`), that step a component.
-
-    Relaxations move exactly. Steps return the equations `observed`, by default the outputs.
-    """
+    """Functions of numbers, or of arrays of parallel runs (`lanes`), that step a component."""
 
     def __init__(
         self, component: Component, observed: Sequence[str] | None = None, *, lanes: bool = False

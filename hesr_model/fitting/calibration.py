@@ -40,10 +40,7 @@ _NONE = 1e-30
 def calibrated(
     law: FrictionLaw, records: Sequence[FrictionRecord]
 ) -> tuple[FrictionLaw, float | None]:
-    """Return the law with its band, and its RMSE on logs left out in turn [N.m].
-
-    Returns the law itself and None if its torque is not finite. A law without covariance is exact.
-    """
+    """Return the law with its band, and its RMSE on logs left out in turn [N.m], if finite."""
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
         return law, None
@@ -121,10 +118,7 @@ def _predicted(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
 
 
 def variance_shares(columns: Array, squares: Array, known: Array) -> Array:
-    """Return the non-negative shares (B,) of shapes (N, B) in the variance of normal errors.
-
-    `known` (N,) is from other sources. The multiplicative update never lowers the likelihood.
-    """
+    """Return the non-negative shares (B,) of shapes (N, B) in the variance beyond `known` (N,)."""
     mean = columns.mean(axis=0)
     found = np.where(mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _NONE)), 0.0)
     for _ in range(_ROUNDS if squares.any() else 0):

@@ -175,10 +175,7 @@ def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> F
 def adapt(
     prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
-    """Adapt the laws of `prior_of` to records [joint][log]; return them and a sentence per joint.
-
-    Raises FitError if joints differ.
-    """
+    """Adapt the laws to records [joint][log], with a sentence per joint; raises FitError."""
     if (joints := tuple(of_joint[0].joint for of_joint in records)) != prior.joints:
         raise FitError(
             f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
@@ -238,11 +235,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
 
 
 def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the bounds of each coefficient that is adapted.
-
-    Nonlinear ones stay between half and twice their value, others keep their sign, but for offset
-    and ripple: torques at rest without memory.
-    """
+    """Return bounds of adapted coefficients: half to twice in functions, else keep the sign."""
     form, found = law.form, {}
     memory = set().union(*(part.free_symbols for m in form.memory for part in m.parts))
     still = {DQ: 0, **{s: 0 for m in form.memory for s in (m.state, m.derivative)}}

@@ -63,11 +63,7 @@ def fit_joint(
     seed: int,
     options: Mapping[str, Any] | None = None,
 ) -> FrictionLaw:
-    """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
-
-    Raises ArtifactError if the law is unknown, FitError if the records or `options` do not suit it
-    or a coefficient is not finite.
-    """
+    """Fit one law to a joint, on one BLAS thread for the same bits; ArtifactError, FitError."""
     chosen = estimator(law)
     try:
         configured = chosen(**(options or {}))

@@ -100,10 +100,7 @@ def least_squares(columns: Array, target: Array) -> Array:
 def non_negative_least_squares(
     columns: Array, target: Array, *, non_negative: int
 ) -> tuple[Array, float]:
-    """Return (K,) coefficients, the leading ones non-negative, and the sum of squared residuals.
-
-    Negative ones are set to zero one by one, the worst first: exact for nearly orthogonal columns.
-    """
+    """Return (K,) coefficients, the leading ones non-negative, and the sum of squared residuals."""
     gram, moment = columns.T @ columns, columns.T @ target
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     active = np.arange(columns.shape[1])

@@ -1,7 +1,4 @@
-"""Separable least squares for laws that are linear in most coefficients.
-
-Variable projection (Golub and Pereyra 1973); columns are derivatives by the linear coefficients.
-"""
+"""Separable least squares of laws linear in most coefficients (Golub and Pereyra 1973)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -174,10 +171,7 @@ class Separable:
         return np.asarray(found.x)
 
     def settled(self, point: Array) -> Array:
-        """Return the point after a local search, also from both ends of what has no effect there.
-
-        Where F_s = F_c, v_s has none, and its value decides whether a higher F_s is found.
-        """
+        """Return the point after local searches, also from both ends of numbers without effect."""
         point = self.polish(point, evaluations=40)
         cost = self.solve(point)[1]
         ends = [

@@ -40,10 +40,7 @@ class Coordinates:
 def with_standard_errors(
     law: FrictionLaw, records: Sequence[FrictionRecord], space: SearchSpace | None = None
 ) -> FrictionLaw:
-    """Return the law with covariance and standard errors of its coefficients.
-
-    `space` is the search space of the law's form, if known.
-    """
+    """Return the law with covariance and standard errors; `space` is its search space, if known."""
     if len(law.values) > MOST_COEFFICIENTS:
         return law
     moved = _searched(law, space.at_joint(slides=records[0].sliding)) if space else _every(law)

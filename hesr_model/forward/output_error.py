@@ -178,10 +178,7 @@ class _Problem:
         return rows[0], (rows[1:] - rows[0]).T / _STEP
 
     def _allowed(self, theta: Array) -> Array:
-        """Return the largest change towards `theta` that keeps torque errors and proofs.
-
-        Joints whose proof fails keep their friction.
-        """
+        """Return the largest change that keeps torque errors, and the proof of each moved joint."""
         still = np.zeros_like(theta)
         open_loop = self._open_loop(still)
         for share in _SHARES:

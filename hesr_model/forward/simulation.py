@@ -46,10 +46,7 @@ class Windows:
     logs: Logs = field(repr=False)
 
     def blocks(self, length: float) -> Array:
-        """Return the number of each window's block of a length [s] after the run-in, (W,).
-
-        Those of the next log begin one higher.
-        """
+        """Return the number of each window's block of a length [s] after the run-in, (W,)."""
         starts = np.array([self.logs[part][0].t[0] + RUN_IN for part, _ in self.places])
         parts = np.array([part for part, _ in self.places])
         return np.asarray(parts + np.floor((self.t[:, 0] - starts) / length + _BLOCK_ROUNDING))
@@ -158,10 +155,7 @@ class _Moving:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulator:
-    """Body with (P,) standard parameters, or (W, P) for each window, and its friction.
-
-    `as_plant` steps explicitly as MuJoCo does, for logs of the twin.
-    """
+    """Body with (P,) or (W, P) parameters, and friction; `as_plant` steps explicitly as MuJoCo."""
 
     robot: Robot
     parameters: Array
@@ -285,10 +279,7 @@ def _root(
     gain: Array,
     start: Array,
 ) -> Array:
-    """Return the velocity s with s + gain F(s) = target, (W,) [rad/s], by the Illinois method.
-
-    Friction hardly falls within a step, so the root is within twice the first residual.
-    """
+    """Return the velocity s with s + gain F(s) = target, (W,) [rad/s], by the Illinois method."""
 
     def residual(s: Array) -> Array:
         return s - target + gain * law(h, s, q + h * s, load, x)[0]

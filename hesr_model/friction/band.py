@@ -57,10 +57,7 @@ NUMBERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Numbers of one joint's band; ArtifactError if one is negative or not finite, or speed 0.
-
-    `envelope` is 1 if the band at rest spans the break-away torques, 0 if rests were measured.
-    """
+    """Numbers of one joint's band (`NUMBERS`); ArtifactError if negative or not finite."""
 
     floor: float
     slow: float
@@ -100,10 +97,7 @@ def shapes(
 def band_equations(
     memory: Sequence[Element], output: sympy.Expr, *, squares: bool = False
 ) -> tuple[Equation, ...]:
-    """Return a band's outputs after their intermediate values, from a law's memory and torque.
-
-    With `squares` they are squares of the distances from the torque, which coupled joints add.
-    """
+    """Return a band's outputs, or the `squares` of their distances, after intermediate values."""
     floor, slow, slow_speed, rest, fast, load, tail, envelope = (q.symbol for q in NUMBERS)
     parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
     sizes = (floor, slow, rest, fast, load)

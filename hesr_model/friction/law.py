@@ -178,10 +178,7 @@ _DIGITS = 4
 
 
 def equations(law: FrictionLaw) -> list[str]:
-    """Return torque and states of a law as lines of text, numbers to four digits.
-
-    A relaxation's derivative is written x', a stop after a step x+.
-    """
+    """Return torque, derivatives x' and moved stops x+ of a law as text, to four digits."""
     rounded = {name: sympy.Float(f"{x:.{_DIGITS}g}", _DIGITS) for name, x in law.values.items()}
     return form_lines(law.form, {c.symbol: rounded[c.name] for c in law.form.coefficients})
 

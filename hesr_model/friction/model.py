@@ -131,35 +131,17 @@ class FrictionModel:
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a friction model written by `write` or `hesr fit`.
-
-        Raises
-        ------
-        ArtifactError
-            If the file cannot be read, or a key or value in it is missing or invalid.
-        """
+        """Read a friction model written by `write` or `hesr fit`; raises ArtifactError."""
         path = path_of(path, "a friction model")
         return cls.from_json(read_json(path, MODEL_FORMAT), path)
 
     def write(self, path: PathArg) -> None:
-        """Write the model as JSON, with every digit of every number.
-
-        Raises
-        ------
-        ArtifactError
-            If the file cannot be written.
-        """
+        """Write the model as JSON, with every digit of every number; raises ArtifactError."""
         write_json(path_of(path, "a friction model"), self.to_json())
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], path: Path) -> Self:
-        """Return the model of JSON data; error messages name `path`.
-
-        Raises
-        ------
-        ArtifactError
-            If a key or value is missing or invalid.
-        """
+        """Return the model of JSON data; raises ArtifactError with `path`."""
         file = from_json(ModelFile, data, path, "a friction model")
         joints = file.joints
         try:
@@ -327,13 +309,7 @@ class FrictionModel:
         return all(law.band for law in self.laws)
 
     def require_band(self) -> None:
-        """Check that the model has a band.
-
-        Raises
-        ------
-        SimulationError
-            If laws have none.
-        """
+        """Raise SimulationError if the model has no band."""
         if not self.banded:
             raise SimulationError(
                 f"friction model '{self.law}' has no band; fit the model to logs ('hesr fit')."
@@ -371,10 +347,7 @@ def band_around(
     torque: Array,
     coverage: float = LEVEL,
 ) -> tuple[Array, Array]:
-    """Return both ends (N, n) of the band around predicted torques (N, n) of joints.
-
-    Raises SimulationError if the model has no band.
-    """
+    """Return both ends (N, n) around predicted torques (N, n); SimulationError without a band."""
     model.require_band()
     coupling = model.coupling
     if coupling:

@@ -1,7 +1,4 @@
-"""Predictions of laws over logs and records, and their steps.
-
-As in the FMU, the inputs of sample k are held from t[k-1] to t[k], then the torque is read.
-"""
+"""Predictions of laws over logs: inputs of sample k act from t[k-1] to t[k], then tau is read."""
 
 from collections.abc import Sequence
 from functools import lru_cache

@@ -25,10 +25,7 @@ def predict_record(
     measured_start: bool = False,
     thermal: Thermal | None = None,
 ) -> Array:
-    """Return the (N,) torque [N.m] of a law for a record, at its temperature if `thermal` is given.
-
-    `measured_start` estimates the initial states from the first torques.
-    """
+    """Return a law's (N,) torque [N.m] for a record, at its temperature if `thermal` is given."""
     start = record_start(law, record) if measured_start and law.start_samples else None
     if thermal:
         # it imports SciPy's optimisers
@@ -45,10 +42,7 @@ def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Prediction errors [N.m] of one joint and R^2; None without rows of the kind.
-
-    `tau_std` is the error of the measured mean.
-    """
+    """Prediction errors [N.m] and R^2 of one joint; `tau_std` is the error of the measured mean."""
 
     tau_std: float
     rmse: float

@@ -123,10 +123,7 @@ class Parts:
 
 
 def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
-    """Return a law with a positive level and a factor `warm` of temperature on its bounds.
-
-    Raises ExportError if the law has no bound.
-    """
+    """Return a law with a level and a factor `warm` on its bounds; ExportError without bounds."""
     form = law.form
     scaled = tuple(scaled_bound(m, level * warm) for m in form.memory)
     carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]

@@ -62,10 +62,7 @@ class Thermal:
         return self.coulomb_scale * coulomb, self.viscous_scale * viscous
 
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
-        """Return the rise (N,) [K] of a joint over the ambient for friction power (N,) [W].
-
-        The power is held over the step `dt` (N,) [s] that ends at each row.
-        """
+        """Return the rise (N,) [K] over the ambient for power (N,) [W] held over `dt` (N,) [s]."""
         a = np.exp(-dt / self.time_constant)
         return self.resistance * recurrence(a, (1.0 - a) * power, start / self.resistance)
 

@@ -17,10 +17,7 @@ Range = tuple[float, float]  # least and greatest value
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedRange:
-    """Ranges of one joint's training records [rad/s, rad, N.m]; median `sample_time` [s].
-
-    Raises ArtifactError if ranges are not finite or not ordered, or the joint does not move.
-    """
+    """Ranges of training records [rad/s, rad, N.m]; ArtifactError if invalid or without motion."""
 
     sample_time: float
     dq: Range

@@ -94,10 +94,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
 
 
 def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
-    """Return a robot whose unknown parameters are identified, or None if that fails.
-
-    Only its springs are unknown if it has some and lists no known parameters.
-    """
+    """Return a robot whose unknown parameters are identified, or None if that fails."""
     informed = copy(model)
     if model.description.known is None:
         own = {"known": model.parameter_names[: model.inertial]}

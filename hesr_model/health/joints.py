@@ -99,10 +99,7 @@ def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescrip
 def without(
     robot: RobotDescription, rest: Mapping[str, float], *, temperatures: bool = False
 ) -> RobotDescription:
-    """Return a description without the joints that `rest` locks at positions [rad or m].
-
-    Their columns are skipped, those of `temperatures` if logs contain them.
-    """
+    """Return a description without the joints, and their columns, that `rest` locks [rad or m]."""
     if robot.transmission:
         raise RobotError(
             f"robot '{robot.name}' has a [transmission], whose motors turn joints that would be "

@@ -98,10 +98,7 @@ class LawErrors:
         return self._deviation(self.rows - self.rows[:, [other]])
 
     def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
-        """Return the ratios of all other laws to a law.
-
-        `family` is the number of simultaneous comparisons, by default that of the other laws.
-        """
+        """Return the ratios of all others to a law, in a `family` of simultaneous comparisons."""
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
         if self.too_short:
@@ -132,10 +129,7 @@ class LawErrors:
         }
 
     def seconds_for(self, law: str, other: str, ratio: float, family: int | None = None) -> float:
-        """Return the duration of logs of this kind [s] that would show a ratio of two RMSEs.
-
-        At most `MOST_SECONDS`; see `ratios` for `family`.
-        """
+        """Return the duration [s] of such logs, up to `MOST_SECONDS`, that would show a ratio."""
         difference = self.rows[:, self.laws.index(law)] - self.rows[:, self.laws.index(other)]
         error = float(self._deviation(difference[:, None])[0])
 
@@ -246,10 +240,7 @@ def two_sided(t: Array, degrees: float) -> Array:
 
 
 def detection_factor(degrees: float, level: float) -> float:
-    """Return the smallest log ratio, in standard errors, that is found with probability `POWER`.
-
-    The factor covers a low estimate of the standard error.
-    """
+    """Return the smallest log ratio, in standard errors, that is found with probability `POWER`."""
     low = chdtri(degrees, POWER)
     t = stdtrit(degrees, 1.0 - level / 2.0) + stdtrit(degrees, POWER)
     return float(t * np.sqrt(degrees / low))

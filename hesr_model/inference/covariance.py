@@ -213,10 +213,7 @@ def covariance_of_fit(
     *,
     carried: Array | None = None,
 ) -> Covariance:
-    """Return the covariance of an unweighted fit from its Jacobian (N, P) and residual (N,).
-
-    `labels` and `carried` are those of `covariance`.
-    """
+    """Return the covariance of an unweighted fit from its Jacobian (N, P); see `covariance`."""
     parts = [jacobian[labels == k] for k in range(int(labels[-1]) + 1)]
     gradients = jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None]
     hessians = [part.T @ part for part in parts]
@@ -279,11 +276,7 @@ def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]
 
 
 def _for_few_rows(moments: Sequence[Moments]) -> Array:
-    """Return the factor (P, P) for covariances that few rows around reversals determine.
-
-    Student's quantile over the normal one, with Satterthwaite's degrees of freedom of a sum of
-    squared influences (Bell and McCaffrey 2002).
-    """
+    """Return Student's over the normal quantile for few rows (P, P) (Bell and McCaffrey 2002)."""
     squares = np.sum([log.squares for log in moments], axis=0)
     fourths = np.sum([log.fourths for log in moments], axis=0)
     degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)

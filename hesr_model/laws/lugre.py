@@ -36,10 +36,7 @@ def bristle() -> Relaxation:
 def bristle_space(
     linear: tuple[str, ...], non_negative: int, **bounds: tuple[float, float]
 ) -> SearchSpace:
-    """Search the sliding deflection, F_s / F_c and v_s, within other `bounds` if given.
-
-    With sigma_0 = F_c / deflection and F_s = ratio F_c, eq. 1 is linear in the others.
-    """
+    """Search the sliding deflection F_c / sigma_0, F_s / F_c and v_s, within `bounds` if given."""
     f_c, deflection, ratio = sympy.symbols("F_c deflection ratio", real=True)
     usual = {"deflection": DEFLECTION_BOUNDS, "ratio": RATIO_TEXTBOOK, "v_s": VELOCITY_BOUNDS}
     return SearchSpace(

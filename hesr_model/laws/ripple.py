@@ -161,10 +161,7 @@ def _ranking(
 
 
 def starts(times: Times) -> Iterator[dict[str, float]]:
-    """Yield lag and smoothing for local searches: as selected, and off the limit of smoothing.
-
-    A search from the limit ends there or not, depending on round-off.
-    """
+    """Yield lag and smoothing for local searches: as selected, and off the limit of smoothing."""
     lag, smoothing = times
     for start in dict.fromkeys((smoothing, max(smoothing, _SMOOTHINGS[1]))):
         yield {LAG.name: lag, SMOOTHING.name: start}

@@ -51,10 +51,7 @@ _UNPACKERS: Mapping[bytes, Callable[[Path], io.BufferedIOBase]] = {
 
 
 def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = None) -> LogTable:
-    """Open text as a table, with the `names` of its columns if it has no header; raises LogError.
-
-    The `content` replaces that of the file.
-    """
+    """Open a text, or its `content`, with `names` if it has no header; raises LogError."""
     _require_length(path, path.stat().st_size)
     content = _content(path) if content is None else content
     _require_length(path, len(content or b""))
@@ -149,10 +146,7 @@ def _dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Text:
 def _table_in(
     path: Path, lines: Sequence[tuple[int, str]], names: Sequence[str]
 ) -> tuple[int, int, str]:
-    """Return the lines of the header (else the first) and of the first row, and the delimiter.
-
-    The first row has numbers, and is below a line with as many names; or has as many as `names`.
-    """
+    """Return the lines of the header (else the first) and of the first row, and the delimiter."""
     bare: list[tuple[int, list[str]]] = []  # rows without a header, and number of cells above
     for at, (number, line) in enumerate(lines):
         for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):

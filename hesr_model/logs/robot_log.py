@@ -127,13 +127,7 @@ class Log:
         return some_rows(self, arrays_of(self), rows)
 
     def parts(self) -> "tuple[Log, ...]":
-        """Return the parts between gaps that last at least 1 s.
-
-        Raises
-        ------
-        LogError
-            If no part is long enough.
-        """
+        """Return the parts between gaps that last at least 1 s; raises LogError if none does."""
         ends = [0, *self.gaps.tolist(), len(self.t)]
         if len(ends) == 2:
             return (self,)
@@ -187,36 +181,16 @@ class Log:
         return columns
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` of ``q1.., dq1.., tau1..`` (SI) over ``t`` [s].
-
-        Raises
-        ------
-        ConfigError
-            If pandas is not installed.
-        """
+        """Return a `pandas.DataFrame` (SI) over ``t`` [s]; ConfigError if pandas is missing."""
         return frames.pandas_frame(self._columns, index="t")
 
     def to_xarray(self) -> Any:
-        """Return an `xarray.Dataset` of the signals over time [s] and joint.
-
-        Raises
-        ------
-        ConfigError
-            If xarray is not installed.
-        """
+        """Return an `xarray.Dataset` over time [s] and joint; ConfigError if xarray is missing."""
         signals = {name: (values, _UNITS[name]) for name, values in self._signals.items()}
         return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
 
     def write(self, path: PathArg) -> None:
-        """Write the log as CSV or, with suffix ``.parquet``, as Parquet, with all digits.
-
-        The columns ``t, q1.., dq1.., tau1.., temperature1..`` are the defaults of a robot file.
-
-        Raises
-        ------
-        ArtifactError
-            If the file cannot be written.
-        """
+        """Write as CSV, or as Parquet by its suffix, with all digits; raises ArtifactError."""
         with written_whole(path_of(path, "a log")) as temporary:
             write_table(temporary, self._columns)
 

@@ -1,8 +1,4 @@
-"""Excitation design: Fourier motions with a well-conditioned rigid-body regressor (III-B).
-
-The gradient needs one finite difference per joint and quantity for all instants: 3 n + 1
-regressors.
-"""
+"""Excitation design: Fourier motions with a well-conditioned rigid-body regressor (III-B)."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -91,10 +87,7 @@ class Search:
         )
 
     def value_and_gradient(self, x: Array, weight: float) -> tuple[float, Array]:
-        """Return the log of a bound of cond(W_b) plus `weight` times the mean squared excess.
-
-        The excess is the relative part of |q - middle|, |dq|, |ddq| and |tau| above their limits.
-        """
+        """Return the log of a bound of cond(W_b) plus `weight` times the mean squared excess."""
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period
         series = self._series
@@ -235,10 +228,7 @@ class Excitation:
 
 
 def condition(model: Robot, base: tuple[int, ...], motion: Fourier) -> float:
-    """Return the condition number of W_b: `base` columns over one period, in SI, unscaled.
-
-    Time reversal leaves W_b unchanged, because rigid-body torque is even in velocity.
-    """
+    """Return the condition number of W_b: `base` columns over one period, in SI, unscaled."""
     t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
     columns = model.regressor(*motion.sample(t))[:, :, list(base)]
     return float(np.linalg.cond(columns.reshape(-1, columns.shape[2])))
@@ -247,11 +237,7 @@ def condition(model: Robot, base: tuple[int, ...], motion: Fourier) -> float:
 def design(
     model: Robot, settings: ExcitationSettings | None = None, *, progress: Progress = silent
 ) -> Excitation:
-    """Design the motion with the smallest `condition` within limits.
-
-    L-BFGS-B descends a smooth bound of the condition number from random motions; the best one is
-    refined. Raises RobotError if the limits do not fit the robot, FitError if they admit no motion.
-    """
+    """Design the motion with the smallest `condition` in limits; raises RobotError, FitError."""
     settings = settings or ExcitationSettings()
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
     limits = Limits.of(model, settings.limits)

@@ -63,10 +63,7 @@ class Limits:
 
     @classmethod
     def of(cls, model: Robot, given: MotionLimits) -> Self:
-        """Return the limits, by default the model's.
-
-        Raises RobotError if a list has not one entry per joint, or a position is out of range.
-        """
+        """Return the limits, by default the model's; raises RobotError if they do not fit it."""
         for key, entries in given:
             if entries is not None and len(entries) != model.n:
                 raise RobotError(
@@ -97,10 +94,7 @@ class Limits:
         )
 
     def shrink(self, motion: Fourier, model: Robot, rest: Array) -> Fourier:
-        """Shrink a motion until it keeps all limits.
-
-        For torque, all paths are shrunk towards the position `rest` (n,) [rad].
-        """
+        """Shrink a motion until it keeps all limits, for torque towards `rest` (n,) [rad]."""
         inner = 1.0 - _MARGIN
         q, dq, ddq = one_period(motion)
         path = q - motion.offset
@@ -147,10 +141,7 @@ class Limits:
         return towards_rest(low)
 
     def rest(self, model: Robot) -> Array:
-        """Return the position (n,) [rad] with the smallest gravity relative to the torque limits.
-
-        Raises FitError if gravity alone exceeds a limit everywhere.
-        """
+        """Return the position (n,) [rad] with the least gravity over limits; raises FitError."""
         places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
         places[0] = 0.5 * (self.lower + self.upper)
 

@@ -31,10 +31,7 @@ from hesr_model.support.arrays import Array
 
 
 class Streamed:
-    """The growing stacked problem of a robot.
-
-    Rows slower than `slow` (n,) [rad/s] are dropped, which depends on all motions: check `fits`.
-    """
+    """The growing stacked problem of a robot, without rows slower than `slow` (n,) [rad/s]."""
 
     def __init__(self, model: Robot, slow: Array | None = None) -> None:
         self._model, self._base = model, unknown_columns(model)
@@ -70,10 +67,7 @@ class Streamed:
     def body(
         self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
     ) -> identification.RigidBody:
-        """Return the rigid body; raises FitError.
-
-        Its covariance is that of `motions`: a sample, or a function that returns all of them again.
-        """
+        """Return the rigid body, with the covariance of some or all `motions`; raises FitError."""
         model, base, friction = self._model, self._base, self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         identification.require_speed(where, self._peaks, model)

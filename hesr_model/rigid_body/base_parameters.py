@@ -15,10 +15,7 @@ _LATER = 1e3  # springs replace no mass: their columns are chosen after those of
 
 
 def base_columns(model: Robot) -> tuple[int, ...]:
-    """Return the indices of a largest set of independent columns of the regressor, in order.
-
-    The pivoted QR at random states depends on neither logs nor units.
-    """
+    """Return a largest set of independent columns of the regressor in order, by pivoted QR."""
     return _independent(model, ())
 
 
@@ -49,10 +46,7 @@ def known_columns(model: Robot) -> list[int]:
 
 
 def unknown_columns(model: Robot, *, rotors: bool = False) -> tuple[int, ...]:
-    """Return a largest set of independent columns among those that are not known.
-
-    With `rotors`, rotors count as independent, as they are behind elastic gears.
-    """
+    """Return a largest set of independent unknown columns; `rotors` add those behind gears."""
     known = known_columns(model)
     own = range(10 * model.links, model.inertial) if rotors else ()
     return tuple(sorted({*_independent(model, [*known, *own]), *own} - {*known}))

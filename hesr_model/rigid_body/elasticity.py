@@ -126,10 +126,7 @@ def with_gears(
     model: Robot,
     links: Integers,
 ) -> list[Block]:
-    """Return blocks with columns of motor friction, and those of the motor sides.
-
-    `links` (n, 2) has the columns of Coulomb and viscous friction of each link.
-    """
+    """Return blocks with motor friction; `links` (n, 2) are the columns of each link's friction."""
     first = blocks[0].matrix.shape[1]
     places = first + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
     whole, motors = [], []
@@ -153,10 +150,7 @@ def with_gears(
 def gears_of(
     forms: Sequence[GearForm], joints: Sequence[str], x: Array, errors: Array, links: Integers
 ) -> tuple[ElasticGear, ...]:
-    """Return the gears of a solution `x` (P,) with standard errors, whose last columns they are.
-
-    `links` is that of `with_gears`.
-    """
+    """Return the gears in the last columns of a solution `x` (P,); `links` as in `with_gears`."""
     at, found = len(x) - sum(form.columns.shape[1] for form in forms), []
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
         places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))

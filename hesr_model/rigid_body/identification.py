@@ -88,24 +88,12 @@ class RigidBody:
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a rigid body that `write` or `hesr identify` has written.
-
-        Raises
-        ------
-        ArtifactError
-            If the file cannot be read, or a key or value in it is missing or invalid.
-        """
+        """Read a rigid body that `write` or `hesr identify` has written; raises ArtifactError."""
         path = path_of(path, "a rigid body")
         return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
 
     def write(self, path: PathArg) -> None:
-        """Write the rigid body as JSON, with every digit.
-
-        Raises
-        ------
-        ArtifactError
-            If the file cannot be written.
-        """
+        """Write the rigid body as JSON, with every digit; raises ArtifactError."""
         write_json(path_of(path, "a rigid body"), {"format": RIGID_BODY_FORMAT, **to_json(self)})
 
     def __repr__(self) -> str:
@@ -124,13 +112,7 @@ class RigidBody:
         return html_table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
     def torque(self, model: Robot, motion: Motion) -> Array:
-        """Return the rigid-body torque Y_b pi_b (eq. 6) over a motion, (N, n) [N.m].
-
-        Raises
-        ------
-        RobotError
-            If `model` is another robot than the identified one.
-        """
+        """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""
         return model.torque(self.parameters_for(model), *motion.states)
 
     def parameters_for(self, model: Robot) -> Array:
@@ -144,11 +126,7 @@ class RigidBody:
         return self.parameters
 
     def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
-        """Return torque errors over a motion, (N, n, r) [N.m]; None if the covariance is unknown.
-
-        They are for one standard deviation of each of the r independent parameter errors that
-        matter.
-        """
+        """Return torque errors (N, n, r) [N.m] of one deviation of r errors; None if unknown."""
         if self.covariance is None:
             return None
         values, vectors = np.linalg.eigh(self.covariance.matrix)

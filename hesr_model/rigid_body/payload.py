@@ -160,11 +160,7 @@ def _segments(motions: Sequence[Motion]) -> Integers:
 
 
 def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]) -> Array:
-    """Return the covariance of the unknowns with residuals correlated within segments.
-
-    The sandwich H^-1 (sum g g') H^-1 of cluster-robust regression (Liang and Zeger 1986), with the
-    gradient g of a segment.
-    """
+    """Return the covariance with residuals correlated in segments (Liang and Zeger 1986)."""
     gradients = np.zeros((1 + max(int(np.max(own)) for own in segments), len(solution.x)))
     for block, size, own in zip(blocks, solution.rmse, segments, strict=True):
         residual = (block.target - block.matrix @ solution.x) / size**2

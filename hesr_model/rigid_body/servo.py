@@ -108,10 +108,7 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
 
 
 def commanded(log: Log) -> tuple[Array, Array]:
-    """Return desired positions and velocities (N, n) of a log with commands.
-
-    Without `q_cmd` the position is the integral of `dq_cmd` from the first measured one.
-    """
+    """Return desired positions and velocities (N, n), q by integration if it was not logged."""
     if log.q_cmd is None:
         assert log.dq_cmd is not None
         moved = np.cumsum(log.dq_cmd[:-1] * np.diff(log.t)[:, None], axis=0)

@@ -273,10 +273,7 @@ def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
-    """A joint of a model file; joints that follow others have no degree of freedom.
-
-    `rest` is the position of the joint while it is locked; `parent` is the joint before it.
-    """
+    """A joint of a model file after `parent`, at `rest` while locked; followers are not free."""
 
     name: str
     freedom: int

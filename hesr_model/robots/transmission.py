@@ -123,10 +123,7 @@ class Coupling:
         return np.asarray(torque @ self.forward)
 
     def ends(self, torque: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the ends (N, n) at q of independent bands around torques (N, n) at u.
-
-        Squares of the distances from the torque add.
-        """
+        """Return the ends (N, n) at q of independent bands around torques (N, n) at u."""
         below, above = (np.maximum(x, 0.0) ** 2 for x in (torque - lower, upper - torque))
         square, same = self.forward**2, self.forward > 0.0
         middle = self.at_joints(torque)

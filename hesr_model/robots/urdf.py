@@ -156,10 +156,7 @@ def doubts_of_model(path: Path, model: Any) -> Iterator[Finding]:
 def doubts_of_chain(
     path: Path, joints: Sequence[str], masses: Array, bare: Mask, sprung: Iterable[str]
 ) -> Iterator[Finding]:
-    """Yield doubts about mass matrices (N, n, n) [kg.m2; kg] and joints without a range (n,).
-
-    Joints in `sprung` have a spring in the model file that the robot lacks.
-    """
+    """Yield doubts about mass matrices (N, n, n), joints without range (n,) and `sprung` ones."""
     for name in sprung:
         found = "has a spring, which its torque leaves out"
         yield _doubt("no-spring", path, name, found, "list it in 'springs' of the robot file")

@@ -27,11 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
-    """Return the result of `make`, computed once for all processes of a user.
-
-    `inputs` have a fixed order. Concurrent calls wait for the first one; a damaged entry is
-    rebuilt.
-    """
+    """Return the result of `make` for `inputs`, computed once for all processes of a user."""
     name = _name(inputs)
     from filelock import FileLock  # slow to import
 

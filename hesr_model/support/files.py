@@ -242,10 +242,7 @@ def _remove_whatever(folder: Path) -> None:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
-
-    On any exception, also an interrupt, an existing file stays unchanged. Raises ArtifactError.
-    """
+    """Yield a temporary path that becomes `path` if the block succeeds; raises ArtifactError."""
     with _room_for(path), ExitStack() as cleanup:
         try:
             cleanup.enter_context(folder_made(path.parent))

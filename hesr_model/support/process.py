@@ -32,10 +32,7 @@ class Ended:
 
 
 class ChildProcess:
-    """A program that runs in its own session; raises FailedError if it cannot be started.
-
-    The environment variable `mark` identifies all descendants, also outside the session.
-    """
+    """A program in its own session, with a `mark` on descendants; raises FailedError."""
 
     def __init__(
         self,

@@ -58,11 +58,7 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
 
 
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:
-    """Return (alpha, beta) from the geometry of the loop, as in stage 1 of the paper.
-
-    1 / alpha is the mean settling time after a reversal: area over height. beta is the slope of the
-    torque over speed at its sign change, relative to the sliding level.
-    """
+    """Return (alpha, beta) from settling time and slope after reversals, stage 1 of the paper."""
     s = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     level = 0.5 * float(np.quantile(s.tau, 0.9) - np.quantile(s.tau, 0.1))
@@ -76,10 +72,7 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
 
 
 def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
-    """Return the torque after each reversal, positive in the direction of motion, and its slope.
-
-    A course ends at the next reversal or after `COURSE` rows.
-    """
+    """Return the torque after each reversal, positive in the direction of motion, and its slope."""
     s = features.samples
     tau = s.tau - float(np.median(s.tau))
     flips = np.flatnonzero((s.dq[:-1] * s.dq[1:] < 0.0) & ~s.begins[1:])

@@ -41,11 +41,7 @@ class Candidate:
             raise ValueError("a candidate without a unit must not have arguments")
 
     def canonical(self) -> "Candidate":
-        """Return the same law in canonical form.
-
-        The gain is positive: its sign moves into the argument of an odd g, or becomes half a turn
-        of a cosine. The offset is within a quarter turn of zero for sin, half a turn for cos.
-        """
+        """Return the same law with a positive gain and the offset within half a turn."""
         theta, gain = self.theta.copy(), self.gain
         if self.g == "sin" and self.theta_active[0]:
             half_turns = np.round(theta[0] / np.pi)

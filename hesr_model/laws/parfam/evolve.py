@@ -29,10 +29,7 @@ def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
 def search(
     cell: Cell, g: str, features: Array, tau: Array, starts: Array, keep: int
 ) -> list[Candidate]:
-    """Return at most `keep` distinct laws with one unit g at one (alpha, beta), best first.
-
-    `features` (M, 4) are those of the searched rows, `starts` (S, 4) standardised theta.
-    """
+    """Return at most `keep` distinct laws with one unit g, best first, from `starts` (S, 4)."""
     found = arguments(g, features, features, tau, starts, keep)
     return [_candidate(cell, g, features, tau, theta) for theta in found]
 
@@ -145,11 +142,7 @@ class _Projected:
         return np.asarray(np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T)
 
     def _normal_equations(self, theta: Array) -> tuple[Array, Array]:
-        """Return the (S, F, F) Gram matrices and (S, F) gradients of theta.
-
-        The residual is orthogonal to the linear span, so the projected Jacobian enters by its Gram
-        matrix.
-        """
+        """Return the projected (S, F, F) Gram matrices and (S, F) gradients of theta."""
         argument, value, outside, gain = self.evaluate(theta)
         slope = gain * self.dg(argument, value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))

@@ -22,10 +22,7 @@ LARGEST_EXPONENT = 50.0
 
 @cache
 def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
-    """Return the slopes of a candidate's torque by `NUMBERS`, and its residual.
-
-    The slopes of h are states of their own, exact for the sampled h.
-    """
+    """Return a candidate's slopes by `NUMBERS`, exact for the sampled h, and its residual."""
     alpha, beta, *c, gain = NUMBERS[:7]
     theta, tau, argument = NUMBERS[7:], sympy.Symbol("tau", real=True), sympy.Symbol("argument")
     target = sympy.tanh(beta * DQ)

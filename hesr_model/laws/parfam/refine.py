@@ -37,11 +37,7 @@ def select(
     folds: Sequence[Mask],
     trained: TrainedRange,
 ) -> Candidate:
-    """Refine candidates, prune them and return the one that predicts left-out rows best.
-
-    The simplest of those within `SAME` wins. Raises FitError if all explode just outside the
-    trained ranges.
-    """
+    """Return the simplest refined and pruned candidate within `SAME` of the best, or FitError."""
     looked = list(found)
     for i, (evaluations, keep) in enumerate(ROUNDS):
         refined: list[Candidate] = []
@@ -80,10 +76,7 @@ def _terms(candidate: Candidate) -> int:
 
 
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
-    """Refine, then drop insignificant coefficients, the least significant first.
-
-    A coefficient stays if the fit without it is worse than predicted.
-    """
+    """Refine, then drop insignificant coefficients, the least significant first."""
     refined = Refinement(features, candidate).run(LONG)
     statistics = Refinement(features, refined).statistics()
     needed = np.zeros(11, bool)
@@ -206,10 +199,7 @@ class Refinement:
         return np.r_[k.alpha, k.beta, k.c, k.gain, k.theta], factors
 
     def _reduced(self, point: Array) -> Array:
-        """Return a square R with R'R = A'A, where A has the slopes and, last, the residual.
-
-        Levenberg-Marquardt depends on inner products alone, so it takes the same steps with R.
-        """
+        """Return a square R with R'R = A'A, A: slopes and residual; it leads to the same steps."""
         numbers, factors = self._at(point)
         products = self.run_of_slopes.products(numbers, self.weights)[:-1, :-1]
         used, factors = np.r_[self.active, True], np.r_[factors, 1.0]

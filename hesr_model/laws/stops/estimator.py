@@ -50,10 +50,7 @@ def waves(frequencies: Sequence[int], lag: float, samples: JointRows) -> Array:
 
 
 def select_waves(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -> Waves:
-    """Return the waves that lower the error on left-out rows by more than one standard error.
-
-    `base` (N, K) are the columns of a law with a force, the offset last; `weights` (N,) are 1 or 0.
-    """
+    """Return the waves that lower the error of `base` (N, K) by more than one standard error."""
     problem = _Problem(base=base, samples=samples, weights=weights)
     blocks = blocks_of(samples.dt, samples.begins)
     chosen = Waves(frequencies=(), lag=0.0)
