@@ -23,7 +23,7 @@ HERE = Path(__file__).parent
 DEBIAN = Path("/usr/bin/python3")
 JAX = Path(__file__).parents[3] / ".tools/jax/bin/python"
 EXPORT = {"torch": export_torch, "jax": export_jax}
-ROWS, SLOPES = 400, 40
+ROWS, SLOPES = 200, 40
 
 
 def _runs(*command: object) -> bool:
