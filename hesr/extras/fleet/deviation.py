@@ -1,10 +1,4 @@
-"""Outliers and trends over days.
-
-Scores are z = (x - median) / s, with s the scaled MAD; of logarithms for positive values. The MAD
-of n values is as precise as the standard deviation of 0.37 n values (Rousseeuw and Croux
-1993), so z has Student's t distribution with 0.37 (n - 1) degrees of freedom: conservative in
-simulations with at least 5 values.
-"""
+"""Outliers and trends over days; see docs/fleet.md, and Rousseeuw and Croux 1993 for the MAD."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

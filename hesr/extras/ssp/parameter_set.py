@@ -1,14 +1,4 @@
-"""Coefficients of a friction model as a parameter set of SSP 1.0, with their covariance.
-
-The covariance of each joint is in an annotation of the set, which other tools ignore:
-
-    <hesr:Joint number="1" names="joint[1].F_c joint[1].sigma_2">
-      <hesr:Row>0.012 -0.003</hesr:Row>
-      <hesr:Row>-0.003 0.04</hesr:Row>
-    </hesr:Joint>
-
-with one row per name.
-"""
+"""Coefficients as a parameter set of SSP 1.0, with their covariance in an annotation by joint."""
 
 from importlib.metadata import version as installed
 from pathlib import Path

@@ -127,6 +127,27 @@ _TRAIL = 2.5  # [s] length of the trail of the arm's end
 _PIECES = 60  # segments of a trail
 _LINE, _LEFT = 0.09, 0.3  # [m] line spacing of text, and its distance to the left of the arm
 _FOVY = 40.0  # [degrees]
+_ROOM = f"""<mujoco>
+  <statistic extent="3" center="0 0 0.5"/>
+  <visual>
+    <global offwidth="{WIDTH}" offheight="{HEIGHT}" fovy="{_FOVY}"/>
+    <headlight ambient="0.35 0.35 0.35" diffuse="0.35 0.35 0.35" specular="0.1 0.1 0.1"/>
+    <quality shadowsize="2048" offsamples="2"/>
+    <map znear="0.01"/>
+  </visual>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" rgb1="0.97 0.98 1" rgb2="0.8 0.85 0.9"
+      width="256" height="1536"/>
+    <texture name="tiles" type="2d" builtin="checker" mark="edge" rgb1="0.9 0.91 0.92"
+      rgb2="0.86 0.87 0.88" markrgb="0.8 0.81 0.82" width="256" height="256"/>
+    <material name="floor" texture="tiles" texrepeat="2 2" texuniform="true" reflectance="0.05"/>
+  </asset>
+  <worldbody>
+    <geom type="plane" size="200 200 0.1" material="floor"/>
+    <light type="directional" pos="0.5 0.4 3" dir="-0.2 -0.15 -1" diffuse="0.55 0.55 0.55"
+      specular="0.15 0.15 0.15" castshadow="true"/>
+  </worldbody>
+</mujoco>"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,7 +173,7 @@ class Stage:
         low, high = _space(shown)
         gap = (high[1] - low[1]) + 0.25 * float(np.linalg.norm(high - low))
         spots = gap * (np.arange(len(shown.runs)) - 0.5 * (len(shown.runs) - 1))
-        spec = _room()
+        spec = mujoco.MjSpec.from_string(_ROOM)
         for k, spot in enumerate(spots):
             frame = spec.worldbody.add_frame(pos=[0.0, float(spot), 0.0])
             solid = arm(shown.mjcf, shown.joints, paint=_ARM)
@@ -268,51 +289,6 @@ def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
     half = np.tan(np.radians(_FOVY) / 2)
     camera.distance = float(max(height, width * HEIGHT / WIDTH) / (2 * half) + 0.6 * high[0])
     return camera
-
-
-def _room() -> Any:
-    spec = mujoco.MjSpec()
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = WIDTH, HEIGHT
-    spec.visual.global_.fovy = _FOVY
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.35] * 3
-    spec.visual.headlight.specular = [0.1] * 3
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 2
-    spec.stat.extent, spec.stat.center = 3.0, [0.0, 0.0, 0.5]
-    spec.visual.map.znear = 0.01
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.97, 0.98, 1.0],
-        rgb2=[0.80, 0.85, 0.90],
-        width=256,
-        height=1536,
-    )
-    spec.add_texture(
-        name="tiles",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.90, 0.91, 0.92],
-        rgb2=[0.86, 0.87, 0.88],
-        markrgb=[0.80, 0.81, 0.82],
-        width=256,
-        height=256,
-    )
-    floor = spec.add_material(name="floor", texrepeat=[2.0, 2.0], texuniform=True, reflectance=0.05)
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[200.0, 200.0, 0.1], material="floor"
-    )
-    spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0.5, 0.4, 3.0],
-        dir=[-0.2, -0.15, -1.0],
-        diffuse=[0.55] * 3,
-        specular=[0.15] * 3,
-        castshadow=True,
-    )
-    return spec
 
 
 def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
