@@ -105,18 +105,15 @@ class FollowingError:
 
 @dataclass(frozen=True, kw_only=True)
 class Following:
-    """Following errors of the user's robot; `missing` is the reason if they are unknown.
+    """Following errors of the user's robot."""
 
-    The first row is that of the commands as logged, the last that of the recommended law.
-    """
-
-    missing: str = ""
+    missing: str = ""  # reason if they are unknown
     log: str = ""
     latency: float = 0.0  # [s]
     kv: _Errors = ()  # [N.m.s/rad]
     ki: _Errors = ()  # [N.m/rad]
     kp: _Errors = ()  # [1/s]
-    rows: tuple[FollowingError, ...] = ()
+    rows: tuple[FollowingError, ...] = ()  # first as logged, last the recommended law
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,13 +38,10 @@ class Section:
 
 @dataclass
 class Pictures:
-    """Figures of a page, also written as PDF and PNG; data of zooming views by key.
-
-    `brief` pages have neither files nor zooming views.
-    """
+    """Figures of a page, also written as PDF and PNG; data of zooming views by key."""
 
     folder: Path
-    brief: bool = False
+    brief: bool = False  # neither files nor zooming views
     zooms: dict[str, str] = field(default_factory=dict)
 
     def figure(

@@ -29,15 +29,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Chapter:
-    """Part of a section: `values` for template ``sections/KEY.html.j2``, None without data.
-
-    Plug-ins of the group hesr.chapters have their template in `folder`.
-    """
+    """Part of a section: `values` for template ``sections/KEY.html.j2``, None without data."""
 
     key: str
     title: str
     values: Callable[[Results], dict[str, Any] | None]
-    folder: Path | None = None
+    folder: Path | None = None  # of the template of a plug-in, in the group hesr.chapters
 
 
 @dataclass(frozen=True)

@@ -37,15 +37,12 @@ RECORDED = 1.1  # ratio of errors that a recommended test would find
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """RMSE of a law over that of its reference, and 95 % interval; None for short logs.
-
-    p is adjusted for the laws of the joint (Holm) and by `calibration`.
-    """
+    """RMSE of a law over that of its reference, and 95 % interval; None for short logs."""
 
     value: float
     low: float | None
     high: float | None
-    p: float | None = None  # None in earlier versions
+    p: float | None = None  # after Holm and `calibration`; None in earlier versions
     others: tuple[float, float] | None = None  # interval for other logs of this kind
 
     @property
@@ -95,21 +92,16 @@ class LawScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Scores of several laws on the same logs.
-
-    The velocity of predictions is causal; `zero_phase` is the RMSE with that of the fits. By joint,
-    `leading` has the law with the lowest error and all not significantly worse (Holm),
-    `detectable` the smallest ratio at which each other law would be found worse, if any.
-    """
+    """Scores of several laws on the same logs, whose velocity is causal in predictions."""
 
     joints: tuple[str, ...]
     tau_std: tuple[float, ...]  # standard deviation of friction [N.m]
     laws: Mapping[str, LawScores]
     ratios: Ratios
-    leading: tuple[tuple[str, ...], ...] = ()
+    leading: tuple[tuple[str, ...], ...] = ()  # lowest error, and not significantly worse (Holm)
     per_log: tuple[str, ...] | None = None  # fitted to each test log
     bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
-    detectable: tuple[Mapping[str, float], ...] = ()
+    detectable: tuple[Mapping[str, float], ...] = ()  # smallest ratio of a law that would show
     seconds: tuple[float, ...] = ()  # [s] test that finds `RECORDED`, median
     zero_phase: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE without lag
 

@@ -138,19 +138,14 @@ _AXES = {"rotary": ("0 0 1", "0 1 0"), "sliding": ("1 0 0", "0 0 1")}  # without
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Independent bodies, one per joint; a number that is None is identified.
-
-    `inertia` [kg.m2] of a sliding joint is its mass [kg]; `moment` [N.m] is the amplitude of the
-    gravity moment, zero at the position `phase` [rad], where the body hangs. Under `gravity` rotary
-    axes are horizontal and sliding ones vertical.
-    """
+    """Independent bodies, one per joint; a number that is None is identified."""
 
     kind: Literal["rotary", "sliding"]
     joints: tuple[str, ...]
-    gravity: bool = False
-    inertia: tuple[float, ...] | None = None
-    moment: tuple[float, ...] | None = None
-    phase: tuple[float, ...] | None = None
+    gravity: bool = False  # along sliding axes, across rotary ones
+    inertia: tuple[float, ...] | None = None  # [kg.m2], of a sliding joint mass [kg]
+    moment: tuple[float, ...] | None = None  # amplitude of the gravity moment [N.m]
+    phase: tuple[float, ...] | None = None  # position where the body hangs [rad]
     gear_ratio: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:

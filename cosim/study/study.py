@@ -81,13 +81,10 @@ class TimeBand(Config):
 
 
 class RefinementStudy(Config):
-    """Refinement of the body: again with fitted friction, or both to the simulated position.
-
-    Without `law`, output error refines every law, and the body if the robot has one joint.
-    """
+    """Refinement of the body: again with fitted friction, or both to the simulated position."""
 
     kind: Literal["in_turn", "output_error"] = "in_turn"
-    law: str = ""
+    law: str = ""  # by default all, and the body of a single joint, by output error
     rounds: int = Field(default=1, ge=1)
 
     @model_validator(mode="before")

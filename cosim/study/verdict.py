@@ -39,15 +39,11 @@ _LOADED = 0.5  # spread of the load over that of friction
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """Laws `tied` with the `best` on a joint, which a test cannot distinguish.
-
-    Errors of `detectable` times the lowest would have been found, from the law with the smallest to
-    that with the largest such ratio; None for a short test.
-    """
+    """Laws `tied` with the `best` on a joint, which a test cannot distinguish."""
 
     best: str
     tied: tuple[str, ...]
-    detectable: tuple[float, float] | None
+    detectable: tuple[float, float] | None  # range of ratios that would show; None: short test
     seconds: float  # [s] test that would find `RECORDED`
     law: str = ""  # recommended; empty in earlier versions
 

@@ -53,15 +53,12 @@ MOST_LINES = 25
 
 
 class Answer(ABC):
-    """Result of a command: `format` names its JSON format, `findings` has errors first.
-
-    `shows_tables` shows the tables without `--verbose`.
-    """
+    """Result of a command: `format` names its JSON format, `findings` has errors first."""
 
     format: str = "hesr-answer-1"
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
-    shows_tables: bool = False
+    shows_tables: bool = False  # also without --verbose
 
     @abstractmethod
     def summary(self) -> str:

@@ -26,14 +26,11 @@ KINDS = ("static", "references", "convention")  # kinds of HESR's own checks
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FmuReport(Answer):
-    """Result of `hesr.check`: a report for each file, in the order of the arguments.
-
-    `conventions` has the errors of the input conventions by file, for the kind ``convention``.
-    """
+    """Result of `hesr.check`: a report for each file, in the order of the arguments."""
 
     format = "hesr-fmu-report-1"
     reports: Sequence[Report]
-    conventions: Mapping[Path, Convention] = field(default_factory=dict)
+    conventions: Mapping[Path, Convention] = field(default_factory=dict)  # errors by file
     files: Sequence[Path] = ()
 
     @property

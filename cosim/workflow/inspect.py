@@ -22,17 +22,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Inspection(Answer):
-    """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings.
-
-    `limit` states the weakness of a short test in the proposed study, `failure` why none can run.
-    """
+    """Result of `hesr.inspect`: proposed robot file with reasons, its logs and findings."""
 
     format = "hesr-inspection-1"
     proposal: Proposal
     constants: Sequence[Constant] = ()
     next_command: str = ""
-    limit: str = ""
-    failure: str = ""
+    limit: str = ""  # weakness of a short test in the proposed study
+    failure: str = ""  # reason why no study can run
     files: Sequence[Path] = field(default_factory=tuple)
 
     @property

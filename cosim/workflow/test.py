@@ -31,10 +31,7 @@ KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LawReport(Answer):
-    """Result of `hesr.test`, by law; `scores` and `positions` [rad, m] are None without prediction.
-
-    `others` has the answers of kinds from plug-ins.
-    """
+    """Result of `hesr.test`, by law; `scores` and `positions` [rad, m] need the prediction."""
 
     format = "hesr-law-report-1"
     laws: Sequence[NamedLaw]
@@ -43,7 +40,7 @@ class LawReport(Answer):
     records: Records = ()
     audits: Mapping[str, ModelAudit] = field(default_factory=dict)
     properties: Mapping[str, Properties] = field(default_factory=dict)
-    others: Mapping[str, Answer] = field(default_factory=dict)
+    others: Mapping[str, Answer] = field(default_factory=dict)  # of kinds from plug-ins
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
 

@@ -28,17 +28,13 @@ _WIDTH = 75  # width of an example in the help, which is indented by 2 and may e
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """Command-line form of a parameter where it differs from the derived one.
-
-    `complete` is the source of the completion: a group of plug-ins, or ``"platforms"``; `option`
-    makes an option of a positional parameter; `least` is the smallest integer.
-    """
+    """Command-line form of a parameter where it differs from the derived one."""
 
     names: tuple[str, ...] = ()
     metavar: str | None = None
-    option: bool = False
-    least: int | None = None
-    complete: str = ""
+    option: bool = False  # although the parameter is positional
+    least: int | None = None  # smallest integer
+    complete: str = ""  # source of the completion: a group of plug-ins, or "platforms"
 
 
 _FORMS = {

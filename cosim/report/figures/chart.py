@@ -162,8 +162,7 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
             fontsize=8,
             color=SOFT,
         )
-    axis.set_title(panel.title)
-    axis.set_ylabel(panel.y)
+    axis.set(title=panel.title, ylabel=panel.y)
 
 
 def _dash(stroke: Stroke) -> LineStyleType:

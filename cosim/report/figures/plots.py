@@ -33,9 +33,7 @@ def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
         for axis, (x, panel) in zip(axes, panels, strict=True):
             for line in panel.lines:
                 plot(axis, line)
-            axis.set_title(panel.title)
-            axis.set_xlabel(x)
-            axis.set_ylabel(panel.y)
+            axis.set(title=panel.title, xlabel=x, ylabel=panel.y)
             handles = [proxy(line.stroke) for line in panel.lines]
             axis.legend(
                 handles,
@@ -82,8 +80,7 @@ def loops(
             axis.plot(*_parts(near, *measured, seen), color=SOFT, linewidth=0.6, alpha=0.7)
             axis.plot(*_parts(near, dq, tau, every), color=SERIES[0], linewidth=1.2)
             axis.set_title(title, fontsize=8.5)
-            axis.set_xlim(-reach, reach)
-            axis.set_ylim(low - margin, high + margin)
+            axis.set(xlim=(-reach, reach), ylim=(low - margin, high + margin))
         for axis in axes[len(laws) :]:
             axis.set_visible(False)
         figure.supxlabel(x, fontsize=9, y=0.04 / height, va="bottom")
@@ -118,9 +115,8 @@ def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str
         _ratio_axis(axis)
         axis.set_yticks(range(len(laws)), laws, color=INK, fontsize=8.5)
         axis.tick_params(axis="y", labelcolor=INK)
-        axis.set_ylim(len(laws) - 0.5, -0.5)
         axis.grid(visible=False, axis="y")
-        axis.set_xlabel(x)
+        axis.set(xlabel=x, ylim=(len(laws) - 0.5, -0.5))
         figure.legend(
             loc="outside upper left", ncols=len(joints), borderaxespad=0.0, handletextpad=0.3
         )

@@ -29,37 +29,25 @@ from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """Settings of the adaptation and thresholds of its alarms.
+    """Settings of the adaptation and thresholds of its alarms."""
 
-    correlation_time : of the unexplained torque [s].
-    forgetting_time : memory of the filter [s].
-    level_sd, viscosity_sd : initial and largest standard deviations.
-    offset, offset_sd, offset_rate [1/s] : limits relative to the noise.
-    rest : share of the largest speed below which nothing is learned.
-    outlier, clipped : limits of innovations in standard deviations.
-    hold : time without learning after an outlier [s].
-    carried : share of the learned factors in the next log.
-    change, change_of_offset : smallest detected change.
-    alarm : threshold of the log-likelihood ratio.
-    """
-
-    correlation_time: float = 0.5
-    forgetting_time: float = 60.0
-    level_sd: float = 0.05
+    correlation_time: float = 0.5  # of the unexplained torque [s]
+    forgetting_time: float = 60.0  # memory of the filter [s]
+    level_sd: float = 0.05  # initial and largest standard deviations
     viscosity_sd: float = 0.4
     offset_sd: float = 0.1
     level: tuple[float, float] = (0.5, 2.0)
     viscosity: tuple[float, float] = (0.3, 3.0)
-    offset: float = 3.0
-    offset_rate: float = 0.05
-    rest: float = 0.02
-    outlier: float = 6.0
+    offset: float = 3.0  # limits of the offset are relative to the noise
+    offset_rate: float = 0.05  # [1/s]
+    rest: float = 0.02  # share of the largest speed below which nothing is learned
+    outlier: float = 6.0  # limits of innovations in standard deviations
     clipped: float = 3.0
-    hold: float = 0.5
-    carried: float = 0.25
-    change: float = CHANGE
+    hold: float = 0.5  # time without learning after an outlier [s]
+    carried: float = 0.25  # share of the learned factors in the next log
+    change: float = CHANGE  # smallest detected change
     change_of_offset: float = CHANGE_OF_OFFSET
-    alarm: float = 20.0
+    alarm: float = 20.0  # threshold of the log-likelihood ratio
 
 
 TUNING = Tuning()

@@ -46,14 +46,11 @@ def adaptive_content(model: FrictionModel) -> Content:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Followed:
-    """Estimates of one joint in one log, before the torque of each row is used.
-
-    `fixed` is the torque of the law (N,) [N.m]; `outputs` are (N,) by name.
-    """
+    """Estimates of one joint in one log, before the torque of each row is used."""
 
     record: FrictionRecord
-    fixed: Array
-    outputs: dict[str, Array]
+    fixed: Array  # torque of the law (N,) [N.m]
+    outputs: dict[str, Array]  # (N,) by name
 
 
 def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[Component, ...]:

@@ -31,16 +31,12 @@ SUBSTEP = 1e-3  # default of the longest inner step [s]
 
 @dataclass(frozen=True, kw_only=True)
 class Motors:
-    """Motor and gear of each joint (n,); the ratio is motor turns per joint turn.
+    """Motor and gear of each joint (n,)."""
 
-    The inertia [kg.m2] is that of everything fixed to the rotor. Stiffness [N.m/rad], 0 for a rigid
-    gear, and damping [N.m.s/rad] are those of the flexspline, on the joint side of the gear.
-    """
-
-    inertia: tuple[float, ...]
-    stiffness: tuple[float, ...]
-    damping: tuple[float, ...]
-    ratio: tuple[float, ...]
+    inertia: tuple[float, ...]  # of everything fixed to the rotor [kg.m2]
+    stiffness: tuple[float, ...]  # of the flexspline, on the joint side [N.m/rad]; 0: rigid
+    damping: tuple[float, ...]  # of the flexspline [N.m.s/rad]
+    ratio: tuple[float, ...]  # turns of the motor per turn of the joint
 
 
 _NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {

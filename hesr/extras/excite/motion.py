@@ -22,14 +22,11 @@ Pulse = tuple[float, float, float, float]  # speed [rad/s], its ramps, hold and 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion(Trajectory):
-    """Quintic spline through setpoints `rows` (N, n) [rad] at a `rate` [Hz], at rest at both ends.
-
-    `parts` are names of its parts with first and last time [s].
-    """
+    """Quintic spline through `rows` (N, n) [rad] at a `rate` [Hz], at rest at both ends."""
 
     rate: float
     rows: Array
-    parts: tuple[tuple[str, float, float], ...] = ()
+    parts: tuple[tuple[str, float, float], ...] = ()  # name, first and last time [s]
 
     @cached_property
     def _spline(self) -> Any:

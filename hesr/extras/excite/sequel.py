@@ -35,15 +35,12 @@ Rows = Mapping[str, Any]  # t [s], dq [rad/s], q [rad], tau_load [N.m] of a log,
 
 @dataclass(frozen=True, kw_only=True)
 class Knowledge:
-    """What a run knows of a joint: its law and those tied with it, and the logs of its training.
-
-    `torques` are the measured friction torques of the logs [N.m], `speed` the limit [rad/s].
-    """
+    """What a run knows of a joint: its law and those tied with it, and the logs of its training."""
 
     laws: Mapping[str, FrictionLaw]
     logs: Sequence[Rows]
-    torques: Sequence[Array]
-    speed: float
+    torques: Sequence[Array]  # measured friction of the logs [N.m]
+    speed: float  # limit [rad/s]
 
     def residual(self, law: FrictionLaw) -> Array:
         """Return measured minus predicted torque [N.m] over all logs."""

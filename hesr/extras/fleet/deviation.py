@@ -47,13 +47,10 @@ def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """Straight line by least squares, with a two-sided p-value by Student's t.
+    """Straight line by least squares, with a two-sided p-value by Student's t."""
 
-    `slope` is per day, or per log without days; `change` is over all days.
-    """
-
-    slope: float
-    change: float
+    slope: float  # per day, or per log without days
+    change: float  # over all days
     p: float
 
 

@@ -14,19 +14,16 @@ from hesr_model.logs.tables import arrow
 
 @dataclass(frozen=True, kw_only=True)
 class JointResult:
-    """Result of one joint and law, or of the rigid body (`BODY`, no joint).
-
-    RMSE and standard deviation of friction [N.m; N]; `trends` relative to friction.
-    """
+    """Result of one joint and law, or of the rigid body (`BODY`, no joint)."""
 
     law: str
     joint: str
     structure: str
     values: Mapping[str, float]
     errors: Mapping[str, float]
-    rmse: float = 0.0
-    tau_std: float = 0.0
-    trends: Mapping[str, Trend] = field(default_factory=dict)
+    rmse: float = 0.0  # [N.m; N]
+    tau_std: float = 0.0  # of friction [N.m; N]
+    trends: Mapping[str, Trend] = field(default_factory=dict)  # relative to friction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,19 +92,16 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fleet:
-    """Result of a fleet; `reused` robots were complete before.
-
-    `z` is indexed by (robot, law, joint), then by name; `fmus` by (type, law, structure).
-    """
+    """Result of a fleet."""
 
     name: str
     robots: tuple[RobotResult, ...]
-    z: Mapping[tuple[str, str, str], Mapping[str, float]]
+    z: Mapping[tuple[str, str, str], Mapping[str, float]]  # by (robot, law, joint) and name
     deviants: tuple[Deviant, ...]
     changes: tuple[Change, ...]
-    fmus: Mapping[tuple[str, str, str], Path]
+    fmus: Mapping[tuple[str, str, str], Path]  # by (type, law, structure)
     folder: Path
-    reused: int
+    reused: int  # robots that were complete before
 
     @property
     def broken(self) -> Iterator[RobotResult]:

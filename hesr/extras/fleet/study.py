@@ -32,20 +32,16 @@ class RobotType(Config):
 
 
 class FleetStudy(Config):
-    """Content of a fleet file.
-
-    `level` is the adjusted significance, `least_change` a share of friction; `fmu` exports FMUs per
-    type.
-    """
+    """Content of a fleet file."""
 
     name: Name = "fleet"
     seed: int = Field(default=0, ge=0)
     laws: tuple[str, ...] = Field(default=("lugre",), min_length=1)
     options: Mapping[str, Mapping[str, Any]] = {}
     rows: int = Field(default=20_000, ge=1000, le=10**7)
-    level: float = Field(default=0.05, gt=0.0, lt=1.0)
-    least_change: float = Field(default=0.05, ge=0.0)
-    fmu: bool = True
+    level: float = Field(default=0.05, gt=0.0, lt=1.0)  # adjusted significance
+    least_change: float = Field(default=0.05, ge=0.0)  # share of friction
+    fmu: bool = True  # export FMUs per type
     platforms: tuple[str, ...] = ("linux64",)
     types: Mapping[Name, RobotType] = Field(min_length=1)
 

@@ -61,16 +61,13 @@ class BoardLog(Config):
 
 
 class BoardFile(Config):
-    """Content of a leaderboard file.
-
-    `warm_up` [s] is not scored: the initial state is unknown; `block` [s] is for the bootstrap.
-    """
+    """Content of a leaderboard file."""
 
     name: PrintableName = Field(min_length=1)
     robots: tuple[BoardRobot, ...] = Field(min_length=1)
     logs: tuple[BoardLog, ...] = Field(min_length=1)
-    warm_up: float = Field(default=2.0, ge=0.0)
-    block: float = Field(default=8.0, gt=0.0)
+    warm_up: float = Field(default=2.0, ge=0.0)  # [s] not scored: the initial state is unknown
+    block: float = Field(default=8.0, gt=0.0)  # [s] of the bootstrap
     classes: Mapping[PrintableName, tuple[Connector, ...]] = Field(default=CLASSES, min_length=1)
     scores: tuple[ScoreName, ...] = (*KINDS, "properties", "time")
     accept: tuple[str, ...] = ()

@@ -41,16 +41,13 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Tried:
-    """Evaluation of an entry: `inputs` that change the torque, torques (N, n) [N.m] per part.
-
-    `seconds` are per step; `ours` was exported here and runs in this process.
-    """
+    """Evaluation of an entry."""
 
     entry: Entry
     inputs: tuple[str, ...]
-    torques: Sequence[Array]
-    seconds: float
-    ours: bool
+    torques: Sequence[Array]  # (N, n) [N.m] per part
+    seconds: float  # per step
+    ours: bool  # exported here, so that it runs in this process
     model: FrictionModel | None
     properties: Properties | None
 
@@ -119,12 +116,7 @@ class ScoredRobot:
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Scores of an entry.
-
-    `relative` is the error over the size of friction, `ratio` that to the leader, with 95 %
-    intervals (simultaneous for `ratio`); `joints` holds RMSE [N.m; N]. `leads`: no entry of the
-    class is significantly better. `step` [s] is longer for `foreign` FMUs in their own process.
-    """
+    """Scores of an entry, with 95 % intervals (simultaneous for `ratio`)."""
 
     name: str
     robot: str
@@ -132,13 +124,13 @@ class Standing:
     law: str
     group: str
     inputs: tuple[str, ...]
-    relative: Mapping[board_file.Kind, board_file.Interval | None]
-    joints: Mapping[board_file.Kind, tuple[float | None, ...]]
-    ratio: board_file.Interval | None
-    leads: bool
+    relative: Mapping[board_file.Kind, board_file.Interval | None]  # error over size of friction
+    joints: Mapping[board_file.Kind, tuple[float | None, ...]]  # RMSE [N.m; N]
+    ratio: board_file.Interval | None  # to the leader
+    leads: bool  # no entry of the class is significantly better
     properties: Properties | None
-    step: float | None
-    foreign: bool
+    step: float | None  # [s]
+    foreign: bool  # in a process of its own, which takes longer
 
 
 @dataclass(frozen=True, kw_only=True)

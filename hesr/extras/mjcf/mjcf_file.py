@@ -166,15 +166,12 @@ _HEAD = """\
 
 @dataclass(frozen=True, kw_only=True)
 class JointProjection:
-    """Export of one joint; `missing` is the term without a counterpart (None: exact).
-
-    `fitted` and `unseen` are errors on the fitted and on another motion.
-    """
+    """Export of one joint."""
 
     joint: str
-    missing: str | None = None
-    fitted: Misfit | None = None
-    unseen: Misfit | None = None
+    missing: str | None = None  # term without a counterpart; None: exact
+    fitted: Misfit | None = None  # on the fitted motion
+    unseen: Misfit | None = None  # on another motion
     unit: str = "N.m"
 
     def __str__(self) -> str:

@@ -64,14 +64,11 @@ class _Printer(LanguagePrinter):
 
 @dataclass(frozen=True, kw_only=True)
 class Equations:
-    """A form in Modelica: signs of inputs held between events, equations and initial states.
-
-    `beginning` is empty if a rate depends on its state (no closed form).
-    """
+    """A form in Modelica: signs of inputs held between events, equations and initial states."""
 
     signs: Mapping[str, str]
     lines: tuple[str, ...]
-    beginning: tuple[tuple[str, str], ...]
+    beginning: tuple[tuple[str, str], ...]  # empty if a rate depends on its state: no closed form
 
 
 def equations(form: LawForm) -> Equations:

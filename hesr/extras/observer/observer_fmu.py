@@ -35,14 +35,11 @@ NAMES = NUMBERS[:6]
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverLimits:
-    """Numbers of the half-widths (6, n) in the order of `NAMES`, and threshold over half-width.
+    """Limits of the external torque, from a calibration or from a law's bands."""
 
-    `duration` [s] and `logs` are those of the calibration, 0 and none for those of a law's bands.
-    """
-
-    numbers: tuple[tuple[float, ...], ...]
-    factor: float
-    duration: float = 0.0
+    numbers: tuple[tuple[float, ...], ...]  # of the half-widths (6, n), in the order of `NAMES`
+    factor: float  # threshold over half-width
+    duration: float = 0.0  # of the calibration [s]
     logs: Sequence[str] = ()
 
     @property

@@ -22,8 +22,7 @@ def distributions(names: Sequence[str], values: Array) -> Figure:
             axis.hist(found, bins=_BINS, color=SERIES[0])
             for place in np.quantile(found, (0.05, 0.5, 0.95)) if len(found) else ():
                 axis.axvline(place, color=SOFT, linewidth=1.0, dashes=(4.0, 2.0))
-            axis.set_title(name)
-            axis.set_ylabel("runs")
+            axis.set(title=name, ylabel="runs")
     return figure
 
 

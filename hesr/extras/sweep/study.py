@@ -24,21 +24,17 @@ DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValida
 
 
 class SweepInput(Config):
-    """One varied number, set on variables `component.variable` (without index: all elements).
+    """One varied number: one of `values`, uniform from `low` to `high`, or normal."""
 
-    It is one of `values`, uniform from `low` to `high`, or normal. `factor` multiplies the start
-    values; `levels` counts the values in a grid.
-    """
-
-    variables: DistinctSignals
-    factor: bool = False
+    variables: DistinctSignals  # `component.variable`; without index all elements
+    factor: bool = False  # multiplies the start values
     values: tuple[float, ...] = ()
     low: float | None = None
     high: float | None = None
     mean: float | None = None
     std: float | None = Field(default=None, gt=0.0)
     integer: bool = False
-    levels: int = Field(default=5, ge=2)
+    levels: int = Field(default=5, ge=2)  # values in a grid
 
     @property
     def name(self) -> str:
@@ -89,16 +85,13 @@ Measure = Literal["rms", "max", "mean", "final"]
 
 
 class Measured(Config):
-    """One measured number of each run, over all elements of a signal minus `reference`.
-
-    RMS, largest magnitude, mean, or mean magnitude at the end, from `start` [s].
-    """
+    """One measured number of each run, over all elements of a signal minus `reference`."""
 
     name: str = Field(pattern=r"^[A-Za-z][\w ]*$")
     signal: Signal
     reference: Signal | None = None
-    measure: Measure = "rms"
-    start: float = Field(default=0.0, ge=0.0)
+    measure: Measure = "rms"  # "max" is that of magnitudes, "final" their mean at the end
+    start: float = Field(default=0.0, ge=0.0)  # [s]
 
 
 Design = Literal["grid", "latin_hypercube", "monte_carlo", "sobol"]
