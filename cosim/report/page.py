@@ -98,10 +98,7 @@ def compose_report(
     brief: bool = False,
     progress: Stages = silent,
 ) -> None:
-    """Write the page of results, which is read at `place`, and figures and tables to a folder.
-
-    A `brief` page has neither files of figures nor zooming views.
-    """
+    """Write the page of results, read at `place`, with files and zooming views unless `brief`."""
     *first, last = SECTIONS.items()
     further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]
     folded = dict([*first, *(((f.key, f.title), (replace(f, title=""),)) for f in further), last])

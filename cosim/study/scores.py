@@ -310,10 +310,7 @@ def _reference(
 def within(
     records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
-    """Return the rows of records and torques [joint][log] with start <= t < stop [s] in each log.
-
-    Raises ConfigError if no log has such rows.
-    """
+    """Return rows of records and torques with start <= t < stop [s]; ConfigError without any."""
     kept_records, kept_torques = [], []
     for of_joint, predicted in zip(records, torques, strict=True):
         rows = [time_band(r.t - r.t[0], start, stop) for r in of_joint]

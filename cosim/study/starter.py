@@ -37,11 +37,7 @@ class NewProject:
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
-    """Create a project folder for `hesr run`; see `hesr.new`.
-
-    The model (URDF, or MJCF with suffix ``.xml``) is copied without its meshes, but with the
-    files that it includes.
-    """
+    """Create a project folder for `hesr run`, with the model (URDF or .xml) and its includes."""
     require_new(folder)
     if model.suffix.lower() == ".xacro":
         raise RobotError(

@@ -83,10 +83,7 @@ def errors(
 
 
 def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
-    """Return which laws a test does not separate from the best, and what would show; or None.
-
-    `laws` are those recommended for each joint, if any.
-    """
+    """Return laws that a test does not separate from the best, with recommended `laws`; or None."""
     if not scores.detectable:
         return None
     rows = []
@@ -132,10 +129,7 @@ def left_out(
 
 
 def bands(name: str, scores: Comparison) -> ResultTable:
-    """Return the share of test rows within each law's 95 % band.
-
-    Notes: share of moving rows, share near reversals, width over that of an equal constant band.
-    """
+    """Return the share of test rows within each law's 95 % band; notes: moving, turning, width."""
 
     def cell(band: BandScore) -> TableCell:
         shares = (band.held_moving, band.held_reversal)

@@ -63,10 +63,7 @@ class Knowledge:
         return float(gained + 0.25 * np.log1p(apart) + np.mean(unseen))
 
     def shrinking(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
-        """Return the standard error of each coefficient with further rows, over today's.
-
-        Noise and misfit per row remain those of the covariance.
-        """
+        """Return standard errors with further rows of equal noise and misfit, over today's."""
         if law.covariance is None:
             return {}
         slopes, more = self._slopes(law), _slopes(law, new)
@@ -165,10 +162,7 @@ def rows_of(motion: PlannedMotion, guard: Guard) -> list[Rows]:
 def plan_sequel(
     planner: Planner, folder: Path, time: float
 ) -> tuple[dict[str, PlannedMotion], Forecast, list[str]]:
-    """Plan motions of `time` [s] in total after results: for friction, and a test if it helps.
-
-    Returns motions by purpose, what the next run is expected to find, and sentences.
-    """
+    """Plan motions of `time` [s] after results; return them by purpose, forecast and sentences."""
     results, guard = Results.read(folder), planner.guard
     known, joints = knowledge(results, guard), guard.robot.joints
     assert results.verdict is not None

@@ -23,10 +23,7 @@ class Deviation:
 
 
 def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
-    """Return each value's distance from the median of all, at least `ENOUGH`.
-
-    Standard `errors`, None if unknown, limit the distance.
-    """
+    """Return distances from the median of `ENOUGH` or more values, limited by their `errors`."""
     x = np.array(values, dtype=float)
     own = np.array([0.0 if error is None else error for error in errors])
     median = float(np.median(x))

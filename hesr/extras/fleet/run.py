@@ -48,10 +48,7 @@ _ERROR = "rmse"
 def compared(
     robots: Sequence[RobotResult], level: float
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
-    """Compare numbers of a type and law structure with at least `ENOUGH` robots.
-
-    Returns z by (robot, law, joint), then by name, and deviants at significance `level` (Holm).
-    """
+    """Compare robots of a type; return z by (robot, law, joint) and name, and deviants (Holm)."""
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:
         for one in robot.joints:

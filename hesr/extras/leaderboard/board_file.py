@@ -1,7 +1,4 @@
-"""Leaderboard file, and the scores of torques on its logs.
-
-One bootstrap draws the same times for all joints of a robot, since their errors are correlated.
-"""
+"""Leaderboard file, and scores: a bootstrap draws all joints together, as errors correlate."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

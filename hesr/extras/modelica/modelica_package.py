@@ -1,7 +1,4 @@
-"""Modelica export of a friction model.
-
-Browsers in modelling tools are often old: its documentation is plain HTML in ASCII.
-"""
+"""Modelica export of a friction model; its pages are plain ASCII HTML for old browsers."""
 
 import re
 from collections.abc import Mapping, Sequence

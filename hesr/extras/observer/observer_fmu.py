@@ -1,7 +1,4 @@
-"""Observer FMU: motion and motor torque in, external torque with its limits out.
-
-Limits are half-widths at 95 % over the motion, and the threshold of a contact.
-"""
+"""Observer FMU: motion and motor torque in; external torque, 95 % limits and threshold out."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, fields, replace

@@ -55,10 +55,7 @@ class _Bench:
 
 
 class FrictionBench(_Bench):
-    """A friction FMU whose joints move independently from `places` (n,) [rad].
-
-    With `exact` it integrates exactly over any step; `forever` is the time of steady sliding [s].
-    """
+    """A friction FMU whose joints move independently from `places` (n,) [rad]."""
 
     def __init__(self, component: FmuInstance) -> None:
         names: set[str] = {v.name for v in component.description.modelVariables}
@@ -72,9 +69,9 @@ class FrictionBench(_Bench):
                 )
         super().__init__(component, joints, [u.name for u in INPUTS], ["tau"])
         self.places = np.zeros(joints)
-        self.exact = DISCRETISATION in names
+        self.exact = DISCRETISATION in names  # over any step
         self._settles = START_MODE in names
-        self.forever = _FOREVER if self.exact else _LONG
+        self.forever = _FOREVER if self.exact else _LONG  # time of steady sliding [s]
 
     def start(
         self,

@@ -134,10 +134,7 @@ def _deflections(before: Array, tau: Array, way: Array) -> Array:
 def standing_inertia(
     robot: Robot, body: RigidBody, model: FrictionModel
 ) -> tuple[float, ...] | None:
-    """Return the inertia of each joint at the middle of the trained range [kg.m2].
-
-    It is that of `INERTIA`, else the diagonal of the identified mass matrix if positive.
-    """
+    """Return joint inertias at mid-range [kg.m2]: `INERTIA`, or a positive mass diagonal."""
     if body.robot in INERTIA:
         return INERTIA[body.robot]
     n = robot.n

@@ -18,10 +18,7 @@ COVARIANCE = "urn:hesr:covariance:1"
 
 
 def export_ssv(model: FrictionModel, path: Path) -> Path:
-    """Write coefficients and covariance of a friction model as .ssv, and return the path.
-
-    The names are those of its FMU. Laws without exposed coefficients have their scales instead.
-    """
+    """Write coefficients, or scales of laws that expose none, and covariance as .ssv."""
     if path.suffix != ".ssv":
         raise ExportError(f"{path}: a parameter set of SSP must end in .ssv.")
     require_numbers(model)

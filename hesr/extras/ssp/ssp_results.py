@@ -1,7 +1,4 @@
-"""Reference results of a system in an SSP, one experiment for each exchange scheme of engines.
-
-An SSP does not define when values are exchanged.
-"""
+"""Reference results in an SSP for each exchange scheme, as the standard defines none."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""The runs of a sweep on the workers of a dask.distributed scheduler.
-
-FMUs are identified by hash and cached on each machine. Chunks of dead workers are reassigned.
-"""
+"""Runs of a sweep on dask.distributed, with FMUs cached by hash; lost chunks are repeated."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
