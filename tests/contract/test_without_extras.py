@@ -64,6 +64,16 @@ reversed = ["excitation_reversed"]
 test.unseen = ["trial"]
 """
 
+FEW_STARTS = """
+[options.parfam_h]
+cells = 2
+starts = 4
+candidates = 2
+
+[options.parfam_v]
+starts = 4
+"""
+
 SYSTEM = """
 step = 0.01
 stop = 1.0
@@ -170,7 +180,7 @@ def test_fmus_are_exported_and_checked(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.ci
 def test_laws_of_the_paper_table_are_fitted(site: Path, tmp_path: Path) -> None:
-    laws = f"laws = {json.dumps(laws_of_paper())}\n"
+    laws = f"laws = {json.dumps(laws_of_paper())}\n{FEW_STARTS}\n"
     (tmp_path / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     (tmp_path / "study.toml").write_text(STUDY.replace("[twin]", f"{laws}[twin]"), encoding="utf-8")
     found = hesr(site, "run", "study.toml", "-o", "results", cwd=tmp_path)

@@ -7,7 +7,7 @@ import fakes as stand_ins
 import pytest
 from closed_loop import Bench, write_fmus
 from small_fmus import lag
-from small_study import Run
+from small_study import ALONE, Run
 
 from cosim.systems.system import SystemSpec
 from hesr_model.friction.model import FrictionModel
@@ -35,17 +35,17 @@ def bench(shared: Shared, table1: FrictionModel) -> Bench:
 
 @pytest.fixture(scope="session")
 def study_run(shared: Shared) -> Run:
-    """A run of the small study with all tables; its output goes to a pipe."""
+    """A run of the small study with all tables, in one process; its output goes to a pipe."""
 
     def make(folder: Path) -> None:
-        Run.make(folder, "-o", Run.of(folder).results, "--verbose")
+        Run.make(folder, "-o", Run.of(folder).results, "--verbose", program=ALONE)
 
     return Run.of(shared("study", make))
 
 
 @pytest.fixture(scope="session")
 def study_run_for_programs(shared: Shared) -> Run:
-    """The same run with JSON output and a relative output folder."""
+    """The same run by workers, with JSON output and a relative output folder."""
     options = ("-o", "results", "--json", "-", "--verbose")
     return Run.of(shared("study for programs", lambda folder: Run.make(folder, *options)))
 

@@ -37,6 +37,9 @@ friction = ["sweep"]
 unseen = ["trial"]
 """
 
+MAIN = "from hesr.cli import main; main()"
+ALONE = f"import os; os.cpu_count = lambda: 1; {MAIN}"  # no workers, which import all again
+
 
 def uf850(name: str) -> Path:
     """A file of the shipped robot."""
@@ -64,7 +67,7 @@ class Answer:
 def hesr_in_a_process(*arguments: object, cwd: Path | None = None) -> Answer:
     """Run the command line in a separate process."""
     result = subprocess.run(
-        [sys.executable, "-c", "from hesr.cli import main; main()", *map(str, arguments)],
+        [sys.executable, "-c", MAIN, *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -83,11 +86,11 @@ class Run:
     answer: Answer
 
     @classmethod
-    def make(cls, folder: Path, *options: object) -> None:
+    def make(cls, folder: Path, *options: object, program: str = MAIN) -> None:
         """Run the study in a folder; `of` reads that folder."""
         (folder / "study").mkdir()
         study = write_study(folder / "study")
-        command = (sys.executable, "-c", "from hesr.cli import main; main()", "run", study)
+        command = (sys.executable, "-c", program, "run", study)
         said = subprocess.run(
             [*map(str, command), *map(str, options)],
             capture_output=True,

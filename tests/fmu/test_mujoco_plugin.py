@@ -112,7 +112,7 @@ def every_law() -> list[FrictionModel]:
 @pytest.mark.parametrize(
     "steps",
     [
-        pytest.param(20_000, marks=pytest.mark.ci),
+        pytest.param(5_000, marks=pytest.mark.ci),
         pytest.param(1_000_000, marks=pytest.mark.soak),
     ],
 )
