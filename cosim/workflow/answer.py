@@ -48,8 +48,7 @@ def find_job(path: Path, verb: str) -> PluginJob | None:
     return None
 
 
-MOST_LINES = 25
-"""Largest number of lines of a summary."""
+MOST_LINES = 25  # largest number of lines of a summary
 
 
 class Answer(ABC):

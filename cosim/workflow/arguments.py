@@ -39,8 +39,7 @@ LawArg = FrictionModel | PathArg
 Laws = LawArg | Sequence[LawArg] | Mapping[str, LawArg]
 FmuArgs = PathArg | Sequence[PathArg]
 ResultArgs = PathArg | Sequence[PathArg]
-PerJoint = float | Sequence[float]
-"""One number for each joint, or one for all."""
+PerJoint = float | Sequence[float]  # one number for each joint, or one for all
 
 MOST_CELLS, _CELL = 2**22, 8  # numbers of logs held in memory, and their size [B]
 MOST_ROWS = 10**6  # rows of a fit or test
