@@ -20,7 +20,7 @@ from cosim.systems.system import SystemSpec, write_system
 from fmu_src import model_file
 from hesr.extras.ssp.container import write_container
 from hesr.extras.ssp.contents import read_contents
-from hesr.extras.sweep.run import run_sweep
+from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
 
 Tell = Callable[[str], None]

@@ -19,7 +19,7 @@ from hesr.extras.adaptive.page import write_monitor
 from hesr.extras.leaderboard.board_file import CLASSES, KINDS, Interval
 from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredLog, ScoredRobot, Standing
 from hesr.extras.leaderboard.tables import write_page
-from hesr.extras.sweep.run import run_sweep
+from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange

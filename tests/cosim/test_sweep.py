@@ -13,8 +13,8 @@ from pyarrow import parquet
 from small_fmus import LAGS
 
 from hesr.cli import main
+from hesr.extras.sweep.job import replay, run_sweep
 from hesr.extras.sweep.plan import chosen
-from hesr.extras.sweep.run import replay, run_sweep
 from hesr.extras.sweep.study import SweepStudy
 from hesr_model.errors import ArtifactError, ConfigError, LogError, SimulationError
 

@@ -15,7 +15,7 @@ from small_study import hesr_here
 from test_sweep import STUDY, files, written
 
 from hesr.extras.sweep import cluster
-from hesr.extras.sweep.run import run_sweep
+from hesr.extras.sweep.job import run_sweep
 from hesr_model.errors import ConfigError, WorkerError
 
 pytestmark = pytest.mark.ci

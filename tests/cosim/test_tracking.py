@@ -17,11 +17,11 @@ from cosim.loop.loops import (
     example,
     motions,
     require_reachable,
+    track,
 )
 from cosim.loop.motions import Motions
 from cosim.loop.run import check_masters
 from cosim.loop.traces import Tracked
-from cosim.loop.tracking import track
 from cosim.study.study import Study
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, write_system

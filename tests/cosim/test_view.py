@@ -21,16 +21,14 @@ import pytest
 from small_study import Hesr, hesr_here
 
 from cosim.loop.closed_loop import Scheme, StandIn
-from cosim.loop.loops import assemble, build, motions
+from cosim.loop.loops import assemble, build, motions, track
 from cosim.loop.traces import TRACES, Tracked, read_traces, write_traces
-from cosim.loop.tracking import track
 from cosim.study.study import Study
 from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
-from hesr.extras.view.runs import ViewOptions, choose
-from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, arm
+from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, ViewOptions, arm, choose
 from hesr.extras.view.video import RATE, drawing, write_video
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.model import FrictionModel
@@ -509,7 +507,7 @@ def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None
         variables.pop("MUJOCO_GL", None)
         program = (
             "import sys\nfrom pathlib import Path\n"
-            "from hesr.extras.view.runs import ViewOptions, choose\n"
+            "from hesr.extras.view.stage import ViewOptions, choose\n"
             "from hesr.extras.view.report import show\n"
             "choice = ViewOptions(speed=1.0)\n"
             "show(choose(Path(sys.argv[1]), choice), choice, turns=1)"

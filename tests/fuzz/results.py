@@ -185,8 +185,8 @@ def _robot_of_fleet(folder: Path) -> object:
 
 def _write_tracked(path: Path) -> None:
     from cosim.loop.closed_loop import Scheme
+    from cosim.loop.loops import _Kept
     from cosim.loop.traces import Trace, Tracked
-    from cosim.loop.tracking import _Kept
     from hesr_model.support.typed_files import to_json, write_json
 
     rows = np.array([[0.1, np.nan], [0.3, 0.4]])
@@ -302,7 +302,7 @@ RESULTS = {
     ),
     "paths": Reader(suffix=".npz", write=_write_paths, read=_paths),
     "tracked": Reader(
-        suffix=".json", write=_write_tracked, read=_result("cosim.loop.tracking", "_Kept")
+        suffix=".json", write=_write_tracked, read=_result("cosim.loop.loops", "_Kept")
     ),
     "robot of a fleet": Reader(
         suffix=".json",

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cosim.loop.closed_loop import Scheme, Setting, StandIn, VelocitySource
-from cosim.loop.loops import StudyLoop, motions
+from cosim.loop.loops import LoopMotion, LoopRow, StudyLoop, motions
 from cosim.loop.traces import Overcompensation, Tracked
-from cosim.loop.tracking import LoopMotion, LoopRow
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from hesr_model.motions.trajectories import Sine

@@ -12,8 +12,7 @@ from pathlib import Path
 import mujoco
 
 from cosim.workflow.answer import Written
-from hesr.extras.view.runs import Shown, ViewOptions
-from hesr.extras.view.stage import Stage
+from hesr.extras.view.stage import Shown, Stage, ViewOptions, choose
 from hesr_model.errors import ConfigError
 from hesr_model.support.progress import Stages, silent
 
@@ -73,8 +72,6 @@ def show_arm(
     progress: Stages = silent,
 ) -> Written:
     """Show an arm next to its commanded pose in a window, .mp4 or .webp; see `hesr.report`."""
-    from hesr.extras.view.runs import ViewOptions, choose
-
     choice = ViewOptions(laws=law, scheme=scheme, magnify=magnify, speed=speed)
     shown = choose(results, choice)
     if output is None:

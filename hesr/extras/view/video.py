@@ -16,8 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hesr.extras.view.runs import Shown, ViewOptions
-from hesr.extras.view.stage import HEIGHT, WIDTH, Stage
+from hesr.extras.view.stage import HEIGHT, WIDTH, Shown, Stage, ViewOptions
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, counted, silent
