@@ -18,10 +18,9 @@ from fmu_src.run.fmu import FmuInstance
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.properties.bench import DriveBench, FrictionBench
 from hesr.extras.properties.break_away import breakaway, dissipation, dither, hold, stick_slip
-from hesr.extras.properties.coupling import coupling
 from hesr.extras.properties.presliding import memory, presliding
 from hesr.extras.properties.scale import INERTIA, Scale, measure_scale, standing_inertia
-from hesr.extras.properties.sliding import chatter, lag, start, work
+from hesr.extras.properties.sliding import chatter, coupling, lag, start, work
 from hesr_model.audit.audit import loads_of
 from hesr_model.audit.properties import (
     EXPECTATIONS,

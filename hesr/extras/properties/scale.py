@@ -112,6 +112,10 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     # All joints reach the same share of their path at once.
     back = _BACK / np.max(creep)
     tau = bench.move(np.diff(back, prepend=0.0), np.broadcast_to(-creep, (len(back), len(creep))))
+    # displacement at half of the torque change after the reversal [rad]
+    turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
+    found = (back[:, None] * creep)[np.argmax(turned >= 0.5, axis=0), np.arange(bench.joints)]
+    inside = (found >= _DEFLECTIONS[0]) & (found <= _DEFLECTIONS[1])
     return Scale(
         speed=speed,
         speeds=speeds,
@@ -119,16 +123,8 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
         level=np.maximum(np.abs(steady[at]), _NO_FRICTION),
         offset=offset[at],
         load=load,
-        deflection=_deflections(before, tau, back[:, None] * creep),
+        deflection=np.where(inside, found, DEFLECTION),
     )
-
-
-def _deflections(before: Array, tau: Array, way: Array) -> Array:
-    """Return the displacement at half of the torque change after a reversal [rad]."""
-    turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
-    found = way[np.argmax(turned >= 0.5, axis=0), np.arange(len(before))]
-    inside = (found >= _DEFLECTIONS[0]) & (found <= _DEFLECTIONS[1])
-    return np.where(inside, found, DEFLECTION)
 
 
 def standing_inertia(
