@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
@@ -20,7 +20,7 @@ from fmu_src.export.toolchain import get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.live import PageBody
-from hesr_model.audit.properties import combined
+from hesr_model.audit.properties import Properties, combined
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
@@ -36,9 +36,6 @@ from hesr_model.support.files import folder_written_whole, models_folder, newest
 from hesr_model.support.progress import Progress, Stages, counted, silent
 from hesr_model.support.typed_files import to_json, write_json
 
-if TYPE_CHECKING:
-    from hesr_model.audit.properties import Properties
-
 Returned = TypeVar("Returned")
 
 _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")  # preloaded by the workers
@@ -53,7 +50,7 @@ class Outcome:
     models: Mapping[str, FrictionModel]
     fmus: Mapping[str, Path]
     left_out: Mapping[str, str]  # reasons by law
-    properties: "Mapping[str, Properties]"  # empty for a quick run
+    properties: Mapping[str, Properties]  # empty for a quick run
     verdict: Verdict
     following: Following = field(default_factory=Following)
     loop: LoopOutcome | None = None
@@ -223,7 +220,7 @@ def score_study(
 
 def _documented(
     fmus: Mapping[str, Path],
-    found: "Mapping[str, Properties]",
+    found: Mapping[str, Properties],
     law: str,
     model: FrictionModel,
     **more: Any,
@@ -240,7 +237,7 @@ def recommended(
     models: Mapping[str, FrictionModel],
     folder: Path,
     audits: Mapping[str, ModelAudit | None],
-    found: "Mapping[str, Properties]",
+    found: Mapping[str, Properties],
     **more: Any,
 ) -> dict[str, FrictionModel]:
     """Write and return the model with the recommended laws, if joints differ."""

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from cosim.report.tables.table import on_joints, title
 from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
-from hesr_model.audit.properties import combined
+from hesr_model.audit.properties import Properties, combined
 from hesr_model.forward.output_error import Refined
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
@@ -22,9 +21,6 @@ from hesr_model.logs.signals import MOVING
 from hesr_model.rigid_body.residual import all_at_friction
 from hesr_model.robots.description import statements
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
-
-if TYPE_CHECKING:
-    from hesr_model.audit.properties import Properties
 
 VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
 
@@ -123,7 +119,7 @@ def verdict(
     models: Mapping[str, FrictionModel],
     trained: Records,
     tested: Records,
-    properties: "Mapping[str, Properties]",
+    properties: Mapping[str, Properties],
     *,
     gear_ratio: bool,
     expected: Forecast | None = None,
@@ -258,9 +254,7 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(wide):.0f} s."
 
 
-def _weak(
-    own: LawScores, percent: Mapping[str, float], checks: "Properties | None"
-) -> Iterable[str]:
+def _weak(own: LawScores, percent: Mapping[str, float], checks: Properties | None) -> Iterable[str]:
     short = short_names(len(percent))
     if much := [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]:
         yield f"Poorly modelled: {', '.join(much)} (more than {_MUCH:g} % of friction unexplained)."

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop import tracking
+from cosim.loop import loops
 from cosim.loop.closed_loop import Scheme, StandIn
 from cosim.loop.excite import recordings
 from cosim.loop.loops import (
@@ -153,7 +153,7 @@ def test_an_interrupted_study_resumes(
         track(rows, motions(loop.tracking), progress=interrupt, **settings)
     ran = []
     run = tracking._tracked
-    monkeypatch.setattr(tracking, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
+    monkeypatch.setattr(loops, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
     again = track(rows, motions(loop.tracking), **settings)
     assert ran == [StandIn.ORACLE]
     assert list(map(to_json, again)) == list(map(to_json, whole))

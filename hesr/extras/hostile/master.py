@@ -183,10 +183,7 @@ class _Master:
         complete = {name: run for name, run in runs.items() if not run.refused}
         small = [complete[name] for name in ("dense", "held") if name in complete]
         reference = small or [nominal]
-        rows = np.concatenate([one.rows for one in reference])
-        finite = np.where(np.isfinite(rows), rows, 0.0)
-        rounding = np.maximum(1e-9 * np.abs(finite).max(axis=0), 1e-12)
-        scale: Array = np.maximum(np.ptp(finite, axis=0), rounding)
+        scale = _scale(np.concatenate([one.rows for one in reference]))
         own = np.zeros(len(self._outputs))
         fresh = [
             replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
@@ -258,6 +255,14 @@ def _run(outcome: Any, outputs: int) -> _Run:
         refused=refused,
         taken=outcome.get("taken"),
     )
+
+
+def _scale(rows: Array) -> Array:
+    """Return the range (outputs,) of each output, at least its round-off."""
+    finite = np.where(np.isfinite(rows), rows, 0.0)
+    rounding = np.maximum(1e-9 * np.abs(finite).max(axis=0), 1e-12)
+    scale: Array = np.maximum(np.ptp(finite, axis=0), rounding)
+    return scale
 
 
 def _around(run: _Run, references: Sequence[_Run], step: float) -> tuple[Array, Array]:

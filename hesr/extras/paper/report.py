@@ -1,6 +1,6 @@
 """Results of the study: judged claims, tables, and pages in HTML and Markdown."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -179,37 +179,33 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
     result = from_json(PaperResult, data, folder / FILE, "results of the paper's study")
     if path.suffix not in (".md", ".html"):
         raise ArgumentError(f"{path}: reports of a study of claims are .html and .md.")
-    with written_together(path) as file:
-        _write(result, path, file)
-
-
-def _write(result: PaperResult, path: Path, file: Callable[[Path], Path]) -> None:
     plain, shown = path.suffix == ".md", tables(result)
-    files = Tables(path.parent / (f"{path.stem}_tables" if plain else TABLES), file)
-    for heading, one in shown.items():
-        files.csv(one, heading.lower().replace(" ", "_"))
-    if plain:
-        bodies = [rows[StandIn.BODY_ONLY] for rows in result.tracking.values()]
-        text = _TEMPLATES.get_template("paper.md.j2").render(
-            command=result.command,
-            opening=opening(result),
-            bodies=[[f"{1e3 * error:.0f}" for error in body] for body in bodies],
-            controllers=[*result.tracking],
-            parts={heading: markdown(one) for heading, one in shown.items()},
-            files=[f"{files.folder.name}/{file}" for file in files.written],
-        )
-        file(path).write_text(text, encoding="utf-8")
-    else:
-        write_sections(
-            file(path),
-            title="HESR: claims of the paper",
-            heading="Claims of the paper on the digital twin",
-            summary=paragraph(" ".join(opening(result))),
-            sections=[
-                Section(key=heading.split()[-1], title=heading, html=table(one), folded=True)
-                for heading, one in shown.items()
-            ],
-        )
+    with written_together(path) as file:
+        files = Tables(path.parent / (f"{path.stem}_tables" if plain else TABLES), file)
+        for heading, one in shown.items():
+            files.csv(one, heading.lower().replace(" ", "_"))
+        if plain:
+            bodies = [rows[StandIn.BODY_ONLY] for rows in result.tracking.values()]
+            text = _TEMPLATES.get_template("paper.md.j2").render(
+                command=result.command,
+                opening=opening(result),
+                bodies=[[f"{1e3 * error:.0f}" for error in body] for body in bodies],
+                controllers=[*result.tracking],
+                parts={heading: markdown(one) for heading, one in shown.items()},
+                files=[f"{files.folder.name}/{file}" for file in files.written],
+            )
+            file(path).write_text(text, encoding="utf-8")
+        else:
+            write_sections(
+                file(path),
+                title="HESR: claims of the paper",
+                heading="Claims of the paper on the digital twin",
+                summary=paragraph(" ".join(opening(result))),
+                sections=[
+                    Section(key=heading.split()[-1], title=heading, html=table(one), folded=True)
+                    for heading, one in shown.items()
+                ],
+            )
 
 
 def opening(result: PaperResult) -> list[str]:

@@ -1,16 +1,13 @@
 """Page of a sweep."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from hesr.extras.sweep import tables
 from hesr.extras.sweep.figures import distributions, shares
-
-if TYPE_CHECKING:
-    from hesr.extras.sweep.plan import SweepRuns
+from hesr.extras.sweep.plan import SweepRuns
 
 _DESIGNS = {
     "grid": "a grid",
@@ -20,7 +17,7 @@ _DESIGNS = {
 }
 
 
-def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
+def write_page(swept: SweepRuns, path: Path, study: Path) -> None:
     """Write the page, with commands for the sweep file `study`."""
     pictures = Pictures(folder=path.parent)  # figures are embedded
     order = paragraph("Largest magnitude first, failed runs before all others.")
@@ -47,7 +44,7 @@ def write_page(swept: "SweepRuns", path: Path, study: Path) -> None:
     )
 
 
-def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
+def _outputs(swept: SweepRuns, pictures: Pictures) -> Markup:
     names = [output.name for output in swept.plan.study.outputs]
     drawn = pictures.shown(
         "distributions",
@@ -58,7 +55,7 @@ def _outputs(swept: "SweepRuns", pictures: Pictures) -> Markup:
     return joined(drawn, table(tables.outputs(swept)))
 
 
-def _sensitivities(swept: "SweepRuns", pictures: Pictures) -> Markup:
+def _sensitivities(swept: SweepRuns, pictures: Pictures) -> Markup:
     parts = [
         paragraph(
             "First order: share of an input alone; total: with all of its interactions. Shares of "

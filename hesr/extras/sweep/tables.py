@@ -3,20 +3,17 @@
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cosim.report.tables.table import ResultTable, TableCell, row_of
+from hesr.extras.sweep.plan import SweepRuns
 from hesr_model.support.arrays import Array
-
-if TYPE_CHECKING:
-    from hesr.extras.sweep.plan import SweepRuns
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-def outputs(swept: "SweepRuns") -> ResultTable:
+def outputs(swept: SweepRuns) -> ResultTable:
     """Return the distributions of the outputs."""
     rows = []
     for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
@@ -29,7 +26,7 @@ def outputs(swept: "SweepRuns") -> ResultTable:
     return ResultTable(caption="Outputs over all runs", head=head, rows=rows, note=note)
 
 
-def worst(swept: "SweepRuns", k: int, path: Path) -> ResultTable:
+def worst(swept: SweepRuns, k: int, path: Path) -> ResultTable:
     """Return the worst runs of output k, and commands to repeat them."""
     name, study = swept.plan.study.outputs[k].name, swept.plan.study
     rows = []
@@ -50,7 +47,7 @@ def replay_command(path: Path, run: int) -> str:
     return f"hesr simulate {shlex.quote(str(path))} --only {run} -o run{run}.csv"
 
 
-def sensitivities(swept: "SweepRuns") -> Iterator[ResultTable]:
+def sensitivities(swept: SweepRuns) -> Iterator[ResultTable]:
     """Yield the sensitivities of each output."""
     for one in swept.sensitivities:
         rows = [
