@@ -152,7 +152,7 @@ def test_an_interrupted_study_resumes(
     with pytest.raises(InterruptedForTestError):
         track(rows, motions(loop.tracking), progress=interrupt, **settings)
     ran = []
-    run = tracking._tracked
+    run = loops._tracked
     monkeypatch.setattr(loops, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
     again = track(rows, motions(loop.tracking), **settings)
     assert ran == [StandIn.ORACLE]
