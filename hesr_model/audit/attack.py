@@ -64,11 +64,9 @@ def _still(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
     amplitudes, loads = np.multiply(AMPLITUDES, trained.speed), loads_of(law, trained)
     for response in responses(law, trained, amplitudes, loads, _run):
         for c in cycles(*response):
+            given = -c.work if c.share < -_LEAST else 0.0
             yield Attack(
-                energy=-c.work if c.share < -_LEAST else 0.0,
-                amplitude=c.amplitude,
-                frequency=c.frequency,
-                mean=c.tau_load,
+                energy=given, amplitude=c.amplitude, frequency=c.frequency, mean=c.tau_load
             )
 
 

@@ -20,7 +20,7 @@ Functions of speed are bounded over all speeds up to 1e6 rad/s by interval arith
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from math import inf
 from typing import Literal
 
@@ -29,7 +29,7 @@ import sympy
 
 from hesr_model.audit.attack import Attack, attack
 from hesr_model.audit.audit import SLOWEST
-from hesr_model.equations.functions import absolute, cardinal_sine, larger, sgn
+from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
 from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest, never_negative
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -84,11 +84,9 @@ def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
     except _UnprovenError as reason:
         slowest = (trained.speed * SLOWEST, trained.speed * SLOWEST**2, 0.0)
         pairs = [(max(v, s), max(w, s)) for v, w in reason.speeds for s in slowest]
-        cycle, sequences = attack(law, trained, pairs)
+        cycle, tried = attack(law, trained, pairs)
         verdict: ProofVerdict = "refuted" if cycle else "tested"
-        return Certificate(
-            verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=sequences
-        )
+        return Certificate(verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=tried)
 
 
 def proven(law: FrictionLaw) -> bool:
@@ -142,6 +140,8 @@ class _Proof:
         self.conditions: list[str] = []
         self.step: float | None = inf
         self.least = 0.0
+        functions = self.output.atoms(sympy.Function)
+        self._curved = set[sympy.Symbol]().union(*(f.free_symbols for f in functions))
 
     def certificate(self) -> Certificate:
         damping = 0.0
@@ -168,10 +168,6 @@ class _Proof:
             largest_step=self.step,
         )
 
-    @cached_property
-    def _curved(self) -> set[sympy.Symbol]:
-        return set().union(*(f.free_symbols for f in self.output.atoms(sympy.Function)))
-
     def _element(self, element: Element) -> float:
         """Return the requirement on f [N.m.s/rad]."""
         x = element.state
@@ -187,16 +183,13 @@ class _Proof:
             own = element.velocity == DQ and damper == 0.0
             _require(own, f"the velocity of the stop {x} is not that of the joint")
             k = force * float(element.deflection) / 2.0
-            self.conditions.append(
-                f"F({x}) = {force:.3g} >= 0, bound {text_of(element.bound)} >= 0"
-            )
+            bound = text_of(element.bound)
+            self.conditions.append(f"F({x}) = {force:.3g} >= 0, bound {bound} >= 0")
         else:
             k = self._bristle(element, force)
         self.stored[element.name] = k
         self.texts.append(f"{k:.3g} {x}^2")
-        if damper == 0.0:
-            return 0.0
-        return self._damper(element, damper)
+        return 0.0 if damper == 0.0 else self._damper(element, damper)
 
     def _bristle(self, element: Relaxation, force: float) -> float:
         x = element.state
@@ -267,9 +260,9 @@ class _Proof:
             lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
             linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
             _require(linear, "the argument of a wave is not linear in angle and speed")
-            window = -1.0
+            window = -1.0  # longest step [s] without averaging
             for mean in factor.atoms(cardinal_sine):
-                window = _window(mean)
+                window = next((-float(f.args[0].subs(DT, 0)) for f in mean.atoms(positive)), 0.0)
                 factor = factor / mean
             amplitude, smoothing = factor, 0.0
             if not factor.is_number:
@@ -382,11 +375,3 @@ def _needed(groups: Sequence[tuple[float, ...]], step: float, speeds: Array) -> 
         need += amplitude * np.minimum(n * c, 2.0 / speeds)
         need += amplitude * np.minimum(n * smoothing / 2.0, 1.0 / speeds)
     return need
-
-
-def _window(mean: sympy.Expr) -> float:
-    """Return the longest step [s] without averaging of a wave."""
-    for part in mean.atoms(sympy.Function):
-        if part.func.__name__ == "positive":
-            return -float(part.args[0].subs(DT, 0))
-    return 0.0

@@ -137,10 +137,8 @@ class Component:
     @cached_property
     def ordered(self) -> tuple[Equation, ...]:
         """Equations, each after those it uses."""
-        by_symbol = {e.symbol: e for e in self.equations}
-        return tuple(
-            by_symbol[s] for s in in_order({s: e.expression for s, e in by_symbol.items()})
-        )
+        own = {e.symbol: e for e in self.equations}
+        return tuple(own[s] for s in in_order({s: e.expression for s, e in own.items()}))
 
     @property
     def outputs(self) -> tuple[Equation, ...]:

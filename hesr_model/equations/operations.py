@@ -54,12 +54,9 @@ class Graph:
         self.nodes: list[Node] = []
         self._places: dict[tuple[Any, ...], int] = {}
         self._of: dict[sympy.Basic, int] = {}
-        for dependence, symbols in (
-            (Dependence.NUMBERS, numbers),
-            (Dependence.INPUTS, self.inputs),
-        ):
+        for kind, symbols in ((Dependence.NUMBERS, numbers), (Dependence.INPUTS, self.inputs)):
             for i, symbol in enumerate(symbols):
-                self._of[symbol] = self._node("", (), i, dependence)
+                self._of[symbol] = self._node("", (), i, kind)
 
     def assign(self, assignments: Mapping[sympy.Symbol, sympy.Expr]) -> None:
         """Define symbols by expressions of earlier ones."""
@@ -182,15 +179,12 @@ class Graph:
             name, operands, None, Dependence.ROWS if mixed else max(*of, Dependence.NUMBERS)
         )
 
-    def _node(
-        self, name: str, operands: tuple[int, ...], detail: Any, dependence: Dependence
-    ) -> int:
+    def _node(self, name: str, operands: tuple[int, ...], detail: Any, kind: Dependence) -> int:
         # Literals are compared as text because 0.0 == -0.0.
-        text = repr(detail) if dependence is Dependence.LITERAL else detail
-        key = (name, operands, text, dependence)
+        key = (name, operands, repr(detail) if kind is Dependence.LITERAL else detail, kind)
         if key not in self._places:
             self._places[key] = len(self.nodes)
-            self.nodes.append(Node(name, operands, detail, dependence))
+            self.nodes.append(Node(name, operands, detail, kind))
         return self._places[key]
 
 
@@ -266,9 +260,7 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
     places = {k: 1 + i for i, k in enumerate((*inputs, *given, *uniform))}
     rest = [k for k in order if k not in places]
     registers = _allocate(nodes, rest, set(results), places, 1 + len(places))
-    literals = [
-        nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0 for k in given
-    ]
+    values = [nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0 for k in given]
     numbers = [
         (i, nodes[k].detail)
         for i, k in enumerate(given)
@@ -277,7 +269,7 @@ def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) 
     operations = [_encoded(nodes, k, places) for k in (*uniform, *rest)]
     return Program(
         inputs=(0, *(numbered[k] for k in inputs)),
-        given=np.array(literals, dtype=np.float64),
+        given=np.array(values, dtype=np.float64),
         numbers=np.array(numbers, dtype=np.int64).reshape(-1, 2).T,
         operations=np.array(operations, dtype=np.int32).reshape(-1, 5),
         uniform=len(uniform),

@@ -1,21 +1,19 @@
 """Straight-line programs of a component: ordered assignments."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import sympy
 
-from hesr_model.equations.component import Component, Equation, in_order
+from hesr_model.equations.component import Component, in_order
 from hesr_model.equations.functions import absolute, clip, positive, sgn
 from hesr_model.equations.memory import Element, Prompt
 
 Assignments = Mapping[sympy.Symbol, sympy.Expr]
+Expressions = dict[sympy.Symbol, sympy.Expr]
 
 STEEP = 1e-3  # half width of a jump without event [rad/s]
-
-_Part = TypeVar("_Part", Element, Equation)
 
 
 def moved(element: Element) -> sympy.Symbol:
@@ -23,10 +21,10 @@ def moved(element: Element) -> sympy.Symbol:
     return sympy.Symbol(f"{element.name}_moved", real=True)
 
 
-def step(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
+def step(memory: Iterable[Element]) -> Expressions:
     """Return the moved states; each uses the moved earlier ones."""
-    after: dict[sympy.Symbol, sympy.Expr] = {}
-    seen: dict[sympy.Symbol, sympy.Expr] = {}
+    after: Expressions = {}
+    seen: Expressions = {}
     for element in memory:
         first, second = (part.xreplace(seen) for part in element.parts)
         after[moved(element)] = element.sampled(first, positive(second))
@@ -42,12 +40,10 @@ def initial_symbol(element: Element) -> sympy.Symbol:
     return sympy.Symbol(f"{element.name}_begun", real=True)
 
 
-def initial_state(
-    memory: Iterable[Element], settling: sympy.Expr
-) -> dict[sympy.Symbol, sympy.Expr]:
+def initial_state(memory: Iterable[Element], settling: sympy.Expr) -> Expressions:
     """Return initial states, moved by the share `settling` to steady ones, and other values."""
-    found: dict[sympy.Symbol, sympy.Expr] = {}
-    seen: dict[sympy.Symbol, sympy.Expr] = {}
+    found: Expressions = {}
+    seen: Expressions = {}
     for element in memory:
         first, second = (part.xreplace(seen) for part in element.parts)
         settled = element.settled(first, positive(second))
@@ -63,35 +59,33 @@ def initial_state(
     return found
 
 
-def beginning(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+def beginning(component: Component) -> Expressions:
     """Return a component's initial states, and intermediate values."""
     own = initial_state(component.memory, component.settling)
     return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
 
 
-def derivatives(memory: Iterable[Element]) -> dict[sympy.Symbol, sympy.Expr]:
+def derivatives(memory: Iterable[Element]) -> Expressions:
     """Return each state's continuous derivative."""
     return {m.derivative: m.continuous() for m in memory}
 
 
-def readings(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+def readings(component: Component) -> Expressions:
     """Return derivatives of the states and all ordered equations."""
     return derivatives(component.memory) | {e.symbol: e.expression for e in component.ordered}
 
 
-def first_readings(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+def first_readings(component: Component) -> Expressions:
     """Return the readings before the first step, and the previous values there."""
     starts = component.starts
     own = {symbol: e.xreplace(starts) for symbol, e in starts.items()}
     return {**derivatives(component.memory), **component.starting, **own}
 
 
-def changes_along(
-    seeds: Mapping[sympy.Symbol, sympy.Expr], assignments: Assignments
-) -> dict[sympy.Symbol, sympy.Expr]:
+def changes_along(seeds: Assignments, assignments: Assignments) -> Expressions:
     """Return the change `d_...` of each assigned symbol along a direction of seeds."""
     known = dict(seeds)
-    changes: dict[sympy.Symbol, sympy.Expr] = {}
+    changes: Expressions = {}
     for symbol, expression in assignments.items():
         used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
         change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
@@ -136,11 +130,9 @@ class Jumps:
     @cached_property
     def signs(self) -> tuple[sympy.Symbol, ...]:
         """Symbol of each sign."""
-        return tuple(
-            sympy.Symbol(f"s_{i}", real=True) for i, _ in enumerate(self.expressions, start=1)
-        )
+        return tuple(sympy.Symbol(f"s_{i}", real=True) for i in range(1, len(self.expressions) + 1))
 
-    def held(self, assignments: Assignments) -> dict[sympy.Symbol, sympy.Expr]:
+    def held(self, assignments: Assignments) -> Expressions:
         """Replace signs in assignments by held ones, if the component has events."""
         if not self.component.events:
             return dict(assignments)
@@ -152,18 +144,12 @@ def event_free(component: Component) -> Component:
     """Return a component without events, whose jumps are steep lines."""
     jumps = Jumps(replace(component, reversing=())).expressions
     steep = {sgn(e): clip(e / STEEP, 1) for e in jumps}
-    return replace(
-        component,
-        events=False,
-        memory=tuple(_replaced(m, steep) for m in component.memory),
-        equations=tuple(_replaced(e, steep) for e in component.equations),
-    )
-
-
-def _replaced(part: _Part, swap: Mapping[sympy.Expr, sympy.Expr]) -> _Part:
-    parts = {f.name: getattr(part, f.name) for f in fields(part)}
-    new = {name: e.xreplace(swap) for name, e in parts.items() if isinstance(e, sympy.Basic)}
-    return replace(part, **new)
+    equations = []
+    for e in component.equations:
+        start = None if e.start is None else e.start.xreplace(steep)
+        equations.append(replace(e, expression=e.expression.xreplace(steep), start=start))
+    memory = tuple(m.subs(steep) for m in component.memory)
+    return replace(component, events=False, memory=memory, equations=tuple(equations))
 
 
 def _jumps(expression: sympy.Expr, z: sympy.Expr) -> bool:
@@ -182,9 +168,7 @@ def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.S
     return frozenset(used - assignments.keys())
 
 
-def needed(
-    assignments: Assignments, wanted: Iterable[sympy.Symbol]
-) -> dict[sympy.Symbol, sympy.Expr]:
+def needed(assignments: Assignments, wanted: Iterable[sympy.Symbol]) -> Expressions:
     """Return the ordered assignments for the wanted symbols."""
     keep: set[sympy.Symbol] = set()
     waiting = set(wanted) & assignments.keys()
@@ -198,18 +182,16 @@ def needed(
 
 def straight_line(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
-) -> tuple[dict[sympy.Symbol, sympy.Expr], dict[sympy.Symbol, str]]:
+) -> tuple[Expressions, dict[sympy.Symbol, str]]:
     """Return ordered assignments with shared subexpressions, and their short names `a_0`, .."""
     own = needed(assignments, wanted)
-    shared, results = sympy.cse(
-        list(own.values()), symbols=sympy.numbered_symbols("t"), order="none"
-    )
-    lines = dict(zip(own, results, strict=True)) | dict(shared)
+    shared, found = sympy.cse(list(own.values()), symbols=sympy.numbered_symbols("t"), order="none")
+    lines = dict(zip(own, found, strict=True)) | dict(shared)
     names = {symbol: f"a_{i}" for i, symbol in enumerate(own)}
     return {symbol: lines[symbol] for symbol in in_order(lines)}, names
 
 
-def sampled(component: Component) -> dict[sympy.Symbol, sympy.Expr]:
+def sampled(component: Component) -> Expressions:
     """Return the assignments of a step: `moved` states, then readings."""
     after = {m.state: moved(m) for m in component.memory}
     return step(component.memory) | {s: e.xreplace(after) for s, e in readings(component).items()}
@@ -231,8 +213,8 @@ class Invariants:
         """Split a program; fixed factors and terms are combined, and rounded as such."""
         wanted = tuple(wanted)
         lines, names = straight_line(program, wanted)
-        once: dict[sympy.Symbol, sympy.Expr] = {}
-        moving: dict[sympy.Symbol, sympy.Expr] = {}
+        once: Expressions = {}
+        moving: Expressions = {}
         known, parts = set(fixed), dict[sympy.Expr, sympy.Symbol]()
 
         def symbol_of(part: sympy.Expr) -> sympy.Symbol:

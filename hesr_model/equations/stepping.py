@@ -6,18 +6,10 @@ from typing import Any
 import numpy as np
 import sympy
 
+from hesr_model.equations import program
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import NUMPY, SCALAR
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.program import (
-    Assignments,
-    beginning,
-    first_readings,
-    initial_symbol,
-    moved,
-    sampled,
-    straight_line,
-)
 from hesr_model.support.arrays import Array
 
 
@@ -37,17 +29,17 @@ class Steps:
         before = [previous(e.name) for e in component.remembered]
         self.settle = _function(
             (given, states),
-            beginning(component),
-            ([initial_symbol(m) for m in component.memory],),
+            program.beginning(component),
+            ([program.initial_symbol(m) for m in component.memory],),
             lanes=lanes,
         )
         self.begin = _function(
-            (given, states), first_readings(component), (seen, remembered), lanes=lanes
+            (given, states), program.first_readings(component), (seen, remembered), lanes=lanes
         )
         self.step = _function(
             (given, states, before, (DT,)),
-            sampled(component) | {EULER: sympy.Integer(0)},
-            (seen, remembered, [moved(m) for m in component.memory]),
+            program.sampled(component) | {EULER: sympy.Integer(0)},
+            (seen, remembered, [program.moved(m) for m in component.memory]),
             lanes=lanes,
         )
 
@@ -125,12 +117,12 @@ class ComponentRun:
 
 def _function(
     arguments: Sequence[Sequence[sympy.Symbol]],
-    program: Assignments,
+    assignments: program.Assignments,
     targets: Sequence[Sequence[sympy.Symbol]],
     *,
     lanes: bool,
 ) -> Any:
-    lines, names = straight_line(program, [symbol for group in targets for symbol in group])
+    lines, names = program.straight_line(assignments, [s for group in targets for s in group])
     short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
     lines = {short.get(symbol, symbol): e.xreplace(short) for symbol, e in lines.items()}
     wanted = [[short[symbol] for symbol in group] for group in targets]

@@ -95,8 +95,7 @@ def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Arra
 def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
     """Return the changes of torque (N, r) [N.m] by one standard deviation of independent errors."""
     covariance = law.covariance
-    if covariance is None:
-        raise TypeError("a law without a covariance has no sensitivities")
+    assert covariance is not None
     deviations = np.sqrt(np.maximum(np.diag(covariance.matrix), _NONE))
     sizes, ways = np.linalg.eigh(covariance.matrix / np.outer(deviations, deviations))
     free = sizes > _RANK * max(float(sizes[-1]), _NONE)

@@ -53,12 +53,15 @@ def own_of_logs(
     own = [OwnOfLog() for _ in logs]
     if len(logs) > 1 and wanted:
         log, torque = log_of_rows(records), np.concatenate([r.tau for r in records])
-        dq = np.concatenate([r.dq for r in records])
+        dq, weights = np.concatenate([r.dq for r in records]), np.bincount(log) / len(log)
         columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
         for _ in range(_ROUNDS):
             level, offset = _of_rows(own, log)
             law = np.linalg.lstsq(level[:, None] * columns, torque - offset, rcond=None)[0]
-            own = _normalised(_fitted(columns @ law, torque, log, wanted), np.bincount(log), wanted)
+            own = _fitted(columns @ law, torque, log, wanted)
+            mean = float(weights @ [o.level for o in own]) if "level" in wanted else 1.0
+            shift = float(weights @ [o.offset for o in own]) if "offset" in wanted else 0.0
+            own = [OwnOfLog(level=o.level / mean, offset=o.offset - shift) for o in own]
     return dict(zip(logs, own, strict=True))
 
 
@@ -103,15 +106,6 @@ def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> O
     level = float(np.clip(x[0], _LEAST, _MOST))
     offset = float(np.mean(torque - level * predicted)) if "offset" in wanted else 0.0
     return OwnOfLog(level=level, offset=offset)
-
-
-def _normalised(
-    own: Sequence[OwnOfLog], rows: Integers, wanted: Sequence[Nuisance]
-) -> list[OwnOfLog]:
-    weights = rows / rows.sum()
-    level = float(weights @ [o.level for o in own]) if "level" in wanted else 1.0
-    offset = float(weights @ [o.offset for o in own]) if "offset" in wanted else 0.0
-    return [OwnOfLog(level=o.level / level, offset=o.offset - offset) for o in own]
 
 
 _NOISE_ROUNDS = 3  # of the noise
@@ -194,8 +188,7 @@ def adapt(
 def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
     law = prior.laws[k]
     covariance = law.covariance
-    if covariance is None:
-        raise TypeError("the prior needs a covariance")
+    assert covariance is not None
     if not (limits := _limits(law, covariance.names)):
         return law
     names, (low, high) = tuple(limits), np.array(list(limits.values())).T

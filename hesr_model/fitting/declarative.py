@@ -59,28 +59,26 @@ class Described(Estimator):
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple if it lowers the error."""
-        complete, samples, chosen = dict(structure), problem.samples, None
+        whole, samples, chosen = dict(structure), problem.samples, None
         if self.ripple and samples.gear_ratio is not None:
             columns = problem.columns(point)
             chosen = ripple.select(columns, samples, samples.gear_ratio, samples.folds)
         if chosen:
             waves, times = chosen
-            complete["ripple"] = to_json(waves)
+            whole["ripple"] = to_json(waves)
             numbers, space = problem.named(point), waves.extend_space(problem.space)
             problem = Separable(waves.extend(problem.form), space, samples)
             point = min(
                 (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),
                 key=lambda trial: problem.solve(trial)[1],
             )
-        law = replace(problem.law(point, self.name, complete), start_samples=self.start_samples)
+        law = replace(problem.law(point, self.name, whole), start_samples=self.start_samples)
         if not self.limited:
             return law
         # No training row is at the kink.
         most = {LOAD_MOST.name: 1.001 * float(np.max(np.abs(samples.tau_load)))}
-        complete["limited"] = True
-        return replace(
-            law, structure=complete, form=self.form(complete), values={**law.values, **most}
-        )
+        whole["limited"] = True
+        return replace(law, structure=whole, form=self.form(whole), values={**law.values, **most})
 
 
 class OneForm(Described):

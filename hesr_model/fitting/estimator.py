@@ -85,11 +85,6 @@ def register(estimator: Registered) -> Registered:
     return estimator
 
 
-def registered() -> Mapping[str, type[Estimator]]:
-    """Return the estimators by name."""
-    return _REGISTRY
-
-
 GROUP = "hesr.laws"  # entry points with a law's name and the module that registers it
 
 
@@ -98,7 +93,7 @@ def load_laws() -> None:
     """Register all laws; raise ConfigError if that of another package cannot be loaded."""
     for plugin in plugins.load(GROUP).values():
         plugin.load()
-        if plugin.name not in registered():
+        if plugin.name not in _REGISTRY:
             raise ConfigError(
                 f"{plugin.label} is not registered by '{plugin.entry.value}'; the entry point "
                 "must have the name of the law."
@@ -108,7 +103,7 @@ def load_laws() -> None:
 def registry() -> Mapping[str, type[Estimator]]:
     """Return all estimators by name, sorted by their `order`, then by name."""
     load_laws()
-    return dict(sorted(registered().items(), key=lambda item: (item[1].order, item[0])))
+    return dict(sorted(_REGISTRY.items(), key=lambda item: (item[1].order, item[0])))
 
 
 def laws_of_paper() -> tuple[str, ...]:
@@ -130,8 +125,8 @@ def laws_with(fact: str) -> tuple[str, ...]:
 def estimator(name: str) -> type[Estimator]:
     """Return the estimator of a law; raise ArtifactError if it is unknown."""
     plugin = plugins.load(GROUP).get(name)
-    if plugin and name not in registered():
+    if plugin and name not in _REGISTRY:
         plugin.load()  # it alone: the modules of all laws are slow to import
-    if name not in registered():
+    if name not in _REGISTRY:
         raise ArtifactError(f"law '{name}' is unknown; known are {', '.join(registry())}.")
-    return registered()[name]
+    return _REGISTRY[name]

@@ -48,14 +48,6 @@ def key_of(
     return key.hexdigest()[:24]
 
 
-def read_checkpoint(path: Path) -> FrictionLaw | None:
-    """Return the law; None if missing or incomplete."""
-    if path.is_file():
-        with suppress(ArtifactError):
-            return FrictionModel.read(path).laws[0]
-    return None
-
-
 def fit_joint(
     law: str,
     records: Sequence[FrictionRecord],
@@ -240,7 +232,10 @@ def _fitted(
     name = f"{law}.{records[0].joint}.{key_of(law, records, seed, options)}.json"
     path = kept / "".join(c if c.isalnum() or c in "._-" else "_" for c in name) if kept else None
     report = into_file(progress)
-    fitted = read_checkpoint(path) if path else None
+    fitted = None
+    if path and path.is_file():
+        with suppress(ArtifactError):  # incomplete
+            fitted = FrictionModel.read(path).laws[0]
     if fitted is None:
         try:
             with steps_told(report):

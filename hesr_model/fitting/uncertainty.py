@@ -82,9 +82,7 @@ def with_standard_errors(
     return _stated(whole, wider)
 
 
-def _derivatives(
-    function: Callable[[Array], tuple[Array, Array]], point: Array
-) -> tuple[Array, Array]:
+def _derivatives(of: Callable[[Array], tuple[Array, Array]], point: Array) -> tuple[Array, Array]:
     """Return central differences of two functions, (N, P) and (M, P)."""
     size = np.abs(point)
     steps = _STEP * np.maximum(size, 1e-3)
@@ -92,7 +90,7 @@ def _derivatives(
     steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
     columns = []
     for step in np.diag(steps):
-        sides = zip(function(point + step), function(point - step), strict=True)
+        sides = zip(of(point + step), of(point - step), strict=True)
         columns.append([(after - before) / (2.0 * step.sum()) for after, before in sides])
     first, second = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
     return first, second

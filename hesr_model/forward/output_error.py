@@ -13,16 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.audit.certificate import proven
-from hesr_model.forward.simulation import (
-    RUN_IN,
-    Logs,
-    Simulator,
-    Windows,
-    joined,
-    weightless,
-    whole,
-    windows_of,
-)
+from hesr_model.forward import simulation
+from hesr_model.forward.simulation import Simulator, Windows
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.stops.form import OLDEST
 from hesr_model.logs.signals import Motion
@@ -86,11 +78,11 @@ def refine(
     if a log is too short.
     """
     logs = [motion_records(motion, robot, body) for motion in motions]
-    sets = [windows_of(logs, LENGTH)]
+    sets = [simulation.windows_of(logs, LENGTH)]
     longest = max(float(log[0].t[-1] - log[0].t[0]) for log in logs)
-    free = weightless(logs, robot, body)
-    if free and longest >= RUN_IN + 4.0 * LONG:
-        sets.append(windows_of(logs, LONG))
+    free = simulation.weightless(logs, robot, body)
+    if free and longest >= simulation.RUN_IN + 4.0 * LONG:
+        sets.append(simulation.windows_of(logs, LONG))
     problem = _Problem(robot, body, friction, motions, logs, sets, with_body=with_body)
     halves = [problem.of_blocks(k) for k in range(2)]
     before = after = np.full((len(sets), robot.n), np.nan)
@@ -101,7 +93,7 @@ def refine(
         after = rms(np.array([half.sizes(change) for half, change in pairs]))
     if not rms(after / before, axis=None) < 1.0:
         return Refined(body=body, friction=friction, ratio=1.0, before=before, left_out=before)
-    problem.whole = [whole(log) for log in logs] if free else []
+    problem.whole = [simulation.whole(log) for log in logs] if free else []
     return problem.refined(problem.solved(rounds, starts, seed), before, after)
 
 
@@ -112,7 +104,7 @@ class _Problem:
         body: RigidBody,
         friction: FrictionModel,
         motions: Sequence[Motion],
-        logs: Logs,
+        logs: simulation.Logs,
         sets: Sequence[Windows],
         *,
         with_body: bool,
@@ -250,7 +242,7 @@ class _Problem:
                 friction=self._friction,
             )
             found = simulator.run(
-                joined([windows] * len(theta)),
+                simulation.joined([windows] * len(theta)),
                 values=[
                     np.repeat(np.array(of_law).T, count, axis=1)
                     for of_law in zip(*numbers, strict=True)

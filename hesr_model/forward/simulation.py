@@ -176,13 +176,11 @@ class Simulator:
         is not positive definite.
         """
         # MuJoCo uses the rates before a step: its states lag by one row.
-        run_in = (
-            windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
-        )
-        own = [None] * len(run_in) if values is None else values
+        x0 = windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
+        own = [None] * len(x0) if values is None else values
         now = _Moving(
             laws=[LawStepper(law, one) for law, one in zip(self.friction.laws, own, strict=True)],
-            x=[part.copy() for part in run_in],
+            x=[part.copy() for part in x0],
             q=windows.q[:, 0].copy(),
             v=windows.dq[:, 0].copy(),
         )

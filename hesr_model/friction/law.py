@@ -52,9 +52,8 @@ class LawForm:
         try:
             self.component  # noqa: B018 - raises what is wrong
         except ArtifactError as error:
-            raise ArtifactError(
-                f"friction law: {str(error).removeprefix('equations: ')}"
-            ) from error
+            said = str(error).removeprefix("equations: ")
+            raise ArtifactError(f"friction law: {said}") from error
 
     @cached_property
     def component(self) -> Component:

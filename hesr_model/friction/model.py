@@ -260,7 +260,7 @@ class FrictionModel:
         if t is None or dq is None:
             raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")
         time = np.asarray(t, dtype=float)
-        speed, position, load = (
+        speed, place, load = (
             self._rows(name, values, len(time))
             for name, values in (("dq", dq), ("q", q), ("tau_load", tau_load))
         )
@@ -271,11 +271,9 @@ class FrictionModel:
                 f"after {time[row - 1]:g} s."
             )
         if self.coupling:
-            speed, position = self.coupling.motion(speed), self.coupling.motion(position)
+            speed, place = self.coupling.motion(speed), self.coupling.motion(place)
             load = self.coupling.torque(load)
-        return self._at_joints(
-            predict_joints(self.laws, t=time, dq=speed, q=position, tau_load=load)
-        )
+        return self._at_joints(predict_joints(self.laws, t=time, dq=speed, q=place, tau_load=load))
 
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL

@@ -81,11 +81,9 @@ class Torques:
         whole = model.torque(model.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
 
-    def at(self, coupling: Coupling) -> "Torques":
+    def at(self, own: Coupling) -> "Torques":
         """Transform torques of joints to coupled coordinates."""
-        return Torques(
-            gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
-        )
+        return Torques(gravity=own.torque(self.gravity), inertial=own.torque(self.inertial))
 
 
 def as_logged(

@@ -12,7 +12,6 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.health import positions
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.mistakes import check_causes
-from hesr_model.health.positions import check_loss
 from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import (
     NO_SIGNAL,
@@ -83,7 +82,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
             clocks, late = check_clocks(part, [j for j in fit if fit[j].r2 > NO_SIGNAL], model)
             blurred = {*late, *(j for j in fit if robot.joints[j] in coarse)}
             found = (*clocks, *check_torque(own, fit, model, blurred))
-            findings += of_log(part.log, (*found, *check_loss(own, torque, model)))
+            findings += of_log(part.log, (*found, *positions.check_loss(own, torque, model)))
         findings = _caused(findings, check_causes(parts, model))
     return Examination(
         findings=tuple(merged(_without_followers(findings))),
@@ -124,10 +123,8 @@ SYMPTOMS = (
 
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
-    everywhere = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
-    kept = [
-        f for f in findings if f.check not in SYMPTOMS or not (everywhere or local & set(f.joints))
-    ]
+    every = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
+    kept = [f for f in findings if f.check not in SYMPTOMS or not (every or local & set(f.joints))]
     signs = {f.joints: f.found for f in findings if f.check == "torque-sign"}
     told = [
         replace(c, found=signs[c.joints])

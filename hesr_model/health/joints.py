@@ -13,13 +13,9 @@ from hesr_model.health.evidence import LEAST_TRAVEL, Motionwise
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.log_table import LogTable
+from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.model_file import arm, joints_of, locked
-from hesr_model.robots.robot import (
-    RobotDescription,
-    RobotLike,
-    description_of,
-    description_of_model,
-)
+from hesr_model.robots.robot import RobotLike, description_of, description_of_model
 
 
 def is_model(robot: RobotLike) -> bool:

@@ -110,7 +110,8 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     if fit.r2 < _EXPLAINED:
         return
     weightless = fit.bears_gravity and fit.gravity.value + _SURE * fit.gravity.error < 1.0 / _SCALE
-    if weightless or (abs(fit.gravity.t) > _SURE and (fit.bears_gravity or _far_too_large(fit))):
+    huge = fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
+    if weightless or (abs(fit.gravity.t) > _SURE and (fit.bears_gravity or huge)):
         scale, margin, of = abs(fit.gravity.value), _SURE * fit.gravity.error, "gravity"
     else:
         scale, margin, of = fit.inertia.value, _SURE * fit.inertia.error, "inertial"
@@ -129,10 +130,6 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     times = f"{max(scale, 0.0):.2g} (+- {margin:.1g}) times"
     said = f"its torque is {times} the {of} torque of the model"
     yield of_joint("torque-scale", robot.joints[j], said, remedy, changes=changes)
-
-
-def _far_too_large(fit: JointTorque) -> bool:
-    return fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
 
 
 def _why_scaled(

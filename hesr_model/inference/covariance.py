@@ -139,9 +139,7 @@ def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
 
 def blocks_of_time(logs: Integers) -> Integers:
     """Return the labels of logs (N,), or of blocks of time for a single log."""
-    if np.any(logs != logs[0]):
-        return logs
-    return np.arange(len(logs)) * BLOCKS // len(logs)
+    return logs if np.any(logs != logs[0]) else np.arange(len(logs)) * BLOCKS // len(logs)
 
 
 def covariance(

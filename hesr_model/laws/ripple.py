@@ -72,9 +72,8 @@ class Ripple:
             amplitude = Coefficient(name=name, unit="N.m", description="amplitude of ripple")
             coefficients.append(amplitude)
             torque += amplitude.symbol * (wave(k * angle) / (1 + (k * fast) ** 2))
-        return replace(
-            form, coefficients=(*coefficients, LAG, SMOOTHING), output=form.output + torque
-        )
+        coefficients += [LAG, SMOOTHING]
+        return replace(form, coefficients=tuple(coefficients), output=form.output + torque)
 
     def extend_space(self, space: SearchSpace) -> SearchSpace:
         """Return the space of the extended form."""

@@ -83,12 +83,9 @@ class _Text:
     data: int  # line of the first row
 
 
-def _opened(path: Path, content: bytes | None) -> BinaryIO:
-    return path.open("rb") if content is None else io.BytesIO(content)
-
-
 def _as_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
-    return io.TextIOWrapper(_opened(path, content), encoding="utf-8-sig", newline=newline)
+    file: BinaryIO = path.open("rb") if content is None else io.BytesIO(content)
+    return io.TextIOWrapper(file, encoding="utf-8-sig", newline=newline)
 
 
 def _content(path: Path) -> bytes | None:

@@ -50,16 +50,13 @@ Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
 
 def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:
     """Fill a pattern with joint numbers (``{}`` from 1, ``{0}`` from 0) or names (``{name}``)."""
-    if isinstance(columns, str):
-        return [_filled(columns, k, name) for k, name in enumerate(joints)]
-    return list(columns)
-
-
-def _filled(pattern: str, index: int, name: str) -> str:
-    for place, text in zip(_PLACES, (index + 1, index + 1, index, name), strict=True):
-        if place in pattern:
-            return pattern.replace(place, str(text))
-    return pattern
+    if not isinstance(columns, str):
+        return list(columns)
+    pattern = columns.replace("{}", "{1}")  # it has one place
+    return [
+        pattern.replace("{1}", f"{k}").replace("{0}", f"{k - 1}").replace("{name}", name)
+        for k, name in enumerate(joints, start=1)
+    ]
 
 
 OPTIONAL = {"q_cmd": "q_cmd{}", "dq_cmd": "dq_cmd{}", "temperature": "temperature{}"}

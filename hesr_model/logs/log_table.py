@@ -1,7 +1,8 @@
 """A table of numbers, with messages that name the wrong cell."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,17 @@ def listed(names: Sequence[str]) -> str:
     more = len(names) - _MOST_LISTED
     shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names]
     return ", ".join((*shown[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
+
+
+@contextmanager
+def readable(path: Path, what: str) -> Iterator[None]:
+    """Raise LogError for errors of libraries, of many kinds, in the block."""
+    try:
+        yield
+    except LogError:
+        raise
+    except Exception as error:
+        raise LogError(f"{path}: cannot be read as {what}.") from error
 
 
 def most_bytes(path: Path) -> int:

@@ -9,19 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hesr_model.errors import LogError
+from hesr_model.logs import robot_log
 from hesr_model.logs.readers.formats import sample_pieces
-from hesr_model.logs.robot_log import (
-    LONGEST_GAP,
-    SHORTEST_PART,
-    USUAL,
-    Log,
-    arrays_of,
-    log_of,
-    require_increase,
-    require_rate,
-    require_rows,
-    without_parts,
-)
+from hesr_model.logs.robot_log import Log, arrays_of
 from hesr_model.logs.signals import Grid, Motion, filtered
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, joined
@@ -63,8 +53,8 @@ class StepCounts:
     @property
     def longest(self) -> float:
         """Step [s] above which there is a gap, as `Log.longest_step`."""
-        (most,) = self._at(int(USUAL * (self._counts.sum() - 1)))
-        return LONGEST_GAP * max(self.period, self.mean(most))
+        (most,) = self._at(int(robot_log.USUAL * (self._counts.sum() - 1)))
+        return robot_log.LONGEST_GAP * max(self.period, self.mean(most))
 
     def mean(self, longest: float) -> float:
         """Mean [s] of the steps up to `longest` [s]."""
@@ -107,12 +97,12 @@ class LongLog:
         self.travel: Array = np.empty(0)
         self._dropped = 0
         parts = self._split(self._surveyed(), np.inf)
-        require_rows(self._where, parts[0].last if parts else 0)
+        robot_log.require_rows(self._where, parts[0].last if parts else 0)
         (whole,) = parts
         longest = whole.steps.longest
         if isinstance(source, Path):
             place = f"{self._where}: {self._time}"
-            require_rate(place, whole.steps.period, whole.steps.mean(longest), robot)
+            robot_log.require_rate(place, whole.steps.period, whole.steps.mean(longest), robot)
         if whole.steps.values[-1] > longest:
             parts = self._split(self._pieces(), longest)
             self.stretches = [_longest_part(log, longest) for log in self.stretches]
@@ -120,9 +110,10 @@ class LongLog:
             replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
         ]
         self.gaps, self.longest_step = len(parts) - 1, float(whole.steps.values[-1])
-        self._parts = [p for p in parts if p is whole or p.end - p.start >= SHORTEST_PART]
+        shortest = robot_log.SHORTEST_PART
+        self._parts = [p for p in parts if p is whole or p.end - p.start >= shortest]
         if not self._parts:
-            raise without_parts(self._where, len(parts) - 1, longest)
+            raise robot_log.without_parts(self._where, len(parts) - 1, longest)
         for part in self._parts:
             cutoff = robot.log.filter_cutoff
             part.grid.require(self._where, part.last - part.first, cutoff)
@@ -201,14 +192,14 @@ class LongLog:
             samples = read.arranged(self._robot.log, after=last.t[-1] if last else -np.inf)
             if not len(samples.t):
                 continue
-            log = log_of(source, samples, self._robot)
+            log = robot_log.log_of(source, samples, self._robot)
             dropped = len(read.t) - len(samples.t)
             log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
             checked, place, self._time = log, samples.place, samples.time
             if last is not None:
                 checked = joined([last, log], arrays_of(log))
                 place = partial(_one_before, place)
-            require_increase(checked, replace(samples, place=place))
+            robot_log.require_increase(checked, replace(samples, place=place))
             last = log.rows(slice(-1, None))
             yield log
         if _state(source) != self._state:

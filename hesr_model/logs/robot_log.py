@@ -165,7 +165,9 @@ class Log:
         samples = logged.arranged(robot.log)
         dropped = len(logged.t) - len(samples.t)
         log = replace(log_of(path, samples, robot), sha256=sha256(path), dropped=dropped)
-        require_steady_time(log, samples, robot)
+        require_rows(log.where, len(log.t))
+        require_increase(log, samples)
+        require_rate(f"{log.where}: {samples.time}", log.period, 1.0 / log.rate, robot)
         return log
 
     @property
@@ -335,13 +337,6 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
             f"{path}: {samples.time}, {samples.place(k)}: the time is {samples.t[k]:g}; numbers up "
             f"to {_LARGEST:g} can be used."
         )
-
-
-def require_steady_time(log: Log, samples: LogSamples, robot: RobotDescription) -> None:
-    """Raise LogError if time does not increase, or with another rate than the robot file's."""
-    require_rows(log.where, len(log.t))
-    require_increase(log, samples)
-    require_rate(f"{log.where}: {samples.time}", log.period, 1.0 / log.rate, robot)
 
 
 def require_rows(where: str, rows: int) -> None:

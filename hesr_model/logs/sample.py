@@ -24,7 +24,7 @@ _FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
 _LEAST, _MOST = -3, 5  # octaves of torque around the first root mean square
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Window:
     number: int
     part: int
@@ -49,17 +49,9 @@ class Sample:
             self._size = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
         part = self._windows[-1].part if follows and self._windows else next(self._parts)
         for window, rows in self._cut(motion):
-            number = next(self._numbers)
             self._seen.update(rows)
-            self._windows.append(
-                _Window(
-                    number=number,
-                    part=part,
-                    motion=window,
-                    rows=rows,
-                    drawn=_uniform(self._seed, motion.name, window.t[0]),
-                )
-            )
+            drawn = _uniform(self._seed, motion.name, window.t[0])
+            self._windows.append(_Window(next(self._numbers), part, window, rows, drawn))
         self._shrink()
 
     def motions(self) -> list[Motion]:

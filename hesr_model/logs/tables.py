@@ -10,7 +10,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.csv_text import Column, read_text, text_pieces
-from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, require_columns
+from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, readable, require_columns
 from hesr_model.support.arrays import Array
 
 _CHUNK = 10_000  # rows written at once
@@ -100,8 +100,8 @@ def _array(cells: Any) -> Array | TextCell:
 
 def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
     """Yield tables of up to `rows` rows, the first one maybe empty."""
-    pa = arrow()
-    try:
+    pa, count = arrow(), 0
+    with readable(path, kind):
         if kind == "Parquet":
             with pa.parquet.ParquetFile(path, pre_buffer=False) as file:
                 _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
@@ -109,7 +109,6 @@ def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
                 for batch in file.iter_batches(rows):
                     yield pa.Table.from_batches([batch])
             return
-        count = 0
         with pa.ipc.open_file(path) as file:
             yield file.schema.empty_table()
             for k in range(file.num_record_batches):
@@ -118,15 +117,9 @@ def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
                 _require_size(path, count, len(file.schema))
                 for first in range(0, batch.num_rows, rows):
                     yield pa.Table.from_batches([batch.slice(first, rows)])
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as {kind}.") from error
 
 
-def _require_size(path: Path, rows: int, columns: int) -> None:
-    require_columns(path, columns)
-    if 8 * rows * columns > most_bytes(path):
-        raise LogError(
-            f"{path}: has {rows} rows of {columns} columns, more than fits into the file."
-        )
+def _require_size(path: Path, rows: int, width: int) -> None:
+    require_columns(path, width)
+    if 8 * rows * width > most_bytes(path):
+        raise LogError(f"{path}: has {rows} rows of {width} columns, more than fits into the file.")

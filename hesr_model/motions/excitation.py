@@ -102,14 +102,8 @@ class Search:
         of_q, of_dq, of_ddq = slopes
         of_shape = of_q.T @ series[0] / rate + of_dq.T @ series[1] + of_ddq.T @ series[2] * rate
         of_log_period = np.sum(of_q * path) - np.sum(of_ddq * ddq)
-        gradient = np.concatenate(
-            [
-                (of_shape * self.limits.velocity[:, None]).ravel(),
-                of_q.sum(axis=0) * self._reach,
-                [of_log_period],
-            ]
-        )
-        return value, gradient
+        of_sizes = (of_shape * self.limits.velocity[:, None]).ravel()
+        return value, np.concatenate([of_sizes, of_q.sum(axis=0) * self._reach, [of_log_period]])
 
     def _of_regressor(
         self, state: tuple[Array, Array, Array], weight: float

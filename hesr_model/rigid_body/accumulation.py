@@ -16,16 +16,9 @@ from hesr_model.inference.covariance import BLOCKS, Covariance, Gradients, covar
 from hesr_model.logs.long_log import LongLog
 from hesr_model.logs.robot_log import require_travel
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body import identification, observations
+from hesr_model.rigid_body import identification, least_squares, observations
 from hesr_model.rigid_body.base_parameters import unknown_columns
-from hesr_model.rigid_body.least_squares import (
-    Block,
-    Factor,
-    Solution,
-    covariance_of,
-    parts_of_blocks,
-    solve_factors,
-)
+from hesr_model.rigid_body.least_squares import Factor, Solution
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
@@ -74,13 +67,14 @@ class Streamed:
         scale = identification.scale_of(model, base, friction)
         with threadpool_limits(1):
             loose = identification.loose_of(model, base, friction)
-            solution = solve_factors(self._factors, scale=scale, weighted=True, loose=loose)
+            factors = self._factors
+            solution = least_squares.solve_factors(factors, scale=scale, weighted=True, loose=loose)
             identification.tell_ridge(where, solution)
             if callable(motions):
                 covariance = self._covariance(motions, solution)
             else:
                 blocks, labels = self._blocks(motions), observations.logs_of(motions)
-                covariance = covariance_of(blocks, solution, labels)
+                covariance = least_squares.covariance_of(blocks, solution, labels)
         return identification.body_of(
             solution,
             covariance,
@@ -93,7 +87,7 @@ class Streamed:
             weighting="wls",
         )
 
-    def _blocks(self, motions: Sequence[Motion]) -> list[Block]:
+    def _blocks(self, motions: Sequence[Motion]) -> list[least_squares.Block]:
         left = observations.without_known(motions, self._model)
         return observations.stacked(left, self._model, self._base, self._friction, self._used)
 
@@ -117,7 +111,8 @@ class Streamed:
                 labels = (row + np.arange(len(some.t))) * BLOCKS // self.rows
                 if len(logs) > 1:
                     labels = np.full(len(some.t), logs.index(motion.name))
-                yield from parts_of_blocks(self._blocks([some]), solution, labels, whole)
+                blocks = self._blocks([some])
+                yield from least_squares.parts_of_blocks(blocks, solution, labels, whole)
                 row += len(some.t)
 
 

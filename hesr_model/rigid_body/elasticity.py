@@ -155,11 +155,9 @@ def gears_of(
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
         places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
         del places["offset"]
-        parameters = {n: (float(x[k]), float(errors[k])) for n, k in places.items()}
+        own = {n: (float(x[k]), float(errors[k])) for n, k in places.items()}
         torques = x[at + FIXED :][: len(form.widths)].tolist()
         elements = tuple(zip(form.widths.tolist(), torques, strict=True))
-        found.append(
-            ElasticGear(joint=joint, zero=form.zero, parameters=parameters, elements=elements)
-        )
+        found.append(ElasticGear(joint=joint, zero=form.zero, parameters=own, elements=elements))
         at += form.columns.shape[1]
     return tuple(found)

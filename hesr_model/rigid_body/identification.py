@@ -317,9 +317,8 @@ def body_of(
     weighting: Weighting,
 ) -> RigidBody:
     """Return the rigid body of a solution."""
-    covariance = covariance.mapped(
-        [model.parameter_names[k] for k in base], np.eye(len(base), len(solution.x))
-    )
+    names = [model.parameter_names[k] for k in base]
+    covariance = covariance.mapped(names, np.eye(len(base), len(solution.x)))
     parameters = np.zeros(len(model.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
     known = known_columns(model)

@@ -40,12 +40,9 @@ class Factor:
     def with_rows(self, block: Block) -> "Factor":
         """Return the factor with further rows."""
         below = np.column_stack([block.matrix, block.target])
-        (factor,) = scipy.linalg.qr(
-            np.concatenate([self.triangle, below]), mode="r", check_finite=False
-        )
-        return Factor(
-            triangle=np.asarray(factor[: below.shape[1]]), rows=self.rows + len(block.target)
-        )
+        both, rows = np.concatenate([self.triangle, below]), self.rows + len(below)
+        (factor,) = scipy.linalg.qr(both, mode="r", check_finite=False)
+        return Factor(triangle=np.asarray(factor[: below.shape[1]]), rows=rows)
 
     @classmethod
     def of(cls, block: Block) -> "Factor":
@@ -105,10 +102,8 @@ def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers)
         (w**2 * b.matrix.T @ b.matrix for b, w in zip(blocks, solution.weights, strict=True)),
         start=np.diag(solution.pull**2),
     )
-    parts = parts_of_blocks(blocks, solution, labels, hessian)
-    return covariance_of_parts(
-        ("",) * len(hessian), lambda: parts, hessian, known=np.diag(solution.pull**2)
-    )
+    parts, names = parts_of_blocks(blocks, solution, labels, hessian), ("",) * len(hessian)
+    return covariance_of_parts(names, lambda: parts, hessian, known=np.diag(solution.pull**2))
 
 
 def parts_of_blocks(

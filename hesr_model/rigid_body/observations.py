@@ -152,8 +152,8 @@ def averaged(
             "the paper's method needs one for each."
         )
     pairs = [matched(*pair) for pair in zip(motions, counterparts, strict=True)]
-    matrix = np.concatenate([0.5 * (_regressor(model, a) + _regressor(model, b)) for a, b in pairs])
-    matrix = matrix[:, :, list(base)]
+    both = ([model.regressor(*motion.states) for motion in pair] for pair in pairs)
+    matrix = np.concatenate([0.5 * (a + b) for a, b in both])[:, :, list(base)]
     target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
     if (coupling := model.description.coupling) is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
@@ -167,17 +167,9 @@ def averaged(
                 "against its time-reversed counterpart; both logs must move it."
             )
     first = np.cumsum([0, *(len(motion.t) for motion in motions)])
-    samples = np.concatenate(
-        [
-            start + np.flatnonzero(np.isin(motion.t, forwards.t))
-            for start, motion, (forwards, _) in zip(first, motions, pairs, strict=False)
-        ]
-    )
+    used = (np.flatnonzero(np.isin(m.t, a.t)) for m, (a, _) in zip(motions, pairs, strict=True))
+    samples = np.concatenate([start + own for start, own in zip(first, used, strict=False)])
     return [
         Block(matrix=matrix[rows, joint], target=target[rows, joint], samples=samples[rows])
         for joint, rows in enumerate(kept.T)
     ]
-
-
-def _regressor(model: Robot, motion: Motion) -> Array:
-    return model.regressor(*motion.states)

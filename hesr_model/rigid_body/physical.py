@@ -151,10 +151,8 @@ def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     (factor,) = scipy.linalg.qr(weights * np.column_stack([own, own @ parameters[:size]]), mode="r")
     chart = _Chart.of(model)
     scaled = factor[: size + 1] / np.sqrt(len(rows))
-    problem = _Problem(chart=chart, rows=scaled, pull=_WEAK * chart.pull)
-    x = scipy.optimize.least_squares(
-        problem.residuals, chart.start, jac=problem.slopes, method="lm"
-    ).x
+    task = _Problem(chart=chart, rows=scaled, pull=_WEAK * chart.pull)
+    x = scipy.optimize.least_squares(task.residuals, chart.start, jac=task.slopes, method="lm").x
     found = np.concatenate([chart.parameters(x), parameters[size:]])
     off = np.abs((rows @ found).reshape(-1, model.n) - torque)
     return found, off.max(axis=0), np.abs(torque).max(axis=0)
@@ -176,13 +174,12 @@ class _Chart:
         rotors = nominal[links:]
         known = rotors > 0
         roots = np.sqrt(np.where(known, rotors, 1.0))
+        of_rotors = np.where(known, 2 * _PULL / roots, _LEAST_PULL)
         return cls(
             factors=np.array(factors),
             rotors=rotors,
             start=np.concatenate([np.zeros(links), roots]),
-            pull=np.concatenate(
-                [np.full(links, _PULL), np.where(known, 2 * _PULL / roots, _LEAST_PULL)]
-            ),
+            pull=np.concatenate([np.full(links, _PULL), of_rotors]),
         )
 
     def parameters(self, x: Array) -> Array:
@@ -247,13 +244,11 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
-    rows = np.concatenate(
-        [
-            weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])
-            for weight, b in zip(weights, blocks, strict=True)
-        ]
-    )
-    (factor,) = scipy.linalg.qr(rows, mode="r", check_finite=False)
-    factor = np.asarray(factor[: rows.shape[1]])
-    others = rows.shape[1] - size - 1
+    parts = [
+        weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])
+        for weight, b in zip(weights, blocks, strict=True)
+    ]
+    (factor,) = scipy.linalg.qr(np.concatenate(parts), mode="r", check_finite=False)
+    factor = np.asarray(factor[: factor.shape[1]])
+    others = factor.shape[1] - size - 1
     return factor, factor[others:, others:]

@@ -116,13 +116,11 @@ def commanded(log: Log) -> tuple[Array, Array]:
     return log.q_cmd, np.gradient(log.q_cmd, log.t, axis=0) if log.dq_cmd is None else log.dq_cmd
 
 
-def _problems(
-    log: Log, gravity: Array, held: bool, latency: float
-) -> tuple[list[Array], list[Array]]:
+def _problems(log: Log, gravity: Array, held: bool, late: float) -> tuple[list[Array], list[Array]]:
     """Return columns (N, 5) and torques (N,) of each joint once the first commands act."""
     t = log.t - log.t[0]
     position, speed = commanded(log)
-    past = t - latency
+    past = t - late
     rows = t >= min(_LATEST, 0.1 * t[-1])
     place = np.maximum(np.searchsorted(t, past + 1e-9, side="right") - 1, 0)
     assert log.dq is not None

@@ -88,19 +88,11 @@ def torque_constants(
     spread = _spread(model, mass_error)
     found = []
     for j, (joint, constant) in enumerate(zip(model.description.joints, assumed, strict=True)):
-        problem = _Problem.of(
-            [(blocks[j], carried) for blocks, carried in kinds], model, weight, spread
-        )
-        kappa, relative = problem.solve()
+        own = [(blocks[j], carried) for blocks, carried in kinds]
+        kappa, relative = _Problem.of(own, model, weight, spread).solve()
         value = float(constant / kappa) if kappa > 0.0 else np.inf
-        found.append(
-            Constant(
-                joint=joint,
-                value=value,
-                error=value * relative,
-                determined=bool(kappa > 0.0 and relative < _DETERMINED),
-            )
-        )
+        known, error = bool(kappa > 0.0 and relative < _DETERMINED), value * relative
+        found.append(Constant(joint=joint, value=value, error=error, determined=known))
     return tuple(found)
 
 
@@ -112,7 +104,7 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
     return np.array([mass, *(mass * c), ixx, ixy, iyy, ixz, iyz, izz])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Rows:
     """Compressed rows of a joint: [Y, Y carried, friction, torque]."""
 
@@ -146,13 +138,8 @@ class _Problem:
             fitted = columns @ np.linalg.lstsq(columns, block.target, rcond=None)[0]
             whole = np.column_stack([rigid, load, own, block.target])
             (factor,) = qr(whole, mode="r", check_finite=False)
-            rows.append(
-                _Rows(
-                    factor=np.asarray(factor[: whole.shape[1]]),
-                    count=len(own),
-                    length=correlation_length(block.target - fitted),
-                )
-            )
+            length = correlation_length(block.target - fitted)
+            rows.append(_Rows(np.asarray(factor[: whole.shape[1]]), len(own), length))
             heavy = rigid @ (weight * nominal)
         known = float(np.std(load if len(kinds) > 1 else heavy))
         return cls(

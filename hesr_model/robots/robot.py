@@ -47,9 +47,8 @@ class Robot:
         self.description = description
         self._pin: Any = model_file.dynamics_engine()
         self._file = model_file.load(description.model)
-        self._model: Any = self._file.reduced(
-            description.joints, description.locked, description.root
-        )
+        names = description.joints
+        self._model: Any = self._file.reduced(names, description.locked, description.root)
         self._data: Any = self._model.createData()
         slopes = self.follow[0] if self.follow else np.eye(self.n)
         self.rotor_nominal: Array = np.array(self._model.armature) @ slopes**2
@@ -145,10 +144,8 @@ class Robot:
         """Parameters (P,) of the model file, 0 for springs that it lacks."""
         links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
-        found = [
-            dict(zip(LINEAR, self._file.springs.get(j, ()), strict=False)) for j in self.joints
-        ]
-        springs = [found[term.joint].get(term.name, 0.0) for term in self.springs]
+        own = [dict(zip(LINEAR, self._file.springs.get(j, ()), strict=False)) for j in self.joints]
+        springs = [own[term.joint].get(term.name, 0.0) for term in self.springs]
         return np.concatenate([*links, *rotors, springs])
 
     @cached_property

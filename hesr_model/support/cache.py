@@ -143,12 +143,9 @@ def _warn(path: Path) -> None:
     )
 
 
-def _is_private(found: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
-    if not is_kind(found.st_mode):
-        return False
-    return not hasattr(os, "getuid") or (
-        found.st_uid == os.getuid() and not found.st_mode & _OTHERS
-    )
+def _is_private(of: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
+    own = not hasattr(os, "getuid") or (of.st_uid == os.getuid() and not of.st_mode & _OTHERS)
+    return is_kind(of.st_mode) and own
 
 
 def _make_private(path: Path) -> None:
@@ -179,16 +176,13 @@ def _new_folder() -> Path:
 
 def _content(file: Path) -> bytes | None:
     """Return the content of a private file that is no link; None for others."""
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     try:
-        handle = os.open(
-            file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-        )
+        handle = os.open(file, flags)
     except OSError:
         return None
     with os.fdopen(handle, "rb") as opened:
-        if not _is_private(os.fstat(handle), stat.S_ISREG):
-            return None
-        return opened.read()
+        return opened.read() if _is_private(os.fstat(handle), stat.S_ISREG) else None
 
 
 def _read(entry: Path) -> bytes | None:

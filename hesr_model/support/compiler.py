@@ -67,10 +67,8 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative, source.name]
         # The compiler's object cache breaks under concurrency, so each compilation has its own;
         # that of the slow C library is shared.
-        caches = {
-            "ZIG_LOCAL_CACHE_DIR": str(cache),
-            "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig"),
-        }
+        shared = str(cache_folder() / "zig")
+        caches = {"ZIG_LOCAL_CACHE_DIR": str(cache), "ZIG_GLOBAL_CACHE_DIR": shared}
         try:
             # Run in the source's folder to keep paths of this machine out of the binary.
             result = subprocess.run(

@@ -63,7 +63,16 @@ class HysteresisFeatures:
 
     def columns(self, alpha: float, beta: float) -> Array:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
-        return self._columns(alpha, np.tanh(beta * self.samples.dq), self._decay(alpha))
+        s, z = self.samples, alpha * self.samples.dt
+        a = np.exp(-z) if self.discretisation == "exact" else 1.0 - z
+        target = np.tanh(beta * s.dq)
+        h = s.recurrence(a, (1.0 - a) * target, target)  # h+ = a h + (1 - a) tanh(beta dq)
+        columns = np.empty((len(h), 4), order="F")
+        columns[:, 0] = 1.0
+        columns[:, 1] = s.dq
+        columns[:, 2] = h
+        columns[:, 3] = alpha * (target - h)
+        return columns
 
     @cached_property
     def _runs(self) -> dict[str | None, KernelRun]:
@@ -82,17 +91,3 @@ class HysteresisFeatures:
                 target=s.tau,
             )
         return self._runs[g]
-
-    def _decay(self, alpha: float) -> Array:
-        """Return the (N,) factor a of h+ = a h + (1 - a) tanh(beta dq)."""
-        z = alpha * self.samples.dt
-        return np.exp(-z) if self.discretisation == "exact" else 1.0 - z
-
-    def _columns(self, alpha: float, target: Array, a: Array) -> Array:
-        h = self.samples.recurrence(a, (1.0 - a) * target, target)
-        columns = np.empty((len(h), 4), order="F")
-        columns[:, 0] = 1.0
-        columns[:, 1] = self.samples.dq
-        columns[:, 2] = h
-        columns[:, 3] = alpha * (target - h)
-        return columns

@@ -174,12 +174,10 @@ class ParFamV(Described):
             if g == "tanh":
                 starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
             limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
-            for theta in evolve.arguments(
-                g, x[rows], x[rows], samples.tau[rows], starts, keep=3, limit=limit
-            ):
-                point = problem.polish(
-                    problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]}), evaluations=30
-                )
+            own = x[rows]
+            for theta in evolve.arguments(g, own, own, samples.tau[rows], starts, 3, limit):
+                start = problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]})
+                point = problem.polish(start, evaluations=30)
                 cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
                 found.append((cost, structure, problem, point))
         _, structure, problem, point = found[first_best([entry[0] for entry in found])]

@@ -94,11 +94,9 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
             needed[weakest] = True
 
 
-def settled(
-    features: HysteresisFeatures, candidate: Candidate, portions: int, rows: Mask
-) -> Candidate:
+def settled(features: HysteresisFeatures, start: Candidate, portions: int, rows: Mask) -> Candidate:
     """Refine on a mask (N,) of rows until `FOLD` evaluations lower the cost by less than `SAME`."""
-    found = Refinement(features, candidate, rows).run(FOLD)
+    found = Refinement(features, start, rows).run(FOLD)
     for _ in range(1, portions):
         before = found.cost
         found = Refinement(features, found, rows).run(FOLD)

@@ -39,10 +39,9 @@ class Trial:
     def changed(self, structure: Mapping[str, Any], more: Mapping[str, float]) -> "Trial":
         """Return the trial of another structure, polished from these numbers and `more`."""
         problem = pose(structure, self.problem.samples, self.problem.discretisation)
-        known = (
-            dict.fromkeys(problem.space.names, 0.0) | self.problem.named(self.point) | dict(more)
-        )
-        point = problem.polish(problem.point({n: known[n] for n in problem.space.names}))
+        names = problem.space.names
+        known = dict.fromkeys(names, 0.0) | self.problem.named(self.point) | dict(more)
+        point = problem.polish(problem.point({n: known[n] for n in names}))
         return Trial(structure=structure, problem=problem, point=point)
 
     def law(self) -> FrictionLaw:

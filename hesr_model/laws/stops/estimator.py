@@ -122,6 +122,7 @@ def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
     return Waves(frequencies=(*chosen.frequencies, frequency), lag=lag)
 
 
+_SKELETON = [["1", 0], ["1", 4], ["age", 0]]
 WINDOW = 1.5  # step without averaging of ripple, in sample times
 
 
@@ -132,10 +133,7 @@ class _Stops(Estimator):
     load: ClassVar[bool] = False
     ripple: ClassVar[bool] = False
     start_samples: ClassVar[int] = 0
-    typical: ClassVar[Mapping[str, Any]] = {
-        "stops": [["1", 0], ["1", 4], ["age", 0]],
-        "viscous": ["1", "b"],
-    }
+    typical: ClassVar[Mapping[str, Any]] = {"stops": _SKELETON, "viscous": ["1", "b"]}
 
     skeleton_only: bool = False  # skip the search
 
@@ -160,10 +158,8 @@ class _Stops(Estimator):
             chosen = select_waves(columns, samples, best.weights, samples.gear_ratio)
             if chosen.frequencies:
                 window = WINDOW * float(np.median(samples.dt[~samples.begins]))
-                structure = replace(
-                    structure, ripple=chosen.frequencies, window=float(f"{window:.3g}")
-                )
-                lag = chosen.lag
+                window, lag = float(f"{window:.3g}"), chosen.lag
+                structure = replace(structure, ripple=chosen.frequencies, window=window)
                 columns = np.hstack([columns, waves(chosen.frequencies, lag, samples)])
         return self._law(best, structure, columns, lag)
 
@@ -193,11 +189,7 @@ class _Stops(Estimator):
         )
 
 
-_LOADED = {
-    **_Stops.typical,
-    "stops": [["1", 0], ["1", 4], ["age", 0], ["load", 0]],
-    "limited": True,
-}
+_LOADED = {**_Stops.typical, "stops": [*_SKELETON, ["load", 0]], "limited": True}
 
 
 @register

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -12,10 +13,12 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes, table_of
+from hesr_model.logs.log_table import LogTable, most_bytes, readable, table_of
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
+
+_KIND = "NumPy arrays without objects"
 
 
 def table_of_arrays(path: Path, arrays: Mapping[str, Array], time: str) -> LogTable:
@@ -68,61 +71,46 @@ def numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
 def load_arrays(path: Path) -> dict[str, Any]:
     """Return the arrays of a NumPy file by name, an only one as `data`; raises LogError."""
     require_content(path)
-    try:
-        with path.open("rb") as file:
-            found = np.load(file, allow_pickle=False)
-            if isinstance(found, np.ndarray):
-                return {"": found} if found.dtype.names else {"data": found}
-            if sum(one.file_size for one in found.zip.infolist()) > most_bytes(path):
-                raise LogError(f"{path}: claims more data than fits into the file.")
-            return {name: found[name] for name in found.files}
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise _unreadable(path) from error
-
-
-def _unreadable(path: Path) -> LogError:
-    return LogError(f"{path}: cannot be read as NumPy arrays without objects.")
+    with readable(path, _KIND), path.open("rb") as file:
+        found = np.load(file, allow_pickle=False)
+        if isinstance(found, np.ndarray):
+            return {"": found} if found.dtype.names else {"data": found}
+        if sum(one.file_size for one in found.zip.infolist()) > most_bytes(path):
+            raise LogError(f"{path}: claims more data than fits into the file.")
+        return {name: found[name] for name in found.files}
 
 
 def load_table(path: Path, time: str = "t") -> LogTable:
     """Open a NumPy file as the table of its numbers; see `table_of_arrays`."""
-    content = load_arrays(path)
-    arrays = {k: a for name, value in content.items() for k, a in numeric(value, name)}
-    return table_of_arrays(path, arrays, time)
+    found = (numeric(value, name) for name, value in load_arrays(path).items())
+    return table_of_arrays(path, dict(chain.from_iterable(found)), time)
 
 
 def _pieces(path: Path, _log: LogFormat, rows: int) -> Iterator[LogTable]:
     """Yield tables of successive rows; none of arrays that are not stored row by row."""
     require_content(path)
-    try:
-        with ExitStack() as files:
-            if path.suffix.lower() == ".npy":
-                opened: dict[str, Any] = {"": files.enter_context(path.open("rb"))}
-            else:
-                packed = files.enter_context(ZipFile(path))
-                names = [name.removesuffix(".npy") for name in packed.namelist()]
-                opened = {k: files.enter_context(packed.open(f"{k}.npy")) for k in names}
-            heads = {name: _head(file) for name, file in opened.items()}
-            longest = max((shape[0] for shape, *_ in heads.values() if shape), default=0)
-            kept = {name: head for name, head in heads.items() if head[0][:1] == (longest,)}
-            if any(fortran for _, fortran, _ in kept.values()):
-                return
-            for first in range(0, longest, rows):
-                columns: dict[str, Array] = {}
-                for name, (shape, _, kind) in kept.items():
-                    count = min(rows, longest - first)
-                    content = opened[name].read(count * kind.itemsize * math.prod(shape[1:]))
-                    one = [count, *(length for length in shape[1:] if length > 1)]
-                    array = np.frombuffer(content, kind).reshape(one)
-                    for inner, values in numeric(array, name or ("" if kind.names else "data")):
-                        columns |= _columns(inner, values)
-                yield table_of(path, columns, [name for name in heads if name not in kept])
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise _unreadable(path) from error
+    with readable(path, _KIND), ExitStack() as files:
+        if path.suffix.lower() == ".npy":
+            opened: dict[str, Any] = {"": files.enter_context(path.open("rb"))}
+        else:
+            packed = files.enter_context(ZipFile(path))
+            names = [name.removesuffix(".npy") for name in packed.namelist()]
+            opened = {k: files.enter_context(packed.open(f"{k}.npy")) for k in names}
+        heads = {name: _head(file) for name, file in opened.items()}
+        longest = max((shape[0] for shape, *_ in heads.values() if shape), default=0)
+        kept = {name: head for name, head in heads.items() if head[0][:1] == (longest,)}
+        if any(fortran for _, fortran, _ in kept.values()):
+            return
+        for first in range(0, longest, rows):
+            columns: dict[str, Array] = {}
+            for name, (shape, _, kind) in kept.items():
+                count = min(rows, longest - first)
+                content = opened[name].read(count * kind.itemsize * math.prod(shape[1:]))
+                one = [count, *(length for length in shape[1:] if length > 1)]
+                array = np.frombuffer(content, kind).reshape(one)
+                for inner, values in numeric(array, name or ("" if kind.names else "data")):
+                    columns |= _columns(inner, values)
+            yield table_of(path, columns, [name for name in heads if name not in kept])
 
 
 def _head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

@@ -9,7 +9,7 @@ from typing import Any
 from hesr_model.errors import LogError
 from hesr_model.logs.csv_text import read_text
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes
+from hesr_model.logs.log_table import LogTable, most_bytes, readable
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 
@@ -23,17 +23,13 @@ def _read(path: Path, log: LogFormat) -> LogTable:
         raise LogError(
             f"{path}: Excel workbooks need openpyxl: pip install 'hesr[formats]'."
         ) from error
-    try:
+    with readable(path, "an Excel workbook"):
         with zipfile.ZipFile(path) as packed:
             if sum(part.file_size for part in packed.infolist()) > most_bytes(path):
                 raise LogError(f"{path}: claims more data than fits into the file.")
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = [list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets]
         book.close()
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as an Excel workbook.") from error
     return read_text(path, log.columns.names, _text(max(sheets, key=len, default=[])))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes
+from hesr_model.logs.log_table import LogTable, most_bytes, readable
 from hesr_model.logs.readers.arrays import numeric, table_of_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
@@ -37,13 +37,8 @@ def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[s
             array = np.asarray(item)
             found.update(numeric(array.T if transposed else array, name.replace("/", ".")))
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except LogError:
-        raise
-    except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as a {kind}.") from error
+    with readable(path, f"a {kind}"), h5py.File(path, "r") as file:
+        file.visititems(visit)
     return found
 
 

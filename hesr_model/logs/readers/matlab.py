@@ -13,7 +13,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes
+from hesr_model.logs.log_table import LogTable, most_bytes, readable
 from hesr_model.logs.readers.arrays import numeric, table_of_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.readers.hdf5 import arrays_of_hdf5
@@ -125,13 +125,12 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
 def _classic(path: Path) -> dict[str, Array]:
     from scipy.io import loadmat
 
-    try:
-        require_sound(path, most_bytes(path))
-        content = loadmat(path, simplify_cells=True)
-    except OverflowError as error:
-        raise LogError(f"{path}: claims more data than fits into the file.") from error
-    except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as a MATLAB file.") from error
+    with readable(path, "a MATLAB file"):
+        try:
+            require_sound(path, most_bytes(path))
+            content = loadmat(path, simplify_cells=True)
+        except OverflowError as error:
+            raise LogError(f"{path}: claims more data than fits into the file.") from error
     return dict(numeric({k: v for k, v in content.items() if not k.startswith("__")}, ""))
 
 
