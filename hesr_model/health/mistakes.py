@@ -25,7 +25,7 @@ _SIGNAL = 0.8  # largest unexplained share of a torque that shows gravity
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _EARTH = 9.81
 _SNAP = np.radians(12.0)
-_TURNED = "its torque counts"
+_TURNED = "its torque counts backwards"
 _TILTED = np.radians(20.0)
 
 
@@ -85,7 +85,7 @@ def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake
         position, other = sign_change(robot, j, position=True)
         side = np.where(np.arange(model.n) == j, -1.0, 1.0)
         q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
-        remedy = f"{_TURNED} backwards; set {key}"
+        remedy = f"{_TURNED}; set {key}"
         yield Mistake("torque-sign", j, remedy, changes, replace(rows, tau=tau))
         remedy = f"its position and velocity count backwards; set {position}"
         yield Mistake("position-sign", j, remedy, other, replace(rows, q=q, v=v, a=a))
@@ -261,8 +261,8 @@ def _best(
         if float(gain.sum()) > most * _CLEARLY:
             best, left, most = mistake, then, float(gain.sum())
         elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
-            either = "backwards, or its position and velocity do (the logs cannot show which);"
-            remedy = best.remedy.replace(f"{_TURNED} backwards;", f"{_TURNED} {either}")
+            either = f"{_TURNED}, or its position and velocity do (the logs cannot show which);"
+            remedy = best.remedy.replace(f"{_TURNED};", either)
             best = replace(best, remedy=remedy)
     return best, left
 
