@@ -1,8 +1,4 @@
-"""Audit of a friction law: dissipation, stiffness at rest and range of the torque.
-
-Torques of position alone can drive the joint without generating net energy, so steady sliding is
-audited with (`driving`) and without them (`driving_both_ways`).
-"""
+"""Audit of a friction law: dissipation, stiffness at rest and range of the torque."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,4 @@
-"""Functions of real arguments with derivatives almost everywhere, and NumPy counterparts.
-
-SymPy differentiates `sign` to a Dirac impulse and `Abs` to a complex expression.
-"""
+"""Real functions with derivatives almost everywhere, unlike SymPy's, and NumPy counterparts."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

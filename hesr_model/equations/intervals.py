@@ -1,8 +1,4 @@
-"""Bounds of expressions over boxes by interval arithmetic, and of least values by subdivision.
-
-Natural interval extensions (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009,
-chapters 5 and 6). Bounds are those of real numbers, without the round-off of floating point.
-"""
+"""Bounds of expressions by interval arithmetic (Moore, Kearfott and Cloud 2009, ch. 5 and 6)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
@@ -32,11 +28,7 @@ class Least(NamedTuple):
 def lowest(
     bound: Callable[[Array, Array], Array], edges: Array, *, enough: float = inf, size: float = 0.0
 ) -> Least:
-    """Return the least value of a function of x > 0 between the first and the last of `edges`.
-
-    `bound` maps ends of intervals to lower bounds. Intervals are halved until the bound exceeds
-    `enough` or is precise to 1e-6 of the least value or of `size`, or until a limit is reached.
-    """
+    """Return the least value for x in `edges` > 0, if not `enough`, to 1e-6 of it or of `size`."""
     low, high = edges[:-1], edges[1:]
     known, value, at = inf, inf, 0.0
     spent = 0

@@ -87,10 +87,7 @@ class KernelRun(ProgramRun):
         )
 
     def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Set the initial states (m, records) and return them.
-
-        `start` has the states at rest, (m,) or (m, records), or with `settled` the initial states.
-        """
+        """Set and return initial states (m, records) from states at rest, or the `settled` ones."""
         if settled and start is not None:
             self.starts[:] = start if start.ndim > 1 else start[:, None]
         elif len(self.starts):

@@ -79,11 +79,7 @@ class Relaxation(_Element):
         return self.state in self.rate.free_symbols
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return drive / rate, the zero of x'; x itself if the rate is 0.
-
-        If the rate depends on x, return the point halfway there, as in Heron's square root; whole
-        steps could oscillate.
-        """
+        """Return drive / rate (x if it is 0), or half the way if the rate depends on x (Heron)."""
         if not self.seeks:
             return over(first, second, self.state)
         return (self.state + over(first, second, self.state + FIRST_STEP * first)) / 2

@@ -11,7 +11,7 @@ from hesr_model.equations.functions import absolute, clip, positive, sgn
 from hesr_model.equations.memory import Element, Prompt
 
 Assignments = Mapping[sympy.Symbol, sympy.Expr]
-Expressions = dict[sympy.Symbol, sympy.Expr]
+Definitions = dict[sympy.Symbol, sympy.Expr]
 
 STEEP = 1e-3  # half width of a jump without event [rad/s]
 
@@ -21,10 +21,10 @@ def moved(element: Element) -> sympy.Symbol:
     return sympy.Symbol(f"{element.name}_moved", real=True)
 
 
-def step(memory: Iterable[Element]) -> Expressions:
+def step(memory: Iterable[Element]) -> Definitions:
     """Return the moved states; each uses the moved earlier ones."""
-    after: Expressions = {}
-    seen: Expressions = {}
+    after: Definitions = {}
+    seen: Definitions = {}
     for element in memory:
         first, second = (part.xreplace(seen) for part in element.parts)
         after[moved(element)] = element.sampled(first, positive(second))
@@ -40,10 +40,10 @@ def initial_symbol(element: Element) -> sympy.Symbol:
     return sympy.Symbol(f"{element.name}_begun", real=True)
 
 
-def initial_state(memory: Iterable[Element], settling: sympy.Expr) -> Expressions:
+def initial_state(memory: Iterable[Element], settling: sympy.Expr) -> Definitions:
     """Return initial states, moved by the share `settling` to steady ones, and other values."""
-    found: Expressions = {}
-    seen: Expressions = {}
+    found: Definitions = {}
+    seen: Definitions = {}
     for element in memory:
         first, second = (part.xreplace(seen) for part in element.parts)
         settled = element.settled(first, positive(second))
@@ -59,33 +59,33 @@ def initial_state(memory: Iterable[Element], settling: sympy.Expr) -> Expression
     return found
 
 
-def beginning(component: Component) -> Expressions:
+def beginning(component: Component) -> Definitions:
     """Return a component's initial states, and intermediate values."""
     own = initial_state(component.memory, component.settling)
     return {symbol: e.xreplace(component.starts) for symbol, e in own.items()}
 
 
-def derivatives(memory: Iterable[Element]) -> Expressions:
+def derivatives(memory: Iterable[Element]) -> Definitions:
     """Return each state's continuous derivative."""
     return {m.derivative: m.continuous() for m in memory}
 
 
-def readings(component: Component) -> Expressions:
+def readings(component: Component) -> Definitions:
     """Return derivatives of the states and all ordered equations."""
     return derivatives(component.memory) | {e.symbol: e.expression for e in component.ordered}
 
 
-def first_readings(component: Component) -> Expressions:
+def first_readings(component: Component) -> Definitions:
     """Return the readings before the first step, and the previous values there."""
     starts = component.starts
     own = {symbol: e.xreplace(starts) for symbol, e in starts.items()}
     return {**derivatives(component.memory), **component.starting, **own}
 
 
-def changes_along(seeds: Assignments, assignments: Assignments) -> Expressions:
+def changes_along(seeds: Assignments, assignments: Assignments) -> Definitions:
     """Return the change `d_...` of each assigned symbol along a direction of seeds."""
     known = dict(seeds)
-    changes: Expressions = {}
+    changes: Definitions = {}
     for symbol, expression in assignments.items():
         used = sorted(expression.free_symbols & known.keys(), key=sympy.default_sort_key)
         change = sympy.Add(*(expression.diff(s) * known[s] for s in used))
@@ -132,7 +132,7 @@ class Jumps:
         """Symbol of each sign."""
         return tuple(sympy.Symbol(f"s_{i}", real=True) for i in range(1, len(self.expressions) + 1))
 
-    def held(self, assignments: Assignments) -> Expressions:
+    def held(self, assignments: Assignments) -> Definitions:
         """Replace signs in assignments by held ones, if the component has events."""
         if not self.component.events:
             return dict(assignments)
@@ -168,7 +168,7 @@ def sources(assignments: Assignments, wanted: sympy.Symbol) -> frozenset[sympy.S
     return frozenset(used - assignments.keys())
 
 
-def needed(assignments: Assignments, wanted: Iterable[sympy.Symbol]) -> Expressions:
+def needed(assignments: Assignments, wanted: Iterable[sympy.Symbol]) -> Definitions:
     """Return the ordered assignments for the wanted symbols."""
     keep: set[sympy.Symbol] = set()
     waiting = set(wanted) & assignments.keys()
@@ -182,7 +182,7 @@ def needed(assignments: Assignments, wanted: Iterable[sympy.Symbol]) -> Expressi
 
 def straight_line(
     assignments: Assignments, wanted: Iterable[sympy.Symbol]
-) -> tuple[Expressions, dict[sympy.Symbol, str]]:
+) -> tuple[Definitions, dict[sympy.Symbol, str]]:
     """Return ordered assignments with shared subexpressions, and their short names `a_0`, .."""
     own = needed(assignments, wanted)
     shared, found = sympy.cse(list(own.values()), symbols=sympy.numbered_symbols("t"), order="none")
@@ -191,7 +191,7 @@ def straight_line(
     return {symbol: lines[symbol] for symbol in in_order(lines)}, names
 
 
-def sampled(component: Component) -> Expressions:
+def sampled(component: Component) -> Definitions:
     """Return the assignments of a step: `moved` states, then readings."""
     after = {m.state: moved(m) for m in component.memory}
     return step(component.memory) | {s: e.xreplace(after) for s, e in readings(component).items()}
@@ -213,8 +213,8 @@ class Invariants:
         """Split a program; fixed factors and terms are combined, and rounded as such."""
         wanted = tuple(wanted)
         lines, names = straight_line(program, wanted)
-        once: Expressions = {}
-        moving: Expressions = {}
+        once: Definitions = {}
+        moving: Definitions = {}
         known, parts = set(fixed), dict[sympy.Expr, sympy.Symbol]()
 
         def symbol_of(part: sympy.Expr) -> sympy.Symbol:

@@ -117,12 +117,7 @@ _LEAST_NOISE = 1e-12  # [N.m] of the noise
 
 
 def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
-    """Return a model whose laws have mean and spread of those of `models`, for a further day.
-
-    The covariance is the mean one plus (1 + 1/K) times the scatter of K models of one structure.
-
-    Raises FitError for laws without a covariance, or of different joints or structures.
-    """
+    """Return a model with mean and spread of `models` of one structure; raises FitError."""
     first = models[0]
     for model in models:
         if model.thermal or any(law.covariance is None for law in model.laws):

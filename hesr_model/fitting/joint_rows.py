@@ -1,8 +1,4 @@
-"""Rows of all records of one joint, linear and sign-constrained least squares on them, and ties.
-
-Round-off differs between processors: among candidates within a tolerance the first one, which
-callers make the simplest, wins.
-"""
+"""Rows of all records of one joint, least squares on them, and ties: the first one wins."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

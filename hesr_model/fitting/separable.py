@@ -55,11 +55,7 @@ _NO_EFFECT = 1e-9  # relative change of the cost
 
 
 class Separable:
-    """The least-squares problem of a form on the rows of a joint.
-
-    A point has the searched numbers, logarithms where bounds are positive; `start` has the states
-    at rest, 0 by default.
-    """
+    """Least squares of a form on a joint; points are logarithmic where bounds are positive."""
 
     def __init__(
         self,

@@ -1,9 +1,7 @@
-"""Refinement of friction, or of body and friction, by output error.
+"""Refinement of friction, or of body and friction, by output error over short windows.
 
-The cost is the position error over short windows; the torque error determines the other directions
-(DIDIM: Gautier, Janot and Vandanjon 2013, "A new closed-loop output error method for parameter
-identification of robot dynamics", IEEE Trans. Control Syst. Technol. 21(2); here with friction that
-has a state).
+The torque error determines the other directions (DIDIM: Gautier, Janot and Vandanjon 2013, IEEE
+Trans. Control Syst. Technol. 21(2); here with friction that has a state).
 """
 
 from collections.abc import Sequence

@@ -169,11 +169,9 @@ class Simulator:
         values: Sequence[Array] | None = None,
         states: Sequence[Array] | None = None,
     ) -> Array:
-        """Return the positions over windows, (W, K + 1, n) [rad; m].
+        """Return the positions over windows, (W, K + 1, n) [rad; m]; raises SimulationError.
 
-        `values` (C, W) are coefficients of each law, by default its own; `states` (m, W) its
-        initial states, by default run in along the logs. Raises SimulationError if the mass matrix
-        is not positive definite.
+        `values` (C, W) of laws and initial `states` (m, W) are by default those of the friction.
         """
         # MuJoCo uses the rates before a step: its states lag by one row.
         x0 = windows.states(self.friction, delay=int(self.as_plant)) if states is None else states

@@ -69,11 +69,7 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
 
 @dataclass(frozen=True, kw_only=True)
 class BandScore:
-    """Coverage of one joint's band; None without rows of the kind.
-
-    `held` are shares of rows within the band, `least_log` is the lowest share of a log, and `width`
-    the mean width relative to the constant band of the same coverage.
-    """
+    """Coverage of a band: shares of rows `held`, and mean `width` over that of a constant one."""
 
     held: float
     held_moving: float | None

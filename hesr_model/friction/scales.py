@@ -108,11 +108,7 @@ _CLIPPED = 1.0 - 1e-9  # share of its bound above which a stop is clipped, up to
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """Terms of a law's torque [N.m], with memory scaled by the level.
-
-    `rest` are ripple and offset, `along` is the derivative of the hysteresis by the level, a
-    function of `sensitivities`: the stops' derivatives, warmth included.
-    """
+    """Terms of a torque [N.m] with memory scaled by the level, `along` which it changes."""
 
     memory: tuple[Element, ...]
     hysteresis: sympy.Expr

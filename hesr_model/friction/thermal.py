@@ -29,10 +29,7 @@ _LEAST_SCALE = 1e-3  # bounds stay positive
 
 @dataclass(frozen=True, kw_only=True)
 class Thermal:
-    """Thermal model of one joint in the units of `_UNITS`; ArtifactError for an invalid number.
-
-    The resistance is 1 if no temperature was `measured`. Older files have no trained range.
-    """
+    """Thermal model of one joint in the units of `_UNITS`; ArtifactError if invalid."""
 
     coulomb: float
     viscous: float

@@ -93,10 +93,7 @@ RISE_BOUNDS = (1e-4, 1.0)  # [1/(N.m)]
 
 @register
 class DahlBasisBound(DahlBasis):
-    """x_i' = kappa_i (v - |v| x_i / (1 + rise |tau_load|)): the load in the bounds, not a factor.
-
-    A moving bound generates no energy, unlike a factor. All elements share the rise.
-    """
+    """x_i' = kappa_i (v - |v| x_i / (1 + rise |tau_load|)): a moving bound gives no energy."""
 
     name = "dahl_bound"
     title = "Dahl basis, load as bound"

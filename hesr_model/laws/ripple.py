@@ -105,11 +105,7 @@ def _powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArra
 def select(
     base: Array, samples: JointRows, gear_ratio: float, folds: Sequence[Mask]
 ) -> tuple[Ripple, Times] | None:
-    """Return the ripple with lag and smoothing that predicts left-out logs best, or None.
-
-    `base` (N, L) are the columns of the law without ripple. Orders are added one by one while the
-    error on left-out logs falls.
-    """
+    """Return ripple, lag and smoothing that predict left-out logs best beyond `base`, or None."""
     tau = samples.tau
     gain = max(GAIN, CHANCE / len(tau))
     chosen, times = Ripple(gear_ratio=gear_ratio, orders=()), _TIMES[0]

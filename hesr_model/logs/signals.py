@@ -195,11 +195,7 @@ def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:
 
 
 def _before(values: Array, rows: int) -> Array:
-    """Return the rows (rows, n) before the first, mirrored at the start of a fitted parabola.
-
-    Mirrored at the first value, intervals of a static friction cover the truth in only 60 of 100
-    logs.
-    """
+    """Return rows mirrored at a fitted parabola; at the first value bands cover too little."""
     n = round(2.0 * rows / _PADDING_PERIODS) + 1
     k = np.arange(n)
     # Weights of a least-squares parabola's value at its first row.

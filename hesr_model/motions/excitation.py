@@ -154,10 +154,7 @@ def _excess(values: Array, limit: Array) -> tuple[float, Array]:
 
 
 def _log_condition(columns: Array) -> tuple[float, Array]:
-    """Return the log of a bound of the condition number of rows (N, n, P), and derivatives.
-
-    For eigenvalues l_i of W'W, max l / min l <= (sum l_i^p)^(1/p) (sum l_i^-p)^(1/p).
-    """
+    """Return the log of a bound of the condition number of rows (N, n, P), and derivatives."""
     rows = columns.reshape(-1, columns.shape[2])
     values, vectors = np.linalg.eigh(rows.T @ rows)
     values = np.maximum(values, _SINGULAR * values[-1])
@@ -179,11 +176,7 @@ _LARGE = 100.0  # size of a random motion before it is shrunk, relative to the j
 
 
 class ExcitationSettings(Config):
-    """Settings of the designed motion.
-
-    A motion needs two `harmonics`. `period` is the range [s]. The `sample_rate` [Hz] is by default
-    that of the logs, or 200.
-    """
+    """Settings of the designed motion; `sample_rate` [Hz] is by default that of the logs."""
 
     harmonics: int = Field(default=10, ge=2)
     period: tuple[Positive, Positive] = (10.0, 30.0)
@@ -203,11 +196,7 @@ class ExcitationSettings(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
-    """Designed motion, at rest at both ends, for a robot.
-
-    `condition` is that of W_b, `sample_rate` [Hz] that of the setpoints, and `peak_torque` (n,)
-    [N.m] the largest of the model file's rigid body, without friction.
-    """
+    """Designed motion, condition of W_b, and `peak_torque` (n,) [N.m] of the rigid body."""
 
     motion: Fourier
     condition: float

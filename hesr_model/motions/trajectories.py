@@ -230,10 +230,7 @@ def random_fourier(
     offset: Array,
     periods: int = 1,
 ) -> Fourier:
-    """Draw a Fourier motion with peak velocities (n,) [rad/s].
-
-    A seed gives the same motion on every machine. Raises ConfigError for fewer than 2 harmonics.
-    """
+    """Draw a Fourier motion with peak velocities (n,) [rad/s], the same on every machine."""
     if harmonics < 2:
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
     joints = np.arange(len(peak_velocity))[:, None]
@@ -248,10 +245,7 @@ def random_fourier(
 def _quadratic_phase_integral(
     phase: Array | float, rate: float, slope: float, t: Array
 ) -> NDArray[np.complex128]:
-    """Return the integral from 0 to t of exp(i (phase + rate s + slope s^2 / 2)) ds, for slope > 0.
-
-    Completing the square turns it into Fresnel's C + i S (Abramowitz and Stegun 7.3).
-    """
+    """Return the integral of exp(i (phase + rate s + slope s^2 / 2)) by Fresnel's functions."""
     stretch = np.sqrt(slope / np.pi)
     s0, c0 = fresnel(stretch * rate / slope)
     s1, c1 = fresnel(stretch * (t + rate / slope))

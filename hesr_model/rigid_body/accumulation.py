@@ -1,9 +1,4 @@
-"""Identification motion by motion, with bounded memory.
-
-Least squares needs only triangular factors (Golub and Van Loan, Matrix Computations, sec. 5.3 and
-6.5): the estimate is that of `identification.identify`. Its covariance needs the motions twice
-again; that of a sample of them is conservative.
-"""
+"""Identification motion by motion, by triangular factors, with bounded memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial

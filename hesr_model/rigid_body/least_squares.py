@@ -52,12 +52,7 @@ class Factor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Unknowns of a least-squares problem, and its conditioning.
-
-    `condition` is that of the weighted matrix with columns divided by their scales. `ridge` is the
-    pull of the scaled unknowns towards zero over the largest singular value, and `pull` (P,) its
-    cost per unit of each. Each block has a weight and an `rmse`.
-    """
+    """Unknowns of a least-squares problem, its condition, and the `pull` (P,) of a ridge."""
 
     x: Array
     condition: float

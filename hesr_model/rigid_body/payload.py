@@ -36,12 +36,7 @@ _SIGNIFICANT = 4.0  # mass in standard errors; twin logs without payload had 3.4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
-    """An identified payload, with friction under load; see `RigidBody`.
-
-    `parameters` (10,) are those of `robot.LINK_PARAMETERS` in the frame of the last joint [kg,
-    kg.m, kg.m2]. Their covariance has residuals correlated within a second, and errors of the
-    unloaded body.
-    """
+    """Parameters (10,) of a load in the frame of the last joint, with friction; see `RigidBody`."""
 
     parameters: Array
     covariance: Array

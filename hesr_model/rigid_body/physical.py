@@ -42,10 +42,7 @@ _PLACES = (0, 1, 2, 3, 0, 0, 1, 0, 1, 2), (0, 1, 2, 3, 1, 2, 2, 3, 3, 3)  # of a
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicalFit:
-    """Physically consistent parameters (P,), and coefficients of the friction columns.
-
-    The covariance of the base parameters takes the pull towards the model file as prior.
-    """
+    """Physically consistent parameters (P,), friction, and covariance with the pull as prior."""
 
     parameters: Array
     friction: Array
@@ -139,11 +136,7 @@ def is_possible(model: Robot, parameters: Array) -> bool:
 
 
 def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
-    """Return the physically consistent parameters (P,) with torques closest to those of others.
-
-    Also returns the largest difference and the largest torque per joint, (n,) [N.m], at random
-    states.
-    """
+    """Return the nearest consistent parameters (P,), and torques (n,): difference and largest."""
     size, rows = model.inertial, at_random_states(model)
     torque = (rows @ parameters).reshape(-1, model.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]

@@ -238,11 +238,7 @@ def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointFrame:
-    """Place of a joint in the kinematic tree.
-
-    The pose at zero is relative to the `parent`, -1 for the base. A joint turns about or, if
-    `prismatic`, slides along the unit vector `axis` in its frame.
-    """
+    """Joint in the tree: pose relative to the `parent`, -1 for the base, and unit vector `axis`."""
 
     name: str
     parent: int

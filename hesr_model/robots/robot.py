@@ -154,11 +154,7 @@ class Robot:
 
     @cached_property
     def limits(self) -> tuple[Array, Array, Array]:
-        """Lowest and highest position [rad or m] and highest speed, (n,) each.
-
-        An absent limit is infinite; joints that follow a leader also limit it, unless they leave
-        it no range.
-        """
+        """Lowest and highest position [rad or m] and highest speed, (n,) each, or infinite."""
         return self._limits[:3]
 
     @cached_property

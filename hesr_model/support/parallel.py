@@ -151,11 +151,7 @@ def results_of(
 
 @contextmanager
 def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
-    """Share processes among all blocks of `results_of` within that do not give `workers`.
-
-    They first import `modules`, then do the jobs `first`, whose results and errors are dropped.
-    After a block has failed the next one starts new processes.
-    """
+    """Share processes among blocks of `results_of`; they import `modules`, then do `first`."""
     global _sharing
     if _sharing is not None:
         yield

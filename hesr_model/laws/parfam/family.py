@@ -111,12 +111,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
 
 
 def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
-    """Return the hysteresis state and its coefficients.
-
-    The generalised state adds position memory (kappa, as in Dahl's model), and a gate that stops
-    the relaxation at rest. The bristle has position memory alone, and the Stribeck curve inside the
-    state (eq. 2-3, with h = 1 at Coulomb friction).
-    """
+    """Return the hysteresis state of one of `STATES`, and its coefficients."""
     target = sympy.tanh(_BETA * DQ)
     if kind == "paper":
         return Relaxation(name="h", unit="1", drive=_ALPHA * target, rate=_ALPHA), _HYSTERESIS

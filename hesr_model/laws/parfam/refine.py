@@ -137,12 +137,7 @@ def left_out_cost(
 
 
 class Refinement:
-    """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
-
-    alpha and beta are the logit of their position within (logarithmic) bounds, so that 0 < alpha dt
-    < 1; coefficients are for standardised features. The residual is that of `rows`, while the state
-    runs over all rows.
-    """
+    """Least squares of a candidate over (alpha, beta, c, gain, theta), the first two as logits."""
 
     def __init__(
         self, features: HysteresisFeatures, start: Candidate, rows: Mask | slice = _ALL

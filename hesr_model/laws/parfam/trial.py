@@ -60,10 +60,7 @@ def pose(
 def with_unit(
     trial: Trial, features: Array, functions: Sequence[str], starts: int, rng: np.random.Generator
 ) -> list[Trial]:
-    """Return the trial with a further unit g, with the two best arguments of every g.
-
-    `features` (N, 4) are 1, dq [rad/s], h, dh [1/s]; `starts` is for every g.
-    """
+    """Return the trial with a further unit g, with the two best arguments of every g."""
     tau = trial.problem.samples.tau
     rows = slice(None, None, max(1, len(tau) // _ROWS))
     columns = trial.problem.columns(trial.point)[rows]

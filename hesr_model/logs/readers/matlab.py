@@ -1,8 +1,4 @@
-"""MATLAB files; version 7.3 is HDF5 with transposed matrices and needs h5py.
-
-Elements of earlier versions are checked because SciPy may crash or unpack a bomb. Format:
-MathWorks, "MAT-File Format", chapter on level 5.
-"""
+"""MATLAB files, checked for SciPy, which may crash; version 7.3 is HDF5 and needs h5py."""
 
 import struct
 import zlib
