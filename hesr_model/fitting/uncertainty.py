@@ -133,7 +133,7 @@ def wider_side(
 ) -> float:
     """Return the ratio of the wider side of a coefficient's interval to its standard error.
 
-    `slope` (P,) is its derivative, `q` and `r` decompose those of the torque, `moved_by` maps a step
+    `slope` (P,) is its derivative, `q` and `r` decompose those of the torque, `moved_by` maps steps
     to changes. The interval ends as the profile t of Bates and Watts (1988, ch. 6).
     """
     error = float(np.sqrt(slope @ covariance @ slope))
