@@ -16,15 +16,6 @@ from hesr_model.support.files import PathArg, path_of, written_whole
 class Signals:
     """Observed signals of a run, up to its end or its failure.
 
-    Attributes
-    ----------
-    t : (N,) array, s
-        Communication points.
-    signals : dict of (N,) arrays
-        Values of every observed scalar in its unit, by `component.variable`.
-    failure : HesrError or None
-        Reason for an early end.
-
     Examples
     --------
     >>> import hesr
@@ -34,9 +25,9 @@ class Signals:
     >>> signals.write("result.csv")
     """
 
-    t: Array
-    signals: dict[str, Array]
-    failure: HesrError | None = None
+    t: Array  #: communication points (N,) [s]
+    signals: dict[str, Array]  #: (N,) of every observed scalar in its unit, by component.variable
+    failure: HesrError | None = None  #: reason for an early end
 
     def __repr__(self) -> str:
         return f"Signals({len(self.signals)} signals, {len(self.t)} samples to {self.end:g} s)"

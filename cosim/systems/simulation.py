@@ -195,11 +195,10 @@ class Master:
             low=low,
             high=high,
         )
-        self._stepper: PythonStepper | NativeStepper | SandboxStepper = (
-            (native_stepper(self._layout) or sandbox_stepper(self._layout))
-            if self._native
-            else None
-        ) or PythonStepper(self._layout)
+        layout = self._layout
+        native = native_stepper(layout) or sandbox_stepper(layout) if self._native else None
+        self._stepper: PythonStepper | NativeStepper | SandboxStepper
+        self._stepper = native or PythonStepper(layout)
 
     def _conversion(self, into: Element) -> Convert | None:
         steps = self.spec.conversions.get(".".join(into), ())

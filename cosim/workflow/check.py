@@ -129,8 +129,6 @@ def check(
         $ hesr check Friction.fmu --kind hostile --kind references
         $ hesr check System.ssp --fail-on warning --junit check.xml --sarif check.sarif
 
-    In Python:
-
     >>> import hesr
     >>> hesr.check("Friction.fmu").passed
     True

@@ -95,8 +95,6 @@ def excite(
         $ hesr excite robot.toml --for all --time 120 -o motion.csv
         $ hesr excite robot.toml --after results/my_arm --format urscript -o next.script
 
-    In Python:
-
     >>> import hesr
     >>> hesr.excite("robot.toml", output="motion.csv").forward.name
     'motion.csv'

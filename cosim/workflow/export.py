@@ -172,8 +172,6 @@ def export(
         $ hesr export robot.urdf -o Arm.fmu
         $ hesr export closed_loop.toml -o loop.ssp
 
-    In Python:
-
     >>> import hesr
     >>> hesr.export("uf850-table1", "Table1.h", format="c").name
     'Table1.h'

@@ -105,8 +105,6 @@ def fit(
         $ hesr fit seconds.csv --robot robot.toml --rigid-body rigid_body.json \
           --prior law.json -o adapted.json
 
-    In Python:
-
     >>> import hesr
     >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
     FrictionModel('stribeck' of 'arm', 3 joints)

@@ -83,8 +83,6 @@ def identify(
 
         $ hesr identify excitation.csv --robot robot.toml -o rigid_body.json
 
-    In Python:
-
     >>> import hesr
     >>> hesr.identify("excitation.csv", robot="robot.toml")
     RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
@@ -149,12 +147,8 @@ def answer(body: RigidBody, output: PathArg | None) -> Answer:
     from hesr_model.robots.description import statements
     from hesr_model.support.typed_files import to_json
 
-    payload = body.provenance.get("payload")
-    line = (
-        _payload_line(body, payload)
-        if payload
-        else rigid_body(body, body.provenance.get("sliding", ()))
-    )
+    payload, sliding = (body.provenance.get(key, ()) for key in ("payload", "sliding"))
+    line = _payload_line(body, payload) if payload else rigid_body(body, sliding)
     return Written(
         format="hesr-rigid-body-1",
         lines=[*statements(body.provenance), line],

@@ -162,8 +162,6 @@ def inspect(
         $ hesr inspect log.csv --robot my_arm.urdf --write robot.toml --study study.toml
         $ hesr inspect run.csv --robot robot.toml --torque-constants --mass-error 0.2
 
-    In Python:
-
     >>> import hesr
     >>> hesr.inspect("sweep.csv", robot="robot.toml").passed
     True

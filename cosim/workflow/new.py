@@ -90,8 +90,6 @@ def new(
         $ hesr new my_motor --bench rotary --log torque_per_ampere=0.2 --source datasheet
         $ hesr new my_lift --bench sliding --gravity --inertia 80
 
-    In Python:
-
     >>> import hesr
     >>> hesr.new("my_arm", "arm.xml").joints
     ('j1', 'j2', 'j3')

@@ -72,8 +72,6 @@ def report(
         $ hesr report results/uf850 --view --law stribeck --law parfam_h --magnify 20
         $ hesr report results/uf850 --speed 0.5 -o arm.mp4
 
-    In Python:
-
     >>> import hesr
     >>> hesr.report("results/uf850").name
     'report.html'

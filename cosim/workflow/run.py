@@ -193,8 +193,6 @@ def run(
         $ hesr run --quick --seeds 20
         $ hesr run paper
 
-    In Python:
-
     >>> import hesr
     >>> hesr.run("study.toml", quick=True).outcome.fmus["lugre"].name
     'lugre.fmu'

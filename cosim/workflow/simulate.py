@@ -90,8 +90,6 @@ def simulate(
         $ hesr simulate payload.toml --only 7 -o run.csv
         $ hesr simulate Model.fmu --stop 10 --set gain=2 --input steps.csv -o result.csv
 
-    In Python:
-
     >>> import hesr
     >>> float(hesr.simulate("loop.toml").t[0])
     0.0

@@ -199,8 +199,6 @@ def test(
         $ hesr test uf850-table1 --kind properties
         $ hesr test lugre.fmu theirs.fmu --on leaderboard.toml -o leaderboard.html
 
-    In Python:
-
     >>> import hesr
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False

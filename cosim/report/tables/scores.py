@@ -63,11 +63,9 @@ def errors(
             for law in laws
         ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
-    reference = (
-        "the strongest classic law of the same inputs or fewer"
-        if scores.ratios.fair
-        else title(scores.ratios.reference)
-    )
+    reference = title(scores.ratios.reference)
+    if scores.ratios.fair:
+        reference = "the strongest classic law of the same inputs or fewer"
     small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
     if any(ratio.others for of_law in ratios.values() for ratio in of_law):
         small += " on these logs, then on other logs of the kind"

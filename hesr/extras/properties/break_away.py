@@ -108,11 +108,9 @@ def _pulled(
     begins = t[half + 1 :][(dq[half:-1] <= pull) & (dq[half + 1 :] > pull)]
     period = float(np.mean(np.diff(begins))) if cycles and len(begins) > 1 else None
     weak, flat = falls >= WEAKENING, falls <= _NO_WEAKENING
-    does = (
-        f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
-        if cycles
-        else "It ends in steady sliding"
-    )
+    does = "It ends in steady sliding"
+    if cycles:
+        does = f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
     if drives:
         right, why = False, "its steady friction drives at low speed"
     elif weak or flat:
