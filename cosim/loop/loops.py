@@ -335,12 +335,9 @@ def example(
 
 
 def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked], list[Tracked]]:
-    """Run all rows on all motions, and selected ones on a long motion.
-
-    With `quick`, only rows of the desired velocity without outer loop, and no long motion.
-    """
+    """Run all rows on all motions, and selected ones on a long motion unless `quick`."""
     tracking = loop.tracking
-    if quick:
+    if quick:  # only rows of the desired velocity without outer loop
         desired = (row for row in loop.rows() if row.scheme.source == "desired")
         rows = [row for row in desired if not row.scheme.Kx]
         return loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True), []

@@ -127,10 +127,7 @@ def write_loops(
 
 
 def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[Finding]:
-    """Step one loop in the Python and the native master; return a finding if they disagree.
-
-    The arm is a PythonFMU under a PD controller, in a third run native.
-    """
+    """Step one loop in the Python and the native master; return a finding if they disagree."""
     gains = loop.tracking.gains
     Kd = tuple(kd or _DERIVATIVE * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))
     changed = loop.tracking.model_copy(update={"gains": gains.model_copy(update={"Kd": Kd})})
@@ -148,6 +145,7 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
                     remedy=str(error).rstrip("."),
                 )
             ]
+        # a PythonFMU under a PD controller, in the third run a native one
         for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
             own = replace(loop, fmus=replace(loop.fmus, arm=arm))
             spec = example(own, compensation="torque_error", duration=_SECONDS)

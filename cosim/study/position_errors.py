@@ -38,10 +38,7 @@ class PositionErrors:
 def simulate_tests(
     models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
-    """Score laws as simulators on test sets; those that cannot be simulated are left out.
-
-    Whole logs are scored without gravity only: an upright arm diverges with any friction.
-    """
+    """Score laws as simulators on test sets; those that cannot be simulated are left out."""
     windows: dict[str, list[simulation.Windows]] = {}
     logs: dict[str, list[simulation.Windows]] = {}
     for test, records in tests.items():
@@ -51,6 +48,7 @@ def simulate_tests(
         except SimulationError as error:
             _warn(error)
             continue
+        # Whole logs: an upright arm diverges with any friction.
         if simulation.weightless(of_joints, robot, body):
             logs[test] = list(map(simulation.whole, of_joints))
     cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]

@@ -50,10 +50,7 @@ class Split:
 
 
 def split(logs: Sequence[Log]) -> Split:
-    """Choose a test of at least `LEAST_SECONDS`, if that leaves enough for training.
-
-    Each log is cut where the training would else lack a joint that moves, as with a single log.
-    """
+    """Choose a test of at least `LEAST_SECONDS`, if that leaves enough for training."""
     durations = [float(log.t[-1] - log.t[0]) for log in logs]
     whole = sum(durations)
     moved = np.array([np.ptp(log.q, axis=0) > LEAST_TRAVEL for log in logs])
@@ -62,6 +59,7 @@ def split(logs: Sequence[Log]) -> Split:
     tested = tested if whole - sums.get(tested, 0.0) >= _LEAST_TRAINED * whole else 1
     if len(logs) > 1 and np.array_equal(moved[:-tested].any(axis=0), moved.any(axis=0)):
         return Split(tested=tested, seconds=sums[tested])
+    # The training would lack a joint that moves, or there is a single log: cut each log.
     shares = [_share(log, whole) for log in logs]
     cuts = tuple(float(f"{s * d:.4g}") for s, d in zip(shares, durations, strict=True))
     return Split(tested=len(logs), cuts=cuts, seconds=whole - sum(cuts))

@@ -235,10 +235,8 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]
 def _against_best(
     table: LawErrors, ranked: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
-    """Return leading laws, detectable ratios, and the duration [s] of a separating test.
-
-    One family per joint; one over all would have little power.
-    """
+    """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
+    # One family per joint; one over all would have little power.
     best = min(ranked, key=lambda law: table.log_rmse[table.laws.index(law)])
     others = [law for law in ranked if law != best]
     if not others or table.too_short:

@@ -222,10 +222,7 @@ def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt on Ctrl-C and SIGTERM, so that temporary files are removed.
-
-    Python drops an exception raised during a deallocation; it is then raised once more.
-    """
+    """Raise KeyboardInterrupt on Ctrl-C and SIGTERM, so that temporary files are removed."""
     wanted = [signal.SIGINT, signal.SIGTERM]
     if threading.current_thread() is not threading.main_thread():
         wanted = []
@@ -237,7 +234,7 @@ def ended_by_signals() -> Iterator[None]:
             last = now
             raise KeyboardInterrupt if number == signal.SIGINT else _Ended
 
-    def dropped(what: "sys.UnraisableHookArgs") -> None:
+    def dropped(what: "sys.UnraisableHookArgs") -> None:  # in a deallocation: raise it once more
         nonlocal last
         if not isinstance(what.exc_value, KeyboardInterrupt):
             show(what)

@@ -82,10 +82,8 @@ def placed(
     margins: tuple[float, float, float],
     gaps: tuple[float, float] = (0.66, 0.32),
 ) -> dict[str, float]:
-    """Return the places of axes from a figure's size, left, top and bottom margin, and gaps [in].
-
-    Laying out axes by their texts takes as long as drawing them.
-    """
+    """Return places of axes from a figure's size, left, top and bottom margin, and gaps [in]."""
+    # Laying out axes by their texts takes as long as drawing them.
     (width, height), (left, top, bottom), (aside, above) = size, margins, gaps
     across = (width - left - _RIGHT - (columns - 1) * aside) / columns
     down = (height - top - bottom - (rows - 1) * above) / rows

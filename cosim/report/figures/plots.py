@@ -56,10 +56,7 @@ def loops(
     y: str,
     points: int | None = None,
 ) -> Figure:
-    """Draw torque [N.m] over velocity [rad/s] (N,) near reversals, one panel per law.
-
-    The measured pair is drawn behind each law's; lines are thinned to `points`.
-    """
+    """Draw torque [N.m] over velocity [rad/s] (N,) near reversals by law, thinned to `points`."""
     columns = min(_LOOP_COLUMNS, len(laws))
     rows = ceil(len(laws) / columns)
     with styled():

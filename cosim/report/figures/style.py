@@ -1,8 +1,4 @@
-"""Style and files of figures.
-
-Colours suit colour-blind readers (Okabe and Ito, contrast to white at least 3); in a page each is a
-CSS variable for light and dark.
-"""
+"""Style and files of figures; in a page each colour is a CSS variable for light and dark."""
 
 import io
 import re
@@ -24,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.typing import RcKeyType  # missing in older versions
 
 INK, SOFT, LINE, CARD = "#1d2430", "#5b6675", "#d5dae1", "#f4f6f9"
+# for colour-blind readers (Okabe and Ito), with a contrast to white of at least 3
 SERIES = ("#0069a8", "#c24e00", "#00785a", "#a03f87", "#806400", "#3d4f9f")
 
 VARIABLES = {

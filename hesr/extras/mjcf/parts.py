@@ -103,15 +103,12 @@ def parts_of(law: FrictionLaw) -> JointFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """Bristle x' = scale v - rate |v| x; scale of x against the deflection z.
-
-    `rate` has `_PEAK` for `peak` = exp(-(v / v_s)^2), if any; `stribeck` is v_s [rad/s].
-    """
+    """Bristle x' = scale v - rate |v| x; scale of x against the deflection z."""
 
     scale: sympy.Expr
-    rate: sympy.Expr
-    peak: sympy.Expr | None
-    stribeck: float | None
+    rate: sympy.Expr  # with `_PEAK` for `peak`
+    peak: sympy.Expr | None  # exp(-(v / v_s)^2)
+    stribeck: float | None  # v_s [rad/s]
 
     @classmethod
     def of(cls, relaxation: Relaxation, zeros: Mapping[sympy.Symbol, int], values: Values) -> Self:

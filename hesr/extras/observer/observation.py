@@ -257,11 +257,8 @@ def _of_joint(
 
 
 def _scaled(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
-    """Scale shares to contain 95 % of squared errors in motion, and at rest if they do not yet.
-
-    One scale for both would contain more than 95 % at rest and less in motion. Returns the shares
-    and the squares of the half-widths (N,).
-    """
+    """Return shares and squared half-widths (N,) that contain 95 % in motion, and at rest."""
+    # One scale for both would contain more than 95 % at rest and less in motion.
     moving = columns[:, _REST] < 0.5
     moving |= not moving.any()
     variance = columns @ shares + 1e-30

@@ -19,10 +19,7 @@ _SPRING = 20.0  # stretch at the friction level, in deflections
 def dissipation(
     bench: DriveBench, scale: Scale, peaks: Array, loaded: Array
 ) -> list[PropertyResult]:
-    """Drive spring-held joints back and forth and sum up the work of their friction.
-
-    The load of `loaded` (n,) laws moves between 0 and `peaks` (n,) [N.m].
-    """
+    """Sum up the friction work of spring-held joints, under loads from 0 to `peaks` (n,) [N.m]."""
     angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
     dt = np.full(len(angle), _INNER_STEP)
     worst = np.full(bench.joints, -np.inf)

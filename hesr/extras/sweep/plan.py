@@ -73,11 +73,7 @@ _EDGE = 2.0**-53  # smallest distance to 0 and 1 of the quantiles of a normal di
 
 
 def chosen(study: SweepStudy) -> Array:
-    """Return the values of all inputs, (runs, d).
-
-    "sobol" is Saltelli's design: the blocks A, B and, for each input, A with this input from B
-    (Comput. Phys. Commun. 181 (2010) 259-270, table 2, radial form).
-    """
+    """Return the values of all inputs, (runs, d)."""
     unit = _unit(study)
     columns = [_values(one, unit[:, k]) for k, one in enumerate(study.inputs)]
     at = len(columns)
@@ -99,6 +95,8 @@ def _unit(study: SweepStudy) -> Array:
     rng = np.random.default_rng(study.seed)
     if study.design == "latin_hypercube":
         return np.asarray(qmc.LatinHypercube(d, rng=rng).random(runs))
+    # Saltelli's blocks A, B and, for each input, A with this input from B (Comput. Phys. Commun.
+    # 181 (2010) 259-270, table 2, radial form)
     both = np.asarray(qmc.Sobol(2 * d, rng=rng).random(runs))
     a, b = both[:, :d], both[:, d:]
     mixed = [np.where(np.arange(d) == k, b, a) for k in range(d)]
