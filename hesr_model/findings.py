@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AliasChoices, BeforeValidator, Field
 
 Severity = Literal["error", "warning", "advice"]
-
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "advice")  # the worst first
 _log = logging.getLogger(__name__)
 

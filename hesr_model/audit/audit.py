@@ -20,7 +20,6 @@ joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz.
 """
 AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)  # of the trained speed
 ENCODER = 20e-6  # [rad] RMS noise
-
 _SETTLING = 3.0  # [s] several time constants
 _NOISE_ROWS = 4000
 _ROUNDING = 1e-9  # of the work
@@ -117,8 +116,7 @@ class Audit:
     explodes: bool
 
 
-Run = Callable[[FrictionLaw, Array, Array, Array, Array], Array]
-"""Torque of a law for t, dq, q and load, all (N,)."""
+Run = Callable[[FrictionLaw, Array, Array, Array, Array], Array]  # torque for t, dq, q, load
 Response = tuple[ClosedMotions, float, Array]  # motions, their constant load and the torque (A, K)
 
 

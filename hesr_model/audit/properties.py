@@ -198,9 +198,7 @@ EXPECTATIONS = {
 
 
 FORMAT = "hesr-friction-properties-1"
-
-PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]
-"""Not applicable to the law; this is not a defect."""
+PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]  # the third is no defect
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 
 

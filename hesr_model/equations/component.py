@@ -39,8 +39,7 @@ class Choice(Parameter):
 
     unit: str = "1"
     tunable: bool = False
-    items: tuple[tuple[str, str], ...]
-    """Name and description of each value."""
+    items: tuple[tuple[str, str], ...]  # Name and description of each value
 
     def case(self, cases: Mapping[str, sympy.Expr]) -> sympy.Expr:
         """Return the expression of the current value; 0 for values without a case."""

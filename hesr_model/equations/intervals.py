@@ -12,7 +12,6 @@ from hesr_model.equations.functions import NUMPY, absolute, positive
 from hesr_model.support.arrays import Array
 
 Enclosure = tuple[Array, Array]
-
 _ROUNDS, _BOXES = 100, 200_000  # limits of the subdivision
 _PRECISION = 1e-6  # relative, of the least value
 

@@ -9,15 +9,10 @@ import sympy
 from hesr_model.equations.functions import absolute, clip, decay, larger, over, positive, sgn, share
 
 DT = sympy.Symbol("dt", real=True)  # length of the current step [s]
-Discretisation: TypeAlias = Literal["exact", "euler"]
-"""Exact step for held inputs, or explicit Euler (eq. 10)."""
-
-EULER = sympy.Symbol("euler", real=True)
-"""1 if relaxations move by Euler's step (eq. 10), 0 if exactly."""
-
+Discretisation: TypeAlias = Literal["exact", "euler"]  # for held inputs; eq. 10
+EULER = sympy.Symbol("euler", real=True)  # 1 for Euler's step (eq. 10) of relaxations, 0 if exact
 FIRST_STEP = sympy.Rational(1, 1000)  # step [s] of the search for the settled state
-RELEASE = sympy.Float(0.005)
-"""T [s], time constant of a continuous stop following a shrinking bound."""
+RELEASE = sympy.Float(0.005)  # T [s], time constant of a continuous stop with a shrinking bound
 
 
 @dataclass(frozen=True, kw_only=True)

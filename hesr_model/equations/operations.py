@@ -19,8 +19,7 @@ NAMES = (
     *("SGN", "ABSOLUTE", "POSITIVE", "LARGER"),
     *("CLIP", "EXCEEDS", "OVER", "CARRIED", "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME"),
     "MULTIPLY_SAME",
-)
-"""Operations of `rows.c` by number."""
+)  # Operations of `rows.c` by number
 STOPS = 4  # stops moved together, as in `rows.c`
 
 _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {

@@ -12,7 +12,6 @@ from hesr_model.equations.memory import Element, Prompt
 
 Assignments = Mapping[sympy.Symbol, sympy.Expr]
 Definitions = dict[sympy.Symbol, sympy.Expr]
-
 STEEP = 1e-3  # half width of a jump without event [rad/s]
 
 
@@ -109,8 +108,7 @@ class Jumps:
     """
 
     component: Component
-    every: bool = False
-    """True if all magnitudes are events, for tools that also hold their signs."""
+    every: bool = False  # True if all magnitudes are events, for tools that also hold their signs
 
     @cached_property
     def expressions(self) -> tuple[sympy.Expr, ...]:

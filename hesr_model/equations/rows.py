@@ -25,8 +25,7 @@ HOSTS = {
     ("darwin", "x86_64"): ("x86_64-macos.11.0", ".dylib"),
     ("darwin", "arm64"): ("aarch64-macos.11.0", ".dylib"),
     ("win32", "AMD64"): ("x86_64-windows-gnu", ".dll"),
-}
-"""Compiler target and library suffix of each machine."""
+}  # Compiler target and library suffix of each machine
 _FLAGS = (
     *("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s"),

@@ -24,10 +24,8 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 SLOW_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.16)  # [rad/s] candidates of v_slow
-
 RESTS = 10  # minimum for the width at rest
 _LONG = 0.5  # [s] minimum duration below `MOVING`
-
 _LEVELS = (0.8, 0.9, 0.98)  # quantiles that determine the tail, in addition to 95 %
 _TAIL = (0.4, 1.2)  # of the exponent
 _STEP = 1e-6

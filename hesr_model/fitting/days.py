@@ -32,7 +32,6 @@ from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
 from hesr_model.support.arrays import Array, Integers
 
 Nuisance = Literal["offset", "level"]
-
 _ROUNDS = 30
 _LEAST, _MOST = 0.2, 5.0  # of a level
 

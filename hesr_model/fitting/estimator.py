@@ -69,7 +69,6 @@ class Estimator(ABC):
 
 
 _REGISTRY: dict[str, type[Estimator]] = {}
-
 Registered = TypeVar("Registered", bound=type[Estimator])
 
 

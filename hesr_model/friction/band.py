@@ -51,8 +51,7 @@ NUMBERS = (
     _number("load", "1", "half-width at 95 % added by load, per load"),
     _number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
     _number("envelope", "1", "1 if the band at rest spans both break-away torques, else 0"),
-)
-"""Numbers of a joint's band, in the order of the fields of `Band`."""
+)  # in the order of the fields of `Band`
 
 
 @dataclass(frozen=True, kw_only=True)

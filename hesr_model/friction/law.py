@@ -26,11 +26,7 @@ from hesr_model.inference.covariance import Covariance
 from hesr_model.units import unit_of_joint
 
 _SPEED = clip(absolute(DQ) / sympy.Float(MOVING), 1)
-SETTLING = _SPEED**2 * (3 - 2 * _SPEED)
-"""Share of the steady state in the initial state: 0 at rest, smoothly rising to 1 in motion.
-
-At rest the state depends on an unknown history; motion erases it quickly.
-"""
+SETTLING = _SPEED**2 * (3 - 2 * _SPEED)  # 0 at rest, where the history is unknown, to 1 in motion
 
 _LARGEST = 1e100  # largest allowed coefficient; a product of three stays finite
 

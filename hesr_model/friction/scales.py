@@ -101,8 +101,7 @@ def _part(
 
 
 CHANGE = 0.1  # smallest relative change of friction to detect
-CHANGE_OF_OFFSET = 0.5
-"""Smallest change of the offset to detect, in standard deviations of the unexplained torque."""
+CHANGE_OF_OFFSET = 0.5  # the same, in standard deviations of the unexplained torque
 _CLIPPED = 1.0 - 1e-9  # share of its bound above which a stop is clipped, up to round-off
 
 

@@ -117,8 +117,7 @@ def hopeless(findings: Sequence[Finding]) -> bool:
 SYMPTOMS = (
     *("torque-sign", "torque-scale", "torque-signal", "torque-lag", "torque-small", "time-scale"),
     "gravity-sign",
-)
-"""Checks whose findings a deeper cause can explain."""
+)  # Checks whose findings a deeper cause can explain
 
 
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:

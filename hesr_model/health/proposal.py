@@ -39,8 +39,7 @@ _REMEDIES = (
     ("duplicates = 'first'", "log.duplicates", "first"),
     ("finite number is needed", "log.missing", "drop"),
     ("is nan;", "log.missing", "drop"),
-)
-"""Words of a refusal, and the key and value of the robot file that remove it."""
+)  # Words of a refusal, and the key and value of the robot file that remove it
 _HIDDEN = {*SYMPTOMS, "speed-limit", "velocity-lag"}  # warnings that other findings can hide
 _NO_REMEDY = "no change that was tried removes it; check the column, its unit and the model"
 
@@ -361,5 +360,4 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
 HEAD = (
     *("log", "joint", "position", "max speed", "reversals", "rests %", "dq slope", "lag ms"),
     *("gravity / model", "friction (errors)", "expl. %"),
-)
-"""Column headings of `summary_rows`."""
+)  # Column headings of `summary_rows`

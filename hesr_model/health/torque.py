@@ -20,7 +20,6 @@ _EXACT = 0.1  # residual share of computed torques
 _SEEN = 0.5  # gravity over the residual to judge its sign
 _WEIGHTLESS = 0.1  # share of the model's gravity in weightless torques
 _ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak over the model's limit, others over own
-
 Explained = Mapping[int, JointTorque]  # by index of the joint
 
 

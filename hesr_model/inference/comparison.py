@@ -18,7 +18,6 @@ from hesr_model.inference.covariance import correlation_length
 from hesr_model.support.arrays import Array, Mask
 
 Key = TypeVar("Key")
-
 BIN = 0.05  # length of a bin, whose rows are averaged [s]
 SECONDS_PER_DEGREE = 8.0  # minimum duration per degree of freedom [s]
 _TIMES_PER_DEGREE = 3.0  # minimum duration per degree of freedom in correlation times

@@ -160,8 +160,7 @@ def covariance(
     return covariance_of_parts(names, lambda: parts, whole, known=known, carried=carried)
 
 
-Gradients = tuple[int, Array, Array]
-"""Label of a log, gradients (N, P) of its next rows, and their share (P, P) of the Hessian."""
+Gradients = tuple[int, Array, Array]  # log, gradients (N, P) of its next rows, their Hessian (P, P)
 
 
 def covariance_of_parts(

@@ -17,7 +17,6 @@ from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0
 
 DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)  # [rad] 1 / kappa: sharp to wide loops
-
 _ELEMENTS = range(1, len(DEFLECTIONS) + 1)
 
 

@@ -18,7 +18,6 @@ from hesr_model.laws.stribeck import F_C, F_S, SIGMA_2, TAU_0, V_S, VELOCITY_BOU
 SIGMA_0 = Coefficient(name="sigma_0", unit="N.m/rad", description="bristle stiffness")
 SIGMA_1 = Coefficient(name="sigma_1", unit="N.m.s/rad", description="bristle damping")
 MU = Coefficient(name="mu", unit="1/(N.m)", description="relative rise with the load")
-
 DEFLECTION_BOUNDS = (1e-5, 0.1)  # [rad] F_c / sigma_0; wide, since the update is exact
 RATIO_TEXTBOOK = (1.0, 5.0)  # F_s / F_c: static above Coulomb friction
 STATIC_RATIO_BOUNDS = (0.2, 5.0)  # relaxed: below 1 as in lubricated gears

@@ -17,7 +17,6 @@ F_S = Coefficient(name="F_s", unit="N.m", description="static friction")
 V_S = Coefficient(name="v_s", unit="rad/s", description="Stribeck velocity")
 SIGMA_2 = Coefficient(name="sigma_2", unit="N.m.s/rad", description="viscous friction")
 TAU_0 = Coefficient(name="tau_0", unit="N.m", description="offset")
-
 VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s]
 
 

@@ -27,8 +27,7 @@ _WORDS: Mapping[str, frozenset[str]] = {
         "tau torque torques trq effort efforts moment moments drehmoment tq nm force forces kraft"
     ),
     "current": _words("i im cur curr current currents amp amps ampere iq strom motorstrom"),
-}
-"""Words in column names; the first match wins."""
+}  # Words in column names; the first match wins
 _FORCES = _words("force forces kraft")  # torques of sliding joints, unless a torque is logged
 _COMMANDED = ("q", "dq")  # quantities whose commands are read
 _PLACES = _words("joint axis")  # positions, unless another quantity matches

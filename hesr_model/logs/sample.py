@@ -12,7 +12,6 @@ from hesr_model.logs.signals import MOVING, Motion, near_reversals
 from hesr_model.support.arrays import Array, joined
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
-
 WINDOW = 1.0  # length [s]; friction forgets its initial state
 _FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
 _LEAST, _MOST = -3, 5  # octaves of torque around the first root mean square

@@ -165,12 +165,9 @@ def _log_condition(columns: Array) -> tuple[float, Array]:
     return 0.5 * float(span), slopes.reshape(columns.shape)
 
 
-_SAMPLES = 400
-"""Samples per period; with 100 or more the condition number of W_b changes by a per cent."""
-
+_SAMPLES = 400  # per period; with 100 or more the condition number of W_b changes by a per cent
 _COARSE, _FINE = 1e2, 1e4  # weights of exceeded limits, in the first descents and the last one
 _COARSE_STEPS, _FINE_STEPS = 100, 300
-
 _USUAL_RATE = 200.0
 _LARGE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
 

@@ -15,9 +15,7 @@ from hesr_model.support.typed_files import Config
 
 Positive = Annotated[float, Field(gt=0)]
 KEPT_FREE = 0.05  # default margin at either end of a joint's range: no arm follows exactly
-_SECONDS_TO_FULL_SPEED = 1.0
-"""Default time to reach a joint's speed [s]; model files have no acceleration."""
-
+_SECONDS_TO_FULL_SPEED = 1.0  # default time to a joint's speed [s]; files have no acceleration
 _MARGIN = 1e-3  # margin of every limit for peaks between the evaluated points
 _HALVINGS = 12
 _RESTS = 4000

@@ -12,12 +12,9 @@ from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
-_AT_REST = 1e-9
-"""Start values [rad/s, rad/s2] that count as rest, relative to the largest coefficient."""
-
+_AT_REST = 1e-9  # start [rad/s, rad/s2] that counts as rest, over the largest coefficient
 _ROUNDING = 1e-9  # round-off of the end of a motion [s]
-_POINTS_PER_CYCLE = 256
-"""Points per cycle of the highest harmonic; peaks on this grid are low by at most 8e-5."""
+_POINTS_PER_CYCLE = 256  # of the highest harmonic; peaks are low by at most 8e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

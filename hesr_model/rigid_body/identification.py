@@ -31,14 +31,11 @@ from hesr_model.support.frames import html_table
 from hesr_model.support.typed_files import Numbers, from_json, read_json, to_json, write_json
 
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
-
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
-
 LEAST_PEAK = 0.02  # peak speed that determines an inertia [rad/s, m/s]
 _MATTERS = 1e-2  # share of the largest torque error to propagate
 AT_ONCE = 4096  # samples per evaluation of the regressor
-
 _log = logging.getLogger(__name__)
 
 

@@ -36,7 +36,6 @@ _REWEIGHTINGS = 2
 _SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
 """Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""
-
 _PLACES = (0, 1, 2, 3, 0, 0, 1, 0, 1, 2), (0, 1, 2, 3, 1, 2, 2, 3, 3, 3)  # of an upper triangle
 
 

@@ -16,7 +16,6 @@ from hesr_model.support.typed_files import Config, PrintableName, RelativePath, 
 
 SourceKind = Literal["measured", "datasheet", "identified", "guessed", "not stated"]
 """Only the first three are evidence against a log."""
-
 _KEY = "constants"  # of provenance
 _SAID: Mapping[SourceKind, str] = {
     "measured": "measured",
@@ -111,8 +110,7 @@ class Owner(Config):
 
 OURS = Owner(
     author="The HESR authors", copyright="Copyright (c) 2026 The HESR authors", license="MIT"
-)
-"""Owner of FMUs with code of HESR only."""
+)  # Owner of FMUs with code of HESR only
 
 
 class RobotDescription(Config):

@@ -21,7 +21,6 @@ from hesr_model.support.cache import kept
 _MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
 _LEAST = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
 _STATES = 8  # random states of the check
-
 Compiled = dict[str, Any]  # a compiled file as JSON; see `_described`
 
 

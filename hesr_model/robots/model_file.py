@@ -18,9 +18,7 @@ from hesr_model.support.arrays import Array
 _SHORT = 0.1  # range of fingers [m]
 _FINGER = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
 _ALIKE = 1e-6  # allowed difference from MuJoCo over the largest torque
-
-Followers = dict[str, tuple[str, float, float]]
-"""Joints that follow a leader: q = multiplier * q_leader + offset, by name."""
+Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, offset
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,6 @@ from hesr_model.support.files import path_of
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Mass, first moments, and inertia about the origin of the link's joint frame."""
-
 _ROWS_AT_ONCE = 4096
 
 

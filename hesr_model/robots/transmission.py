@@ -20,7 +20,6 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
 
 Side = Literal["motor", "joint"]
-
 _MOST_CONDITION = 1e8  # matrix with rows divided by gear ratios
 
 

@@ -18,8 +18,7 @@ from functools import cache
 from pathlib import Path
 
 LIMIT = 256 * 1024 * 1024  # [B] per kind, some thousand FMUs
-USED: Counter[tuple[str, bool]] = Counter()
-"""Cache hits (True) and misses by kind, of this process and its workers."""
+USED: Counter[tuple[str, bool]] = Counter()  # hits (True) and misses by kind, with workers
 _SHELVES = 256  # folders per kind, by the first byte of names
 _DIGEST = hashlib.sha256().digest_size
 _OTHERS = 0o077  # permissions of group and others

@@ -14,8 +14,7 @@ from hesr_model.support.cache import folder as cache_folder
 from hesr_model.support.cache import kept
 from hesr_model.support.files import scratch_folder
 
-PREBUILT = Path(__file__).with_name("binaries")
-"""Compiled kernels that come with a wheel, named by `digest`."""
+PREBUILT = Path(__file__).with_name("binaries")  # kernels of a wheel, named by `digest`
 
 
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:

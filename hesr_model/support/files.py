@@ -29,9 +29,7 @@ _OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_HERE}-(\d+)-\w{{8}}(\.\w+|-\w{{16}
 """Temporary names, with machine and process, and those of parts during removal."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
-
 PathArg = str | os.PathLike[str]
-
 _log = logging.getLogger(__name__)
 _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 

@@ -37,9 +37,7 @@ from hesr_model.support.process import ChildProcess, end_marked, new_mark
 from hesr_model.support.progress import current, deferred, running
 
 JOBS = "jobs"  # prefix of files with pickled jobs
-
 JobAnswer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
-
 _GROWTH = 1 << 30  # memory growth after which a worker starts afresh [B]
 _ORPHANED = 1.0  # period of checks for the parent [s]
 
@@ -120,8 +118,7 @@ _START = (
     "sys.path[:] = path; from hesr_model.support.parallel import work; work(Path(folder), parent)"
 )
 _LIBRARIES = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "BLIS_NUM", "VECLIB_MAXIMUM")
-_ENVIRONMENT = {f"{library}_THREADS": "1" for library in _LIBRARIES}
-"""One BLAS thread per worker: no more threads than cores, and reproducible sums."""
+_ENVIRONMENT = {f"{library}_THREADS": "1" for library in _LIBRARIES}  # for reproducible sums
 
 
 @contextmanager

@@ -27,9 +27,7 @@ GROUPS = {
     "hesr.reports": "report",  # writer of a suffix or view
     "hesr.chapters": "chapter",  # Chapter of a run's report
     "hesr.commands": "command",  # workflow function of a verb
-}
-"""Groups of entry points, with the word for one plug-in in messages."""
-
+}  # Groups of entry points, with the word for one plug-in in messages
 _OWN = "hesr"
 
 

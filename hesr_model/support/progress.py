@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 Progress = Callable[[int, int], None]  # number of finished items, total
-
 Stages = Callable[[str, int, int], None]  # name of a stage, number of finished items, total
-
 Item = TypeVar("Item")
 
 
@@ -59,7 +57,6 @@ def counted(
 
 
 _steps: ContextVar[Progress] = ContextVar("_steps", default=silent)
-
 PARTS = 100  # units of one job among several
 _LOOKED = 0.3  # [s] between two polls of workers
 

@@ -50,7 +50,6 @@ def toml(value: Any) -> str:
 
 
 Data = TypeVar("Data")
-
 MOST_BYTES = 256 * 2**20  # the largest results have a tenth of it
 _MOST_DIGITS = 300  # floating-point numbers end at 1.8e308
 _DEEPEST_KEY = 100  # dots

@@ -65,9 +65,7 @@ def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
 
 
 RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]  # to its TOML file
-
-PrintableName = Annotated[str, AfterValidator(require_printable)]
-"""A name without control characters, which an FMU's description cannot contain."""
+PrintableName = Annotated[str, AfterValidator(require_printable)]  # as FMUs need
 
 
 def _refusal(path: Path, schema: type[BaseModel], error: ValidationError) -> str:

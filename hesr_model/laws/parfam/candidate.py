@@ -17,8 +17,7 @@ UNIT_FUNCTIONS: dict[str, tuple[Callable[[Array], Array], Callable[[Array, Array
     "sin": (np.sin, lambda x, _: np.cos(x)),
     "cos": (np.cos, lambda x, _: -np.sin(x)),
     "exp": (lambda x: np.exp(np.minimum(x, LARGEST_EXPONENT)), lambda _, g: g),
-}
-"""g and its derivative as functions of argument and value of g."""
+}  # g and its derivative as functions of argument and value of g
 
 
 @dataclass(frozen=True, kw_only=True)

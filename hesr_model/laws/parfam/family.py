@@ -19,15 +19,10 @@ from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import V_S
 
 FEATURES = ("1", "dq", "h", "dh")  # in the order of coefficient vectors
-
 LINEAR = (*FEATURES, "h_load", "h_bump")  # h |tau_load| and h exp(-(dq/v_s)^2)
-
 DIVISORS = ("dq", "h")  # h' is unbounded and would allow poles
-
 STATES = ("paper", "generalised", "bristle")  # eq. 9; with position memory; LuGre's bristle
-
 FUNCTIONS = {"tanh": sympy.tanh, "sin": sympy.sin, "cos": sympy.cos, "exp": sympy.exp}
-
 _UNIT = {"1": "N.m", "dq": "N.m.s/rad", "h": "N.m", "dh": "N.m.s", "h_load": "1", "h_bump": "N.m"}
 _ARGUMENT_UNIT = {"1": "1", "dq": "s/rad", "h": "1", "dh": "s"}
 

@@ -15,8 +15,7 @@ from hesr_model.friction.law import SETTLING
 from hesr_model.laws.parfam.family import FUNCTIONS
 from hesr_model.support.arrays import Array
 
-NUMBERS = sympy.symbols("alpha beta c:4 gain theta:4", real=True)
-"""Symbols of a candidate's numbers, in the order of its slopes."""
+NUMBERS = sympy.symbols("alpha beta c:4 gain theta:4", real=True)  # order of slopes
 LARGEST_EXPONENT = 50.0
 
 

@@ -193,8 +193,7 @@ def _space(samples: JointRows) -> SearchSpace:
     )
 
 
-STATE_GAIN = 0.02
-"""Smallest relative gain by memory in time: one per cent for each of two coefficients."""
+STATE_GAIN = 0.02  # smallest relative gain by memory in time: 1 % for each of two coefficients
 
 
 @register

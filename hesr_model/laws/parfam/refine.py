@@ -18,10 +18,7 @@ from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
 SIGNIFICANCE = 2.0  # of a coefficient, in standard errors
-
-
 _ALL = slice(None)
-
 ROUNDS = ((8, 10), (16, 4))
 """(evaluations, number of candidates kept) over all rows: few rows determine a steep beta."""
 LONG, PRUNED, FOLD = 60, 12, 8  # evaluations of the final fit, after pruning, without a fold

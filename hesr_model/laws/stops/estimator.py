@@ -30,8 +30,6 @@ NEAR = 3  # [1/rad] from an integer multiple of the gear ratio
 LAGS = np.arange(0.0, 0.0121, 0.0005)  # [s]
 MOST = 6  # frequencies of a joint
 GAIN = 0.002  # smallest relative gain of the left-out mean square by a frequency
-
-
 _PHASE = 0.6  # range of the lag, as a phase at 1 rad/s [rad]
 
 

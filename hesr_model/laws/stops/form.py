@@ -44,9 +44,7 @@ AGE = Relaxation(
     unit="1",
     drive=sympy.exp(-((DQ / V_S.symbol) ** 2)) / REST.symbol,
     rate=1 / REST.symbol,
-)
-"""Age of the contacts: 1 at rest, falling in motion."""
-
+)  # Age of the contacts: 1 at rest, falling in motion
 _LOAD = TAU_LOAD / LOAD_SCALE.symbol
 _LIMITED = {TAU_LOAD: LOAD_SCALE.symbol * clip(_LOAD, 1.001)}  # no training row is at the kink
 BOUNDS: Mapping[str, sympy.Expr] = {
@@ -57,9 +55,7 @@ BOUNDS: Mapping[str, sympy.Expr] = {
     "root": sympy.sqrt(absolute(_LOAD)),
     "plus": positive(_LOAD),
     "minus": positive(-_LOAD),
-}
-"""Bounds by name; none is negative, and none vanishes at rest alone."""
-
+}  # Bounds by name; none is negative, and none vanishes at rest alone
 SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}  # thinning speeds, of the largest speed
 THINNING = {
     letter: Coefficient(name=f"v_{letter}", unit="rad/s", description="speed of shear thinning")

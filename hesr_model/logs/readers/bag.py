@@ -21,7 +21,6 @@ from hesr_model.support.files import scratch_folder
 
 _TYPE = "sensor_msgs/msg/JointState"
 _SUFFIXES = (".db3", ".mcap", ".bag")
-
 _log = logging.getLogger(__name__)
 _MAGIC = b"\x89MCAP0\r\n"
 # An empty section "end of data" and a footer without a summary, so that readers scan the records.

@@ -151,8 +151,7 @@ COLUMNS = table_format(
     (),
     lambda path, log: read_table(path, log.columns.names),
     lambda path, log, rows: table_pieces(path, log.columns.names, rows),
-)
-"""Fallback for every file: CSV, Parquet and Feather."""
+)  # Fallback for every file: CSV, Parquet and Feather
 
 
 def sample_pieces(path: Path, robot: RobotDescription, rows: int) -> Iterator[LogSamples]:

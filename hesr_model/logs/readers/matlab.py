@@ -17,7 +17,6 @@ from hesr_model.support.arrays import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
 Order = Literal["<", ">"]
-
 _HEADER = 128  # [B]
 _FLAGS, _MATRIX, _PACKED = 6, 14, 15
 _KNOWN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
