@@ -46,12 +46,14 @@ def used() -> float:
 
 
 def childless() -> bool:
-    """Return whether Linux says that there is no child: looking at all processes takes longer."""
-    try:
-        children = [file.read_text() for file in Path("/proc/self/task").glob("*/children")]
-    except OSError:  # a thread has ended
+    """Return whether there is surely no child: looking at all processes takes longer."""
+    if not hasattr(os, "waitid"):
         return False
-    return bool(children) and not any(children)
+    try:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return True
+    return False
 
 
 def probe() -> float:
