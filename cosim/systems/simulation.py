@@ -36,13 +36,6 @@ from hesr_model.support.progress import Progress, silent
 class System:
     """A system of FMUs: components, start values, connections and steps.
 
-    Parameters
-    ----------
-    spec : SystemSpec
-        Content of the file.
-    path : path
-        File of the system, for messages.
-
     Examples
     --------
     >>> import hesr
@@ -51,8 +44,8 @@ class System:
     0.0
     """
 
-    spec: SystemSpec
-    path: Path
+    spec: SystemSpec  #: content of the file
+    path: Path  #: file of the system, for messages
 
     @classmethod
     def read(cls, path: PathArg) -> Self:

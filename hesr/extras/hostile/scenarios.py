@@ -4,6 +4,7 @@ import ctypes
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any, cast
 
 from fmu_src.run.instance import WARNING, CallError, Instance, LoadError, UnpackedFmu
@@ -180,13 +181,6 @@ def _repeated(run: _Run, _scenario: str) -> None:
 _SIMULATIONS = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
 
 
-class _Stale:
-    """Inputs that are never set."""
-
-    def apply(self, time: float) -> None:
-        """Leave the inputs unchanged."""
-
-
 def _solve(run: _Run, scenario: str) -> None:
     """Hold inputs over each step of a solver; "late" sets them only after events."""
     from fmpy.sundials import CVodeSolver
@@ -202,7 +196,7 @@ def _solve(run: _Run, scenario: str) -> None:
         get_z=fmu.getEventIndicators,
         get_nominals=fmu.getNominalsOfContinuousStates,
         set_time=fmu.setTime,
-        input=_Stale(),
+        input=SimpleNamespace(apply=lambda _: None),  # inputs are never set
         startTime=0.0,
         maxStep=run.step,
         maxNumSteps=100_000,
