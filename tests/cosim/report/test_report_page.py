@@ -338,6 +338,7 @@ def test_only_the_live_plots_need_fmus(copied: Path) -> None:
     assert 'class="download"' not in page.text
 
 
+@of_a_part
 def test_without_bokeh_the_page_says_so(
     copied: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
