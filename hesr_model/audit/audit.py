@@ -14,10 +14,7 @@ from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
-FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
-"""[Hz]. Laws that drive at low speed generate more energy per slow cycle: Table I 12 and 21 J on
-joints 1 and 2 at 0.05 Hz, 63 and 104 J at 0.01 Hz.
-"""
+FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)  # [Hz]; slower cycles generate more energy
 AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)  # of the trained speed
 ENCODER = 20e-6  # [rad] RMS noise
 _SETTLING = 3.0  # [s] several time constants
@@ -90,9 +87,7 @@ def encoder_noise(trained: TrainedRange) -> tuple[Array, Array, int]:
 
 SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained one
 REACH = 1.5  # range outside the trained speeds and loads, relative to it
-EXPLODES = 2.5
-"""Limit over the largest trained torque: viscous friction reaches 1.5, quadratic or load-dependent
-friction 2.25."""
+EXPLODES = 2.5  # limit over the largest trained torque; quadratic friction reaches 2.25
 _STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
 _POSITIONS = 32  # positions to average over
 _NUMERICAL = 1e-9  # [N.m] round-off
@@ -133,6 +128,9 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
     generating = cycle if cycle.work < 0.0 else None
     jump, slope = _at_rest(law, trained, loads, 0.0)
     _, slope_of_step = _at_rest(law, trained, loads, trained.sample_time)
+    dq, q, settling = encoder_noise(trained)
+    t = trained.sample_time * np.arange(len(dq), dtype=float)
+    resting = (_run(law, t, dq, q, np.full(t.shape, load))[settling:] for load in loads)
     return Audit(
         driving=driving,
         driving_both_ways=both_ways,
@@ -141,7 +139,7 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
         jump=jump,
         slope=slope,
         slope_of_step=slope_of_step,
-        chatter=max(_chatter(law, trained, load) for load in loads),
+        chatter=max(float(np.std(tau)) for tau in resting),
         largest=largest,
         largest_outside=max(largest, outside) if isfinite(outside) else None,
         explodes=_too_large(outside, trained),
@@ -257,9 +255,3 @@ def _at_rest(
     if abs(near) > max(0.5 * abs(far), _NUMERICAL):
         return near, None
     return 0.0, far / (2.0 * _SMALL)
-
-
-def _chatter(law: FrictionLaw, trained: TrainedRange, load: float) -> float:
-    dq, q, settling = encoder_noise(trained)
-    t = trained.sample_time * np.arange(len(dq), dtype=float)
-    return float(np.std(_run(law, t, dq, q, np.full(t.shape, load))[settling:]))

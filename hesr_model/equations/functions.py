@@ -156,6 +156,5 @@ def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]
     printer = NumPyPrinter({**options, "user_functions": {name: name for name in NUMPY}})
     # By the name "numpy", SymPy would import all of NumPy, such as its Fortran compiler.
     modules = [dict(NUMPY), vars(np)]
-    return sympy.lambdify(
-        list(arguments), list(expressions), modules=modules, printer=printer, cse=True
-    )
+    both = list(arguments), list(expressions)
+    return sympy.lambdify(*both, modules=modules, printer=printer, cse=True)

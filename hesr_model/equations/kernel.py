@@ -104,11 +104,7 @@ class KernelRun(ProgramRun):
     def solved(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
     ) -> tuple[Array, float] | None:
-        """Return the factors (K,) of the results that fit the target best, and the squared error.
-
-        The leading `non_negative` factors are at least 0; `weights` (N,) weight the rows. Returns
-        None if the factors are ill-conditioned.
-        """
+        """Return factors (K,) with the least error, some >= 0, and it; None if ill-conditioned."""
         self.begin(numbers)
         return self.factors(numbers, non_negative, weights, keep=keep)
 

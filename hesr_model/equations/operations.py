@@ -174,9 +174,8 @@ class Graph:
     def _operation(self, name: str, *operands: int) -> int:
         of = {self.nodes[node].dependence for node in operands}
         mixed = {Dependence.NUMBERS, Dependence.INPUTS} <= of
-        return self._node(
-            name, operands, None, Dependence.ROWS if mixed else max(*of, Dependence.NUMBERS)
-        )
+        kind = Dependence.ROWS if mixed else max(*of, Dependence.NUMBERS)
+        return self._node(name, operands, None, kind)
 
     def _node(self, name: str, operands: tuple[int, ...], detail: Any, kind: Dependence) -> int:
         # Literals are compared as text because 0.0 == -0.0.
@@ -191,9 +190,8 @@ class Graph:
 class Program:
     """Program for `rows.c`; registers hold inputs, then uniform values, then the others.
 
-    `inputs` are the inputs of the first registers, `dt` first, then known nodes; `given` (G,)
-    literals, 0 in place of numbers; `numbers` (2, M) positions there and numbers; `operations`
-    (K, 5) operation, result and three operands, uniform ones first; `results` (R,) registers.
+    `given` (G,) are literals, `numbers` (2, M) places and numbers, `operations` (K, 5) operation,
+    result and operands, uniform ones first.
     """
 
     inputs: tuple[int, ...]

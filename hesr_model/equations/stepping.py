@@ -58,10 +58,7 @@ class Steps:
         *,
         settled: bool = True,
     ) -> Array:
-        """Return the observed equations (observed, N) over a log at times `t` (N,) [s].
-
-        `columns` has (N,) values by input. With `settled`, the first row settles the states.
-        """
+        """Return the observed equations (observed, N) of a log; the first row may settle it."""
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))
         first = [float(c[0]) for c in used.values()]

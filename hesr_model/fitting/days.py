@@ -152,9 +152,8 @@ def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
 
 def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> FrictionLaw:
     none = np.zeros_like(covariance)
-    found = Covariance(
-        names=tuple(values), within=covariance, between=1.0, degrees=0.0, carried=none
-    )
+    names = tuple(values)
+    found = Covariance(names=names, within=covariance, between=1.0, degrees=0.0, carried=none)
     errors = dict(zip(values, map(float, found.standard_errors), strict=True))
     stated = {n: errors[n] for n in law.standard_errors if n in errors}
     return replace(law, values={**law.values, **values}, covariance=found, standard_errors=stated)

@@ -131,10 +131,8 @@ def fit_models(
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint; return models by name of the law or variant.
 
-    `records` are those of each joint, one per training log; `variants` maps names to laws of the
-    registry. Without `left_out` the first law that the records do not determine raises its error.
-    `kept` is a folder of checkpoints for killed runs. Nuisances `per_log` are removed first
-    (`days`).
+    `records` are [joint][log], `kept` is a folder of checkpoints, nuisances `per_log` are removed.
+    Without `left_out` the first error is raised.
     """
     coupling = records[0][0].coupling
     records = all_at_friction(records)

@@ -37,11 +37,7 @@ _SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)  # shares of the way to the optimum
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Refined body and friction, or the original ones with ratio 1 if left-out windows are worse.
-
-    `ratio` is the RMS ratio of the position errors to those before. `before` and `left_out` are
-    those on left-out windows, of the original and of this friction, by length and joint [rad; m].
-    """
+    """Refined body and friction, or the original ones with ratio 1 if left-out windows lose."""
 
     body: RigidBody
     friction: FrictionModel
@@ -148,10 +144,8 @@ class _Problem:
             residuals, slopes = self.linearised(best)
             gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
             scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
-            tried = np.array(
-                [best - np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
-            )
-            tried = np.clip(tried, -_MOST, _MOST)
+            steps = [np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
+            tried = np.clip(best - np.array(steps), -_MOST, _MOST)
             found = self.costs(tried)
             if not found.min() < (1.0 - _LEAST) * cost:
                 break

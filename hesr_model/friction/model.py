@@ -189,12 +189,7 @@ class FrictionModel:
         return {"format": MODEL_FORMAT, **to_json(file, sparse=True)}
 
     def behind_low_pass(self, cutoff: float) -> Self:
-        """Return the model with its velocity behind a causal low pass, for prediction and export.
-
-        Parameters
-        ----------
-        cutoff : of the low pass [Hz].
-        """
+        """Return the model with its velocity behind a causal low pass with a `cutoff` [Hz]."""
         return replace(self, laws=tuple(behind_low_pass(law, cutoff) for law in self.laws))
 
     @property
@@ -278,16 +273,12 @@ class FrictionModel:
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
     ) -> tuple[Array, Array]:
-        """Return the band of the measured friction of a log.
+        """Return lower and upper end, (N, n) each [N.m], of the band of a log's friction.
 
         Parameters
         ----------
         records : records of one log, from `residual.friction_records`.
         coverage : share of the rows within the band, from 0.5 to 0.999.
-
-        Returns
-        -------
-        Lower and upper end, (N, n) each [N.m].
 
         Raises
         ------

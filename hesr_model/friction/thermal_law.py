@@ -17,16 +17,11 @@ from hesr_model.audit.certificate import least_viscosity
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
 from hesr_model.equations.stepping import Steps
+from hesr_model.friction import thermal as models
 from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS, parts
-from hesr_model.friction.thermal import (
-    TEMPERATURE,
-    THERMOMETER,
-    Thermal,
-    thermal_parameters,
-    warmth,
-)
+from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
@@ -54,7 +49,7 @@ def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, flo
     """Return a thermal law's inputs over a record, and the parameters that depend on them."""
     columns = {"dq": record.dq, "q": record.q, "tau_load": record.tau_load}
     if record.temperature is None:
-        return columns, {THERMOMETER: 0.0}
+        return columns, {models.THERMOMETER: 0.0}
     return columns | {TEMPERATURE.name: record.temperature}, {}
 
 

@@ -10,17 +10,11 @@ from hesr_model.errors import ConfigError, FitError, LogError
 from hesr_model.findings import Finding, errors_first, of_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health import positions
+from hesr_model.health import torque as efforts
 from hesr_model.health.evidence import JointTorque, Motionwise, Torques, as_logged, motionwise
 from hesr_model.health.mistakes import check_causes
 from hesr_model.health.timing import check_clocks
-from hesr_model.health.torque import (
-    NO_SIGNAL,
-    Explained,
-    check_held,
-    check_speed,
-    check_torque,
-    explained,
-)
+from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
 from hesr_model.health.velocity import check_velocity
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.logs.robot_log import Log
@@ -60,7 +54,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         findings += timed
         if any(f.severity == "error" for f in timed):
             continue
-        for check in (positions.check_jumps, positions.check_steps, check_held):
+        for check in (positions.check_jumps, positions.check_steps, efforts.check_held):
             findings += of_log(log, check(log, robot))
         parts += motionwise(log, robot.log.filter_cutoff)
     if model and (robot.known is not None or model.springs):
@@ -75,7 +69,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
         if model:
             findings += of_log(part.log, positions.check_limits(part, model))
             findings += of_log(part.log, positions.check_sliding(part, model))
-            findings += of_log(part.log, check_speed(part, model))
+            findings += of_log(part.log, efforts.check_speed(part, model))
         findings += of_log(part.log, positions.check_columns(part, robot))
     if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):

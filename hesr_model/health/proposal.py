@@ -10,16 +10,9 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.findings import Finding, errors_first
+from hesr_model.health import joints as selection
 from hesr_model.health.examine import SYMPTOMS, Examination, examine, hopeless
-from hesr_model.health.joints import (
-    changed,
-    chosen,
-    is_model,
-    resting,
-    with_columns_of,
-    with_joints,
-    without,
-)
+from hesr_model.health.joints import changed, chosen, is_model, resting, with_joints, without
 from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import LogFormat, column_names
@@ -70,7 +63,7 @@ def inspected(
     if robot is not None:
         found, reason = with_joints(robot, joints, table), ""
         if table and not joints and is_model(robot):
-            found, reason = with_columns_of(found, table)
+            found, reason = selection.with_columns_of(found, table)
         known = {"joints": f"likely: {reason}"} if reason else {}
         return _with_doubts(propose(paths, found, known=True), known)
     count = len(guess(table).columns["q"]) if table else 1

@@ -25,12 +25,9 @@ Explained = Mapping[int, JointTorque]  # by index of the joint
 
 def explained(motion: Motionwise, torques: Torques) -> Explained:
     """Regress the torque of every moving joint."""
-    return {
-        int(j): explain(
-            motion.tau[:, j], torques.gravity[:, j], torques.inertial[:, j], motion.v[:, j]
-        )
-        for j in np.flatnonzero(motion.moves & (np.ptp(motion.tau, axis=0) > 0.0))
-    }
+    signals = (motion.tau, torques.gravity, torques.inertial, motion.v)
+    moving = np.flatnonzero(motion.moves & (np.ptp(motion.tau, axis=0) > 0.0))
+    return {int(j): explain(*(signal[:, j] for signal in signals)) for j in moving}
 
 
 def check_torque(

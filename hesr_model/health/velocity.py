@@ -65,19 +65,24 @@ def check_velocity(
     dq = motion.dq
     joints = np.array([j for j in np.flatnonzero(motion.moves) if robot.joints[j] not in without])
     matches = {int(j): match(motion.v[:, j], dq[:, j], motion.period) for j in joints}
-    places = _places(motion, joints)
+    places, derived = _places(motion, joints), {"log.columns.dq": ""}
     for j, found in matches.items():
         name = robot.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
             what = "its position moves while its velocity never changes"
             remedy = f"the velocity is not logged; {_DERIVE}"
-            yield of_joint("velocity-constant", name, what, remedy, changes={"log.columns.dq": ""})
+            yield of_joint("velocity-constant", name, what, remedy, changes=derived)
         elif abs(found.correlation) < _ALIKE:
             yield _unlike(robot, j, found, places)
         else:
             yield from _scale(robot, j, matches, motion)
             if abs(found.lag) > max(_LATE, 2.0 * motion.period):
-                yield _late(name, found.lag)
+                way = "late" if found.lag > 0 else "early"
+                what = (
+                    f"its velocity is {abs(found.lag) * 1e3:.0f} ms {way} relative to its position"
+                )
+                remedy = f"it was filtered or comes from another clock; {_DERIVE}"
+                yield of_joint("velocity-lag", name, what, remedy, "warning", changes=derived)
 
 
 def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
@@ -110,13 +115,6 @@ def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
     remedy = f"the column contains another signal or a filtered one; {_DERIVE}"
     return of_joint("velocity-match", name, what + late, remedy, changes={"log.columns.dq": ""})
-
-
-def _late(name: str, lag: float) -> Finding:
-    way = "late" if lag > 0 else "early"
-    found = f"its velocity is {abs(lag) * 1e3:.0f} ms {way} relative to its position"
-    remedy = f"it was filtered or comes from another clock; {_DERIVE}"
-    return of_joint("velocity-lag", name, found, remedy, "warning", changes={"log.columns.dq": ""})
 
 
 def _scale(

@@ -25,11 +25,8 @@ LEAST_DEGREES = 4  # degrees of freedom below which no law is called worse: abou
 _BOTH_SETS = 2.0**0.5  # standard error of a difference between two sets of logs, over that of one
 LEAST_SECONDS = 40.0
 MOST_SECONDS = 1e7
+# Factor on p for up to `CALIBRATED` comparisons; a level of 5 % is then at most 6.5 % (benchmarks).
 CALIBRATION = 5.0
-"""Factor on p for up to `CALIBRATED` simultaneous comparisons and many degrees of freedom.
-
-With it, a level of 5 % is at most 6.5 % from 40 s of logs on (`tests/benchmarks`).
-"""
 CALIBRATED = 8
 SIGNIFICANCE = 0.05  # level of p after the factor, adjusted for all laws of a table
 POWER = 0.8  # probability with which the smallest detectable difference is found

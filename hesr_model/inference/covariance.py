@@ -190,9 +190,8 @@ def covariance_of_parts(
     if len(logs) >= ENOUGH:
         sums = np.array([log.total for log in moments])
         return replace(one, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
-    variances = long_run(
-        moments, ((logs.index(label), rows @ inverse) for label, rows, _ in parts())
-    )
+    influences = ((logs.index(label), rows @ inverse) for label, rows, _ in parts())
+    variances = long_run(moments, influences)
     between, degrees = _between(moments, variances, [hessians[k] for k in logs], whole)
     within = np.sum(variances, axis=0) * _for_few_rows(moments)
     return replace(one, within=within, between=between, degrees=degrees, logs=len(logs))

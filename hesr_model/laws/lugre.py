@@ -48,13 +48,8 @@ def bristle_space(
 
 def torque() -> sympy.Expr:
     """Return the torque of eq. 1 with an offset."""
-    z = bristle()
-    return (
-        SIGMA_0.symbol * z.state
-        + SIGMA_1.symbol * z.derivative
-        + SIGMA_2.symbol * DQ
-        + TAU_0.symbol
-    )
+    z, viscous = bristle(), SIGMA_2.symbol * DQ
+    return SIGMA_0.symbol * z.state + SIGMA_1.symbol * z.derivative + viscous + TAU_0.symbol
 
 
 COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)

@@ -243,9 +243,8 @@ def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, fl
 
 def gaussians(z: Array, centres: Array, width: float) -> Array:
     """Return the (N, K) Gaussians of inputs z (N, 3) about centres (K, 3), all standardised."""
-    return np.asarray(
-        np.exp(scipy.spatial.distance.cdist(z, centres, "sqeuclidean") / (-2.0 * width**2))
-    )
+    squares = scipy.spatial.distance.cdist(z, centres, "sqeuclidean")
+    return np.asarray(np.exp(squares / (-2.0 * width**2)))
 
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:

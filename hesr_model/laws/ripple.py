@@ -66,9 +66,8 @@ class Ripple:
         angle = self.gear_ratio * (Q - LAG.symbol * DQ)
         fast = self.gear_ratio * SMOOTHING.symbol * DQ
         coefficients, torque = list(form.coefficients), sympy.Integer(0)
-        for name, (k, wave) in zip(
-            self.names, product(self.orders, (sympy.cos, sympy.sin)), strict=True
-        ):
+        waves = product(self.orders, (sympy.cos, sympy.sin))
+        for name, (k, wave) in zip(self.names, waves, strict=True):
             amplitude = Coefficient(name=name, unit="N.m", description="amplitude of ripple")
             coefficients.append(amplitude)
             torque += amplitude.symbol * (wave(k * angle) / (1 + (k * fast) ** 2))

@@ -29,10 +29,8 @@ def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:
     first = np.asarray(counter, dtype=np.uint64) * np.uint64(2)
     u = (words(seed, stream, first) >> np.uint64(11)).astype(np.float64)
     w = (words(seed, stream, first + np.uint64(1)) >> np.uint64(11)).astype(np.float64)
-    normal: Array = np.sqrt(-2.0 * np.log((u + 1.0) * _TO_UNIT)) * np.cos(
-        2.0 * np.pi * (w * _TO_UNIT)
-    )
-    return normal
+    radius = np.sqrt(-2.0 * np.log((u + 1.0) * _TO_UNIT))
+    return np.asarray(radius * np.cos(2.0 * np.pi * (w * _TO_UNIT)))
 
 
 def _finish(z: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -188,8 +188,12 @@ class Log:
 
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` over time [s] and joint; ConfigError if xarray is missing."""
-        signals = {name: (values, _UNITS[name]) for name, values in self._signals.items()}
-        return frames.xarray_dataset(self.t, signals, self.joints, name=self.name)
+        of_joints = self._signals.items()
+        return frames.library("xarray").Dataset(
+            {name: (("t", "joint"), x, {"units": _UNITS[name]}) for name, x in of_joints},
+            coords={"t": ("t", self.t, {"units": "s"}), "joint": list(self.joints)},
+            attrs={"name": self.name},
+        )
 
     def write(self, path: PathArg) -> None:
         """Write as CSV, or as Parquet by its suffix, with all digits; raises ArtifactError."""

@@ -6,13 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import (
-    SerializerFunctionWrapHandler,
-    ValidationInfo,
-    field_validator,
-    model_serializer,
-    model_validator,
-)
+import pydantic
 from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError, RobotError
@@ -137,8 +131,8 @@ class RigidBody:
         ]
         return np.concatenate(parts)
 
-    @model_serializer(mode="wrap")
-    def _by_name(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    @pydantic.model_serializer(mode="wrap")
+    def _by_name(self, serialise: pydantic.SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
         for name in ("covariance", "gears"):  # as in version 1
@@ -147,7 +141,7 @@ class RigidBody:
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
         return data | {"base": [names[k] for k in self.base]}
 
-    @model_validator(mode="before")
+    @pydantic.model_validator(mode="before")
     @classmethod
     def _from_names(cls, data: Any) -> Any:
         if not isinstance(data, dict):
@@ -158,9 +152,9 @@ class RigidBody:
         values = {"parameters": list(parameters.values())} if parameters else {}
         return data | values | {"names": list(parameters)}
 
-    @field_validator("base", mode="before")
+    @pydantic.field_validator("base", mode="before")
     @classmethod
-    def _indices(cls, base: Any, info: ValidationInfo) -> list[int]:
+    def _indices(cls, base: Any, info: pydantic.ValidationInfo) -> list[int]:
         names = info.data.get("names", ())
         if not isinstance(base, list) or any(name not in names for name in base):
             raise ValueError("expected names of parameters")

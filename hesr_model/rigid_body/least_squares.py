@@ -6,13 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from hesr_model.inference.covariance import (
-    Covariance,
-    Gradients,
-    blocks_of_time,
-    covariance_of_parts,
-    left_out,
-)
+from hesr_model.inference import covariance
+from hesr_model.inference.covariance import Covariance, Gradients, covariance_of_parts, left_out
 from hesr_model.support.arrays import Array, Integers, Mask
 
 _REWEIGHTINGS = 2
@@ -92,7 +87,7 @@ def solve_factors(
 
 def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers) -> Covariance:
     """Return the covariance from residuals summed by sample; `labels` are log numbers."""
-    labels = blocks_of_time(labels)
+    labels = covariance.blocks_of_time(labels)
     hessian = sum(
         (w**2 * b.matrix.T @ b.matrix for b, w in zip(blocks, solution.weights, strict=True)),
         start=np.diag(solution.pull**2),

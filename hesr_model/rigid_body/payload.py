@@ -23,13 +23,9 @@ from hesr_model.rigid_body.least_squares import Block, Solution, solve
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 from hesr_model.support.arrays import Array, Integers
 
+# Duration after which residuals count as independent [s]: the mass without payload is then within
+# 1.1 standard errors of zero on measured logs, with single rows within 5.
 _SEGMENT = 1.0
-"""Duration after which residuals count as independent [s].
-
-On measured logs without payload the mass was then within 1.1 standard errors of zero; with single
-rows up to 5.
-"""
-
 _LEAST_SEGMENTS = 10
 _SIGNIFICANT = 4.0  # mass in standard errors; twin logs without payload had 3.4
 

@@ -91,12 +91,9 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     spread = coupling.torque(np.stack(known, axis=1)) if len(known) == len(spreads) else None
     return [
         replace(
-            record,
-            **own(k),
-            tau_load_spread=None if spread is None else spread[:, k],
-            coupling=None,
+            r, **own(k), tau_load_spread=None if spread is None else spread[:, k], coupling=None
         )
-        for k, record in enumerate(records)
+        for k, r in enumerate(records)
     ]
 
 

@@ -67,9 +67,7 @@ def torque_constants(
 ) -> tuple[Constant, ...]:
     """Estimate the torque constants of all joints from currents; raises FitError.
 
-    `motions`, without payload, and `loaded` ones have torques computed with the constants `assumed`
-    (n,). `mass_error` is the relative standard deviation of the file's masses. `payload` (10,) is
-    in the frame of the last joint.
+    Torques of `motions`, and of those `loaded` with `payload` (10,), are by `assumed` constants (n,).
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(
@@ -142,9 +140,8 @@ class _Problem:
             rows.append(_Rows(np.asarray(factor[: whole.shape[1]]), len(own), length))
             heavy = rigid @ (weight * nominal)
         known = float(np.std(load if len(kinds) > 1 else heavy))
-        return cls(
-            kinds=tuple(rows), nominal=nominal, spread=spread, friction=own.shape[1], known=known
-        )
+        n = own.shape[1]
+        return cls(kinds=tuple(rows), nominal=nominal, spread=spread, friction=n, known=known)
 
     def solve(self) -> tuple[float, float]:
         """Return kappa and its relative standard error."""

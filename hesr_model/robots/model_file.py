@@ -25,9 +25,8 @@ Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, 
 class RobotModel:
     """A model file: Pinocchio's `model` of all its joints, and the rest of its content.
 
-    `rest` are the positions of joints that do not move; `above` are the bodies between each joint
-    and the base; `loops` are pairs of bodies that close a chain, and its joints. `gravity` is in
-    [m/s2]; `springs` are the parameters k and const of linear springs.
+    `rest` are positions of joints that do not move, `above` the bodies between joint and base,
+    `loops` closed chains, and `springs` the parameters k and const of linear ones.
     """
 
     path: Path

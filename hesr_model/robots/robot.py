@@ -197,17 +197,12 @@ class Robot:
         return [(one.rotation.copy(), one.translation.copy()) for one in list(self._data.oMi)[1:]]
 
     def regressor(self, q: Array, dq: Array, ddq: Array, rotors: Array | None = None) -> Array:
-        """Return the regressor Y of eq. 5 at every sample.
+        """Return the regressor Y (N, n, P) of eq. 5, P = len(parameter_names).
 
         Parameters
         ----------
         q, dq, ddq : (N, n) [rad, rad/s, rad/s2; m, m/s, m/s2 for prismatic joints].
         rotors : (N, n) accelerations of the rotors, by default `ddq`.
-
-        Returns
-        -------
-        ndarray
-            (N, n, P), P = len(parameter_names).
         """
         states = self._configurations(q)
         out = np.zeros((len(q), self.n, len(self.parameter_names)))
@@ -231,17 +226,12 @@ class Robot:
     def torque(
         self, parameters: Array, q: Array, dq: Array, ddq: Array, rotors: Array | None = None
     ) -> Array:
-        """Return the rigid-body torque Y pi for any parameters, also with zero masses.
+        """Return the rigid-body torque Y pi (N, n) [N.m; N], also with zero masses.
 
         Parameters
         ----------
         parameters : (P,), or (N, P) with parameters for each row.
         q, dq, ddq, rotors : (N, n) as in `regressor`; dq = ddq = 0 gives the gravity torque.
-
-        Returns
-        -------
-        ndarray
-            (N, n) [N.m; N for prismatic joints].
         """
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
@@ -252,17 +242,12 @@ class Robot:
         return np.concatenate(parts)
 
     def dynamics(self, parameters: Array, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Return the mass matrix and the torque without acceleration; Y is linear in ddq.
+        """Return mass matrix (N, n, n) and torque without acceleration (N, n); Y is linear in ddq.
 
         Parameters
         ----------
         parameters : (P,) or (N, P).
         q, dq : (N, n) as in `regressor`.
-
-        Returns
-        -------
-        tuple
-            (N, n, n) [kg.m2; kg] and (N, n) [N.m; N].
         """
         rows, n = q.shape
         units = np.vstack([np.zeros((1, n)), np.eye(n)])

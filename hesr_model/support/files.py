@@ -79,12 +79,7 @@ def sha256(path: Path) -> str:
 
 @contextmanager
 def folder_written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder whose files move into `path` when the block succeeds.
-
-    On any exception nothing at `path` changes; a killed process leaves all files or none to
-    `settle`. Raises ArtifactError before the block if another run is writing into the folder or it
-    cannot be written.
-    """
+    """Yield a folder whose files move into `path`, all or none, on success; or ArtifactError."""
     with _room_for(path), ExitStack() as cleanup:
         try:
             cleanup.enter_context(folder_made(path))

@@ -128,11 +128,9 @@ def results_of(
     costs: Sequence[float] = (),
     names: Sequence[str] = (),
 ) -> Iterator[Iterator[Returned]]:
-    """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
+    """Run jobs in processes; yield an iterator of their results, which raises WorkerError.
 
-    Jobs with large `costs` start first; `names` are shown while jobs run. Processes are new, one
-    per core by default, or those of `one_pool`. One worker is this process. The iterator raises
-    WorkerError if a process ended before its job was done.
+    Jobs with large `costs` start first. Processes are new, one per core, or those of `one_pool`.
     """
     if (count := min(workers or os.cpu_count() or 1, len(jobs))) <= 1:
         yield _here(jobs, names)

@@ -8,16 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    PlainSerializer,
-    PlainValidator,
-    TypeAdapter,
-    ValidationError,
-    ValidationInfo,
-)
+import pydantic
+from pydantic import BaseModel, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.arrays import Array
@@ -30,7 +22,7 @@ _MOST_SHOWN = 200  # characters
 class Config(BaseModel):
     """Base of every schema: immutable, without unknown keys, infinities and NaN."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -58,14 +50,14 @@ class Config(BaseModel):
             raise ConfigError(f"{path}: it is nested too deeply.") from error
 
 
-def _beside_the_toml(path: Path, info: ValidationInfo) -> Path:
+def _beside_the_toml(path: Path, info: pydantic.ValidationInfo) -> Path:
     folder: Path = (info.context or {}).get("folder", Path())
     # Not `Path.resolve`, which fails on circular links before Python 3.13.
     return Path(os.path.realpath(folder / path))
 
 
-RelativePath = Annotated[Path, AfterValidator(_beside_the_toml)]  # to its TOML file
-PrintableName = Annotated[str, AfterValidator(require_printable)]  # as FMUs need
+RelativePath = Annotated[Path, pydantic.AfterValidator(_beside_the_toml)]  # to its TOML file
+PrintableName = Annotated[str, pydantic.AfterValidator(require_printable)]  # as FMUs need
 
 
 def _refusal(path: Path, schema: type[BaseModel], error: ValidationError) -> str:

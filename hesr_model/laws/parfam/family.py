@@ -52,11 +52,7 @@ def denominator_name(feature: str) -> str:
 
 
 def form(structure: Mapping[str, Any]) -> LawForm:
-    """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
-
-    Optional keys are "state", one of `STATES`, and "denominator", features x of 1 + sum_i d_i x_i
-    below the output. Raises ArtifactError if one is unknown.
-    """
+    """Return the expressions of a structure; raises ArtifactError if a key or term is unknown."""
     linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)
     h, dh = hysteresis.state, hysteresis.derivative

@@ -11,15 +11,8 @@ from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.joint_rows import JointRows, Normal, blocks_of, first_best, pays
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.ripple import LAG
-from hesr_model.laws.stops.form import (
-    FINER,
-    SPEEDS,
-    Structure,
-    constrained,
-    needed,
-    start_at_rest,
-    viscous_at,
-)
+from hesr_model.laws.stops import form as forms
+from hesr_model.laws.stops.form import FINER, SPEEDS, Structure, start_at_rest
 from hesr_model.laws.stops.search import Terms, dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
@@ -168,12 +161,12 @@ class _Stops(Estimator):
         normal = Normal.of(columns, samples.tau, samples.folds, best.weights, free=free)
         x = normal.solve()
         if structure.ripple:
-            x = constrained(
+            x = forms.constrained(
                 normal.gram,
                 normal.moment,
                 x,
-                viscous_at(structure, best.numbers, SPEEDS),
-                needed(structure.ripple, lag, structure.window),
+                forms.viscous_at(structure, best.numbers, SPEEDS),
+                forms.needed(structure.ripple, lag, structure.window),
                 free=free,
             )
         values = {**best.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}

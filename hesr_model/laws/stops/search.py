@@ -8,25 +8,12 @@ from itertools import product
 import numpy as np
 
 from hesr_model.equations.recurrence import recurrence
-from hesr_model.fitting.joint_rows import (
-    JointRows,
-    Normal,
-    Products,
-    blocks_of,
-    first_best,
-    no_worse,
-    pays,
-)
+from hesr_model.fitting import joint_rows
+from hesr_model.fitting.joint_rows import JointRows, Normal, Products
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import LawForm
-from hesr_model.laws.stops.form import (
-    DEFLECTIONS,
-    LOAD_SCALE,
-    SHARES,
-    THINNING,
-    Structure,
-    start_at_rest,
-)
+from hesr_model.laws.stops import form as forms
+from hesr_model.laws.stops.form import DEFLECTIONS, LOAD_SCALE, SHARES, THINNING, Structure
 from hesr_model.support.arrays import Array
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, of the largest speed
@@ -81,7 +68,7 @@ def oldest(samples: JointRows, counted: Array, v_s: float, time: float) -> float
 def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
     """Return the (N, K) columns [N.m per unit] of a structure's forces and waves."""
     form, space = _posed(structure)
-    problem = Separable(form, space, samples, start=start_at_rest(form))
+    problem = Separable(form, space, samples, start=forms.start_at_rest(form))
     return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]
 
 
@@ -179,16 +166,16 @@ def dictionary(samples: JointRows, *, load: bool, scale: int = 0) -> Terms:
         trials.append(first.at(share * speed, time))
         costs.append(trials[-1].cost)  # fills the cache
         first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "age"})
-    return trials[first_best(costs)]
+    return trials[joint_rows.first_best(costs)]
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
     """Add bounds that gain more than a standard error on left-out rows; remove useless ones."""
-    blocks = blocks_of(baseline.samples.dt, baseline.samples.begins)
+    blocks = joint_rows.blocks_of(baseline.samples.dt, baseline.samples.begins)
     best = _thinned(baseline)
     for kind in MORE if load else ():
         more = replace(best, bounds=(*best.bounds, kind))
-        if pays(best.errors, more.errors, blocks):
+        if joint_rows.pays(best.errors, more.errors, blocks):
             best = _thinned(more)
     return best
 
@@ -196,6 +183,6 @@ def search(baseline: Terms, *, load: bool) -> Terms:
 def _thinned(terms: Terms) -> Terms:
     for kind in reversed(terms.bounds[1:]):
         fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
-        if no_worse(fewer.cost, terms.cost):
+        if joint_rows.no_worse(fewer.cost, terms.cost):
             terms = fewer
     return terms

@@ -93,9 +93,8 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     rows = np.flatnonzero(np.logical_and.reduce([s.covers(base.t) for s in series]))
     if not len(rows):
         raise LogError(f"{where}: the messages of the joints do not overlap in time.")
-    q, dq, effort = (
-        _joined(series, field, base.t[rows]) for field in ("position", "velocity", "effort")
-    )
+    t = base.t[rows]
+    q, dq, effort = (_joined(series, f, t) for f in ("position", "velocity", "effort"))
     if effort is None:
         raise LogError(
             f"{where}: its messages have no effort; record torques or currents as effort."
@@ -105,7 +104,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     if robot.log.columns.dq and dq is None:
         _log.warning("%s: has no velocity; it is derived from the position.", where)
     return LogSamples(
-        t=(base.t[rows] - base.t[rows[0]]) * 1e-9,
+        t=(t - t[0]) * 1e-9,
         q=q,
         dq=dq if robot.log.columns.dq else None,
         effort=effort,

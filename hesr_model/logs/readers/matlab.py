@@ -103,11 +103,7 @@ def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
-    """Open a MATLAB file as a table as long as the vector `time`; raises LogError.
-
-    A matrix ``q`` of N rows or columns (also 1 x n x N, from Simulink) gives ``q1``, ``q2``, ..;
-    fields are named as in MATLAB, ``log.t``, ``out.signals(2).values1``.
-    """
+    """Open a MATLAB file as a table as long as the vector `time`; raises LogError."""
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
     with path.open("rb") as file:
