@@ -67,7 +67,7 @@ def torque_constants(
 ) -> tuple[Constant, ...]:
     """Estimate the torque constants of all joints from currents; raises FitError.
 
-    Torques of `motions`, and of those `loaded` with `payload` (10,), are by `assumed` constants (n,).
+    Torques of `motions`, and of those `loaded` by `payload` (10,), are by constants `assumed` (n,).
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(

@@ -175,7 +175,7 @@ class ParFamV(Described):
                 starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
             limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
             own = x[rows]
-            for theta in evolve.arguments(g, own, own, samples.tau[rows], starts, 3, limit):
+            for theta in evolve.arguments(g, own, own, samples.tau[rows], starts, 3, limit=limit):
                 start = problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]})
                 point = problem.polish(start, evaluations=30)
                 cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
