@@ -174,8 +174,8 @@ class ParFamV(Described):
             if g == "tanh":
                 starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
             limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
-            own = x[rows]
-            for theta in evolve.arguments(g, own, own, samples.tau[rows], starts, 3, limit=limit):
+            own, tau = x[rows], samples.tau[rows]
+            for theta in evolve.arguments(g, own, own, tau, starts, keep=3, limit=limit):
                 start = problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]})
                 point = problem.polish(start, evaluations=30)
                 cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
