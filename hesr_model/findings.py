@@ -17,8 +17,7 @@ _log = logging.getLogger(__name__)
 class Finding:
     """A finding of a check, whose name `--accept` takes.
 
-    `where` is a file or member of an FMU, unless `logs` name it. `changes` has values of the robot
-    file by key, as ``log.units.q``.
+    `where` is a file, unless `logs` name it; `changes` are values by key of the robot file.
     """
 
     check: str

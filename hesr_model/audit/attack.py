@@ -24,10 +24,7 @@ _LEAST, _ALIKE = 1e-6, 0.05  # smallest share of the work; tolerance between two
 
 @dataclass(frozen=True, kw_only=True)
 class Attack:
-    """A cycle dq = amplitude cos(2 pi f t) with the load mean + swing cos(4 pi f t + phase).
-
-    With a speed `back`, it moves forward at `amplitude` and returns at that speed.
-    """
+    """A cycle dq = amplitude cos(2 pi f t) with a moving load, or to and fro at two speeds."""
 
     energy: float  # [J] generated
     amplitude: float  # [rad/s]

@@ -48,8 +48,7 @@ class Kernel:
 class KernelRun(ProgramRun):
     """Kernel bound to rows of logs: `inputs` (N,) each, and steps `dt` (N,) [s] ending at each row.
 
-    `firsts` are the first rows of records, `start` the states at rest, 0 by default. Results (N, K)
-    are fitted to `target` (N,).
+    `firsts` are first rows of records, `start` the states at rest; results are fitted to `target`.
     """
 
     def __init__(

@@ -99,10 +99,7 @@ class Slow(Relaxation):
 
 @dataclass(frozen=True, kw_only=True)
 class Stop(_Element):
-    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii.
-
-    `velocity` is v, `deflection` w > 0, and `bound` s, where negative values count as 0.
-    """
+    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii, with s >= 0."""
 
     velocity: sympy.Expr
     deflection: sympy.Expr

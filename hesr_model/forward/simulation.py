@@ -33,10 +33,7 @@ Logs = Sequence[Sequence[FrictionRecord]]  # records of each part of each log, [
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
-    """W windows of K steps: `t` (W, K + 1) [s]; `q`, `dq`, `tau` (W, K + 1, n), measured.
-
-    `places` has each window's part of a log and first row.
-    """
+    """W windows of K steps: `t` (W, K + 1) [s]; `q`, `dq`, `tau` (W, K + 1, n), measured."""
 
     t: Array
     q: Array

@@ -34,12 +34,10 @@ POWER = 0.8  # probability with which the smallest detectable difference is foun
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorRatio:
-    """Ratio of the RMSEs of two laws: value and 95 % interval.
+    """Ratio of the RMSEs of two laws: value and 95 % interval, None if the logs are too short.
 
-    `others` is the interval on as many other logs of this kind: both sets vary within and between
-    logs. It needs several logs. `p` is two-sided, times `calibration`, not adjusted. `detectable`
-    is the smallest ratio above 1 that these logs would show. All but the value are None if the logs
-    are too short.
+    `others` is the interval on as many other logs. `p` is two-sided, times `calibration`, and
+    `detectable` the smallest ratio above 1 that these logs would show.
     """
 
     value: float

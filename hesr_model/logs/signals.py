@@ -86,8 +86,7 @@ class Motion:
 def smooth(log: Log, cutoff: float = 15.0) -> Motion:
     """Filter q and dq by a zero-phase Butterworth low pass, and differentiate; raises LogError.
 
-    A `cutoff` of 15 Hz is best on the measured arm (8 Hz and less flatten reversals, 25 Hz and more
-    let the noise of ddq through).
+    On the measured arm, less than 15 Hz flattens reversals, and more lets noise of ddq through.
     """
     if len(log.gaps):
         raise LogError(

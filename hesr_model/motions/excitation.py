@@ -28,8 +28,7 @@ _SINGULAR = 1e-14
 class Search:
     """Fourier motions at rest at both ends, with a range of periods [s], as vectors.
 
-    A vector contains, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
-    joint's speed, then mean positions from -1 to 1 within their limits, then ln(period).
+    These have `a` and `b` over the joint's speed, mean positions from -1 to 1, and ln(period).
     """
 
     model: Robot

@@ -62,9 +62,8 @@ def solve(
 ) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
-    A ridge is added only if the condition number exceeds 1e3. The usual size `scale` (P,) of each
-    column must not come from the data, which may hardly excite it. If the ridge were due to columns
-    that are `loose` (P,), such as harmonics over a small angle, only these have a weaker one.
+    Above a condition number of 1e3 with columns over their usual `scale` (P,), a ridge is added,
+    or a weaker one on `loose` (P,) columns, such as harmonics over a small angle, if they cause it.
     """
     factors = [Factor.of(block) for block in blocks]
     return solve_factors(factors, scale=scale, weighted=weighted, loose=loose)

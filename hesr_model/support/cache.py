@@ -1,7 +1,6 @@
 """Cache of slow results that depend on their inputs only.
 
-Entries, named by a hash of their inputs, contain a hash of their content under a key of the user,
-who alone may read folder, entries and key.
+Entries contain a hash of their content under a key of the user, who alone may read them.
 """
 
 import hashlib
