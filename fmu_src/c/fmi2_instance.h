@@ -136,13 +136,6 @@ static Instance *entered(fmi2Component c, int modes, const char *function) {
     return instance;
 }
 
-/* Declare the instance of a call, or end the call if it is not accepted. */
-#define ENTER(call)                                                                                \
-    Instance *instance = call;                                                                     \
-    if (!instance) {                                                                               \
-        return fmi2Error;                                                                          \
-    }
-
 /* The same for a function that requires one of its arguments. */
 static Instance *entered_with(fmi2Component c, int modes, const char *function,
                               const void *argument) {
@@ -153,6 +146,13 @@ static Instance *entered_with(fmi2Component c, int modes, const char *function,
     }
     return instance;
 }
+
+/* Declare the instance of a call, or end the call if it is not accepted. */
+#define ENTER(call)                                                                                \
+    Instance *instance = call;                                                                     \
+    if (!instance) {                                                                               \
+        return fmi2Error;                                                                          \
+    }
 
 /* End the simulation: only reading, reset, restoring a state and freeing remain. */
 static fmi2Status failed(Instance *instance) {

@@ -196,10 +196,7 @@ class Sandbox:
 
 
 def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float) -> Any:
-    """Return the result of a function in a new sandbox; see `Sandbox.run`.
-
-    Its first argument is the path that it may read.
-    """
+    """Do `Sandbox.run` in a new sandbox, which may read the path in the first argument."""
     with TemporaryDirectory(dir=folder) as own:
         sandbox = Sandbox(Path(own), seconds, Path(arguments[0]))
         try:
@@ -231,10 +228,7 @@ class SystemSandbox(ExitStack):
 
 
 class SandboxedInstance:
-    """An FMU in a sandbox, with the methods of `Instance`.
-
-    A failed write surfaces at the next call.
-    """
+    """An FMU in a sandbox, like `Instance`; a failed write surfaces at the next call."""
 
     def __init__(self, fmu: UnpackedFmu, tell: Tell, failure: Failure, sandbox: Sandbox) -> None:
         self._failure, self.sandbox = failure, sandbox
