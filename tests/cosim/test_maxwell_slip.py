@@ -29,7 +29,7 @@ FORCES = {f"F_{i}": 1.0 + 0.1 * i for i in range(1, 11)}
 @pytest.fixture(scope="module")
 def maxwell_slip(monkeypatch_module: pytest.MonkeyPatch) -> type[estimator.Estimator]:
     monkeypatch_module.syspath_prepend(str(SOURCE.parent))
-    monkeypatch_module.setattr(estimator, "_REGISTRY", dict(estimator.registered()))
+    monkeypatch_module.setattr(estimator, "_REGISTRY", dict(estimator._REGISTRY))
     sys.modules.pop("maxwell_slip", None)
     from maxwell_slip import MaxwellSlip
 

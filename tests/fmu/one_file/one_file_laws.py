@@ -17,7 +17,7 @@ def maxwell_slip() -> FrictionLaw:
     """Ten stops, from another package."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parents[2] / "contract"))
-        patch.setattr(estimator, "_REGISTRY", dict(estimator.registered()))
+        patch.setattr(estimator, "_REGISTRY", dict(estimator._REGISTRY))
         sys.modules.pop("maxwell_slip", None)
         from maxwell_slip import MaxwellSlip
 
