@@ -57,9 +57,14 @@ def model(*laws: FrictionLaw) -> FrictionModel:
     )
     names = tuple(f"j{i}" for i, _ in enumerate(laws, start=1))
     return FrictionModel(
-        law="tried", robot="arm", joints=names, laws=laws, sample_time=STEP,
-        trained=(seen,) * len(laws), training_rmse=(NOISE,) * len(laws),
-    )  # fmt: skip
+        law="tried",
+        robot="arm",
+        joints=names,
+        laws=laws,
+        sample_time=STEP,
+        trained=(seen,) * len(laws),
+        training_rmse=(NOISE,) * len(laws),
+    )
 
 
 def motion(seconds: float, seed: int = 0, step: float = STEP) -> tuple[Array, Array, Array, Array]:
@@ -73,10 +78,18 @@ def motion(seconds: float, seed: int = 0, step: float = STEP) -> tuple[Array, Ar
 
 
 def truth(
-    law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array, *,
-    level: Callable[[Array], Array], viscosity: Callable[[Array], Array],
-    seed: int = 0, correlation: float = 0.1, noise: float = NOISE,
-) -> FrictionRecord:  # fmt: skip
+    law: FrictionLaw,
+    t: Array,
+    dq: Array,
+    q: Array,
+    load: Array,
+    *,
+    level: Callable[[Array], Array],
+    viscosity: Callable[[Array], Array],
+    seed: int = 0,
+    correlation: float = 0.1,
+    noise: float = NOISE,
+) -> FrictionRecord:
     """Return a record whose factors are known functions of time, with coloured noise.
 
     Friction follows the adaptive equations with the factors fixed to the truth at each row: they
@@ -97,9 +110,14 @@ def truth(
         run.remembered = held
         tau.append(run.step(t[k] - t[k - 1], dq[k], q[k], load[k])[0])
     return FrictionRecord(
-        log="true", joint="j1", t=t, dq=dq, q=q, tau_load=load,
+        log="true",
+        joint="j1",
+        t=t,
+        dq=dq,
+        q=q,
+        tau_load=load,
         tau=np.array(tau) + coloured(len(t), t[1] - t[0], correlation, noise, seed),
-    )  # fmt: skip
+    )
 
 
 def coloured(rows: int, step: float, correlation: float, noise: float, seed: int) -> Array:

@@ -27,8 +27,14 @@ class Path:
     load: np.ndarray
 
 
-def path(seed: int = 0, *, seconds: float = 12.0, peak: float = 1.0, rests: bool = True,
-         from_rest: bool = False) -> Path:  # fmt: skip
+def path(
+    seed: int = 0,
+    *,
+    seconds: float = 12.0,
+    peak: float = 1.0,
+    rests: bool = True,
+    from_rest: bool = False,
+) -> Path:
     """A few harmonics with different phases per path; the joint rests at one and two thirds."""
     rng = np.random.default_rng(1000 + seed)
     t = np.cumsum(rng.uniform(0.005, 0.011, round(seconds / 0.008)))
@@ -83,9 +89,7 @@ def along(
 
 def training(truth: FrictionLaw, *, noise: float, **more: Any) -> list[FrictionRecord]:
     """Two logs for fitting."""
-    return [
-        along(truth, path(k), noise=noise, seed=k, log=f"train{k}", **more) for k in range(2)
-    ]  # fmt: skip
+    return [along(truth, path(k), noise=noise, seed=k, log=f"train{k}", **more) for k in range(2)]
 
 
 def unseen(truth: FrictionLaw, **more: Any) -> FrictionRecord:

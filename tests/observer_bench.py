@@ -54,8 +54,12 @@ class Bench:
 def pushed_arm(folder: Path, truth: str | None) -> tuple[Plant, Path]:
     """Write the FMU of an arm whose joints can be pushed."""
     uf850 = MODELS / "uf850"
-    twin = Twin(plant=uf850 / "plant.toml", signals=uf850 / "arm.toml",
-                motions=MODELS / "studies" / "uf850_motions.toml", truth=truth)  # fmt: skip
+    twin = Twin(
+        plant=uf850 / "plant.toml",
+        signals=uf850 / "arm.toml",
+        motions=MODELS / "studies" / "uf850_motions.toml",
+        truth=truth,
+    )
     plant, signals = twin_plant(twin, uf850 / "study.toml", folder)
     assert isinstance(signals, SignalTable)
     tree = ElementTree.parse(plant.model)
@@ -72,8 +76,9 @@ def pushed_arm(folder: Path, truth: str | None) -> tuple[Plant, Path]:
     tree.write(model)
     outputs = dict(signals.outputs)
     for name in ("tau_meas", "tau_true"):
-        rows = tuple({**row, push: -1.0} for row, [push] in
-                     zip(outputs[name].sensors, pushes, strict=True))  # fmt: skip
+        rows = tuple(
+            {**row, push: -1.0} for row, [push] in zip(outputs[name].sensors, pushes, strict=True)
+        )
         outputs[name] = outputs[name].model_copy(update={"sensors": rows})
     pushed = InputTable(unit="N.m", actuators=tuple(pushes))
     signals = signals.model_copy(
@@ -90,8 +95,10 @@ def bench(folder: Path, truth: str | None, law: str) -> Bench:
     plant, fmu = pushed_arm(folder, truth)
     motions = Motions.read(MODELS / "studies" / "uf850_motions.toml")
     wanted = tuple(m for m in motions.motions if m.name in ("excitation", "sweep"))
-    logs = {one.log.name: one.log for one in
-            recordings(motions.model_copy(update={"motions": wanted}), plant, fmu=fmu)}  # fmt: skip
+    logs = {
+        one.log.name: one.log
+        for one in recordings(motions.model_copy(update={"motions": wanted}), plant, fmu=fmu)
+    }
     robot = Robot(MODELS / "uf850" / "robot.toml")
     body = identify([logs["excitation"]], robot, reversed_logs=[logs["excitation_reversed"]])
     records = [friction_records(logs["sweep"], robot, body)]
@@ -142,8 +149,9 @@ def moved(
     outputs = fmu.buffer([f"{n}[{i}]" for n in ("q", "tau_meas", "dq_true") for i in joints])
     first = outputs.read().copy()
     times = STEP * np.arange(len(commands))
-    rows = through(fmu, inputs, outputs, times, np.full(len(times), STEP),
-                   np.hstack([commands, push]))  # fmt: skip
+    rows = through(
+        fmu, inputs, outputs, times, np.full(len(times), STEP), np.hstack([commands, push])
+    )
     q, tau, dq = np.split(np.vstack([first, rows]), 3, axis=1)
     return Log(
         name=f"motion{seed}", t=np.append(times, times[-1] + STEP), q=q, dq=None, tau=tau

@@ -214,9 +214,17 @@ def test_first_calls_compared_with_second_ones(
     commands: dict[str, tuple[str | Path, ...]] = {
         "inspect": (logs / "sweep.csv", *usual),
         "identify": (logs / "excitation.csv", *usual, "-o", tmp_path / "body.json"),
-        "fit": (logs / "sweep.csv", *usual, "--rigid-body", body, "--law", "lugre",
-                "-o", tmp_path / "law.json"),
-    }  # fmt: skip
+        "fit": (
+            logs / "sweep.csv",
+            *usual,
+            "--rigid-body",
+            body,
+            "--law",
+            "lugre",
+            "-o",
+            tmp_path / "law.json",
+        ),
+    }
     for verb, arguments in commands.items():
         cache = tmp_path / verb
         cache.mkdir()

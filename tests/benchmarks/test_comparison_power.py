@@ -83,9 +83,14 @@ def twin() -> ErrorsOnTests:
             logs |= {found.log.name: found.log for found in recorded(arm, motion, 0)}
         while len(tests) < MOTIONS:
             own = FourierMotion(
-                name="test", kind="fourier", seed=int(rng.integers(2**31)), harmonics=40,
-                period=80.0, peak_velocity=(1.2, 1.0, 1.2), offset=(0.0, 0.3, -1.9),
-            )  # fmt: skip
+                name="test",
+                kind="fourier",
+                seed=int(rng.integers(2**31)),
+                harmonics=40,
+                period=80.0,
+                peak_velocity=(1.2, 1.0, 1.2),
+                offset=(0.0, 0.3, -1.9),
+            )
             try:
                 tests += [found.log for found in recorded(arm, own, len(tests) + 1)]
             except ConfigError:

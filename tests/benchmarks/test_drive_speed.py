@@ -27,9 +27,13 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("step", ["1e-3", "1e-4"])
 @pytest.mark.parametrize("discretisation", ["euler", "exact"])
 def test_step_in_a_c_host(
-    discretisation: str, step: str, host: Path, benchmark: BenchmarkFixture, tmp_path: Path,
+    discretisation: str,
+    step: str,
+    host: Path,
+    benchmark: BenchmarkFixture,
+    tmp_path: Path,
     tell: Callable[[str], None],
-) -> None:  # fmt: skip
+) -> None:
     """Target: 1 us for three joints of ParFam-H, one inner step per step, through 80 reversals."""
     model = FrictionModel.read(model_file("uf850-table1"))
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)

@@ -126,9 +126,12 @@ class InHost:
 
     def instructions(self) -> float:
         """Return the number of instructions of a step, which is independent of the load."""
-        counting = ("valgrind", "--tool=callgrind",
-                    f"--callgrind-out-file={self.library.with_suffix('.callgrind')}",
-                    "--toggle-collect=fmi2DoStep")  # fmt: skip
+        counting = (
+            "valgrind",
+            "--tool=callgrind",
+            f"--callgrind-out-file={self.library.with_suffix('.callgrind')}",
+            "--toggle-collect=fmi2DoStep",
+        )
         texts = [self._run(steps, "time", before=counting)[1] for steps in (10, 30)]
         few, many = (int(re.search(r"Collected : (\d+)", text)[1]) for text in texts)
         return (many - few) / 2000
@@ -141,9 +144,13 @@ def least(*measures: Callable[[], float]) -> list[float]:
 
 @pytest.mark.parametrize("discretisation", ["euler", "exact"])
 def test_step_in_a_c_host(
-    discretisation: str, model: FrictionModel, host: Path, benchmark: BenchmarkFixture,
-    tmp_path: Path, tell: Tell,
-) -> None:  # fmt: skip
+    discretisation: str,
+    model: FrictionModel,
+    host: Path,
+    benchmark: BenchmarkFixture,
+    tmp_path: Path,
+    tell: Tell,
+) -> None:
     """Target: 150 ns for three joints of ParFam-H; the number of instructions ignores the load."""
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
     in_host = InHost.of(host, export_fmu(replace(model, laws=laws), tmp_path / "F.fmu"), tmp_path)
@@ -165,9 +172,13 @@ def fitted(law: str, records: dict[str, list[FrictionRecord]]) -> FrictionModel:
     ("law", "aim"), [("parfam_s_v", 1.3), ("parfam_s_load", None), ("parfam_s", 2.1)]
 )
 def test_a_step_of_stops_compared_with_lugre(
-    law: str, aim: float | None, records: dict[str, list[FrictionRecord]], host: Path,
-    tmp_path: Path, tell: Tell,
-) -> None:  # fmt: skip
+    law: str,
+    aim: float | None,
+    records: dict[str, list[FrictionRecord]],
+    host: Path,
+    tmp_path: Path,
+    tell: Tell,
+) -> None:
     def in_host(name: str) -> InHost:
         fmu = export_fmu(fitted(name, records), tmp_path / f"{name}.fmu")
         return InHost.of(host, fmu, tmp_path / name)
@@ -207,9 +218,13 @@ def compiled(gcc: str, source: Path, library: Path, *flags: str) -> Path:
 
 @pytest.mark.parametrize("law", ["lugre", "parfam_h", "parfam_s_v"])
 def test_a_step_compared_with_c_by_hand(
-    law: str, model: FrictionModel, records: dict[str, list[FrictionRecord]], host: Path,
-    tmp_path: Path, tell: Tell,
-) -> None:  # fmt: skip
+    law: str,
+    model: FrictionModel,
+    records: dict[str, list[FrictionRecord]],
+    host: Path,
+    tmp_path: Path,
+    tell: Tell,
+) -> None:
     """Target: 1.5 times the time of C by hand; from `sources/` 1.2 times that of the binary."""
     if not (gcc := shutil.which("gcc")):
         pytest.skip("gcc is not installed")
@@ -234,9 +249,11 @@ def test_instantiation(benchmark: BenchmarkFixture, fmu: Path, tmp_path: Path) -
     about = read_model_description(str(fmu))
     folder = extract(str(fmu), unzipdir=str(tmp_path))
     slave = FMU2Slave(
-        guid=about.guid, modelIdentifier=about.coSimulation.modelIdentifier,
-        unzipDirectory=folder, instanceName="one",
-    )  # fmt: skip
+        guid=about.guid,
+        modelIdentifier=about.coSimulation.modelIdentifier,
+        unzipDirectory=folder,
+        instanceName="one",
+    )
 
     def live() -> None:
         slave.instantiate()
@@ -259,9 +276,12 @@ def test_export(
 ) -> None:
     """Target: 5 s for all platforms with a warm compiler cache; 120 KB and 500 KB."""
     path = benchmark.pedantic(
-        export_fmu, args=(model, tmp_path / "F.fmu"), kwargs={"platforms": [platforms]},
-        rounds=3, warmup_rounds=1,
-    )  # fmt: skip
+        export_fmu,
+        args=(model, tmp_path / "F.fmu"),
+        kwargs={"platforms": [platforms]},
+        rounds=3,
+        warmup_rounds=1,
+    )
     tell(f"FMU of three joints, {platforms}: {path.stat().st_size / 1024:.0f} KB")
 
 

@@ -87,9 +87,12 @@ def test_a_batch_of_robots_compared_with_fmu_steps(
 ) -> None:
     """Target: 5 times with AVX2."""
     model = FrictionModel(
-        law=law, robot="bench", joints=("j1", "j2", "j3"), laws=(fitted(law),) * 3,
+        law=law,
+        robot="bench",
+        joints=("j1", "j2", "j3"),
+        laws=(fitted(law),) * 3,
         sample_time=STEP,
-    )  # fmt: skip
+    )
     export_c(model, tmp_path / "law.h")
     source = tmp_path / "side_by_side.c"
     shutil.copy(Path(__file__).with_name(source.name), source)
@@ -133,9 +136,12 @@ def test_a_whole_log_compared_with_single_steps(
 ) -> None:
     """Target: 5 times compared with steps in C; equal torque to 1e-14 of its largest value."""
     model = FrictionModel(
-        law=law, robot="bench", joints=tuple(f"j{i}" for i in range(JOINTS)),
-        laws=(fitted(law),) * JOINTS, sample_time=STEP,
-    )  # fmt: skip
+        law=law,
+        robot="bench",
+        joints=tuple(f"j{i}" for i in range(JOINTS)),
+        laws=(fitted(law),) * JOINTS,
+        sample_time=STEP,
+    )
     data = motion()
     names = [f"{name}[{i + 1}]" for name in ("dq", "q", "tau_load") for i in range(JOINTS)]
     rows = np.hstack([data[name] for name in ("dq", "q", "tau_load")])

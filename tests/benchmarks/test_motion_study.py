@@ -111,13 +111,16 @@ def widths(law: FrictionLaw, records: Sequence[FrictionRecord]) -> np.ndarray:
                 [
                     predict(
                         replace(law, values={**law.values, name: law.values[name] + h}),
-                        t=r.t, dq=r.dq, q=r.q, tau_load=r.tau_load,
+                        t=r.t,
+                        dq=r.dq,
+                        q=r.q,
+                        tau_load=r.tau_load,
                     )
                     for r in records
                 ]
             )
             for h in (step, -step)
-        ]  # fmt: skip
+        ]
         columns.append((sides[0] - sides[1]) / (2.0 * step))
     jacobian = np.column_stack(columns)
     size = np.linalg.norm(jacobian, axis=0)

@@ -38,8 +38,9 @@ def test_three_joints_take_as_long_as_in_the_fmu(
     [library] = installed()
     program = tmp_path / "plugin_host"
     flags = ("-O2", "-std=c11", f"-isystem{library.parent / 'include'}", f"-I{HOSTS}")
-    compile_c(HOSTS / "plugin_host.c", flags, program,
-              (str(library), f"-Wl,-rpath,{library.parent}"))  # fmt: skip
+    compile_c(
+        HOSTS / "plugin_host.c", flags, program, (str(library), f"-Wl,-rpath,{library.parent}")
+    )
     command = [str(program), str(plugin), str(scene), "20000"]
 
     def of_plugin() -> float:
@@ -47,5 +48,7 @@ def test_three_joints_take_as_long_as_in_the_fmu(
 
     pairs = [(of_plugin(), fmu.time()) for _ in range(7)]
     ours, known = (min(times) for times in zip(*pairs, strict=True))
-    tell(f"MuJoCo plug-in, three joints, {discretisation}: {ours:.0f} ns, {ours / known:.2f} of "
-         f"doStep (aim: {AIM})")  # fmt: skip
+    tell(
+        f"MuJoCo plug-in, three joints, {discretisation}: {ours:.0f} ns, {ours / known:.2f} of "
+        f"doStep (aim: {AIM})"
+    )

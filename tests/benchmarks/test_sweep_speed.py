@@ -136,12 +136,14 @@ def test_a_sweep_compared_with_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_p
     task = min(
         spent(
             lambda: simulate_fmu(
-                str(container), stop_time=spec.stop, output_interval=spec.step,
+                str(container),
+                stop_time=spec.stop,
+                output_interval=spec.step,
                 start_values={"arm.payload": 1.0},
             )
         )
         for _ in range(5)
-    )  # fmt: skip
+    )
     tell(
         f"a run of a sweep {1e3 * swept:.0f} ms with all overheads, simulate_fmu of the container "
         f"{1e3 * task:.0f} ms: {task / swept:.1f} times (aim 4)"

@@ -86,8 +86,11 @@ def test_many_joints(
         pytest.skip(f"{library} is not installed")
     EXPORT[library](MODELS[law](), tmp_path / "law.py")
     text = RUN[library].format(dtype=dtype, steps=STEPS)
-    answer = subprocess.run([python, "-c", text], cwd=tmp_path, capture_output=True, text=True,
-                            check=True)  # fmt: skip
+    answer = subprocess.run(
+        [python, "-c", text], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     wall, used = map(float, answer.stdout.split())
-    tell(f"{library}, {dtype}, {law}: {wall:.1f} s, {used:.1f} s of the processor, "
-         f"for {STEPS} steps of 100,002 joints")  # fmt: skip
+    tell(
+        f"{library}, {dtype}, {law}: {wall:.1f} s, {used:.1f} s of the processor, "
+        f"for {STEPS} steps of 100,002 joints"
+    )

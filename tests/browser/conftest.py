@@ -53,9 +53,12 @@ def open_page(chromium: "Browser") -> Iterator[OpenPage]:
         page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("requestfailed", lambda request: wrong.append(f"failed: {request.url}"))
-        page.on("request", lambda request: wrong.extend(
-            [] if request.url.startswith("file:") else [f"asked for {request.url}"]
-        ))  # fmt: skip
+        page.on(
+            "request",
+            lambda request: wrong.extend(
+                [] if request.url.startswith("file:") else [f"asked for {request.url}"]
+            ),
+        )
         page.add_init_script(prepare)
         page.goto(path.as_uri())
         return page

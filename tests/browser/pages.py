@@ -54,9 +54,14 @@ def _model() -> FrictionModel:
     )
     errors = dict.fromkeys(lugre().values, 0.01)
     return FrictionModel(
-        law="lugre_load", robot="seven", joints=JOINTS, sample_time=0.01, trained=(seen,) * 7,
-        laws=(replace(lugre(), standard_errors=errors),) * 7, training_rmse=(1.2345,) * 7,
-    )  # fmt: skip
+        law="lugre_load",
+        robot="seven",
+        joints=JOINTS,
+        sample_time=0.01,
+        trained=(seen,) * 7,
+        laws=(replace(lugre(), standard_errors=errors),) * 7,
+        training_rmse=(1.2345,) * 7,
+    )
 
 
 def _records(model: FrictionModel) -> list[FrictionRecord]:
@@ -64,11 +69,16 @@ def _records(model: FrictionModel) -> list[FrictionRecord]:
     noise = np.random.default_rng(1).normal(size=q.shape)
     return [
         FrictionRecord(
-            log="day", joint=joint, t=t, dq=dq[:, k], q=q[:, k], tau_load=np.zeros_like(t),
+            log="day",
+            joint=joint,
+            t=t,
+            dq=dq[:, k],
+            q=q[:, k],
+            tau_load=np.zeros_like(t),
             tau=1.4 * predict(law, t=t, dq=dq[:, k], q=q[:, k]) + noise[:, k],
         )
         for k, (joint, law) in enumerate(zip(model.joints, model.laws, strict=True))
-    ]  # fmt: skip
+    ]
 
 
 def log_csv() -> str:
@@ -113,14 +123,23 @@ def arena(folder: Path) -> Path:
     interval = Interval(value=0.1234, low=0.1111, high=0.1357)
     standings = tuple(
         Standing(
-            name=f"entry_number_{k}", robot="seven", sha256="0" * 64, law="lugre_load", group=group,
-            inputs=CLASSES[group], relative=dict.fromkeys(KINDS, interval),
-            joints=dict.fromkeys(KINDS, (1.2345,) * 7), ratio=interval if k else None, leads=not k,
-            properties=None, step=1e-7, foreign=False,
+            name=f"entry_number_{k}",
+            robot="seven",
+            sha256="0" * 64,
+            law="lugre_load",
+            group=group,
+            inputs=CLASSES[group],
+            relative=dict.fromkeys(KINDS, interval),
+            joints=dict.fromkeys(KINDS, (1.2345,) * 7),
+            ratio=interval if k else None,
+            leads=not k,
+            properties=None,
+            step=1e-7,
+            foreign=False,
         )
         for group in CLASSES
         for k in range(2)
-    )  # fmt: skip
+    )
     robot = ScoredRobot(
         name="seven", joints=JOINTS, sliding=(False,) * 7, tau_std=(9.876,) * 7, rigid_body="0" * 64
     )
@@ -128,10 +147,17 @@ def arena(folder: Path) -> Path:
         name="day", robot="seven", sha256="0" * 64, source="measured", licence="CC0-1.0"
     )
     write_page(
-        Leaderboard(arena="seven", warm_up=1.0, block=1.0, classes=CLASSES, robots=(robot,),
-                    logs=(log,), standings=standings),
+        Leaderboard(
+            arena="seven",
+            warm_up=1.0,
+            block=1.0,
+            classes=CLASSES,
+            robots=(robot,),
+            logs=(log,),
+            standings=standings,
+        ),
         folder / "arena.html",
-    )  # fmt: skip
+    )
     return folder / "arena.html"
 
 
@@ -142,8 +168,13 @@ def scores(folder: Path) -> Path:
     laws: Mapping[str, float] = {"lugre": 1.1, "stribeck": 1.2, "parfam_h": 0.95}
     predictions = {law: [[share * r.tau] for (r,) in records] for law, share in laws.items()}
     html = table(errors("test", compare(records, predictions)))
-    write_sections(folder / "scores.html", title="Seven", heading="Seven", summary=html,
-                   sections=[Section(key="more", title="Again", html=html)])  # fmt: skip
+    write_sections(
+        folder / "scores.html",
+        title="Seven",
+        heading="Seven",
+        summary=html,
+        sections=[Section(key="more", title="Again", html=html)],
+    )
     return folder / "scores.html"
 
 

@@ -280,9 +280,12 @@ def test_drifted_friction_is_detected(page: "Page", friction: dict[str, np.ndarr
         (1.3 * tau, "Yes, on j2.", "Friction is 30 % higher than the law."),
         (0.7 * tau, "Yes, on j2.", "Friction is 30 % lower than the law."),
         (tau + 1.0, "No. The torque is shifted on j2.", "The torque is off by 1 N.m"),
-        (tau + 2.0 * np.sin(np.arange(3000)), "No. The error has grown on j2.",
-         "The level is as fitted, but the error is 3.7 times"),
-    ):  # fmt: skip
+        (
+            tau + 2.0 * np.sin(np.arange(3000)),
+            "No. The error has grown on j2.",
+            "The level is as fitted, but the error is 3.7 times",
+        ),
+    ):
         drop(page, table({**friction, "tau_friction2": changed}))
         assert page.locator(".log-answer").inner_text() == answer
         assert cells(page, 1).last.inner_text().startswith(cell)

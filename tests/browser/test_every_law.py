@@ -68,9 +68,15 @@ def in_binary(path: Path, motion: ReferenceMotion, step: float) -> np.ndarray:
         inputs = component.buffer([f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints])
         tau = component.buffer([f"tau[{i}]" for i in joints])
         rows = np.column_stack([motion.dq, motion.q, motion.tau_load])
-        component.initialise(start=dict(zip(
-            (f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints), rows[0], strict=True
-        )))  # fmt: skip
+        component.initialise(
+            start=dict(
+                zip(
+                    (f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in joints),
+                    rows[0],
+                    strict=True,
+                )
+            )
+        )
         found = []
         for k, row in enumerate(rows):
             if k:
@@ -108,9 +114,12 @@ EVERY = ("table1", *STUDIED)
 
 @pytest.mark.parametrize("name", EVERY)
 def test_the_module_matches_python_and_follows_its_first_slider(
-    name: str, models: dict[str, FrictionModel], live: Callable[[str], dict[str, Any]],
-    page_of: Callable[[str], "Page"], tmp_path: Path,
-) -> None:  # fmt: skip
+    name: str,
+    models: dict[str, FrictionModel],
+    live: Callable[[str], dict[str, Any]],
+    page_of: Callable[[str], "Page"],
+    tmp_path: Path,
+) -> None:
     model, page = models[name], page_of(name)
     motion = reference_motion(model)
     found = in_browser(page, live(name), motion, model.sample_time)

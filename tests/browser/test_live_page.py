@@ -350,9 +350,9 @@ def test_an_unsuitable_browser_is_reported(
 
 
 def test_the_page_fits_a_phone(open_page: OpenPage, unzipped: Path) -> None:
-    page = alive(open_page(
-        unzipped, viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True
-    ))  # fmt: skip
+    page = alive(
+        open_page(unzipped, viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
+    )
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     last = page.locator(".live-knob").last
     last.evaluate("e => e.scrollIntoView({block: 'center'})")

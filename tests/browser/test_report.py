@@ -285,8 +285,11 @@ def test_lines_and_text_of_figures_have_contrast(
     page = open_page(report, color_scheme=scheme)
     colour = "name => getComputedStyle(document.documentElement).getPropertyValue(name).trim()"
     found = {name: page.evaluate(colour, name) for name in (*VARIABLES.values(), "--paper")}
-    paper = found["--paper"].replace("#fff", "#ffffff") if len(found["--paper"]) == 4 else found[
-        "--paper"]  # fmt: skip
+    paper = (
+        found["--paper"].replace("#fff", "#ffffff")
+        if len(found["--paper"]) == 4
+        else found["--paper"]
+    )
     for k in range(len(SERIES)):
         assert contrast(found[f"--c{k + 1}"], paper) >= 3.0, k
     assert contrast(found["--ink"], paper) >= 4.5

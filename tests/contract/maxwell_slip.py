@@ -10,8 +10,10 @@ from hesr_model.friction.law import Coefficient, LawForm
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0
 
 FORCES = [Coefficient(name=f"F_{i}", unit="N.m", description="element") for i in range(1, 11)]
-STOPS = [Stop(name=f"x{i}", unit="1", velocity=DQ, deflection=float(w), bound=1)
-         for i, w in enumerate(np.geomspace(3e-5, 1e-2, 10), start=1)]  # fmt: skip
+STOPS = [
+    Stop(name=f"x{i}", unit="1", velocity=DQ, deflection=float(w), bound=1)
+    for i, w in enumerate(np.geomspace(3e-5, 1e-2, 10), start=1)
+]
 
 
 class MaxwellSlip(OneForm):

@@ -61,9 +61,10 @@ def words(tree: ast.AST) -> set[str]:
     docstrings = {
         id(n.body[0].value)
         for n in ast.walk(tree)
-        if isinstance(n, Node | ast.Module) and ast.get_docstring(n)
+        if isinstance(n, Node | ast.Module)
+        and ast.get_docstring(n)
         and isinstance(n.body[0], ast.Expr)
-    }  # fmt: skip
+    }
     texts = []
     for node in ast.walk(tree):
         if id(node) not in docstrings:

@@ -51,9 +51,10 @@ def test_command_line_options_match_the_functions() -> None:
             assert command is not None
             given = {param.name for param in command.params} - common
             taken = {
-                name for name, one in inspect.signature(function).parameters.items()
+                name
+                for name, one in inspect.signature(function).parameters.items()
                 if one.kind is not one.VAR_KEYWORD
-            }  # fmt: skip
+            }
             taken |= {one.name for one in further(function)}
             # `--list` is `hesr.laws()`.
             assert given - {"listing"} == taken - {"progress"}, verb

@@ -68,10 +68,16 @@ def records(
         tau = (4.0 + k) * memory + 3.0 * dq + 0.05 * np.random.default_rng(k).normal(size=rows)
         made.append(
             FrictionRecord(
-                log=log, joint=joint, t=t, dq=dq, q=q, tau_load=10.0 * np.sin(q), tau=tau,
+                log=log,
+                joint=joint,
+                t=t,
+                dq=dq,
+                q=q,
+                tau_load=10.0 * np.sin(q),
+                tau=tau,
                 gear_ratio=101.0,
             )
-        )  # fmt: skip
+        )
     return made
 
 

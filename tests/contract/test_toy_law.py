@@ -115,9 +115,19 @@ def test_the_law_is_listed(site: Path, tmp_path: Path) -> None:
 def test_the_command_line_fits_and_exports_the_law(site: Path, results: Path) -> None:
     folder = results.parent
     said = hesr(
-        site, "fit", "results/logs/excitation.csv", "--robot", UF850 / "robot.toml", "--rigid-body",
-        "results/rigid_body.json", "--law", LAW, "-o", "law.json", cwd=folder,
-    )  # fmt: skip
+        site,
+        "fit",
+        "results/logs/excitation.csv",
+        "--robot",
+        UF850 / "robot.toml",
+        "--rigid-body",
+        "results/rigid_body.json",
+        "--law",
+        LAW,
+        "-o",
+        "law.json",
+        cwd=folder,
+    )
     assert f"{LAW} for joint1, joint2, joint3" in said
     assert "Passivity: proven on joint1, joint2, joint3." in said
     hesr(site, "export", "law.json", "-o", "law.fmu", cwd=folder)

@@ -151,9 +151,11 @@ class Pair(Gain):
     """Two gains in one slave, b = 2 a and d = 2 c."""
 
     about = description(
-        *(variable(name, "input") for name in "ac"), *(variable(name, "output") for name in "bd"),
-        feedthrough={"b": ["a"], "d": ["c"]}, exchange=True,
-    )  # fmt: skip
+        *(variable(name, "input") for name in "ac"),
+        *(variable(name, "output") for name in "bd"),
+        feedthrough={"b": ["a"], "d": ["c"]},
+        exchange=True,
+    )
 
     def refresh(self) -> None:
         self.v["b"], self.v["d"] = 2.0 * self.v["a"], 2.0 * self.v["c"]

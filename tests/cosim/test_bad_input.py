@@ -407,9 +407,7 @@ def test_fewer_samples_than_parameters_are_refused(
 # --- TOML files -------------------------------------------------------------------------------
 
 
-def toml_fault(
-    bench: Bench, folder: Path, old: str, new: str, *, source: Path, name: str
-) -> Path:  # fmt: skip
+def toml_fault(bench: Bench, folder: Path, old: str, new: str, *, source: Path, name: str) -> Path:
     text = source.read_text(encoding="utf-8")
     assert old in text
     path = folder / name
@@ -799,9 +797,7 @@ def test_an_fmu_for_another_number_of_joints_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     whole = FrictionModel.read(model_file("uf850-table1"))
-    model = replace(
-        whole, joints=whole.joints[:2], laws=whole.laws[:2], trained=whole.trained[:2]
-    )  # fmt: skip
+    model = replace(whole, joints=whole.joints[:2], laws=whole.laws[:2], trained=whole.trained[:2])
     fmu = export_fmu(model, tmp_path / "Two.fmu")
     sentence = refused(*replace(bench, fmu=fmu).command("test fmu", output=tmp_path / "output"))
     assert sentence.startswith(f"{fmu}: ")

@@ -75,21 +75,45 @@ class Truth:
 
 
 SPIN = Truth(
-    inertia=0.01, coulomb=0.3, knee=0.05, viscous=0.02, noise=0.01,
-    speeds=(7.0, 4.0, 2.0), rates=(0.1, 0.225, 0.25), drift=0.5,
-)  # fmt: skip
+    inertia=0.01,
+    coulomb=0.3,
+    knee=0.05,
+    viscous=0.02,
+    noise=0.01,
+    speeds=(7.0, 4.0, 2.0),
+    rates=(0.1, 0.225, 0.25),
+    drift=0.5,
+)
 AXIS = Truth(
-    inertia=80.0, coulomb=18.0, knee=0.002, viscous=150.0, noise=1.5,
-    speeds=(0.1257,), rates=(1.0 / 6.0,),
-)  # fmt: skip
+    inertia=80.0,
+    coulomb=18.0,
+    knee=0.002,
+    viscous=150.0,
+    noise=1.5,
+    speeds=(0.1257,),
+    rates=(1.0 / 6.0,),
+)
 PENDULUM = Truth(
-    inertia=0.05, coulomb=0.3, knee=0.05, viscous=0.02, noise=0.02, moment=1.5, phase=0.4,
-    speeds=(1.5, 1.0, 0.5), rates=(0.1, 0.23, 0.41),
-)  # fmt: skip
+    inertia=0.05,
+    coulomb=0.3,
+    knee=0.05,
+    viscous=0.02,
+    noise=0.02,
+    moment=1.5,
+    phase=0.4,
+    speeds=(1.5, 1.0, 0.5),
+    rates=(0.1, 0.23, 0.41),
+)
 LIFT = Truth(
-    inertia=80.0, coulomb=18.0, knee=0.002, viscous=150.0, noise=1.5, weight=784.8,
-    speeds=(0.06, 0.04), rates=(0.1, 0.23),
-)  # fmt: skip
+    inertia=80.0,
+    coulomb=18.0,
+    knee=0.002,
+    viscous=150.0,
+    noise=1.5,
+    weight=784.8,
+    speeds=(0.06, 0.04),
+    rates=(0.1, 0.23),
+)
 
 SPUN, SLID = np.arange(6000) / 200.0, np.arange(2400) / 100.0
 

@@ -82,8 +82,11 @@ def the_law_and_its_fmu_follow_the_thermometer(
     assert answer.code == 0, answer.err
     assert "temperature[3]" in {v.name for v in read_model_description(fmu).modelVariables}
     errors = {}
-    for name, command in (("cold", ("test", law)), ("warm", ("test", warm)),
-                          ("fmu", ("test", fmu))):  # fmt: skip
+    for name, command in (
+        ("cold", ("test", law)),
+        ("warm", ("test", warm)),
+        ("fmu", ("test", fmu)),
+    ):
         found = warm.parent / f"errors_{name}.json"
         answer = hesr(*command, "--on", log, *options, "--json", found)
         assert answer.code == 0, answer.err

@@ -29,8 +29,18 @@ def hesr(capsys, monkeypatch) -> Hesr:
 
 def test_a_drive_is_exported(hesr, tmp_path):
     fmu = tmp_path / "Drive.fmu"
-    answer = hesr("export", TABLE_1, "--format", "drive", "--inertia", "3,3,0.6",
-                  "--stiffness", "1e4", "-o", fmu)  # fmt: skip
+    answer = hesr(
+        "export",
+        TABLE_1,
+        "--format",
+        "drive",
+        "--inertia",
+        "3,3,0.6",
+        "--stiffness",
+        "1e4",
+        "-o",
+        fmu,
+    )
     assert answer.code == 0, answer.err
     assert answer.out.startswith("FMU, for every tool that imports FMI, ")
     assert answer.out.endswith(f" KiB.\nWritten: {fmu}\n")

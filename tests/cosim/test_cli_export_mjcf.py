@@ -83,28 +83,40 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         (["none.xml", "-o", "A.fmu"], "none.xml: no such model file."),
         (["swing.xml", "-o", "A.zip"], "A.zip: the name of an FMU ends in .fmu."),
         (["broken.xml", "-o", "A.fmu"], "cannot be compiled as an MJCF"),
-        (["blind.xml", "-o", "A.fmu"],
-         "has neither a sensor nor a hinge or slide, so an FMU of it would have no output; add a "
-         "sensor."),
+        (
+            ["blind.xml", "-o", "A.fmu"],
+            "has neither a sensor nor a hinge or slide, so an FMU of it would have no output; add "
+            "a sensor.",
+        ),
         (["swing.xml", "-o", "A.fmu", "--signals", "none.toml"], "none.toml: no such file."),
         (["swing.xml", "-o", "A.fmu", "--signals", "table.toml"], "the model has no sensor 'z'."),
         (["swing.xml", "-o", "A.fmu", "--signals", "other.toml"], "the model has no actuator 'v'."),
-        (["swing.xml", "-o", "A.fmu", "--platform", "win64"],
-         "platform 'win64': pip could not download MuJoCo's wheel of mujoco-core=="),
+        (
+            ["swing.xml", "-o", "A.fmu", "--platform", "win64"],
+            "platform 'win64': pip could not download MuJoCo's wheel of mujoco-core==",
+        ),
         (["swing.xml", "-o", "A.fmu", "--platform", "all"], "pip could not download MuJoCo's"),
-        (["swing.xml", "-o", "A.fmu", "--format", "python-arm", "--platform", "win64"],
-         "--platform is for native FMUs, not python-arm."),
-        (["swing.urdf", "-o", "A.fmu", "--format", "python-arm"],
-         "--format is python-arm, which needs an MJCF; omit it for a URDF."),
+        (
+            ["swing.xml", "-o", "A.fmu", "--format", "python-arm", "--platform", "win64"],
+            "--platform is for native FMUs, not python-arm.",
+        ),
+        (
+            ["swing.urdf", "-o", "A.fmu", "--format", "python-arm"],
+            "--format is python-arm, which needs an MJCF; omit it for a URDF.",
+        ),
         (["swing.urdf", "-o", "A.fmu"], "swing.urdf: cannot be compiled as a URDF ("),
-        (["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
-         "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, "
-         "mujoco-plugin, observer, plant, ssv, "),
+        (
+            ["uf850-table1", "-o", "A.fmu", "--format", "python-arm"],
+            "--format is python-arm; allowed are adaptive, c, drive, fmu, jax, mjcf, modelica, "
+            "mujoco-plugin, observer, plant, ssv, ",
+        ),
         (["swing.xml", "-o", "A.fmu", "--platform", "vms"], "platform 'vms' is unknown"),
-        (["uf850-table1", "-o", "A.fmu", "--signals", "table.toml"],
-         "--signals is for an MJCF (.xml)."),
+        (
+            ["uf850-table1", "-o", "A.fmu", "--signals", "table.toml"],
+            "--signals is for an MJCF (.xml).",
+        ),
     ],
-)  # fmt: skip
+)
 def test_refusals_are_one_sentence(arguments, sentence, hesr, mjcf, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PIP_NO_INDEX", "1")

@@ -28,9 +28,11 @@ def free_motion(table1: FrictionModel, path: Path, seed: int) -> Path:
 
 
 def test_an_observer_is_calibrated_on_logs(
-    table1: FrictionModel, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    table1: FrictionModel,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     hesr, robot = hesr_here(capsys, monkeypatch), uf850("robot.toml")
     logs = [free_motion(table1, tmp_path / f"free{k}.csv", k) for k in (1, 2)]
     options = ("--format", "observer", "--robot", robot)

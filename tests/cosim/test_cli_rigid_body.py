@@ -74,11 +74,31 @@ def test_a_body_is_refined_with_the_fitted_friction(
     first, law, second = (tmp_path / f"{n}.json" for n in ("first", "law", "second"))
     runs = [
         ("identify", logs["excitation"], "--robot", ROBOT, "-o", first),
-        ("fit", logs["sweep"], "--robot", ROBOT, "--rigid-body", first, "--law", "lugre",
-         "-o", law),
-        ("identify", logs["excitation"], "--robot", ROBOT, "--friction", law, "--rigid-body",
-         first, "-o", second),
-    ]  # fmt: skip
+        (
+            "fit",
+            logs["sweep"],
+            "--robot",
+            ROBOT,
+            "--rigid-body",
+            first,
+            "--law",
+            "lugre",
+            "-o",
+            law,
+        ),
+        (
+            "identify",
+            logs["excitation"],
+            "--robot",
+            ROBOT,
+            "--friction",
+            law,
+            "--rigid-body",
+            first,
+            "-o",
+            second,
+        ),
+    ]
     for run in runs:
         answer = hesr(*run)
         assert answer.code == 0, answer.err

@@ -92,7 +92,7 @@ def test_limits_name_time_and_signal(write: Write, tmp_path: Path, hesr: Hesr) -
         ('"FMU"', '"Missing.fmu"', "{folder}/Missing.fmu: no such file."),
         ("T = 0.5", "T = -1.0", "Lag.fmu ('a') at t = 0 s: T is -1 s; it must be positive."),
     ],
-)  # fmt: skip
+)
 def test_invalid_systems_are_refused(
     write: Write, tmp_path: Path, hesr: Hesr, old: str, new: str, said: str
 ) -> None:

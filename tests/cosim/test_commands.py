@@ -58,8 +58,18 @@ def test_results_of_calls_and_of_the_command_line_are_equal(
     assert written["body"].read_bytes() == written["again"].read_bytes()
     body = written["body"]
     hesr.fit(file, law="stribeck", robot=arm.model, rigid_body=body, output=written["law"])
-    done = run("fit", file, "--law", "stribeck", "--robot", arm.model, "--rigid-body", body,
-               "-o", written["other"])  # fmt: skip
+    done = run(
+        "fit",
+        file,
+        "--law",
+        "stribeck",
+        "--robot",
+        arm.model,
+        "--rigid-body",
+        body,
+        "-o",
+        written["other"],
+    )
     assert done.code == 0, done.err
     assert written["law"].read_bytes() == written["other"].read_bytes()
     names = [one["name"] for one in FrictionModel.read(written["law"]).provenance["files"]]

@@ -42,9 +42,12 @@ def answer(json_file: Path, data: dict[str, int]) -> None:
 
 @pytest.mark.parametrize(
     ("quiet", "verbose", "levels"),
-    [(True, False, ["ERROR"]), (False, False, ["WARNING", "ERROR"]),
-     (False, True, ["DEBUG", "INFO", "WARNING", "ERROR"])],
-)  # fmt: skip
+    [
+        (True, False, ["ERROR"]),
+        (False, False, ["WARNING", "ERROR"]),
+        (False, True, ["DEBUG", "INFO", "WARNING", "ERROR"]),
+    ],
+)
 def test_verbosity_decides_what_is_printed_and_logged(
     quiet: bool, verbose: bool, levels: list[str], capsys: Capture
 ) -> None:
@@ -118,15 +121,17 @@ def test_progress_is_logged_with_verbose(capsys: Capture) -> None:
         (KeyboardInterrupt(), 130, "interrupted; no file is half-written."),
         (_Ended(), 143, "ended by another program; no file is half-written."),
         (
-            Interrupted("3 laws are kept", KeyboardInterrupt()), 130,
+            Interrupted("3 laws are kept", KeyboardInterrupt()),
+            130,
             "interrupted; no file is half-written, and 3 laws are kept.",
         ),
         (
-            Interrupted("3 laws are kept", _Ended()), 143,
+            Interrupted("3 laws are kept", _Ended()),
+            143,
             "ended by another program; no file is half-written, and 3 laws are kept.",
         ),
     ],
-)  # fmt: skip
+)
 def test_an_interrupt_is_one_sentence(
     interrupt: KeyboardInterrupt, code: int, sentence: str, capsys: Capture
 ) -> None:
@@ -227,7 +232,7 @@ FULL = OSError(errno.ENOSPC, "No space left\n on device.", "some/file")
         (MemoryError(), "not enough memory; give less data at once."),
         (RecursionError(), "an input file is nested too deeply."),
     ],
-)  # fmt: skip
+)
 def test_errors_are_one_sentence_and_exit_with_2(
     error: Exception, sentence: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -107,8 +107,10 @@ COMMON = {"fail_on": "error", "quiet": False, "verbose": False, "dry_run": False
 
 def test_values_not_given_are_left_to_the_function(paint: Callable[..., dict[str, Any]]) -> None:
     assert paint("a.csv", "wall", "2") == COMMON | {
-        "logs": ("a.csv",), "target": "wall", "margin": "2",
-    }  # fmt: skip
+        "logs": ("a.csv",),
+        "target": "wall",
+        "margin": "2",
+    }
     assert paint("a.csv", "b.csv", "wall", "2")["logs"] == ("a.csv", "b.csv")
 
 
@@ -192,10 +194,20 @@ def test_the_help_has_names_texts_and_examples(monkeypatch: pytest.MonkeyPatch) 
     told = " ".join(shown.split())
     assert told.startswith("Usage: paint [OPTIONS] LOG... TARGET [MARGIN] Paint logs. Second par")
     for text in (
-        "of 'paint'.", "--count N Number of coats, from one.", "--word NAME A 'word'.", "--ratio X",
-        "--colour [red|blue]", "--robot ROBOT", "--inertia X[,X...]", "--option KEY=VALUE",
-        "--weights X", "-o, --output FILE", "--accept CHECK", "--workers N", "--json FILE",
-    ):  # fmt: skip
+        "of 'paint'.",
+        "--count N Number of coats, from one.",
+        "--word NAME A 'word'.",
+        "--ratio X",
+        "--colour [red|blue]",
+        "--robot ROBOT",
+        "--inertia X[,X...]",
+        "--option KEY=VALUE",
+        "--weights X",
+        "-o, --output FILE",
+        "--accept CHECK",
+        "--workers N",
+        "--json FILE",
+    ):
         assert text in told, text
     for text in ("--progress", "--more", "--list", ">>>"):
         assert text not in told, text

@@ -44,8 +44,9 @@ PLANT = Plant.read(UF850 / "plant.toml")
 
 def truth() -> FrictionModel:
     """The twin's own friction, as if fitted."""
-    seen = TrainedRange(sample_time=0.005, dq=(-1.2, 1.2), q=(-3, 3), tau_load=(-60, 60),
-                        tau=(-60, 60))  # fmt: skip
+    seen = TrainedRange(
+        sample_time=0.005, dq=(-1.2, 1.2), q=(-3, 3), tau_load=(-60, 60), tau=(-60, 60)
+    )
     known = true_friction(PLANT.model, PLANT.joints, sample_time=0.005)
     return replace(known, trained=(seen,) * 3, training_rmse=PLANT.noise.torque)
 
@@ -55,9 +56,14 @@ def loop_of(
 ) -> DriftingLoop:
     robot = Robot(RobotDescription.read(UF850 / "robot.toml"))
     made = DriftingLoop(
-        plant=PLANT, robot=robot, model=model, motion=MOTION, gains=GAINS, folder=folder,
+        plant=PLANT,
+        robot=robot,
+        model=model,
+        motion=MOTION,
+        gains=GAINS,
+        folder=folder,
         parameters=robot.nominal_parameters if parameters is None else parameters,
-    )  # fmt: skip
+    )
     made.build()
     return made
 
@@ -149,9 +155,12 @@ def first(run: Drifted, alarm: str) -> list[float]:
 def long_motion(seed: int) -> Fourier:
     """A motion of two minutes that never repeats, so that every row is new."""
     return random_fourier(
-        seed=seed, harmonics=60, period=120.0, peak_velocity=np.array([1.0, 0.9, 1.0]),
+        seed=seed,
+        harmonics=60,
+        period=120.0,
+        peak_velocity=np.array([1.0, 0.9, 1.0]),
         offset=np.array([0.0, 0.3, -1.9]),
-    )  # fmt: skip
+    )
 
 
 def log_of(run: Drifted, rows: slice = slice(None), *, name: str = "loop") -> Log:

@@ -247,14 +247,18 @@ def changed(files: tuple[Path, Path], old: str, new: str, folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "kind", "sentence"),
     [
-        ("[log.columns]", '[log.units]\nq_link = "deg"\n[log.columns]', LogError,
-         "link encoder of joint 'joint1' does not show"),
+        (
+            "[log.columns]",
+            '[log.units]\nq_link = "deg"\n[log.columns]',
+            LogError,
+            "link encoder of joint 'joint1' does not show",
+        ),
         ('"q_link{}"', '"q{}"', LogError, "link encoder of joint 'joint1' does not show"),
         ('"q_link{}"', '["q_link1"]', RobotError, "log.columns.q_link.* has 1 entries"),
         ('"q_link{}"', '"x{}"', LogError, "column 'x1' is missing"),
         ("rotor_inertia = true", "rotor_inertia = false", ConfigError, "needs 'rotor_inertia'"),
     ],
-)  # fmt: skip
+)
 def test_unsuitable_columns_are_refused(
     files: tuple[Path, Path],
     old: str,

@@ -142,10 +142,19 @@ def test_the_command_line_covers_all_steps(
     body, law, fmu = (tmp_path / name for name in ("body.json", "law.json", "Friction.fmu"))
     for command in (
         ("identify", folder / "DATA_EMPS.mat", *robot, "-o", body),
-        ("fit", folder / "DATA_EMPS.mat", *robot, "--rigid-body", body, "--law", "stribeck",
-         "-o", law),
+        (
+            "fit",
+            folder / "DATA_EMPS.mat",
+            *robot,
+            "--rigid-body",
+            body,
+            "--law",
+            "stribeck",
+            "-o",
+            law,
+        ),
         ("export", law, "-o", fmu),
-    ):  # fmt: skip
+    ):
         answer = hesr(*command)
         assert answer.code == 0, answer.err
     pulses = folder / "DATA_EMPS_PULSES.mat"

@@ -136,9 +136,10 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_that_sample(
 def test_growing_friction_is_reported_with_its_size(cell: Path) -> None:
     rows = parquet.read_table(cell / "out" / "fleet.parquet").to_pylist()
     assert [(row["robot"], row["law"], row["joint"]) for row in rows] == [
-        (robot, law, joint) for robot in ("R0", "R1")
+        (robot, law, joint)
+        for robot in ("R0", "R1")
         for law, joint in ((BODY, ""), ("stribeck", "j1"))
-    ]  # fmt: skip
+    ]
     _, steady, _, growing = rows
     assert (steady["worse"], steady["changes"]) == (False, [])
     assert (growing["worse"], growing["changes"]) == (True, ["drift"])
@@ -247,9 +248,15 @@ def fleet_of(count: int, seed: int = 0) -> list[RobotResult]:
         values = {"F_c": 2.0 * np.exp(0.05 * rng.standard_normal()), "tau_0": rng.normal(0.0, 0.1)}
         trends = {"level": Trend(slope=0.001, change=0.03, p=float(rng.uniform(0.01, 1.0)))}
         return JointResult(
-            law="coulomb", joint=name, structure="{}", values=values, errors={"F_c": 0.01},
-            rmse=float(rng.uniform(0.9, 1.1)), tau_std=3.0, trends=trends,
-        )  # fmt: skip
+            law="coulomb",
+            joint=name,
+            structure="{}",
+            values=values,
+            errors={"F_c": 0.01},
+            rmse=float(rng.uniform(0.9, 1.1)),
+            tau_std=3.0,
+            trends=trends,
+        )
 
     return [
         RobotResult(key="", robot=f"R{k:03d}", type="arm", joints=(joint("j1"), joint("j2")))
@@ -292,8 +299,10 @@ def test_changes_are_reported_with_their_likely_cause() -> None:
 
     one = with_first(robots, 0, trends=trends(level=0.2, offset=-0.1, error=-0.3))
     assert kinds(one) == [
-        ("j1", "drift", True), ("j1", "shift", True), ("j1", "error", False),
-    ]  # fmt: skip
+        ("j1", "drift", True),
+        ("j1", "shift", True),
+        ("j1", "error", False),
+    ]
     both = with_first(one, 1, trends=trends(level=0.3, error=0.04))
     assert kinds(both)[:2] == [("j2", "shared drift", True), ("j1", "shared drift", True)]
     less = with_first(one, 1, trends=trends(level=-0.3))
@@ -316,11 +325,14 @@ def test_one_fmu_has_a_parameter_set_per_robot(table1: FrictionModel, tmp_path: 
         export_ssv(model, tmp_path / "robots" / name / "parfam_h.ssv")
         joints = tuple(
             JointResult(
-                law="parfam_h", joint=joint, values=law.values, errors={},
+                law="parfam_h",
+                joint=joint,
+                values=law.values,
+                errors={},
                 structure=json.dumps(law.structure, sort_keys=True),
             )
             for joint, law in zip(table1.joints, laws, strict=True)
-        )  # fmt: skip
+        )
         robots.append(RobotResult(key="", robot=name, type="arm", joints=joints))
     study = FleetStudy.model_validate({"types": {"arm": {"robot": "r.toml", "logs": "*"}}})
     found = write_types(study, robots, tmp_path, lambda *_: None)
@@ -356,16 +368,24 @@ def laid(folder: Path, *logs: str) -> None:
 
 def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
     laid(
-        tmp_path, "a/day=2026-01-30/robot=R1/part-0.parquet", "a/day=2026-02-02/robot=R1/b.csv",
-        "a/day=2026-02-02/robot=R1/_SUCCESS", "a/day=2026-02-02/robot=R1/.b.csv.crc",
-        "a/day=2026-02-02/robot=R1/readme.txt", "b/arm2/run_20260131_b/metadata.yaml",
-        "b/arm2/run_20260131_b/x.db3", "b/arm2/run2.mat", "b/arm2/20269999.pq", "b/note.csv",
-    )  # fmt: skip
+        tmp_path,
+        "a/day=2026-01-30/robot=R1/part-0.parquet",
+        "a/day=2026-02-02/robot=R1/b.csv",
+        "a/day=2026-02-02/robot=R1/_SUCCESS",
+        "a/day=2026-02-02/robot=R1/.b.csv.crc",
+        "a/day=2026-02-02/robot=R1/readme.txt",
+        "b/arm2/run_20260131_b/metadata.yaml",
+        "b/arm2/run_20260131_b/x.db3",
+        "b/arm2/run2.mat",
+        "b/arm2/20269999.pq",
+        "b/note.csv",
+    )
     first, second = members(*study_of(tmp_path, one="a/day=*/robot=*", two="b/*"))
     assert (first.name, first.type) == ("R1", "one")
     assert [name for name, _ in first.logs] == [
-        "day=2026-01-30/robot=R1/part-0", "day=2026-02-02/robot=R1/b",
-    ]  # fmt: skip
+        "day=2026-01-30/robot=R1/part-0",
+        "day=2026-02-02/robot=R1/b",
+    ]
     assert list(first.days.values()) == [0.0, 3.0]
     assert (second.name, second.type) == ("arm2", "two")
     assert second.days == {"arm2/20269999": 0.0, "arm2/run2": 1.0, "arm2/run_20260131_b": 2.0}
@@ -378,18 +398,27 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ('"logs/robot=*"', '"logs/rob*t"', "type 'arm': no folder matches 'logs/rob*t'."),
-        *(('"logs/robot=*"', f'"{bad}"', f"type 'arm': '{bad}' is not a valid pattern of folders.")
-          for bad in (".", "/")),
+        *(
+            (
+                '"logs/robot=*"',
+                f'"{bad}"',
+                f"type 'arm': '{bad}' is not a valid pattern of folders.",
+            )
+            for bad in (".", "/")
+        ),
         ('logs = "logs/robot=*"', "", "key 'types.arm.logs' is missing."),
         ("fmu = false", "seed = -1", "key 'seed' is -1: "),
         ("fmu = false", "laws_ = []", "unknown key 'laws_'; allowed here: fmu, laws, least_"),
         ('["stribeck"]', '["stribek"]', "stribek"),
         ('"robot.toml"', '"no.toml"', "no.toml: no such file."),
         ('"logs/robot=*"', '"logs/robot=*"\naccept = ["zeros"]', "--accept is 'zeros'; the"),
-        ('"logs/robot=*"', '"logs/robot=*"\n[types.b]\nrobot = "robot.toml"\nlogs = "logs/*"',
-         "robot 'R0' has the types 'arm' and 'b'; give each robot one type."),
+        (
+            '"logs/robot=*"',
+            '"logs/robot=*"\n[types.b]\nrobot = "robot.toml"\nlogs = "logs/*"',
+            "robot 'R0' has the types 'arm' and 'b'; give each robot one type.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_invalid_fleets_are_refused(
     cell: Path, copied: Path, old: str, new: str, said: str, command: Command, capsys
 ) -> None:

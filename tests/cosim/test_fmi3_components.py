@@ -86,10 +86,18 @@ def test_a_system_may_mix_both_versions(lag_fmu: Path, lag3: Path) -> None:
     """Bitwise equal to the system of FMI 2.0 FMUs."""
     results = []
     for first, second in ((lag_fmu, lag_fmu), (lag3, lag_fmu), (lag3, lag3)):
-        parts = (ComponentSpec(name="a", fmu=first, start={"u": 2.0, "T": 0.3}),
-                 ComponentSpec(name="b", fmu=second, step=0.02))  # fmt: skip
-        spec = SystemSpec(name="lags", step=0.01, stop=0.5, components=parts,
-                          connections={"b.u": "a.y"}, observe=("a.y", "b.y"))  # fmt: skip
+        parts = (
+            ComponentSpec(name="a", fmu=first, start={"u": 2.0, "T": 0.3}),
+            ComponentSpec(name="b", fmu=second, step=0.02),
+        )
+        spec = SystemSpec(
+            name="lags",
+            step=0.01,
+            stop=0.5,
+            components=parts,
+            connections={"b.u": "a.y"},
+            observe=("a.y", "b.y"),
+        )
         with Master(spec) as master:
             results.append(master.run().require_success().signals)
     for other in results[1:]:
@@ -102,8 +110,9 @@ def test_partial_start_values_of_arrays_are_completed(friction3: Path) -> None:
     assert case.arrays["tau_load"] == ("tau_load[1]", "tau_load[2]", "tau_load[3]")
     assert case.start == {"tau_load[1]": 0.0, "tau_load[2]": 3.0, "tau_load[3]": 0.0}
     assert set(case.inputs) == {f"{name}[{i}]" for name in ("dq", "q") for i in (1, 2, 3)} | {
-        "tau_load[1]", "tau_load[3]",
-    } - set(case.start)  # fmt: skip
+        "tau_load[1]",
+        "tau_load[3]",
+    } - set(case.start)
 
 
 @pytest.mark.parametrize(

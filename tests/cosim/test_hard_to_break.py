@@ -325,8 +325,13 @@ def test_unusable_numbers_are_refused(
     values[7] = number
     log = tmp_path / "log.csv"
     table = columns(**{name: values})
-    np.savetxt(log, np.column_stack(list(table.values())), delimiter=",",
-               header=",".join(table), comments="")  # fmt: skip
+    np.savetxt(
+        log,
+        np.column_stack(list(table.values())),
+        delimiter=",",
+        header=",".join(table),
+        comments="",
+    )
     sentence = refused(*identify(log, robot_file(tmp_path)))
     assert sentence.startswith(f"{log}: row 9: ")
     assert f"is {number:g}; numbers up to 1e+20 can be used" in sentence
@@ -361,8 +366,11 @@ def test_messages_list_only_some_of_many_columns(refused: Refused, tmp_path: Pat
     with log.open("a", encoding="utf-8") as file:
         file.write("\n".join([",".join(["1"] * 5000)] * 3) + "\n")
     sentence = refused(*identify(log, robot_file(tmp_path)))
-    assert sentence.endswith(": column 't' is missing; it has " + ", ".join(
-        f"c{k}" for k in range(30)) + ", and 4970 more.\n")  # fmt: skip
+    assert sentence.endswith(
+        ": column 't' is missing; it has "
+        + ", ".join(f"c{k}" for k in range(30))
+        + ", and 4970 more.\n"
+    )
 
 
 MEASURED = """

@@ -48,8 +48,13 @@ def messy(tmp_path: Path, make_motion: Callable[..., Motion]) -> Path:
     t = np.sort(np.clip(t, 0.0, motion.t[-1]))
     t = t[np.r_[True, np.diff(t) > 1e-4]]
     t = t[(t < 4.0) | (t > 4.3)]
-    lines = ["# cell 7", "", "stamp;" + ";".join(f"A{k}_{x}" for x in ("pos_deg", "vel_degs",
-             "current") for k in (1, 2, 3)) + ";temp"]  # fmt: skip
+    lines = [
+        "# cell 7",
+        "",
+        "stamp;"
+        + ";".join(f"A{k}_{x}" for x in ("pos_deg", "vel_degs", "current") for k in (1, 2, 3))
+        + ";temp",
+    ]
     values = np.hstack([motion.q * 180 / np.pi, motion.dq * 180 / np.pi, motion.tau / GAINS])
     for row, stamp in enumerate(t):
         cells = [f"{np.interp(stamp, motion.t, column):.6f}" for column in values.T]
@@ -166,9 +171,15 @@ def errors_of(log: Log, cut: float) -> LawErrors:
 
 @pytest.mark.parametrize(
     ("seconds", "cut", "tested"),
-    [(60.0, 36.0, 24.0), (80.0, 40.0, 40.0), (87.23, 47.23, 40.0), (90.0, 50.0, 40.0),
-     (100.0, 60.0, 40.0), (200.0, 120.0, 80.0)],
-)  # fmt: skip
+    [
+        (60.0, 36.0, 24.0),
+        (80.0, 40.0, 40.0),
+        (87.23, 47.23, 40.0),
+        (90.0, 50.0, 40.0),
+        (100.0, 60.0, 40.0),
+        (200.0, 120.0, 80.0),
+    ],
+)
 def test_a_test_of_40_s_is_proposed_where_the_log_is_long_enough(
     seconds: float, cut: float, tested: float
 ) -> None:
@@ -185,9 +196,14 @@ def test_a_test_of_40_s_is_proposed_where_the_log_is_long_enough(
 
 @pytest.mark.parametrize(
     ("durations", "tested", "short"),
-    [((60, 60), 1, False), ((20, 20, 20, 20), 2, False), ((20, 20, 20), 1, True),
-     ((100, 30), 1, True), ((80, 15, 15, 15), 3, False)],
-)  # fmt: skip
+    [
+        ((60, 60), 1, False),
+        ((20, 20, 20, 20), 2, False),
+        ((20, 20, 20), 1, True),
+        ((100, 30), 1, True),
+        ((80, 15, 15, 15), 3, False),
+    ],
+)
 def test_several_short_logs_together_are_the_test(
     durations: tuple[int, ...], tested: int, *, short: bool
 ) -> None:

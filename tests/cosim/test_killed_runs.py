@@ -287,8 +287,10 @@ def test_a_killed_writer_of_several_files_leaves_no_mix(
         columns = {"t": motion.t[::2]}
         degrees = 180.0 / math.pi if seed == 2 else 1.0
         for name, values in (
-            ("q", degrees * motion.q), ("dq", degrees * motion.dq), ("tau", motion.tau)
-        ):  # fmt: skip
+            ("q", degrees * motion.q),
+            ("dq", degrees * motion.dq),
+            ("tau", motion.tau),
+        ):
             columns |= {f"{name}{k}": column[::2] for k, column in enumerate(values.T, start=1)}
         write_table(tmp_path / "log.csv", columns)
         if versions:

@@ -51,9 +51,14 @@ def write(folder: Path, truth: str, seconds: float) -> Path:
     emps.write(folder / "training.mat", seconds=seconds, truth=truth, every=2)
     for seed, (name, speeds) in enumerate(UNSEEN.items(), 1):
         emps.write(
-            folder / f"{name}.mat", seconds=0.5 * seconds, pulses=name == "pulses", seed=seed,
-            truth=truth, every=2, speeds=speeds,
-        )  # fmt: skip
+            folder / f"{name}.mat",
+            seconds=0.5 * seconds,
+            pulses=name == "pulses",
+            seed=seed,
+            truth=truth,
+            every=2,
+            speeds=speeds,
+        )
     return folder / "study.toml"
 
 

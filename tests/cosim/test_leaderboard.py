@@ -63,8 +63,9 @@ def lay(folder: Path) -> None:
     (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     motions = Motions.read(folder / "motions.toml")
     kept = tuple(m for m in motions.motions if m.name in ("excitation", "trial"))
-    logs = excite(motions.model_copy(update={"motions": kept}), Plant.read(TWIN / "plant.toml"),
-                  folder)  # fmt: skip
+    logs = excite(
+        motions.model_copy(update={"motions": kept}), Plant.read(TWIN / "plant.toml"), folder
+    )
     model = Robot(RobotDescription.read(TWIN / "robot.toml"))
     training = Log.read(logs["excitation"], model.description)
     body = identify([training], model)

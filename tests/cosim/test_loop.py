@@ -63,11 +63,16 @@ def test_ten_seconds_agree_with_the_loop_without_fmi(bench: Bench, scheme: Schem
     "motion",
     [
         Sine(offset=MOTION.offset, amplitude=np.array([0.8, 0.0, 0.9]), frequency=0.5, periods=9),
-        chirp(start=MOTION.offset - 0.2, amplitude=np.array([0.5, 0.6, 0.7]), first=0.2, last=1.0,
-              length=5.0),
+        chirp(
+            start=MOTION.offset - 0.2,
+            amplitude=np.array([0.5, 0.6, 0.7]),
+            first=0.2,
+            last=1.0,
+            length=5.0,
+        ),
     ],
     ids=["sine", "chirp"],
-)  # fmt: skip
+)
 def test_other_motions_agree(bench: Bench, motion: Any, compensation: Any) -> None:
     """Their acceleration jumps at the end of the rest, at a time that rounding may miss."""
     loop = bench.loop(Scheme(compensation=compensation, Kx=5.0), motion=motion, stop=4.0)
@@ -89,9 +94,12 @@ def lugre_bench(bench: Bench, tmp_path_factory: pytest.TempPathFactory) -> Bench
         for s, f in ((2e4, 9.6), (3e4, 12.1), (1e4, 5.5))
     )
     model = FrictionModel(
-        law="lugre", robot="uf850", joints=("joint1", "joint2", "joint3"), laws=laws,
+        law="lugre",
+        robot="uf850",
+        joints=("joint1", "joint2", "joint3"),
+        laws=laws,
         sample_time=0.005,
-    )  # fmt: skip
+    )
     fmu = export_fmu(model, tmp_path_factory.mktemp("lugre") / "Friction.fmu")
     return replace(bench, friction=model, fmus=replace(bench.fmus, friction=fmu))
 
@@ -210,9 +218,12 @@ def test_the_closed_loop_converges(bench: Bench, compensation: Any) -> None:
         gains = bench.loop(Scheme(compensation=compensation)).gains
         without_rate = gains.model_copy(update={"Kd": (0.0, 0.0, 0.0)})
         loop = bench.loop(
-            Scheme(compensation=compensation, Kx=5.0), motion=motion, step=step, stop=2.0,
+            Scheme(compensation=compensation, Kx=5.0),
+            motion=motion,
+            step=step,
+            stop=2.0,
             gains=without_rate,
-        )  # fmt: skip
+        )
         with Master(bench.system(loop)) as master:
             result = master.run(start={"arm": QUIET}).require_success()
         return result.vector("arm.q_true")[:: round(0.016 / step)]

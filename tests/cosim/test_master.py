@@ -30,9 +30,10 @@ def steps_of(name):
 def test_a_component_gets_the_newest_outputs(fakes):
     """Gauss-Seidel: the integrator after a clock gets the clock's y[k+1] in the same step."""
     spec = fakes(
-        {"clock": "clock", "sum": "fake"}, {"sum.u[1]": "clock.y", "sum.u[2]": "sum.y[1]"},
+        {"clock": "clock", "sum": "fake"},
+        {"sum.u[1]": "clock.y", "sum.u[2]": "sum.y[1]"},
         observe=["sum.y"],
-    )  # fmt: skip
+    )
     result = run(spec).require_success()
     np.testing.assert_allclose(result.t, 0.1 * np.arange(11), rtol=1e-15)
     y = np.concatenate([[0.0], np.cumsum(0.1 * 0.1 * np.arange(1, 11))])
@@ -46,9 +47,11 @@ def test_a_component_gets_the_newest_outputs(fakes):
 def test_jacobi_uses_values_at_the_start_in_any_order(fakes, first):
     names = {"clock": "clock", "sum": "fake"}
     spec = fakes(
-        {first: names[first]} | names, {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"},
-        observe=["sum.y"], order="jacobi",
-    )  # fmt: skip
+        {first: names[first]} | names,
+        {"sum.u[1]": "clock.y", "sum.u[2]": "clock.y"},
+        observe=["sum.y"],
+        order="jacobi",
+    )
     y = np.concatenate([[0.0], np.cumsum(0.1 * 0.1 * np.arange(10))])
     np.testing.assert_allclose(run(spec).vector("sum.y")[:, 0], y, rtol=1e-13, atol=1e-15)
 
@@ -63,11 +66,16 @@ def test_components_step_in_their_order_by_a_step_counter(fakes):
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
 def test_components_may_have_different_rates(fakes, order):
     spec = fakes(
-        {"clock": "clock", "slow": {"fmu": "fake", "step": 0.3},
-         "slower": {"fmu": "clock", "step": 0.6}},
+        {
+            "clock": "clock",
+            "slow": {"fmu": "fake", "step": 0.3},
+            "slower": {"fmu": "clock", "step": 0.6},
+        },
         {"slow.u[1]": "clock.y", "slow.u[2]": "slower.y"},
-        stop=1.2, observe=["slow.y", "slower.y"], order=order,
-    )  # fmt: skip
+        stop=1.2,
+        observe=["slow.y", "slower.y"],
+        order=order,
+    )
     result = run(spec).require_success()
     np.testing.assert_allclose(steps_of("slow"), [(0.3 * k, 0.3) for k in range(4)], atol=1e-15)
     np.testing.assert_allclose(steps_of("slower"), [(0, 0.6), (0.6, 0.6)], atol=1e-15)
@@ -152,9 +160,10 @@ def test_the_first_inputs_are_zero_or_propagated(fakes, first, refreshed, rows):
 
 def test_runs_of_one_master_are_identical(fakes):
     spec = fakes(
-        {"a": {"fmu": "fake", "start": {"y0": 1.0}}, "b": "fake"}, {"a.u": "b.y", "b.u": "a.y"},
+        {"a": {"fmu": "fake", "start": {"y0": 1.0}}, "b": "fake"},
+        {"a.u": "b.y", "b.u": "a.y"},
         observe=["a.y", "b.y"],
-    )  # fmt: skip
+    )
     with Master(spec) as master:
         first = master.run()
         other = master.run(start={"a": {"y0": 2.0}})
@@ -167,9 +176,10 @@ def test_runs_of_one_master_are_identical(fakes):
 @pytest.mark.parametrize("kind", ["failing", "broken"])
 def test_a_failure_ends_the_run_and_keeps_earlier_rows(fakes, kind):
     spec = fakes(
-        {"sum": "fake", "late": kind}, {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
+        {"sum": "fake", "late": kind},
+        {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
         observe=["sum.y", "late.y"],
-    )  # fmt: skip
+    )
     with Master(spec) as master:
         result = master.run()
         said = str(result.failure)
@@ -189,8 +199,9 @@ def test_a_failure_ends_the_run_and_keeps_earlier_rows(fakes, kind):
 
 def test_the_source_of_nan_is_named(fakes):
     spec = fakes(
-        {"late": "broken", "sum": "fake"}, {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
-    )  # fmt: skip
+        {"late": "broken", "sum": "fake"},
+        {"sum.u[1]": "late.y", "sum.u[2]": "late.y"},
+    )
     assert str(run(spec).failure) == "at t = 0.3 s late.y is not a finite number."
 
 
@@ -198,7 +209,7 @@ def test_nan_at_the_start_is_named_with_its_time(fakes):
     spec = fakes(
         {"gain": {"fmu": "gain", "start": {"u": 1e308}}, "sum": "fake"},
         {"sum.u[1]": "gain.y", "sum.u[2]": "gain.y"},
-    )  # fmt: skip
+    )
     assert str(run(spec).failure) == "at t = 0 s gain.y is not a finite number."
 
 
@@ -228,9 +239,10 @@ def test_names_in_a_study_are_checked_against_the_system(fakes):
 
 def test_limits_end_a_run(fakes):
     spec = fakes(
-        {"sum": {"fmu": "fake", "start": {"u": [1.0, -2.0]}}}, observe=["sum.y"],
+        {"sum": {"fmu": "fake", "start": {"u": [1.0, -2.0]}}},
+        observe=["sum.y"],
         limits={"sum.y": [-1.1, 1.1]},
-    )  # fmt: skip
+    )
     result = run(spec)
     assert str(result.failure) == ("at t = 0.6 s sum.y[2] is -1.2, outside its limits -1.1 to 1.1.")
     # The row that exceeds its limits is also kept.
@@ -449,12 +461,21 @@ MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in rang
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("stop = 1.0", "stop = 1.03",
-         "the stop time is 1.03 s; it must be a multiple of the communication step, 0.1 s."),
-        ('"B.fmu"', '"B.fmu"\nstep = 0.25',
-         "the step of 'b' is 0.25 s; it must be a multiple of the communication step, 0.1 s."),
-        ('"B.fmu"', '"B.fmu"\nstep = 0.05',
-         "the step of 'b' is 0.05 s; it must be a multiple of the communication step, 0.1 s."),
+        (
+            "stop = 1.0",
+            "stop = 1.03",
+            "the stop time is 1.03 s; it must be a multiple of the communication step, 0.1 s.",
+        ),
+        (
+            '"B.fmu"',
+            '"B.fmu"\nstep = 0.25',
+            "the step of 'b' is 0.25 s; it must be a multiple of the communication step, 0.1 s.",
+        ),
+        (
+            '"B.fmu"',
+            '"B.fmu"\nstep = 0.05',
+            "the step of 'b' is 0.05 s; it must be a multiple of the communication step, 0.1 s.",
+        ),
         ('name = "b"', 'name = "a"', "two components are named 'a'."),
         ('name = "b"', 'name = "b.c"', "key 'components.1.name' is 'b.c'"),
         ('name = "b"', f'{MANY}name = "b"', "at most 1000 items after validation"),
@@ -462,11 +483,14 @@ MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in rang
         ("stop = 1.0", 'stop = 1.0\norder = "random"', "key 'order' is 'random': Input should be"),
         ("stop = 1.0", "stop = 1.0\nstopp = 2.0", "unknown key 'stopp'; allowed here: begin,"),
         ("stop = 1.0", 'stop = 1.0\nobserve = ["a"]', "key 'observe.0' is 'a'"),
-        ("stop = 1.0", 'stop = 1.0\nlimits = {"a.y" = [1.0, 1.0]}',
-         "the limits 1 and 1 are not in ascending order."),
+        (
+            "stop = 1.0",
+            'stop = 1.0\nlimits = {"a.y" = [1.0, 1.0]}',
+            "the limits 1 and 1 are not in ascending order.",
+        ),
         ("stop = 1.0", "", "key 'stop' is missing."),
     ],
-)  # fmt: skip
+)
 def test_invalid_files_are_refused(tmp_path, old, new, said):
     path = tmp_path / "system.toml"
     path.write_text(GOOD.replace(old, new))

@@ -71,9 +71,14 @@ def test_the_definition_is_short() -> None:
 def test_the_law_is_fitted(maxwell_slip: type[estimator.Estimator], model: FrictionModel) -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.05, len(T))
     record = FrictionRecord(
-        log="made", joint="axis", t=T, dq=DQ, q=np.cumsum(DQ) * DT,
-        tau_load=np.zeros_like(T), tau=torque(model, T, DQ) + noise,
-    )  # fmt: skip
+        log="made",
+        joint="axis",
+        t=T,
+        dq=DQ,
+        q=np.cumsum(DQ) * DT,
+        tau_load=np.zeros_like(T),
+        tau=torque(model, T, DQ) + noise,
+    )
     found = maxwell_slip().fit([record], np.random.default_rng(0))
     for name, value in model.laws[0].values.items():
         assert found.values[name] == pytest.approx(value, abs=0.05)
@@ -119,10 +124,15 @@ def test_model_exchange_matches_co_simulation(model: FrictionModel, fmu: Path) -
     dq = 0.5 * np.sin(0.5 * np.pi * t)
     given = np.array(list(zip(t, dq, strict=True)), dtype=[("time", float), ("dq[1]", float)])
     found = simulate_fmu(
-        str(fmu), fmi_type="ModelExchange", input=given, output=["tau[1]"], stop_time=5.9,
-        output_interval=1e-3, relative_tolerance=1e-7,
+        str(fmu),
+        fmi_type="ModelExchange",
+        input=given,
+        output=["tau[1]"],
+        stop_time=5.9,
+        output_interval=1e-3,
+        relative_tolerance=1e-7,
         start_values={"q[1]": 0.0, "tau_load[1]": 0.0},
-    )  # fmt: skip
+    )
     fine = 1e-4 * np.arange(59000)
     truth = torque(model, fine, 0.5 * np.sin(0.5 * np.pi * fine))
     error = np.interp(found["time"], fine, truth) - found["tau[1]"]

@@ -128,9 +128,13 @@ def test_a_foreign_fmu_stays_in_its_process_and_is_stepped_in_python(lag_fmu, tm
         archive.writestr("documentation/changed.txt", "by somebody")
     spec = lags(lag_fmu, stop=1.2)
     moved = spec.model_copy(
-        update={"components": (spec.components[0].model_copy(update={"fmu": foreign}),
-                               spec.components[1])}
-    )  # fmt: skip
+        update={
+            "components": (
+                spec.components[0].model_copy(update={"fmu": foreign}),
+                spec.components[1],
+            )
+        }
+    )
     with Master(moved) as master, Master(spec) as own:
         assert type(master._stepper) is PythonStepper
         assert_same(master.run().require_success(), own.run())

@@ -39,10 +39,12 @@ def test_contacts_are_found_without_false_alarms(
         free = [moved(fmu, seed) for seed in seeds]
         runs = observed_logs(own.law, own.plant, limits, [log for log, _ in free])
         assert sum(map(alarms, runs)) <= 1
-        inside = np.concatenate([
-            (run.outputs["tau_ext_lower"] <= 0.0) & (run.outputs["tau_ext_upper"] >= 0.0)
-            for run in runs
-        ])  # fmt: skip
+        inside = np.concatenate(
+            [
+                (run.outputs["tau_ext_lower"] <= 0.0) & (run.outputs["tau_ext_upper"] >= 0.0)
+                for run in runs
+            ]
+        )
         speed = np.abs(np.concatenate([dq for _, dq in free]))
         for some in (speed >= 0.0, speed > 0.05, speed < EDGE):  # all, in motion, at rest
             shares += (np.sum(inside & some, axis=0) / np.sum(some, axis=0)).tolist()

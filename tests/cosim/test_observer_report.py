@@ -89,8 +89,11 @@ def test_pushes_of_the_twin_are_in_the_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hesr, own = hesr_here(capsys, monkeypatch), bench(tmp_path / "arm", None, "stribeck")
-    events = [Push("motion", 0, 800, 60.0), Push("motion", 1, 2000, -70.0),
-              Push("rest", 2, 5300, 40.0)]  # fmt: skip
+    events = [
+        Push("motion", 0, 800, 60.0),
+        Push("motion", 1, 2000, -70.0),
+        Push("rest", 2, 5300, 40.0),
+    ]
     first, *others = seeds_within(own, 4000, 4)
     with arm(own) as fmu:
         runs = {"pushed": moved(fmu, first, pushed(events, 6000))}
@@ -105,8 +108,10 @@ def test_pushes_of_the_twin_are_in_the_report(
     assert answer.code == 0, answer.err
     found = external_torque(Results.read(results))
     assert found is not None
-    rows = {(row.head, row.cells[0].text): [c.value for c in row.cells[1:]]
-            for row in found["events"].rows}  # fmt: skip
+    rows = {
+        (row.head, row.cells[0].text): [c.value for c in row.cells[1:]]
+        for row in found["events"].rows
+    }
     assert all(log == "pushed" for log, _ in rows)
     for one in events:
         at, lasting, largest, _ = rows["pushed", f"J{one.joint + 1}"]
@@ -127,8 +132,9 @@ def test_pushes_of_the_twin_are_in_the_report(
 def test_results_stand_for_their_left_out_logs(small_results: Path, copied: Path) -> None:
     robot = Robot(uf850("robot.toml"))
     run = json.loads((copied / "run.json").read_text(encoding="utf-8"))
-    trained = {log["sha256"] for log in run["logs"]
-               if {"identification", "training"} & {*log["roles"]}}  # fmt: skip
+    trained = {
+        log["sha256"] for log in run["logs"] if {"identification", "training"} & {*log["roles"]}
+    }
     expected = {log["name"] for log in run["logs"] if log["sha256"] not in trained}
     assert expected
     assert {log.name for log in calibration_logs([copied], robot)} == expected

@@ -51,10 +51,12 @@ def mjcf(folder: Path, *bodies: str, more: str = "") -> Path:
 def urdf(folder: Path, *, mass: str = "3", axis: str = "0 1 0") -> Path:
     """Two joints; a link has the name of a joint."""
     parts = (
-        '<link name="base"/>', LINK.format("elbow", "3"), LINK.format("tool", mass),
+        '<link name="base"/>',
+        LINK.format("elbow", "3"),
+        LINK.format("tool", mass),
         JOINT.format("shoulder", "base", "elbow", 0, "0 1 0", ""),
         JOINT.format("elbow", "elbow", "tool", 0.5, axis, ""),
-    )  # fmt: skip
+    )
     path = folder / "arm.urdf"
     path.write_text(f'<robot name="arm">{"".join(parts)}</robot>', encoding="utf-8")
     return path
@@ -62,8 +64,10 @@ def urdf(folder: Path, *, mass: str = "3", axis: str = "0 1 0") -> Path:
 
 def followers(folder: Path) -> Path:
     """Follow a leader through a follower; `b` = -`a` + .1 and `c` = .5 `b`."""
-    mimics = [f'<mimic joint="{j}" multiplier="{k}" offset="{b}"/>' for j, k, b in (
-        ("a", -1, 0.1), ("b", 0.5, 0.0))]  # fmt: skip
+    mimics = [
+        f'<mimic joint="{j}" multiplier="{k}" offset="{b}"/>'
+        for j, k, b in (("a", -1, 0.1), ("b", 0.5, 0.0))
+    ]
     kinds = zip(("a", "b", "c", "last"), ("", *mimics, ""), strict=True)
     links, joints, parent = ['<link name="base"/>'], [], "base"
     for name, mimic in kinds:
@@ -83,8 +87,10 @@ def friction(dq: np.ndarray) -> np.ndarray:
 def motion(robot: Robot | None = None, inertia: float = 0.2) -> Arrays:
     """A motion of two joints for 40 s, with torques of a robot or of separate inertias."""
     t = np.arange(0.0, 40.0, 1.0 / RATE)
-    sizes, rates = np.array([1.2, 0.8, 0.5]), 2 * np.pi * np.array([[0.1, 0.23, 0.37],
-                                                                  [0.13, 0.19, 0.41]])  # fmt: skip
+    sizes, rates = (
+        np.array([1.2, 0.8, 0.5]),
+        2 * np.pi * np.array([[0.1, 0.23, 0.37], [0.13, 0.19, 0.41]]),
+    )
     angle = t[:, None, None] * rates + np.arange(3)
     q = np.sum(sizes / rates * np.sin(angle), axis=2) / 2.0 + 0.2
     dq = np.sum(sizes * np.cos(angle), axis=2) / 2.0

@@ -162,8 +162,11 @@ def test_the_first_lines_state_what_explains_the_gain() -> None:
         assert min(gains) >= 20.0
         assert "{:.0f}, {:.0f} and {:.0f} % ({})".format(*gains, training) in first
     assert "LuGre fitted static-first explains the claimed gain" in first
-    fair = [float(own[c]) / float(errors["LuGre"][c]) for c in head if c.startswith(("s", "S"))
-            and not c.endswith("note")]  # fmt: skip
+    fair = [
+        float(own[c]) / float(errors["LuGre"][c])
+        for c in head
+        if c.startswith(("s", "S")) and not c.endswith("note")
+    ]
     assert f"{min(fair):.2f} to {max(fair):.2f} times" in first
     bounded = errors["LuGre, static first, F_s >= F_c"]
     gains = [100.0 * (1.0 - float(own[c]) / float(bounded[c])) for c in head[1::2]]

@@ -21,9 +21,13 @@ RANGE = TrainedRange(
 def model(name: str, values: dict[str, float]) -> FrictionModel:
     laws = tuple(law(name, {}, **values | {"tau_0": 0.1 * k}) for k in range(2))
     return FrictionModel(
-        law=name, robot="bench", joints=("a", "b"), laws=laws, sample_time=0.01,
+        law=name,
+        robot="bench",
+        joints=("a", "b"),
+        laws=laws,
+        sample_time=0.01,
         trained=(RANGE, replace(RANGE, dq=(-2.0, 2.0))),
-    )  # fmt: skip
+    )
 
 
 MODELS = {
@@ -34,12 +38,17 @@ MODELS = {
 
 def verdict(name: str, *laws: str) -> Verdict:
     return Verdict(
-        law=name, fmu=f"fmus/{name}.fmu", test="unseen", why="", unexplained={}, weak=(),
+        law=name,
+        fmu=f"fmus/{name}.fmu",
+        test="unseen",
+        why="",
+        unexplained={},
+        weak=(),
         improve=(),
         joints=tuple(
             Separation(best=one, tied=(), detectable=None, seconds=1.0, law=one) for one in laws
         ),
-    )  # fmt: skip
+    )
 
 
 def test_joints_of_different_laws_get_a_model_and_an_fmu(tmp_path: Path) -> None:

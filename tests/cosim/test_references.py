@@ -41,9 +41,14 @@ def with_results(lag_fmu: Path, tmp_path: Path) -> Callable[..., Path]:
     def make(stimuli: str, results: str, *, name: str = "own", step: float = 0.1) -> Path:
         members = {f"{STEPS}_in.csv": stimuli.encode(), f"{STEPS}_ref.csv": results.encode()}
         own = ExperimentFiles(
-            name=name, description="", t=np.array([0.0, 0.2]), step=step, tolerance=1e-9,
-            stem=STEPS, results="ref",
-        )  # fmt: skip
+            name=name,
+            description="",
+            t=np.array([0.0, 0.2]),
+            step=step,
+            tolerance=1e-9,
+            stem=STEPS,
+            results="ref",
+        )
         files = members | manifest_files([own], members)
         return repacked(lag_fmu, tmp_path / "Lag.fmu", files)
 

@@ -120,8 +120,10 @@ def test_the_interval_of_a_ratio_contains_the_truth() -> None:
 def test_ratios_are_taken_to_lugre_or_else_to_the_first_law(
     records: list[list[FrictionRecord]],
 ) -> None:
-    wrong = {name: wrong_by(records, size, k) for k, (name, size) in
-             enumerate({"stribeck": 2.0, "lugre": 1.0, "parfam_h": 0.8}.items())}  # fmt: skip
+    wrong = {
+        name: wrong_by(records, size, k)
+        for k, (name, size) in enumerate({"stribeck": 2.0, "lugre": 1.0, "parfam_h": 0.8}.items())
+    }
     scores = compare(records, wrong)
     assert scores.ratios.reference == "lugre"
     assert set(scores.ratios.laws) == {"stribeck", "parfam_h"}
@@ -164,8 +166,9 @@ def test_a_comparison_is_written_as_json(records: list[list[FrictionRecord]]) ->
 
 
 def test_uncertainty_bands_are_scored(records: list[list[FrictionRecord]]) -> None:
-    band = Band(floor=0.5, slow=0.4, slow_speed=0.05, rest=0.3, fast=0.1, load=0.02, tail=0.6,
-                envelope=0.0)  # fmt: skip
+    band = Band(
+        floor=0.5, slow=0.4, slow_speed=0.05, rest=0.3, fast=0.1, load=0.02, tail=0.6, envelope=0.0
+    )
     wide = model_of(*(replace(stribeck(), band=band) for _ in range(2)))
     models = {"wide": wide, "bare": model_of(stribeck(), stribeck())}
     predicted = {name: predict_model(model, records) for name, model in models.items()}

@@ -30,8 +30,9 @@ def test_a_seed_determines_its_draw(study: Path) -> None:
     first, again, other = (one_draw(read, seed, ["stribeck"]) for seed in (1, 1, 2))
     assert first == again
     assert set(first["unseen"]) == {"stribeck", "true friction"}
-    assert np.all(np.abs(np.log(np.divide(
-        first["unseen"]["stribeck"], other["unseen"]["stribeck"]))) > 1e-3)  # fmt: skip
+    assert np.all(
+        np.abs(np.log(np.divide(first["unseen"]["stribeck"], other["unseen"]["stribeck"]))) > 1e-3
+    )
 
 
 @pytest.mark.ci

@@ -216,8 +216,10 @@ def test_a_killed_sweep_resumes(study: Path, tmp_path: Path):
 
 
 def test_failed_runs_are_listed_first(study: Path, tmp_path: Path):
-    text = STUDY.replace('variables = ["a.u"]\nlow = 1.0\nhigh = 3.0',
-                         'variables = ["b.refused"]\nvalues = [0.5, 9.0]')  # fmt: skip
+    text = STUDY.replace(
+        'variables = ["a.u"]\nlow = 1.0\nhigh = 3.0',
+        'variables = ["b.refused"]\nvalues = [0.5, 9.0]',
+    )
     found = run_sweep(written(tmp_path, text), tmp_path / "out", workers=1)
     failed = [k for k, text in enumerate(found.table.failures) if text]
     assert failed == np.flatnonzero(found.table.inputs[:, 0] == 0.5).tolist()
@@ -270,19 +272,18 @@ def test_the_command_summarises_and_replays(study: Path, tmp_path: Path, monkeyp
         ("low = 1.0", "mean = 4.0", "'a.u' needs one of 'values', 'low' and 'high', or 'mean'"),
         ('["a.T", "b.T"]', '["a.T", "a.T"]', "'a.T' is listed twice."),
         ('["a.T", "b.T"]', '["a.T", "a.u"]', "'a.u' is varied or measured twice."),
-        ('["a.T", "b.T"]', '["b.refused"]',
-         "'b.refused' is varied by a factor; give it"),
+        ('["a.T", "b.T"]', '["b.refused"]', "'b.refused' is varied by a factor; give it"),
         ("runs = 12", "", "the design 'monte_carlo' needs the key 'runs'."),
         ('"monte_carlo"', '"sobol"', "the design 'sobol' needs a power of 2 as 'runs', not 12."),
         ('"monte_carlo"', '"grid"', "a grid determines the number of runs"),
-        ("start = 0.2", "start = 2.0",
-         "output 'difference' starts at 2 s, but a run ends at 1 s."),
+        ("start = 0.2", "start = 2.0", "output 'difference' starts at 2 s, but a run ends at 1 s."),
         ('"b.y"\nmeasure = "max"', '"b.z"\nmeasure = "max"', "observed 'b.z'"),
         ("seed = 3", "sed = 3", "unknown key 'sed'; allowed here: chunk,"),
     ],
-)  # fmt: skip
-def test_invalid_studies_are_refused(study: Path, tmp_path: Path, old: str, new: str, said: str,
-                                monkeypatch, capsys):  # fmt: skip
+)
+def test_invalid_studies_are_refused(
+    study: Path, tmp_path: Path, old: str, new: str, said: str, monkeypatch, capsys
+):
     assert old in STUDY
     bad = written(tmp_path, STUDY.replace(old, new))
     assert command("simulate", bad, "-o", tmp_path / "out", monkeypatch=monkeypatch) == 2
@@ -296,15 +297,28 @@ def test_invalid_studies_are_refused(study: Path, tmp_path: Path, old: str, new:
     ("more", "said"),
     [
         ({"inputs": []}, "nothing is varied: give 'inputs' or 'correlated'."),
-        ({"design": "grid", "runs": None, "inputs": [{"variables": ["a.x"], "mean": 1, "std": 1}]},
-         "a grid needs 'values' or 'low' and 'high' of every input."),
-        ({"correlated": [{"variables": ["a.p", "a.r"], "mean": [1.0], "covariance": [[1.0]]}]},
-         "2 correlated variables need 2 means and a covariance of 2 x 2."),
-        ({"correlated": [{"variables": ["a.p", "a.r"], "mean": [0, 0],
-                          "covariance": [[1, 2], [2, 1]]}]},
-         "the covariance of 'a.p' and others is not symmetric and positive semidefinite."),
+        (
+            {
+                "design": "grid",
+                "runs": None,
+                "inputs": [{"variables": ["a.x"], "mean": 1, "std": 1}],
+            },
+            "a grid needs 'values' or 'low' and 'high' of every input.",
+        ),
+        (
+            {"correlated": [{"variables": ["a.p", "a.r"], "mean": [1.0], "covariance": [[1.0]]}]},
+            "2 correlated variables need 2 means and a covariance of 2 x 2.",
+        ),
+        (
+            {
+                "correlated": [
+                    {"variables": ["a.p", "a.r"], "mean": [0, 0], "covariance": [[1, 2], [2, 1]]}
+                ]
+            },
+            "the covariance of 'a.p' and others is not symmetric and positive semidefinite.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_impossible_designs_are_refused(more: dict[str, object], said: str):
     with pytest.raises(ConfigError) as error:
         of(**more)
@@ -338,8 +352,9 @@ def test_folders_of_another_sweep_are_refused(study: Path, tmp_path: Path):
 
 
 def test_the_first_error_is_reported_if_every_run_fails(study: Path, tmp_path: Path):
-    text = STUDY.replace('variables = ["a.u"]\nlow = 1.0\nhigh = 3.0',
-                         'variables = ["b.refused"]\nvalues = [0.5]')  # fmt: skip
+    text = STUDY.replace(
+        'variables = ["a.u"]\nlow = 1.0\nhigh = 3.0', 'variables = ["b.refused"]\nvalues = [0.5]'
+    )
     with pytest.raises(SimulationError, match="all 12 runs failed, the first because"):
         run_sweep(written(tmp_path, text), tmp_path / "out", workers=1)
 

@@ -474,13 +474,20 @@ def rows(*, fast: int = 0, resting: int = 10, load: float = 1.0) -> FrictionReco
         ({"resting": 2}, {}, None),
         ({"resting": 1}, {}, "J1: hardly any standstill in the training logs; record rests."),
         ({"load": 0.51}, {}, None),
-        ({"load": 0.49}, {}, "J1: the load hardly changes; record a log with a payload to model "
-                             "load-dependent friction."),
+        (
+            {"load": 0.49},
+            {},
+            "J1: the load hardly changes; record a log with a payload to model "
+            "load-dependent friction.",
+        ),
         ({}, {"load": 1.01}, None),
-        ({}, {"load": 1.2}, "J1: the load of the test exceeds the training logs; record larger "
-                            "loads."),
+        (
+            {},
+            {"load": 1.2},
+            "J1: the load of the test exceeds the training logs; record larger loads.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_helpful_data_are_named(
     trained: dict[str, float], tested: dict[str, float], advice: str | None
 ) -> None:

@@ -91,27 +91,38 @@ def test_values_are_ordered_by_dependency():
 @pytest.mark.parametrize(
     ("connection", "said"),
     [
-        ({"amr.dq_cmd": "controller.dq_cmd"},
-         "connection 'amr.dq_cmd' = 'controller.dq_cmd': there is no component 'amr'; did you mean "
-         "arm?"),
+        (
+            {"amr.dq_cmd": "controller.dq_cmd"},
+            "connection 'amr.dq_cmd' = 'controller.dq_cmd': there is no component 'amr'; did you "
+            "mean arm?",
+        ),
         ({"controller.q": "gear.q"}, "there is no component 'gear'; there are arm, controller."),
-        ({"arm.dq_cdm": "controller.dq_cmd"},
-         "arm.fmu: there is no variable 'dq_cdm'; did you mean dq_cmd, dq_cmd[1] "
-         "or dq_cmd[2]?"),
-        ({"controller.q[3]": "arm.q[1]"},
-         "controller.fmu: there is no variable 'q[3]'; did you mean q[1] or q[2]?"),
+        (
+            {"arm.dq_cdm": "controller.dq_cmd"},
+            "arm.fmu: there is no variable 'dq_cdm'; did you mean dq_cmd, dq_cmd[1] or dq_cmd[2]?",
+        ),
+        (
+            {"controller.q[3]": "arm.q[1]"},
+            "controller.fmu: there is no variable 'q[3]'; did you mean q[1] or q[2]?",
+        ),
         ({"controller.tau": "arm.tau"}, "'controller.tau' has 1 element, 'arm.tau' has 2."),
-        ({"controller.Kp": "arm.q[1]"},
-         "the causality of 'controller.Kp' is parameter; it must be input."),
-        ({"controller.plain": "arm.dq_cmd[1]"},
-         "the causality of 'arm.dq_cmd[1]' is input; it must be output."),
+        (
+            {"controller.Kp": "arm.q[1]"},
+            "the causality of 'controller.Kp' is parameter; it must be input.",
+        ),
+        (
+            {"controller.plain": "arm.dq_cmd[1]"},
+            "the causality of 'arm.dq_cmd[1]' is input; it must be output.",
+        ),
         ({"controller.tau": "arm.q[1]"}, "the input is in N.m, the output in rad."),
         ({"controller.angle": "arm.q[1]"}, "the input is in deg, the output in rad."),
-        ({"controller.q[2]": "arm.q[2]"},
-         "connection 'controller.q[2]' = 'arm.q[2]': 'controller.q[2]' is connected already, to "
-         "'arm.q[2]'."),
+        (
+            {"controller.q[2]": "arm.q[2]"},
+            "connection 'controller.q[2]' = 'arm.q[2]': 'controller.q[2]' is connected already, to "
+            "'arm.q[2]'.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_impossible_connections_are_refused(connection, said):
     with pytest.raises(ConfigError) as error:
         wire(CONNECTIONS | connection)
@@ -193,10 +204,12 @@ def test_start_values_of_a_run_override_those_of_the_system():
     [
         ({"observe": ["arm.Q"]}, "observed 'arm.Q': arm.fmu: there is no variable 'Q'"),
         ({"limits": {"am.q": [0, 1]}}, "limits of 'am.q': there is no component 'am'; did you"),
-        ({"limits": {"arm.q": [[0, 1], [0, 1], [0, 1]]}},
-         "limits of 'arm.q': 3 pairs for 2 elements."),
+        (
+            {"limits": {"arm.q": [[0, 1], [0, 1], [0, 1]]}},
+            "limits of 'arm.q': 3 pairs for 2 elements.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_unknown_signals_are_refused(keys, said):
     with pytest.raises(ConfigError) as error:
         wire(**keys)

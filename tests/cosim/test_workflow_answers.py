@@ -28,10 +28,14 @@ WARNING = Finding(check="gaps", severity="warning", found="it has gaps")
 @pytest.fixture
 def model() -> FrictionModel:
     return FrictionModel(
-        law="stribeck", robot="arm", joints=("j1", "j2"), sample_time=0.01,
-        laws=(law("stribeck", {}, **COULOMB),) * 2, sliding=(False, True),
+        law="stribeck",
+        robot="arm",
+        joints=("j1", "j2"),
+        sample_time=0.01,
+        laws=(law("stribeck", {}, **COULOMB),) * 2,
+        sliding=(False, True),
         training_rmse=(0.51234, 12.3456),
-    )  # fmt: skip
+    )
 
 
 def test_a_fitted_law_is_listed_by_joint(model: FrictionModel, tmp_path: Path) -> None:
@@ -55,8 +59,10 @@ def test_a_fitted_law_is_listed_by_joint(model: FrictionModel, tmp_path: Path) -
     assert audit.caption == "Audit of Stribeck"
     without = fit.answer(replace(model, training_rmse=()), None)
     assert [line.partition(" ")[0] for line in without.summary().splitlines()] == [
-        "stribeck", "j1:", "j2:",
-    ]  # fmt: skip
+        "stribeck",
+        "j1:",
+        "j2:",
+    ]
     assert "RMSE" not in without.summary()
     assert len(without.tables()) == 2
 
@@ -85,11 +91,22 @@ def test_laws_are_listed_with_their_equations() -> None:
 
 def body(**provenance: object) -> RigidBody:
     return RigidBody(
-        robot="arm", joints=("j1", "j2", "tip"), names=("l1.m", "l1.Ir"), base=(0, 1),
-        parameters=np.array([1.0, 2.0]), standard_errors=np.array([0.1, 0.2]), condition=12.345,
-        ridge=0.0, friction=np.zeros((3, 3)), rmse=np.array([0.5, 2.0, 3.0]), rows=10,
-        logs=("a", "b"), method="stacked", weighting="wls", provenance=provenance,
-    )  # fmt: skip
+        robot="arm",
+        joints=("j1", "j2", "tip"),
+        names=("l1.m", "l1.Ir"),
+        base=(0, 1),
+        parameters=np.array([1.0, 2.0]),
+        standard_errors=np.array([0.1, 0.2]),
+        condition=12.345,
+        ridge=0.0,
+        friction=np.zeros((3, 3)),
+        rmse=np.array([0.5, 2.0, 3.0]),
+        rows=10,
+        logs=("a", "b"),
+        method="stacked",
+        weighting="wls",
+        provenance=provenance,
+    )
 
 
 def test_a_rigid_body_is_reported_with_units() -> None:

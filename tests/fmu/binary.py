@@ -109,8 +109,9 @@ class Binary:
         return (ctypes.c_uint * len(names))(*(self.vr[n] for n in names))
 
     def set(self, c: Any, **values: float) -> int:
-        return self.set_all(c, {"tau_load[1]" if n == "tau_load" else f"{n}[1]": x
-                                for n, x in values.items()})  # fmt: skip
+        return self.set_all(
+            c, {"tau_load[1]" if n == "tau_load" else f"{n}[1]": x for n, x in values.items()}
+        )
 
     def set_all(self, c: Any, values: Mapping[str, float]) -> int:
         numbers = (ctypes.c_double * len(values))(*values.values())

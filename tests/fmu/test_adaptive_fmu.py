@@ -81,8 +81,10 @@ class Bench:
         return found
 
     def begin(self) -> None:
-        read = {f"joint[{i}].thermometer": float(r.temperature is not None)
-                for i, r in enumerate(self.records, start=1)}  # fmt: skip
+        read = {
+            f"joint[{i}].thermometer": float(r.temperature is not None)
+            for i, r in enumerate(self.records, start=1)
+        }
         self.fmu.initialise(start=self.inputs(0) | read)
 
     def run(self, first: int, last: int) -> np.ndarray:
@@ -169,10 +171,18 @@ def test_cost_of_a_step_is_limited(fmu: Path, tmp_path: Path) -> None:
         library = tmp_path / "library.so"
         library.write_bytes(archive.read(name))
     found = subprocess.run(
-        [build_host("adaptive_host.c", tmp_path), library, description.guid, "3",
-         *(str(places[f"{n}[1]"]) for n in ("tau_meas", "tau_rigid", "tau")), "20000"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [
+            build_host("adaptive_host.c", tmp_path),
+            library,
+            description.guid,
+            "3",
+            *(str(places[f"{n}[1]"]) for n in ("tau_meas", "tau_rigid", "tau")),
+            "20000",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     step, whole, size = found.stdout.split()
     # A soak test prints its measurements.
     print(f"three joints: {step} ns a step, {whole} ns with inputs and outputs, {size} B")  # noqa: T201

@@ -77,8 +77,12 @@ def test_the_arm_runs_without_python_in_an_empty_environment(fmu, unpacked, tmp_
     arguments = [unpacked.library, unpacked.about.guid, unpacked.resources.as_uri(), 3, 18, 200]
     result = subprocess.run(
         [str(a) for a in (build_host("mjcf_host.c", tmp_path), *arguments)],
-        capture_output=True, text=True, check=False, env={}, cwd=folder,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env={},
+        cwd=folder,
+    )
     assert result.returncode == 0, result.stderr
     rows = np.array([line.split() for line in result.stdout.splitlines()], dtype=float)
     assert rows.shape == (200, 18)

@@ -324,12 +324,14 @@ sys.stdout.write(repr(t.steps(binary, c, 30, 60)))
 """
     answers = [
         subprocess.run(
-            [sys.executable, "-c", script, fmu, tmp_path / todo,
-             tmp_path / "state", todo],
-            capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
+            [sys.executable, "-c", script, fmu, tmp_path / todo, tmp_path / "state", todo],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=Path(__file__).parent,
         ).stdout
         for todo in ("save", "load")
-    ]  # fmt: skip
+    ]
     assert answers[0] == answers[1] != ""
 
 

@@ -56,9 +56,13 @@ def rows(folder, library, program, *before, resources="file://", steps=STEPS, **
     )
     command = [*before, program, *arguments, 3, OUTPUTS, steps]
     ended = subprocess.run(
-        [str(part) for part in command], capture_output=True, text=True, check=False,
-        timeout=900, env=os.environ | environment,
-    )  # fmt: skip
+        [str(part) for part in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=900,
+        env=os.environ | environment,
+    )
     assert ended.returncode == 0, ended.stderr
     found = np.array([line.split() for line in ended.stdout.splitlines()], dtype=float)
     assert found.shape == (steps, OUTPUTS)

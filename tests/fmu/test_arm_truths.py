@@ -206,8 +206,10 @@ def test_torsion_follows_its_elements(tmp_path):
             expected[k] += force
     np.testing.assert_allclose(torque[50:], expected[50:], rtol=0, atol=0.1)
     np.testing.assert_allclose(torque[2000::2000], load[2000::2000], rtol=0, atol=0.1)
-    up, down = (np.interp(0.0, torque[a:b:s], angle[a:b:s]) for a, b, s in
-                ((12_000, 20_000, 1), (11_999, 4000, -1)))  # fmt: skip
+    up, down = (
+        np.interp(0.0, torque[a:b:s], angle[a:b:s])
+        for a, b, s in ((12_000, 20_000, 1), (11_999, 4000, -1))
+    )
     assert down - up > 1.5e-4  # hysteresis and play
 
 
@@ -262,7 +264,7 @@ GEAR = {"stiffness": (1.0,) * 3, "damping": (1.0,) * 2, "backlash": (0.0,) * 3}
         ({"transmission": GEAR}, "damping has 2 entries; 3 are needed"),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
-)  # fmt: skip
+)
 def test_an_incomplete_plant_is_refused(change, sentence):
     with pytest.raises(ValueError, match=sentence):
         Truth.model_validate({"losses": LOSS, "viscous": (1.0,) * 3} | change)

@@ -23,8 +23,9 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
 from hesr_model.rigid_body.residual import FrictionRecord
 
-BAND = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,
-            envelope=1.0)  # fmt: skip
+BAND = Band(
+    floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7, envelope=1.0
+)
 ENDS = ("tau_lower", "tau_upper")
 
 
@@ -66,10 +67,17 @@ def fmu(path, load):
 def test_an_fmu_has_the_band_of_its_model(model, path, make_motion) -> None:
     t, dq, q, load = make_motion(len(model.joints))
     records = [
-        FrictionRecord(log="made", joint=joint, t=t, dq=dq[:, k], q=q[:, k], tau_load=load[:, k],
-                       tau=np.zeros_like(t))
+        FrictionRecord(
+            log="made",
+            joint=joint,
+            t=t,
+            dq=dq[:, k],
+            q=q[:, k],
+            tau_load=load[:, k],
+            tau=np.zeros_like(t),
+        )
         for k, joint in enumerate(model.joints)
-    ]  # fmt: skip
+    ]
     for coverage in (0.95, 0.8, 2.0):
         for end, expected in zip(ENDS, model.predict_band(records, coverage=coverage), strict=True):
             found = replay(path, t, dq, q, load, start={"coverage": coverage}, output=end)
@@ -132,8 +140,9 @@ def test_the_band_at_rest_reaches_both_break_away_torques(law, make_model) -> No
     """For any state of the bristle, extended by the floor of the measured residuals."""
     t = 0.005 * np.arange(400)
     dq = np.where(t < 1.0, 0.3, 0.0)
-    record = FrictionRecord(log="made", joint="axis_1", t=t, dq=dq, q=0.0 * t, tau_load=0.0 * t,
-                            tau=0.0 * t)  # fmt: skip
+    record = FrictionRecord(
+        log="made", joint="axis_1", t=t, dq=dq, q=0.0 * t, tau_load=0.0 * t, tau=0.0 * t
+    )
     lower, upper = make_model(law).predict_band([record])
     level = 9.0 + 3.0 * np.exp(-((0.02 / 0.08) ** 2))
     assert upper[-1, 0] == pytest.approx(level + BAND.floor, rel=1e-6)

@@ -105,9 +105,11 @@ def test_trajectories_match_python(fmus: Mapping[str, Path], name: str, preview:
     t = STEP * np.arange(round(motion.duration / STEP) + 1)
     names = ("q", "dq", "ddq")
     found = run(
-        fmus["Trajectory"], [*names, *(f"{n}_ahead" for n in names)], t=t,
+        fmus["Trajectory"],
+        [*names, *(f"{n}_ahead" for n in names)],
+        t=t,
         start=start_values(motion) | {"preview": preview},
-    )  # fmt: skip
+    )
     for tail, ahead in (("", 0.0), ("_ahead", preview)):
         for one, expected in zip(names, motion.sample(t + ahead), strict=True):
             np.testing.assert_allclose(found[one + tail], expected, rtol=0, atol=1e-12)
@@ -369,9 +371,11 @@ def controlled(fmus: Mapping[str, Path], compensation: str) -> tuple[Any, dict[s
     """Run the controller; return its inputs, including the desired torque, and its outputs."""
     given = signals()
     found = run(
-        fmus["Controller"], ["dq_cmd", "tau_d", "dq_comp"], inputs=given,
+        fmus["Controller"],
+        ["dq_cmd", "tau_d", "dq_comp"],
+        inputs=given,
         start=GAINS | MORE | {"compensation": compensation},
-    )  # fmt: skip
+    )
     tau_d = given["tau_rb"] + 0.8 * given["tau_f"]
     np.testing.assert_allclose(found["tau_d"], tau_d, rtol=1e-14)
     outer = np.array(GAINS["Kx"]) * (given["q_d"] - given["q"])
@@ -537,15 +541,20 @@ def test_velocity_is_low_pass_filtered(fmus: Mapping[str, Path]) -> None:
         ("Trajectory", {"last": -0.1}, "last is -0.1; it must be positive."),
         ("Trajectory", {"swing_period": 0.0}, "swing_period is 0; it must be positive."),
         ("Controller", {"sample_time": 0.0}, "sample_time is 0 s; it must be positive."),
-        ("Controller", {"compensation": "servo_inversion"},
-         "Kv[1] is 0 N.m.s/rad; it must be positive for servo_inversion."),
-        ("Controller", {"compensation": "servo_inversion", "Kv": 1.0, "Ki": (1.0, -1.0, 1.0)},
-         "Ki[2] is -1 N.m/rad; it must not be negative for servo_inversion."),
-        ("Velocity", {"time_constant": -0.1},
-         "time_constant is -0.1 s; it must not be negative."),
+        (
+            "Controller",
+            {"compensation": "servo_inversion"},
+            "Kv[1] is 0 N.m.s/rad; it must be positive for servo_inversion.",
+        ),
+        (
+            "Controller",
+            {"compensation": "servo_inversion", "Kv": 1.0, "Ki": (1.0, -1.0, 1.0)},
+            "Ki[2] is -1 N.m/rad; it must not be negative for servo_inversion.",
+        ),
+        ("Velocity", {"time_constant": -0.1}, "time_constant is -0.1 s; it must not be negative."),
         ("Velocity", {"time_constant": float("nan")}, "time_constant is nan; a finite number is"),
     ],
-)  # fmt: skip
+)
 def test_invalid_parameters_are_refused(
     fmus: Mapping[str, Path], block: str, start: Values, said: str
 ) -> None:

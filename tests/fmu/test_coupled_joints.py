@@ -50,8 +50,9 @@ def test_the_fmu_matches_the_model(fmu, model, make_motion) -> None:
 
 @pytest.fixture(scope="module")
 def banded(model) -> FrictionModel:
-    band = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,
-                envelope=1.0)  # fmt: skip
+    band = Band(
+        floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7, envelope=1.0
+    )
     return replace(model, laws=tuple(replace(law, band=band) for law in model.laws))
 
 

@@ -130,8 +130,10 @@ def test_quantities_and_display_units_are_given(table1_fmu):
         n: (variables[n].quantity, variables[n].displayUnit) for n in ("dq[1]", "q[1]", "tau[1]")
     }
     assert shown == {
-        "dq[1]": ("AngularVelocity", "deg/s"), "q[1]": ("Angle", "deg"), "tau[1]": ("Torque", None),
-    }  # fmt: skip
+        "dq[1]": ("AngularVelocity", "deg/s"),
+        "q[1]": ("Angle", "deg"),
+        "tau[1]": ("Torque", None),
+    }
     units = {u.name: u for u in about.unitDefinitions}
     (degrees,) = units["rad"].displayUnits
     assert (degrees.name, degrees.factor * math.pi) == ("deg", pytest.approx(180.0, rel=1e-15))
@@ -185,9 +187,10 @@ def test_author_and_licence_are_those_of_the_owner(fmi, make_law, make_model, tm
 def test_fmus_of_our_code_only_have_our_licence():
     about = velocity(1).about
     assert about.owner.known == {
-        "author": "The HESR authors", "license": "MIT",
+        "author": "The HESR authors",
+        "license": "MIT",
         "copyright": "Copyright (c) 2026 The HESR authors",
-    }  # fmt: skip
+    }
 
 
 def test_fmus_of_our_code_only_have_the_date_of_the_version():

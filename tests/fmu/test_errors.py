@@ -79,8 +79,11 @@ def test_euler_refuses_long_steps(binary):
         assert slopes(binary, each, 0.5) == OK
     for _ in range(2):
         assert binary.step(c, 0.0, 0.1) == DISCARD
-        assert_refused(binary, "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = "
-                       "0.425; take a smaller step or the exact discretisation.")  # fmt: skip
+        assert_refused(
+            binary,
+            "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = "
+            "0.425; take a smaller step or the exact discretisation.",
+        )
         time = ctypes.c_double(7.0)
         assert binary("GetRealStatus", c, 2, ctypes.byref(time)) == OK
         assert time.value == 0.0
@@ -118,8 +121,13 @@ def test_fmpy_ends_if_every_step_is_refused(tmp_path):
     fmu = export_bare(FrictionModel.read(model_file("uf850-table1")), tmp_path / "Friction.fmu")
     told = []
     with pytest.raises(FMICallException):
-        simulate_fmu(str(fmu), output_interval=0.1, stop_time=1.0, fmi_type="CoSimulation",
-                     logger=lambda *message: told.append(message[-1]))  # fmt: skip
+        simulate_fmu(
+            str(fmu),
+            output_interval=0.1,
+            stop_time=1.0,
+            fmi_type="CoSimulation",
+            logger=lambda *message: told.append(message[-1]),
+        )
     assert told[-1].endswith(b"This step has been requested 11 times.")
 
 
@@ -209,8 +217,9 @@ def test_non_finite_slopes_are_reported(steep):
     assert slope_of(steep, c) == (DISCARD, [4.0, 5.0])
     assert_refused(steep, "dtau_ddq[1] became nan at time 0.005.")
     assert derivative(steep, c, 1.0) == (DISCARD, [4.0, 5.0])
-    assert_refused(steep, "fmi2GetDirectionalDerivative: the derivative of tau[1] is nan at "
-                   "time 0.005.")  # fmt: skip
+    assert_refused(
+        steep, "fmi2GetDirectionalDerivative: the derivative of tau[1] is nan at time 0.005."
+    )
     steep.set(c, dq=0.1)
     status, (_, slope) = slope_of(steep, c)
     assert (status, math.isfinite(slope)) == (OK, True)
@@ -233,8 +242,9 @@ def test_non_finite_slopes_are_discarded_for_a_solver(steep):
 def test_non_finite_directions_are_refused(steep, value):
     c = steep.ready()
     assert derivative(steep, c, value) == (DISCARD, [4.0, 5.0])
-    assert_refused(steep, f"fmi2GetDirectionalDerivative: dq[1] is {value:g}; a finite number is "
-                   "needed.")  # fmt: skip
+    assert_refused(
+        steep, f"fmi2GetDirectionalDerivative: dq[1] is {value:g}; a finite number is needed."
+    )
     assert derivative(steep, c, 1.0)[0] == OK
 
 
@@ -242,8 +252,12 @@ def test_invalid_input_derivatives_are_refused(binary):
     for name, order in (("tau[1]", 1), ("joint[1].alpha", 1), ("dq[1]", 2), ("dq[1]", 0)):
         c = binary.ready()
         assert slopes(binary, c, 1.0, name, order) == ERROR
-        assert_failed(binary, c, "fmi2SetRealInputDerivatives: only first derivatives of inputs "
-                      f"can be set, not of {name}.")  # fmt: skip
+        assert_failed(
+            binary,
+            c,
+            "fmi2SetRealInputDerivatives: only first derivatives of inputs "
+            f"can be set, not of {name}.",
+        )
     c = binary.ready()
     assert slopes(binary, c, 0.5) == OK
     assert slopes(binary, c, math.nan) == DISCARD
@@ -299,8 +313,12 @@ def test_unknown_value_references_and_types_are_refused(binary):
         for function in ("GetReal", "SetReal"):
             c = binary.ready()
             assert binary(function, c, (ctypes.c_uint * 1)(reference), 1, values) == ERROR
-            assert_failed(binary, c, f"fmi2{function}: there is no variable of this type with "
-                          f"value reference {reference}.")  # fmt: skip
+            assert_failed(
+                binary,
+                c,
+                f"fmi2{function}: there is no variable of this type with "
+                f"value reference {reference}.",
+            )
     for function in ("GetBoolean", "GetString", "SetBoolean", "SetString"):
         c = binary.ready()
         assert binary(function, c, None, 0, None) == OK
@@ -320,8 +338,12 @@ def test_steps_beyond_the_end_of_the_experiment_are_refused(binary):
         time += 0.1
     assert time > 0.3
     assert binary.step(c, time, 0.05) == ERROR
-    assert_failed(binary, c, "fmi2DoStep: the step from 0.30000000000000004 s to "
-                  "0.35000000000000003 s passes the end, 0.29999999999999999 s.")  # fmt: skip
+    assert_failed(
+        binary,
+        c,
+        "fmi2DoStep: the step from 0.30000000000000004 s to "
+        "0.35000000000000003 s passes the end, 0.29999999999999999 s.",
+    )
 
 
 @pytest.mark.parametrize(

@@ -110,16 +110,20 @@ def test_unknowns_are_complete(root):
 def test_declared_dependencies_match_the_binary(root, fmu):
     """Directional derivatives of undeclared dependencies are zero."""
     variables = [v.get("name") for v in scalars(root)]
-    knowns = [v.get("name") for v in scalars(root)
-              if (v.get("initial") == "exact" and v.get("variability") != "fixed")
-              or v.get("causality") == "input"]  # fmt: skip
+    knowns = [
+        v.get("name")
+        for v in scalars(root)
+        if (v.get("initial") == "exact" and v.get("variability") != "fixed")
+        or v.get("causality") == "input"
+    ]
     c = fmu.ready(kind=0)
     moving = {v: 0.2 for v in knowns if v.startswith("dq[")}
     moving |= {v: 3.0 for v in knowns if v.startswith("tau_load[")}
     fmu.set_all(c, moving)
     assert fmu("NewDiscreteStates", c, ctypes.create_string_buffer(64)) == OK
-    states = {variables[int(v[0].get("derivative")) - 1] for v in scalars(root)
-              if v[0].get("derivative")}  # fmt: skip
+    states = {
+        variables[int(v[0].get("derivative")) - 1] for v in scalars(root) if v[0].get("derivative")
+    }
     for unknown in root.find("ModelStructure/InitialUnknowns"):
         name = variables[int(unknown.get("index")) - 1]
         if name.startswith("dtau_ddq") or name in states:  # states are knowns after that

@@ -68,9 +68,11 @@ class Old:
         about = read_model_description(str(fmu))
         self.variables = {v.name: v for v in about.modelVariables}
         self.fmu = FMU2Slave(
-            guid=about.guid, unzipDirectory=extract(str(fmu), str(folder)), instanceName="two",
+            guid=about.guid,
+            unzipDirectory=extract(str(fmu), str(folder)),
+            instanceName="two",
             modelIdentifier=about.coSimulation.modelIdentifier,
-        )  # fmt: skip
+        )
         self.fmu.instantiate()
         self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()
@@ -86,17 +88,24 @@ class New:
     """Access to an FMU of FMI 3.0 by name."""
 
     def __init__(
-        self, fmu: Path, folder: Path, kind: type = FMU3Slave, *, events: bool = False,
+        self,
+        fmu: Path,
+        folder: Path,
+        kind: type = FMU3Slave,
+        *,
+        events: bool = False,
         early: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         about = read_model_description(str(fmu))
         self.variables = {v.name: v for v in about.modelVariables}
         interface = about.coSimulation if kind is FMU3Slave else about.modelExchange
         self.said: list[str] = []
         self.fmu = kind(
-            guid=about.guid, unzipDirectory=extract(str(fmu), str(folder)), instanceName="three",
+            guid=about.guid,
+            unzipDirectory=extract(str(fmu), str(folder)),
+            instanceName="three",
             modelIdentifier=interface.modelIdentifier,
-        )  # fmt: skip
+        )
         more = {"eventModeUsed": events, "earlyReturnAllowed": early} if kind is FMU3Slave else {}
         self.fmu.instantiate(logMessage=lambda *said: self.said.append(said[3].decode()), **more)
         self.fmu.enterInitializationMode(startTime=0.0)
@@ -126,15 +135,20 @@ def both(pair: tuple[Path, Path], folder: Path) -> tuple[Old, New]:
 
 def numbers(new: New, *causalities: str) -> list[str]:
     return [
-        name for name, v in new.variables.items()
+        name
+        for name, v in new.variables.items()
         if v.causality in causalities and v.type == "Float64" and name != "event_indicator"
-    ]  # fmt: skip
+    ]
 
 
 def test_every_variable_occurs_once(pair, tmp_path) -> None:
     old, new = both(pair, tmp_path)
-    known = [e for name in new.variables if name not in ("time", "event_indicator")
-             for e in elements(new, name)]  # fmt: skip
+    known = [
+        e
+        for name in new.variables
+        if name not in ("time", "event_indicator")
+        for e in elements(new, name)
+    ]
     assert sorted(known) == sorted(old.variables)
 
 
@@ -215,9 +229,16 @@ def test_derivatives_and_model_exchange_agree(friction3, table1_fmu, tmp_path) -
     seed, (tau, dq) = [1.0, 2.0, 3.0], (new.variables[n].valueReference for n in ("tau", "dq"))
     found = (c_double * 3)()
     new.fmu.fmi3GetDirectionalDerivative(
-        new.fmu.component, (c_uint32 * 1)(tau), 1, (c_uint32 * 1)(dq), 1, (c_double * 3)(*seed), 3,
-        found, 3,
-    )  # fmt: skip
+        new.fmu.component,
+        (c_uint32 * 1)(tau),
+        1,
+        (c_uint32 * 1)(dq),
+        1,
+        (c_double * 3)(*seed),
+        3,
+        found,
+        3,
+    )
     names = (*elements(new, "tau"), *elements(new, "dq"))
     reference = [old.variables[n].valueReference for n in names]
     assert list(found) == old.fmu.getDirectionalDerivative(reference[:3], reference[3:], seed)
@@ -226,10 +247,13 @@ def test_derivatives_and_model_exchange_agree(friction3, table1_fmu, tmp_path) -
 def test_a_solver_runs_the_fmu(friction3, table1_fmu) -> None:
     t = np.arange(0.0, 1.0, STEP)
     speed = np.column_stack([np.sin(6 * t + i) for i in range(3)])
-    three = np.array(list(zip(t, map(tuple, speed), strict=True)),
-                     dtype=[("time", float), ("dq", float, (3,))])  # fmt: skip
-    two = np.array([(a, *b) for a, b in zip(t, speed, strict=True)],
-                   dtype=[("time", float), *((f"dq[{i}]", float) for i in (1, 2, 3))])  # fmt: skip
+    three = np.array(
+        list(zip(t, map(tuple, speed), strict=True)), dtype=[("time", float), ("dq", float, (3,))]
+    )
+    two = np.array(
+        [(a, *b) for a, b in zip(t, speed, strict=True)],
+        dtype=[("time", float), *((f"dq[{i}]", float) for i in (1, 2, 3))],
+    )
     options = {"fmi_type": "ModelExchange", "stop_time": 0.9, "output_interval": STEP}
     new = simulate_fmu(str(friction3), input=three, output=["tau"], **options)
     old = simulate_fmu(str(table1_fmu), input=two, output=["tau[1]", "tau[2]", "tau[3]"], **options)
@@ -290,10 +314,24 @@ def test_fmi_sim_runs_one_joint_without_messages(make_model, make_law, tmp_path)
     """fmi-sim does not support arrays of several elements as outputs, hence one joint."""
     fmu = export_bare(make_model(make_law("viscous")), tmp_path / "F.fmu", fmi=3)
     answer = subprocess.run(
-        [FMI_SIM, "--model", fmu, "-o", "out.csv", "-q", "co-simulation", "--output-interval",
-         "0.005", "-f", "0.1"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            FMI_SIM,
+            "--model",
+            fmu,
+            "-o",
+            "out.csv",
+            "-q",
+            "co-simulation",
+            "--output-interval",
+            "0.005",
+            "-f",
+            "0.1",
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert (answer.returncode, answer.stderr) == (0, "")
     assert len((tmp_path / "out.csv").read_text().splitlines()) > 10
 
@@ -362,8 +400,11 @@ def test_an_event_at_the_end_of_a_step_is_reported_without_early_return(drive3, 
 
 def test_calls_out_of_sequence_around_events_are_refused(drive3, tmp_path) -> None:
     without = stepper(drive3, tmp_path / "without", events=False, early=False)
-    for call in (without.fmu.enterEventMode, without.fmu.enterStepMode,
-                 without.fmu.updateDiscreteStates):  # fmt: skip
+    for call in (
+        without.fmu.enterEventMode,
+        without.fmu.enterStepMode,
+        without.fmu.updateDiscreteStates,
+    ):
         with pytest.raises(Exception, match="failed with status 3"):
             call()
     new = stepper(drive3, tmp_path / "new", events=True, early=True)

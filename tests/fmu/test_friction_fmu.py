@@ -197,9 +197,13 @@ def test_factors_scale_the_law(make_law, make_model, make_motion, tmp_path):
         whole = replace(law, form=scaled(law.form), values={**law.values, **chosen})
         fmu = export_bare(make_model(law), tmp_path / f"{name}.fmu")
         found = replay(
-            fmu, t, dq[:, None], q[:, None], load[:, None],
+            fmu,
+            t,
+            dq[:, None],
+            q[:, None],
+            load[:, None],
             start={f"{n}[1]": x for n, x in chosen.items()},
-        )[:, 0]  # fmt: skip
+        )[:, 0]
         wanted = predict(whole, t=t, dq=dq, q=q, tau_load=load)
         np.testing.assert_allclose(found, wanted, atol=1e-12 * np.abs(wanted).max())
 

@@ -118,9 +118,11 @@ def test_the_motion_is_within_the_training_range(
     )
     for trained, expected in (
         ((), {"amplitude": 1.2, "frequency": 0.25, "cycles": 3.0, "centre": 0.0, "load": 0.0}),
-        ((seen,), {"amplitude": 0.712, "frequency": 0.25, "cycles": 3.0, "centre": 1.5,
-                   "load": 10.0}),
-    ):  # fmt: skip
+        (
+            (seen,),
+            {"amplitude": 0.712, "frequency": 0.25, "cycles": 3.0, "centre": 1.5, "load": 10.0},
+        ),
+    ):
         (joint,) = live_of(replace(model, trained=trained))["joints"]
         knobs = joint["motion"]
         assert {knob["name"]: knob["value"] for knob in knobs} == expected

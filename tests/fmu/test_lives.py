@@ -50,8 +50,9 @@ GIVEN = {
 }
 """Variables without a start value that an FMU could use."""
 
-BAND = Band(floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7,
-            envelope=1.0)  # fmt: skip
+BAND = Band(
+    floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7, envelope=1.0
+)
 WARM = Thermal(coulomb=0.004, viscous=0.02, resistance=0.5, time_constant=30.0)
 
 

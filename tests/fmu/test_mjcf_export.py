@@ -180,13 +180,16 @@ CROWDED = (
     ("mjcf", "output", "sentence"),
     [
         (UNSTABLE, "pivot_2", "MuJoCo: Nan, Inf or huge value in QACC at DOF 0"),
-        (UNSTABLE.replace("<option", '<option><flag autoreset="disable"/></option><option'),
-         "pivot_2", "MuJoCo: Nan, Inf or huge value in QACC at DOF 0"),
+        (
+            UNSTABLE.replace("<option", '<option><flag autoreset="disable"/></option><option'),
+            "pivot_2",
+            "MuJoCo: Nan, Inf or huge value in QACC at DOF 0",
+        ),
         # MuJoCo's default ends the process here.
         (CROWDED, "z", "MuJoCo: mj_stackAlloc: out of memory"),
         (CROWDED.replace("20K", "6K"), "z", "MuJoCo: Insufficient arena memory"),
     ],
-)  # fmt: skip
+)
 def test_fatal_errors_of_mujoco_are_reported(
     mjcf, output, sentence, export, tmp_path, monkeypatch, capfd
 ):
@@ -261,8 +264,10 @@ def test_a_file_without_sensors_receives_those_of_its_joints(export):
         assert names(cart, "output") == ["q_slider", "dq_slider", "tau_slider",
                                          "q_hinge", "dq_hinge", "tau_hinge"]  # fmt: skip
         assert [units(cart)[n] for n in ("q_slider", "dq_hinge", "tau_slider")] == [
-            "m", "rad/s", "N",
-        ]  # fmt: skip
+            "m",
+            "rad/s",
+            "N",
+        ]
         assert not any(name.startswith("tau_") for name in names(cart, "input"))
 
 

@@ -85,10 +85,12 @@ def truth(law):
         rows += list(result.y.T[: len(inside)])
         x = result.y[:, -1]
     rows.append(x)
-    return np.array([
-        torque(*motion(t), *np.column_stack([x, slope(t, x)]).ravel())[0]
-        for t, x in zip(TIMES, rows, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            torque(*motion(t), *np.column_stack([x, slope(t, x)]).ravel())[0]
+            for t, x in zip(TIMES, rows, strict=True)
+        ]
+    )
 
 
 def relative(found, expected):

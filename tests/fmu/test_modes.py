@@ -122,10 +122,16 @@ def test_calls_are_accepted_in_the_modes_of_the_standard(fmu, function, kind):
 
 @pytest.mark.parametrize(
     ("name", "allowed"),
-    [("dq[1]", ("inec", "ins")), ("joint[1].sigma_0", ("ine", "ins")), ("z[1]", ("ec", "")),
-     ("z_start[1]", ("in", "in")),
-     ("tau[1]", ("", "")), ("dtau_ddq[1]", ("", "")), ("der(z[1])", ("", ""))],
-)  # fmt: skip
+    [
+        ("dq[1]", ("inec", "ins")),
+        ("joint[1].sigma_0", ("ine", "ins")),
+        ("z[1]", ("ec", "")),
+        ("z_start[1]", ("in", "in")),
+        ("tau[1]", ("", "")),
+        ("dtau_ddq[1]", ("", "")),
+        ("der(z[1])", ("", "")),
+    ],
+)
 def test_variables_are_settable_in_the_modes_of_the_standard(fmu, name, allowed):
     for kind, modes in MODES.items():
         for mode in set(modes) - set("tf"):
@@ -225,9 +231,16 @@ def test_a_constant_indicator_is_available_to_hosts_that_need_one(table1, load, 
         assert fmu.numbers("GetEventIndicators", c, 1) == [1.0]
 
 
-@pytest.mark.parametrize("function", ["SetContinuousStates", "GetContinuousStates",
-                                      "GetDerivatives", "GetNominalsOfContinuousStates",
-                                      "GetEventIndicators"])  # fmt: skip
+@pytest.mark.parametrize(
+    "function",
+    [
+        "SetContinuousStates",
+        "GetContinuousStates",
+        "GetDerivatives",
+        "GetNominalsOfContinuousStates",
+        "GetEventIndicators",
+    ],
+)
 def test_arrays_of_a_wrong_size_are_refused(fmu, function):
     right = 3 if function == "GetEventIndicators" else 2
     for n in (0, right - 1, right + 1):

@@ -95,8 +95,9 @@ def every_law() -> list[FrictionModel]:
     """Models with one joint for each registered law, one of each discretisation."""
     laws = {model.law: model.laws[0] for model in models_of_registry(registry())}
     assert laws.keys() == registry().keys()
-    kinds = {name: law.discretisation if law.form.relaxations else "exact"
-             for name, law in laws.items()}  # fmt: skip
+    kinds = {
+        name: law.discretisation if law.form.relaxations else "exact" for name, law in laws.items()
+    }
     found = []
     for kind in sorted(set(kinds.values())):
         names = tuple(name for name in laws if kinds[name] == kind)

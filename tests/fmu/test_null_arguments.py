@@ -135,8 +135,13 @@ def test_every_null_pointer_is_refused(binary, function):
 
 def test_unknown_statuses_are_refused(binary):
     c = binary.ready()
-    for function, kind in (("GetStatus", 0), ("GetStringStatus", 1), ("GetIntegerStatus", 0),
-                           ("GetRealStatus", 0), ("GetBooleanStatus", 0)):  # fmt: skip
+    for function, kind in (
+        ("GetStatus", 0),
+        ("GetStringStatus", 1),
+        ("GetIntegerStatus", 0),
+        ("GetRealStatus", 0),
+        ("GetBooleanStatus", 0),
+    ):
         binary.messages.clear()
         assert binary(function, c, kind, None) == DISCARD
         (message,) = binary.messages

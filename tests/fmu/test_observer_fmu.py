@@ -59,18 +59,26 @@ def motion(count: int = 2400) -> Log:
 
 def viscous(robot: Robot, value: float = 2.0) -> FrictionModel:
     c = Coefficient(name="d", unit="N.m.s/rad", description="damping")
-    law = FrictionLaw(name="viscous", form=LawForm(coefficients=(c,), output=c.symbol * DQ),
-                      values={"d": value})  # fmt: skip
-    return FrictionModel(law="viscous", robot=robot.name, joints=robot.joints,
-                         laws=(law,) * robot.n, sample_time=0.004,
-                         coupling=robot.description.coupling)  # fmt: skip
+    law = FrictionLaw(
+        name="viscous", form=LawForm(coefficients=(c,), output=c.symbol * DQ), values={"d": value}
+    )
+    return FrictionModel(
+        law="viscous",
+        robot=robot.name,
+        joints=robot.joints,
+        laws=(law,) * robot.n,
+        sample_time=0.004,
+        coupling=robot.description.coupling,
+    )
 
 
 @pytest.fixture(scope="module")
 def fmus(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     folder, body = tmp_path_factory.mktemp("observer"), PlantBody.of(Robot(UF850))
-    return {fmi: write_fmu(content(table1, body, limits(3)), folder / f"Observer{fmi}.fmu", fmi=fmi)
-            for fmi in (2, 3)}  # fmt: skip
+    return {
+        fmi: write_fmu(content(table1, body, limits(3)), folder / f"Observer{fmi}.fmu", fmi=fmi)
+        for fmi in (2, 3)
+    }
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -151,8 +159,11 @@ def test_the_observer_finds_what_pushes_a_plant(
     push[t > 1.0] = (15.0, -30.0, 10.0, 2.0, -3.0, 1.0)
     gravity = robot.torque(robot.nominal_parameters, np.zeros((1, 6)), *np.zeros((2, 1, 6)))
     motor = gravity + 8.0 * np.sin(2.0 * t)[:, None] * np.array([1.0, 1.0, 0.5, 0.1, 0.1, 0.05])
-    fine = Run(plant(robot, model.laws, tmp_path), np.repeat(motor + push, every, axis=0),
-               step=step / every)  # fmt: skip
+    fine = Run(
+        plant(robot, model.laws, tmp_path),
+        np.repeat(motor + push, every, axis=0),
+        step=step / every,
+    )
     q, dq = fine.q[::every], fine.dq[::every]
     assert np.abs(dq).max() > 0.5
     assert np.abs(q).max() < 8.0
@@ -177,8 +188,12 @@ def test_force_and_moment_at_the_flange(tmp_path: Path) -> None:
         q[[2, 4]] = np.copysign(1.0, q[[2, 4]])  # away from singular elbows and wrists
         poses = robot.places(q)
         axes = [r @ j.axis for (r, _), j in zip(poses, robot.tree, strict=True)]
-        jacobian = np.array([np.concatenate([np.cross(a, poses[-1][1] - p), a])
-                             for a, (_, p) in zip(axes, poses, strict=True)]).T  # fmt: skip
+        jacobian = np.array(
+            [
+                np.concatenate([np.cross(a, poses[-1][1] - p), a])
+                for a, (_, p) in zip(axes, poses, strict=True)
+            ]
+        ).T
         rows = zero + q
         tau = robot.torque(robot.nominal_parameters, rows, zero, zero) - jacobian.T @ wrench
         log = Log(name="held", t=0.004 * np.arange(400), q=rows, dq=zero, tau=tau)
@@ -192,11 +207,22 @@ def test_force_and_moment_at_the_flange(tmp_path: Path) -> None:
 
 def thermal(*, measured: bool = True) -> FrictionModel:
     robot = Robot(UF850)
-    warm = Thermal(coulomb=0.004, viscous=0.02, coulomb_scale=1.1, viscous_scale=0.9,
-                   reference=25.0, measured=measured)  # fmt: skip
-    return FrictionModel(law="warm", robot=robot.name, joints=robot.joints,
-                         laws=(lugre(), stops(), lugre()), sample_time=0.004,
-                         thermal=(warm, replace(warm, coulomb=0.008), warm))  # fmt: skip
+    warm = Thermal(
+        coulomb=0.004,
+        viscous=0.02,
+        coulomb_scale=1.1,
+        viscous_scale=0.9,
+        reference=25.0,
+        measured=measured,
+    )
+    return FrictionModel(
+        law="warm",
+        robot=robot.name,
+        joints=robot.joints,
+        laws=(lugre(), stops(), lugre()),
+        sample_time=0.004,
+        thermal=(warm, replace(warm, coulomb=0.008), warm),
+    )
 
 
 def test_friction_follows_the_temperature(tmp_path: Path) -> None:
@@ -230,12 +256,16 @@ def test_limits_without_calibration_are_those_of_the_law(tmp_path: Path) -> None
     model = viscous(robot)
     with pytest.raises(ExportError, match="has no band; give 'calibration'"):
         law_limits(model)
-    band = Band(floor=1.0, slow=2.0, slow_speed=0.02, rest=3.0, fast=0.1, load=0.0, tail=0.65,
-                envelope=0.0)  # fmt: skip
-    laws = tuple(FrictionLaw(name="viscous", form=one.form, values=one.values, band=band)
-                 for one in model.laws)  # fmt: skip
-    banded = FrictionModel(law="viscous", robot=robot.name, joints=robot.joints, laws=laws,
-                           sample_time=0.004)  # fmt: skip
+    band = Band(
+        floor=1.0, slow=2.0, slow_speed=0.02, rest=3.0, fast=0.1, load=0.0, tail=0.65, envelope=0.0
+    )
+    laws = tuple(
+        FrictionLaw(name="viscous", form=one.form, values=one.values, band=band)
+        for one in model.laws
+    )
+    banded = FrictionModel(
+        law="viscous", robot=robot.name, joints=robot.joints, laws=laws, sample_time=0.004
+    )
     own = law_limits(banded)
     assert own.numbers[:2] == ((1.0,) * 3, (2.0,) * 3)
     # ln(1 / (900000 * 3)) / ln(0.05) = 4.94

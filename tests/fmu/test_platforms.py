@@ -29,9 +29,13 @@ def torques(fmu, folder, library, program, *before, **environment):
     tau = [v.valueReference for v in about.modelVariables if v.name.startswith("tau[")]
     command = [*before, program, path, about.guid, str(len(tau)), str(tau[0]), str(STEPS)]
     result = subprocess.run(
-        [str(part) for part in command], capture_output=True, text=True, check=False,
-        timeout=300, env=os.environ | environment,
-    )  # fmt: skip
+        [str(part) for part in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env=os.environ | environment,
+    )
     assert result.returncode == 0, result.stderr
     rows = np.array([line.split() for line in result.stdout.splitlines()], dtype=float)
     assert rows.shape == (STEPS, len(tau))
@@ -56,9 +60,13 @@ def test_windows_matches(native, wine, tmp_path):
     fmu, reference = native
     program = build_host("host.c", tmp_path, "x86_64-windows-gnu").rename(tmp_path / "host.exe")
     rows = torques(
-        fmu, tmp_path, "win64/friction_parfam_h.dll", program, wine.program,
+        fmu,
+        tmp_path,
+        "win64/friction_parfam_h.dll",
+        program,
+        wine.program,
         **wine.environment,
-    )  # fmt: skip
+    )
     assert_agrees(rows, reference)
 
 

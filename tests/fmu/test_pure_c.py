@@ -59,8 +59,9 @@ def math(tmp_path_factory: pytest.TempPathFactory):
         for name, count in arguments.items()
     )
     library = compiled(tmp_path_factory.mktemp("math"), text, "law_math.h")
-    found = {n: function(library, f"the_{n}", c_double, *[c_double] * k)
-             for n, k in arguments.items()}  # fmt: skip
+    found = {
+        n: function(library, f"the_{n}", c_double, *[c_double] * k) for n, k in arguments.items()
+    }
     return lambda name, *values: found[name](*values)
 
 
@@ -166,9 +167,13 @@ SLOPES = {"tau_motor": 7.0, "tau_load": 11.0, "q_link": -5.0, "dq_link": 3.0}
 def tried(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
     """(v, residual, slope, size, tau_f, tau_link, x) at a given speed, and the coefficient."""
     library = compiled(
-        tmp_path_factory.mktemp("balance"), BALANCED.format(constant=int(request.param == 50.0)),
-        "balance.h", "coupling.h", "drive_step.h", others={"equations.h": LAWS},
-    )  # fmt: skip
+        tmp_path_factory.mktemp("balance"),
+        BALANCED.format(constant=int(request.param == 50.0)),
+        "balance.h",
+        "coupling.h",
+        "drive_step.h",
+        others={"equations.h": LAWS},
+    )
     call = function(library, "tried", None, POINTER(c_double), *[c_double] * 3, POINTER(c_double))
 
     def tried(v: float, *, euler: bool, ratio: float = GIVEN["ratio"]) -> np.ndarray:
@@ -257,8 +262,19 @@ TORQUE = ctypes.CFUNCTYPE(None, c_double, POINTER(c_double), POINTER(c_double))
 def find(tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("root")
     library = compiled(folder, ROOT, "root.h", others={"balance.h": BALANCE})
-    search = function(library, "find", c_bool, c_double, c_bool, c_double, TORQUE,
-                      POINTER(c_double), POINTER(c_double), POINTER(c_int), c_char_p)  # fmt: skip
+    search = function(
+        library,
+        "find",
+        c_bool,
+        c_double,
+        c_bool,
+        c_double,
+        TORQUE,
+        POINTER(c_double),
+        POINTER(c_double),
+        POINTER(c_int),
+        c_char_p,
+    )
 
     def found(residual, slope, start, *, jumps=False, h=0.01):
         """(speed, number of trials, friction torque, message)."""
@@ -375,8 +391,12 @@ def test_a_missing_root_is_reported(find) -> None:
 
 def test_strides_double_until_the_sign_changes(find) -> None:
     """If Newton's step exceeds h / inertia times the torque, or leads backwards."""
-    _, _, _, _, seen = find(lambda v: np.arctan(v - 1.0), lambda v: -1.0 if v < 0.5 else
-                            1.0 / (1.0 + (v - 1.0) ** 2), 0.0, h=0.02)  # fmt: skip
+    _, _, _, _, seen = find(
+        lambda v: np.arctan(v - 1.0),
+        lambda v: -1.0 if v < 0.5 else 1.0 / (1.0 + (v - 1.0) ** 2),
+        0.0,
+        h=0.02,
+    )
     first = 0.01 * np.arctan(1.0)
     for end in first * (2.0 ** np.arange(1, 6) - 1.0):
         assert min(abs(v - end) for v in seen) < 1e-12

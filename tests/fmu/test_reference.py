@@ -140,8 +140,9 @@ def integrated(law: FrictionLaw, rows: np.ndarray) -> np.ndarray:
 
     t = rows["time"]
     first = first_states(law, *inputs(t[0]))
-    x = solve_ivp(slope, (t[0], t[-1]), first, "LSODA", t, rtol=1e-10, atol=1e-12,
-                  max_step=t[1] / 20).y.T  # fmt: skip
+    x = solve_ivp(
+        slope, (t[0], t[-1]), first, "LSODA", t, rtol=1e-10, atol=1e-12, max_step=t[1] / 20
+    ).y.T
     pairs = [np.ravel([x[k], slope(t[k], x[k])], order="F") for k in range(len(t))]
     return np.array([output(*values, *inputs(t[k]), *pairs[k])[0] for k in range(len(t))])
 
@@ -257,8 +258,9 @@ def test_files_follow_the_rules_of_the_cross_check(table1: FrictionModel) -> Non
     inputs = table(files, f"extra/co_simulation/{NAME}_in.csv")
     assert len(inputs) <= 200
     assert inputs.dtype.names == (
-        "time", *(f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in (1, 2, 3))
-    )  # fmt: skip
+        "time",
+        *(f"{u}[{i}]" for u in ("dq", "q", "tau_load") for i in (1, 2, 3)),
+    )
     assert columns(inputs, "dq")[0].tolist() == [0.0] * 3
     for path, content in files.items():
         assert b"-0," not in content, path

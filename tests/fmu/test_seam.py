@@ -38,9 +38,13 @@ def test_co_simulation_is_right(fmu):
 
 def test_model_exchange_is_right(fmu):
     result = fmpy.simulate_fmu(
-        str(fmu), fmi_type="ModelExchange", stop_time=1.0, relative_tolerance=1e-9,
-        start_values={"u": 2.0}, output=["y"],
-    )  # fmt: skip
+        str(fmu),
+        fmi_type="ModelExchange",
+        stop_time=1.0,
+        relative_tolerance=1e-9,
+        start_values={"u": 2.0},
+        output=["y"],
+    )
     np.testing.assert_allclose(result["y"], expected(result["time"]), rtol=1e-7)
 
 

@@ -108,8 +108,10 @@ def test_reset_restores_all_start_values(table1, binary):
     assert binary("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
     assert binary("EnterInitializationMode", c) == 0
     assert binary.get(c, "dq[1]", "h[1]", "joint[1].c_0") == [
-        0.0, 0.0, pytest.approx(table1.laws[0].values["c_0"]),
-    ]  # fmt: skip
+        0.0,
+        0.0,
+        pytest.approx(table1.laws[0].values["c_0"]),
+    ]
     assert binary("ExitInitializationMode", c) == 0
     assert run(binary, c, 0, 60) == first
 

@@ -27,9 +27,15 @@ from hesr_model.laws.stribeck import Stribeck
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WARM = Thermal(
-    coulomb=0.004, viscous=0.02, coulomb_scale=1.1, viscous_scale=0.9, reference=25.0,
-    resistance=0.5, time_constant=30.0, ambient=22.0,
-)  # fmt: skip
+    coulomb=0.004,
+    viscous=0.02,
+    coulomb_scale=1.1,
+    viscous_scale=0.9,
+    reference=25.0,
+    resistance=0.5,
+    time_constant=30.0,
+    ambient=22.0,
+)
 MODEL = replace(
     model(lugre(), stops()), thermal=(WARM, replace(WARM, coulomb=0.008, reference=30.0))
 )
@@ -47,10 +53,20 @@ def records(*, measured: bool) -> list[list[FrictionRecord]]:
     for k, joint in enumerate(MODEL.joints):
         t, dq, q, load = motion(20.0, seed=k)
         warm = 20.0 + 1.5 * t + 5.0 * np.sin(t) if measured else None
-        found.append([
-            FrictionRecord(log="one", joint=joint, t=t, dq=dq, q=q, tau_load=load,
-                           tau=np.zeros_like(t), temperature=warm)
-        ])  # fmt: skip
+        found.append(
+            [
+                FrictionRecord(
+                    log="one",
+                    joint=joint,
+                    t=t,
+                    dq=dq,
+                    q=q,
+                    tau_load=load,
+                    tau=np.zeros_like(t),
+                    temperature=warm,
+                )
+            ]
+        )
     return found
 
 
@@ -69,9 +85,11 @@ def test_the_law_is_unchanged_at_the_reference_temperature(tmp_path: Path) -> No
     t, dq, q, load = motion(5.0)
     columns = [np.column_stack([x, x]) for x in (dq, q, load)]
     found = replay(
-        export_bare(neutral, tmp_path / "N.fmu"), t, *columns,
+        export_bare(neutral, tmp_path / "N.fmu"),
+        t,
+        *columns,
         temperature=np.full((len(t), 2), WARM.reference),
-    )  # fmt: skip
+    )
     plain = replay(export_bare(replace(neutral, thermal=()), tmp_path / "P.fmu"), t, *columns)
     np.testing.assert_allclose(found, plain, rtol=0.0, atol=1e-12 * np.abs(plain).max())
 
@@ -152,9 +170,15 @@ def test_a_law_without_bounds_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("form", "name"),
-    [("drive", "F.fmu"), ("mjcf", "F.xml"), ("modelica", "F.mo"), ("c", "f.h"),
-     ("torch", "f.py"), ("jax", "f.py")],
-)  # fmt: skip
+    [
+        ("drive", "F.fmu"),
+        ("mjcf", "F.xml"),
+        ("modelica", "F.mo"),
+        ("c", "f.h"),
+        ("torch", "f.py"),
+        ("jax", "f.py"),
+    ],
+)
 def test_formats_without_temperature_are_refused(form: Any, name: str, tmp_path: Path) -> None:
     options = {"inertia": (1.0, 1.0)} if form == "drive" else {}
     with pytest.raises(ExportError, match="law 'tried' depends on temperature, which"):

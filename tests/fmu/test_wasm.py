@@ -47,10 +47,15 @@ def test_numbers_are_formatted_as_by_libc(library: CDLL, form: str) -> None:
 
 def test_strings_and_integers_are_formatted(library: CDLL) -> None:
     found = written(
-        library, "%s: %d to %d, %u of %lu%s",
-        c_char_p(b"fmi2SetReal"), c_int(-2147483648), c_int(0), c_uint(4294967295),
-        c_ulong(2**64 - 1), c_char_p(b""),
-    )  # fmt: skip
+        library,
+        "%s: %d to %d, %u of %lu%s",
+        c_char_p(b"fmi2SetReal"),
+        c_int(-2147483648),
+        c_int(0),
+        c_uint(4294967295),
+        c_ulong(2**64 - 1),
+        c_char_p(b""),
+    )
     assert found == "fmi2SetReal: -2147483648 to 0, 4294967295 of 18446744073709551615"
 
 

@@ -86,11 +86,15 @@ def _write_findings(path: Path) -> None:
         path.parent,
         [
             Finding(
-                check="limits", severity="warning", joints=("a", "b"), logs=("x",),
-                found="its position comes to 7", remedy="its zero is wrong",
+                check="limits",
+                severity="warning",
+                joints=("a", "b"),
+                logs=("x",),
+                found="its position comes to 7",
+                remedy="its zero is wrong",
             )
         ],
-    )  # fmt: skip
+    )
     (path.parent / HEALTH).rename(path)
 
 
@@ -139,9 +143,11 @@ def _write_simulations(path: Path) -> None:
     from hesr_model.support.typed_files import to_json, write_json
 
     found = PositionErrors(
-        joints=("a", "b"), lengths=(0.5, 1.0), windows={"lugre": ((0.1, None), (0.2, 0.3))},
+        joints=("a", "b"),
+        lengths=(0.5, 1.0),
+        windows={"lugre": ((0.1, None), (0.2, 0.3))},
         open_loop={"lugre": (None, 0.4)},
-    )  # fmt: skip
+    )
     write_json(path, {"test": to_json(found)})
 
 
@@ -149,9 +155,14 @@ def _write_verdict(path: Path) -> None:
     from cosim.study.verdict import VERDICT, Verdict, write_verdict
 
     found = Verdict(
-        law="lugre", fmu="fmus/lugre.fmu", test="trial", why="it is the best.",
-        unexplained={"a": 7.0, "b": 11.5}, weak=("At rest.",), improve=("A log with rests.",),
-    )  # fmt: skip
+        law="lugre",
+        fmu="fmus/lugre.fmu",
+        test="trial",
+        why="it is the best.",
+        unexplained={"a": 7.0, "b": 11.5},
+        weak=("At rest.",),
+        improve=("A log with rests.",),
+    )
     write_verdict(path.parent, found)
     (path.parent / VERDICT).rename(path)
 
@@ -170,9 +181,15 @@ def _write_robot_of_fleet(path: Path) -> None:
     from hesr_model.support.typed_files import to_json, write_json
 
     joint = JointResult(
-        law="lugre", joint="a", structure="{}", values={"F_c": 12.0}, errors={"F_c": 0.1},
-        rmse=0.8, tau_std=9.0, trends={"level": Trend(slope=0.01, change=0.1, p=0.03)},
-    )  # fmt: skip
+        law="lugre",
+        joint="a",
+        structure="{}",
+        values={"F_c": 12.0},
+        errors={"F_c": 0.1},
+        rmse=0.8,
+        tau_std=9.0,
+        trends={"level": Trend(slope=0.01, change=0.1, p=0.03)},
+    )
     robot = RobotResult(key="7f", robot="R1", type="welder", logs=3, rows=900, joints=(joint,))
     write_json(path, {"format": RESULT_FORMAT, **to_json(robot)})
 

@@ -74,9 +74,14 @@ def controls(folder: Path) -> tuple[Control, Control]:
     u = np.sin(2.0 * np.pi * t + 0.5)
     held = np.r_[u[0], u[:-1]]
     alone = Alone(
-        name="control", fmu=fmu, step=STEP, steps=STEPS, inputs={"u": u}, outputs=("y", "clock"),
+        name="control",
+        fmu=fmu,
+        step=STEP,
+        steps=STEPS,
+        inputs={"u": u},
+        outputs=("y", "clock"),
         start={"gain": GAIN},
-    )  # fmt: skip
+    )
     spec = SystemSpec(
         name="control",
         step=STEP,

@@ -62,8 +62,9 @@ def test_enumerations_are_integers_with_names(tmp_path: Path) -> None:
     fmu = write_fmu(trajectory(1), tmp_path / "Trajectory.fmu")
     assert driven(fmu, start={"kind": "sweep"}).start == {"kind": 3.0}
     assert driven(fmu, start={"kind": 2}).start == {"kind": 2.0}
-    with pytest.raises(SimulationError, match="'kind' cannot be 'fast'; it must be one of fourier, "
-                       "sine, sweep"):  # fmt: skip
+    with pytest.raises(
+        SimulationError, match="'kind' cannot be 'fast'; it must be one of fourier, sine, sweep"
+    ):
         driven(fmu, start={"kind": "fast"})
 
 
@@ -87,8 +88,12 @@ def test_exchange_schemes_differ_by_far_more_than_the_tolerance(cases: dict[str,
     case = cases["closed"]
     assert isinstance(case, Together)
     short = replace(case, spec=case.spec.model_copy(update={"stop": 1.0}))
-    ways = [ExchangeScheme(), ExchangeScheme(first="zero"), ExchangeScheme(refreshed="shown"),
-            ExchangeScheme(refreshed="all")]  # fmt: skip
+    ways = [
+        ExchangeScheme(),
+        ExchangeScheme(first="zero"),
+        ExchangeScheme(refreshed="shown"),
+        ExchangeScheme(refreshed="all"),
+    ]
     found = [together(short, way) for way in ways]
     for i, one in enumerate(found):
         for other in found[:i]:
@@ -144,8 +149,10 @@ def test_a_broken_engine_fails_and_a_skipped_one_does_not(small: Alone) -> None:
 
 
 def test_systems_with_several_steps_are_left_out(small: Alone, tmp_path: Path) -> None:
-    parts = (ComponentSpec(name="a", fmu=small.fmu, start={"u": 2.0}),
-             ComponentSpec(name="b", fmu=small.fmu, start={"u": 2.0}, step=0.02))  # fmt: skip
+    parts = (
+        ComponentSpec(name="a", fmu=small.fmu, start={"u": 2.0}),
+        ComponentSpec(name="b", fmu=small.fmu, start={"u": 2.0}, step=0.02),
+    )
     spec = SystemSpec(name="lags", step=0.01, stop=0.5, components=parts, observe=("b.y",))
     chosen = [e for e in ENGINES if e.name == "FMPy"]
     case = system(write_system(spec, tmp_path / "SYSTEM.toml"), tmp_path)
@@ -214,9 +221,13 @@ def test_omsimulator_is_driven_step_by_step(small: Alone, status: int, tmp_path:
     flags = ("-Wno-unused-parameter", f"-DSTATUS={status}")
     library = build(source, "oms", TARGETS["linux64"], flags)
     (tmp_path / "lib" / "libOMSimulator.so").write_bytes(library)
-    spec = SystemSpec(name="two", step=0.001, stop=1.0,
-                      components=(ComponentSpec(name="a", fmu=small.fmu, start={"u": 1.0}),),
-                      observe=("a.y",))  # fmt: skip
+    spec = SystemSpec(
+        name="two",
+        step=0.001,
+        stop=1.0,
+        components=(ComponentSpec(name="a", fmu=small.fmu, start={"u": 1.0}),),
+        observe=("a.y",),
+    )
     case = Together(name="two", spec=spec, ssp=tmp_path / "none.ssp", signals=("a.y",))
     [chosen] = [e for e in ENGINES if e.name == "OMSimulator"]
     assert chosen.together is not None
@@ -247,8 +258,12 @@ def test_a_fault_of_the_harness_is_none_of_the_engine(small: Alone, tmp_path: Pa
     (note,) = notes(wrong)
     assert note.startswith("made up: lag not run: our harness fails on its control: it deviates by")
     assert table(wrong).rows[0].cells[-1].text == "HARNESS"
-    assert not compare([small], Tools(), engines=[engine(right, coupling=ExchangeScheme(
-        refreshed="all"))], fault=fault).failing  # fmt: skip
+    assert not compare(
+        [small],
+        Tools(),
+        engines=[engine(right, coupling=ExchangeScheme(refreshed="all"))],
+        fault=fault,
+    ).failing
 
 
 def test_every_engine_states_its_purpose_and_origin() -> None:

@@ -180,8 +180,12 @@ class Tree:
     def verdict(self, source: str, fault: Mutant) -> tuple[str, str]:
         """Return the outcome of a fault and the test that detected it."""
         listed = table("equivalent.toml")
-        if any(fnmatch(source, str(e["source"])) and e["before"] == fault.before
-               and e["after"] == fault.after for e in listed):  # fmt: skip
+        if any(
+            fnmatch(source, str(e["source"]))
+            and e["before"] == fault.before
+            and e["after"] == fault.after
+            for e in listed
+        ):
             return "equivalent", ""
         groups = self.groups(source)
         if not groups:
@@ -242,8 +246,11 @@ def main() -> None:
                     continue
                 verdict, why = tree.verdict(source, fault)
                 counts[verdict] += 1
-                print(f"{verdict:12} {source}:{fault.place[0]}  {why}\n"
-                      f"    - {fault.before}\n    + {fault.after}", flush=True)  # fmt: skip
+                print(
+                    f"{verdict:12} {source}:{fault.place[0]}  {why}\n"
+                    f"    - {fault.before}\n    + {fault.after}",
+                    flush=True,
+                )
             print(f"{area}: {said(counts)} (seed {options.seed})", flush=True)
             total += counts
     print(f"all: {said(total)}")

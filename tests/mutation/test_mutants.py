@@ -48,10 +48,13 @@ def test_python_faults_are_generated(tmp_path: Path) -> None:
     found = changes("a.py", PYTHON, tmp_path)
     line = "return a * 0.5 if a < 2 else -a"
     for after in (
-        "return a / 0.5 if a < 2 else -a", "return a * 1.0 if a < 2 else -a",
-        "return a * 5.0 if a < 2 else -a", "return a * 0.5 if a <= 2 else -a",
-        "return a * 0.5 if a < 3 else -a", "return a * 0.5 if a < 2 else a",
-    ):  # fmt: skip
+        "return a / 0.5 if a < 2 else -a",
+        "return a * 1.0 if a < 2 else -a",
+        "return a * 5.0 if a < 2 else -a",
+        "return a * 0.5 if a <= 2 else -a",
+        "return a * 0.5 if a < 3 else -a",
+        "return a * 0.5 if a < 2 else a",
+    ):
         assert (line, after) in {(before, " ".join(after.split())) for before, after in found}
     assert {before for before, _ in found} == {line, "def f(a, *, b=True):"}
 

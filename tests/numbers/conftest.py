@@ -15,9 +15,17 @@ from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = law(
-    "lugre_load", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1,
-    tau_0=0.5, mu=0.02,
-)  # fmt: skip
+    "lugre_load",
+    {},
+    sigma_0=600.0,
+    sigma_1=1.0,
+    sigma_2=4.0,
+    F_c=8.0,
+    F_s=11.0,
+    v_s=0.1,
+    tau_0=0.5,
+    mu=0.02,
+)
 
 
 @pytest.fixture

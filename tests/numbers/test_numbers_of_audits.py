@@ -24,8 +24,12 @@ from hesr_model.rigid_body.residual import FrictionRecord
 TRAINED = TrainedRange(
     sample_time=0.01, dq=(-1.0, 0.8), q=(-1.0, 2.0), tau_load=(-20.0, 30.0), tau=(-12.0, 20.0)
 )
-BRISTLE = Relaxation(name="x", unit="1", drive=300.0 * DQ, rate=300.0 * absolute(DQ) / (
-    1.0 + 0.4 * sympy.exp(-((DQ / 0.1) ** 2))))  # fmt: skip
+BRISTLE = Relaxation(
+    name="x",
+    unit="1",
+    drive=300.0 * DQ,
+    rate=300.0 * absolute(DQ) / (1.0 + 0.4 * sympy.exp(-((DQ / 0.1) ** 2))),
+)
 SLOW = Relaxation(name="y", unit="1", drive=30.0 * DQ, rate=30.0 * absolute(DQ))
 LUGRE = {"sigma_0": 500.0, "sigma_1": 0.5, "sigma_2": 4.5, "F_c": 7.5, "F_s": 10.0, "v_s": 0.12,
          "tau_0": 0.4}  # fmt: skip
@@ -131,9 +135,10 @@ def test_closed_motions(unchanged: Unchanged) -> None:
         motions = audit.closed_motions(TRAINED, np.array([0.2, 0.9]), wanted)
         torque = 0.3 * np.sign(motions.dq) - 0.2 * motions.dq + 1e-12
         found[str(wanted)] = {
-            "motions": motions, "cycles": list(audit.cycles(motions, 4.0, torque)),
+            "motions": motions,
+            "cycles": list(audit.cycles(motions, 4.0, torque)),
             "shape": motions.dq.shape,
-        }  # fmt: skip
+        }
     dq, q, settling = audit.encoder_noise(TRAINED)
     unchanged({**found, "noise": {"dq": dq, "q": q, "rows": [len(q), settling]}})
 
@@ -226,8 +231,10 @@ def test_ranges_and_excess() -> None:
 
 
 def test_coefficients_have_an_upper_limit() -> None:
-    form = LawForm(coefficients=(Coefficient(name="k", unit="1", description="any"),),
-                   output=sympy.Symbol("k", real=True) * DQ)  # fmt: skip
+    form = LawForm(
+        coefficients=(Coefficient(name="k", unit="1", description="any"),),
+        output=sympy.Symbol("k", real=True) * DQ,
+    )
     assert FrictionLaw(name="own", form=form, values={"k": -1e100}).values["k"] == -1e100
     with pytest.raises(ArtifactError, match="can be used"):
         FrictionLaw(name="own", form=form, values={"k": 1.01e100})

@@ -39,7 +39,7 @@ def noisy(motion: Motion, seed: int, size: float = 0.2) -> Motion:
 def motions(make_motion: MakeMotion) -> list[Motion]:
     return [
         noisy(make_motion(name=f"log{k}", seconds=3.0 + 2 * k, friction=2.0), k) for k in range(3)
-    ]  # fmt: skip
+    ]
 
 
 def as_log(motion: Motion) -> Log:
@@ -53,9 +53,12 @@ def as_log(motion: Motion) -> Log:
 @pytest.mark.parametrize("weighting", ["wls", "ols"])
 @pytest.mark.parametrize("physical", [False, True])
 def test_stacked(
-    motions: list[Motion], arm_model: Robot, weighting: Weighting, physical: bool,
+    motions: list[Motion],
+    arm_model: Robot,
+    weighting: Weighting,
+    physical: bool,
     unchanged: Unchanged,
-) -> None:  # fmt: skip
+) -> None:
     unchanged(
         identify_motions(motions, arm_model, weighting=weighting, physical=physical),
         rtol=1e-4 if physical else 1e-6,
@@ -97,9 +100,7 @@ def test_a_payload(motions: list[Motion], arm_model: Robot, unchanged: Unchanged
     unloaded = identify_motions(motions, arm_model)
     columns = [arm_model.regressor(m.q, m.dq, m.ddq)[:, :, 20:30] for m in motions]
     carried = point_payload(4.0, (0.08, -0.04, 0.06))
-    under = [
-        replace(m, tau=m.tau + own @ carried) for m, own in zip(motions, columns, strict=True)
-    ]  # fmt: skip
+    under = [replace(m, tau=m.tau + own @ carried) for m, own in zip(motions, columns, strict=True)]
     payload = identify_payload_motions(under, arm_model, unloaded)
     unchanged({"payload": payload, "loaded": loaded(unloaded, payload, arm_model)}, rtol=1e-5)
 

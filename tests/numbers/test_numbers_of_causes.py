@@ -69,9 +69,11 @@ def variants(arm: RobotDescription) -> dict[str, Robot]:
 
 
 def test_mistakes(
-    part: Motionwise, arm: RobotDescription, unchanged: Unchanged,
+    part: Motionwise,
+    arm: RobotDescription,
+    unchanged: Unchanged,
     data_regression: DataRegressionFixture,
-) -> None:  # fmt: skip
+) -> None:
     told: dict[str, list[str]] = {}
     numbers: dict[str, object] = {}
     for name, model in variants(arm).items():
@@ -107,8 +109,11 @@ def test_tilted_gravity(part: Motionwise, arm_model: Robot, unchanged: Unchanged
         g = np.zeros(3)
         g[about], g[2] = size * np.sin(angle), -size * np.cos(angle)
         tau = rows.tau - own + np.einsum("kij,k->ij", axes, g)
-        return [x for m in _gravity(replace(rows, tau=tau), arm_model, [0, 1, 2])
-                for x in m.mended.gravity]  # fmt: skip
+        return [
+            x
+            for m in _gravity(replace(rows, tau=tau), arm_model, [0, 1, 2])
+            for x in m.mended.gravity
+        ]
 
     def noisy(size: float) -> list[object]:
         noise = size * np.random.default_rng(0).normal(size=rows.tau.shape)
@@ -130,9 +135,11 @@ def test_tilted_gravity(part: Motionwise, arm_model: Robot, unchanged: Unchanged
 
 
 def test_causes(
-    part: Motionwise, arm_model: Robot, unchanged: Unchanged,
+    part: Motionwise,
+    arm_model: Robot,
+    unchanged: Unchanged,
     data_regression: DataRegressionFixture,
-) -> None:  # fmt: skip
+) -> None:
     def told(*parts: Motionwise) -> list[str]:
         return said(check_causes(parts, arm_model))
 
@@ -174,13 +181,23 @@ def test_causes(
     )
 
 
-def finding(check: str, joint: str = "", severity: str = "warning", log: str = "one",
-            remedy: str = "c", **changes: object) -> Finding:  # fmt: skip
+def finding(
+    check: str,
+    joint: str = "",
+    severity: str = "warning",
+    log: str = "one",
+    remedy: str = "c",
+    **changes: object,
+) -> Finding:
     return Finding(
-        check=check, severity=severity, joints=(joint,) if joint else (),
-        logs=(log,), found=f"{check} of {joint}", remedy=remedy,
+        check=check,
+        severity=severity,
+        joints=(joint,) if joint else (),
+        logs=(log,),
+        found=f"{check} of {joint}",
+        remedy=remedy,
         changes={key.replace("_", "."): value for key, value in changes.items()},
-    )  # fmt: skip
+    )
 
 
 def test_findings_become_sentences(data_regression: DataRegressionFixture) -> None:
@@ -223,13 +240,15 @@ def test_findings_become_sentences(data_regression: DataRegressionFixture) -> No
         str(hopeless([f]))
         for severity in ("error", "warning")
         for f in (
-            finding("limits", "a", severity), finding("wrap", "a", severity),
-            finding("spikes", "a", severity), finding("zero", "a", severity),
+            finding("limits", "a", severity),
+            finding("wrap", "a", severity),
+            finding("spikes", "a", severity),
+            finding("zero", "a", severity),
             finding("time-unit", "", severity, log_units_t="ms"),
             finding("velocity-scale", "", severity, log_units_q="deg"),
             finding("velocity-scale", "", severity, log_units_dq="rpm"),
         )
-    ]  # fmt: skip
+    ]
     data_regression.check(told)
 
 

@@ -54,11 +54,15 @@ def test_limits_of_searches() -> None:
     assert calibration._TAIL == (0.4, 1.2)
     assert calibration.SLOW_SPEEDS == (0.01, 0.02, 0.04, 0.08, 0.16)
     assert (uncertainty.MOST_COEFFICIENTS, uncertainty._WIDTH, uncertainty._FLATTEST) == (
-        64, 2.0, 0.25,
-    )  # fmt: skip
+        64,
+        2.0,
+        0.25,
+    )
     assert (comparison.BIN, comparison.SECONDS_PER_DEGREE, comparison._TIMES_PER_DEGREE) == (
-        0.05, 8.0, 3.0,
-    )  # fmt: skip
+        0.05,
+        8.0,
+        3.0,
+    )
     assert (comparison.LEAST_DEGREES, comparison.CALIBRATION, comparison.POWER) == (4, 5.0, 0.8)
     assert (payload._SEGMENT, payload._LEAST_SEGMENTS, payload._SIGNIFICANT) == (1.0, 10, 4.0)
     assert (observations._LONGEST_SHIFT, observations._LARGEST_MISMATCH) == (0.5, 0.1)
@@ -155,6 +159,7 @@ def test_jumps_ignore_signs_of_coefficients() -> None:
     assert Jumps(form.component).expressions == (DQ,)
     assert set(Jumps(form.component, every=True).expressions) == {DQ, Q}
     assert Jumps(form.component).signs == (sympy.Symbol("s_1", real=True),)
-    stops = law("parfam_s_v", {"stops": [["1", 0]], "viscous": ["v"]}, F_1=1.0, sigma_3=2.0,
-                tau_0=0.0)  # fmt: skip
+    stops = law(
+        "parfam_s_v", {"stops": [["1", 0]], "viscous": ["v"]}, F_1=1.0, sigma_3=2.0, tau_0=0.0
+    )
     assert Jumps(stops.form.component).expressions == (DQ,)

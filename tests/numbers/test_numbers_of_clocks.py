@@ -43,14 +43,20 @@ def part_of(log: Log) -> Motionwise:
 
 
 def test_clocks(
-    log: Log, arm: RobotDescription, arm_model: Robot, unchanged: Unchanged,
+    log: Log,
+    arm: RobotDescription,
+    arm_model: Robot,
+    unchanged: Unchanged,
     data_regression: DataRegressionFixture,
-) -> None:  # fmt: skip
+) -> None:
     base = base_columns(arm_model)
     part = part_of(log)
     rows = LagRows.of(log, arm_model, base)
-    coupled = Robot(RobotDescription(**{**dict(arm), "transmission": Transmission(
-        matrix=COUPLED, logs="motor")}))  # fmt: skip
+    coupled = Robot(
+        RobotDescription(
+            **{**dict(arm), "transmission": Transmission(matrix=COUPLED, logs="motor")}
+        )
+    )
     every = [0, 1, 2]
 
     def moved(*shifts: int) -> Motionwise:

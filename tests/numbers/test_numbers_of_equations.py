@@ -26,9 +26,14 @@ WARM = Thermal(
 OUTPUTS = ["tau", "level", "viscosity", "offset", "level_sd", "viscosity_sd", "offset_sd",
            "drift", "shift", "health"]  # fmt: skip
 NARROW = Tuning(
-    level=(0.93, 1.06), viscosity=(0.8, 1.2), alarm=1.5, forgetting_time=3.0, offset=0.4,
-    offset_rate=0.3, hold=0.05,
-)  # fmt: skip
+    level=(0.93, 1.06),
+    viscosity=(0.8, 1.2),
+    alarm=1.5,
+    forgetting_time=3.0,
+    offset=0.4,
+    offset_rate=0.3,
+    hold=0.05,
+)
 START = {"noise": 0.8, "level_start": 1.0, "viscosity_start": 1.0, "torque_limit": 45.0,
          "speed_least": 0.05, "offset_start": 0.1}  # fmt: skip
 
@@ -64,8 +69,10 @@ def test_steps_of_an_adaptive_law(
     for k in range(len(t)):
         tau = (1.0 + 0.3 * (t[k] > 5.0)) * before + 0.8 * noise[k] + 0.4 * load[k]
         tau += {120: 60.0, 121: -200.0, 122: np.nan, 200: 44.0}.get(k, 0.0)
-        now = [float({**{n: v[k] for n, v in known.items()}, "tau_meas": tau}[i.name])
-               for i in component.inputs]  # fmt: skip
+        now = [
+            float({**{n: v[k] for n, v in known.items()}, "tau_meas": tau}[i.name])
+            for i in component.inputs
+        ]
         found = run.begin(*now) if k == 0 else run.step(0.02, *now)
         before = found[0]
         rows.append(found)
@@ -110,8 +117,10 @@ def test_functions_are_exact_on_either_side_of_their_series(name: str) -> None:
             of_all = functions.NUMPY[name](points, *more)
             np.testing.assert_allclose(of_all, wanted, rtol=rtol)
             if name in functions.SCALAR:
-                each = [functions.SCALAR[name](float(z), *(float(np.expm1(-z)), 0.0)[: len(more)])
-                        for z in points]  # fmt: skip
+                each = [
+                    functions.SCALAR[name](float(z), *(float(np.expm1(-z)), 0.0)[: len(more)])
+                    for z in points
+                ]
                 np.testing.assert_allclose(each, wanted, rtol=rtol)
 
 

@@ -51,9 +51,13 @@ def test_a_covariance(logs: int, unchanged: Unchanged) -> None:
     gradients = jacobian * left_out(jacobian, residual, np.sum(hessians, axis=0))[:, None]
     plain = covariance("abc", gradients, hessians, labels)
     known = covariance(
-        "abc", gradients, hessians, labels, known=np.diag([10.0, 3e4, 0.1]),
+        "abc",
+        gradients,
+        hessians,
+        labels,
+        known=np.diag([10.0, 3e4, 0.1]),
         carried=np.array([[1.0, 0.5], [30.0, -20.0], [0.02, 0.1]]),
-    )  # fmt: skip
+    )
     unchanged({
         "plain": plain, "factor": plain.factor, "matrix": plain.matrix,
         "errors": plain.standard_errors, "known": known, "of known": known.matrix,
@@ -93,8 +97,9 @@ def test_memory_of_residuals(unchanged: Unchanged) -> None:
         residual = alike(3, 401, memory)[:, 0]
         jacobian = alike(4, 401, 0.7, 3) * [1.0, 1e3, 1e-3]
         found[str(memory)] = {
-            "length": correlation_length(residual), "errors": standard_errors(jacobian, residual),
-        }  # fmt: skip
+            "length": correlation_length(residual),
+            "errors": standard_errors(jacobian, residual),
+        }
     drift = np.linspace(-1.0, 1.0, 64)
     unchanged({**found, "drift": correlation_length(drift)})
     assert correlation_length(np.ones(16)) == 1.0
@@ -182,8 +187,10 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
     columns = np.abs(rng.normal(size=(300, 3))) * [1.0, 0.1, 0.0]
     squares = rng.normal(size=300) ** 2 * (0.3 + columns[:, 1])
     standard = np.abs(rng.standard_t(4, size=500))
-    many = [replace(records[0], dq=np.where(np.arange(len(r.t)) % 80 < 70, 0.0, 1.0))
-            for r in records[:1]]  # fmt: skip
+    many = [
+        replace(records[0], dq=np.where(np.arange(len(r.t)) % 80 < 70, 0.0, 1.0))
+        for r in records[:1]
+    ]
     unchanged({
         "alone": calibration.calibrated(of, records)[0].band,
         "rested": calibration.calibrated(of, [*records, *many])[0].band,

@@ -109,9 +109,11 @@ def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> Non
 
 
 def test_cost_of_lost_rows(
-    log: Log, arm_model: Robot, unchanged: Unchanged,
+    log: Log,
+    arm_model: Robot,
+    unchanged: Unchanged,
     data_regression: DataRegressionFixture,
-) -> None:  # fmt: skip
+) -> None:
     def lost(share: float, noise: float = 0.0) -> Log:
         rng = np.random.default_rng(2)
         kept = log.rows(np.flatnonzero(rng.random(len(log.t)) >= share))

@@ -35,9 +35,15 @@ from hesr_model.robots.robot import Robot, RobotDescription
 
 START, AMPLITUDE = np.array([0.1, -0.2]), np.array([0.5, 0.4])
 SWEEP = Sweep(
-    start=START, amplitude=AMPLITUDE, swing=np.array([0.2, -0.1]), swing_phase=np.array([0.3, 1.2]),
-    swing_period=2.7, first=0.3, last=1.4, length=5.0,
-)  # fmt: skip
+    start=START,
+    amplitude=AMPLITUDE,
+    swing=np.array([0.2, -0.1]),
+    swing_phase=np.array([0.3, 1.2]),
+    swing_period=2.7,
+    first=0.3,
+    last=1.4,
+    length=5.0,
+)
 DRAWN = random_fourier(
     seed=7, harmonics=4, period=3.0, peak_velocity=np.array([1.0, 0.5]), offset=START, periods=2
 )

@@ -23,9 +23,15 @@ def worn(law: FrictionLaw, seconds: float, seed: int, *, step: float = 0.01) -> 
     t, dq, q, load = motion(seconds, seed, step)
     later = t > 0.5 * seconds
     return truth(
-        law, t, dq, q, load, seed=seed,
-        level=lambda _: 1.0 + 0.25 * later, viscosity=lambda _: 1.0 - 0.2 * later,
-    )  # fmt: skip
+        law,
+        t,
+        dq,
+        q,
+        load,
+        seed=seed,
+        level=lambda _: 1.0 + 0.25 * later,
+        viscosity=lambda _: 1.0 - 0.2 * later,
+    )
 
 
 @pytest.mark.parametrize("law", [lugre, stops], ids=["LuGre", "ParFam-S"])
@@ -60,9 +66,17 @@ def test_warm_up(measured: bool, unchanged: Unchanged) -> None:
         rise = warm.rise(np.abs(18.0 * dq), np.diff(t, prepend=t[0]), start)
         level, viscosity = warm.factors(warm.ambient + rise)
         record = truth(
-            stops(), t, dq, q, load, seed=seed, noise=0.3, correlation=0.001,
-            level=lambda _, own=level: own, viscosity=lambda _, own=viscosity: own,
-        )  # fmt: skip
+            stops(),
+            t,
+            dq,
+            q,
+            load,
+            seed=seed,
+            noise=0.3,
+            correlation=0.001,
+            level=lambda _, own=level: own,
+            viscosity=lambda _, own=viscosity: own,
+        )
         temperature = warm.ambient + rise if measured else None
         records.append([replace(record, log=str(seed), temperature=temperature)])
     known, found = fit_thermal(replace(model(stops()), law="parfam_s"), records)

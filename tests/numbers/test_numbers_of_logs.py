@@ -80,8 +80,11 @@ def test_logs_are_shown_and_refused(
     def large(what: str, value: float) -> str:
         log = two_joints(5)
         own = {"q": log.q, "dq": log.dq, "effort": log.tau, "t": log.t, "temperature": None}
-        own[what] = np.where(np.arange(5) == 3, value, log.t) if what == "t" else at(
-            0.0 * log.q, 3, 1, value)  # fmt: skip
+        own[what] = (
+            np.where(np.arange(5) == 3, value, log.t)
+            if what == "t"
+            else at(0.0 * log.q, 3, 1, value)
+        )
         samples = LogSamples(**own, is_current=False, time="time", place=lambda k: f"place {k}")
         return refusal(lambda: _require_reasonable(Path("run.csv"), samples, "ab"))
 
@@ -182,8 +185,14 @@ def _cut(motion: Motion) -> list[tuple[Motion, dict[tuple[int, str, int], int]]]
 def test_guessed_columns(tmp_path: Path, data_regression: DataRegressionFixture) -> None:
     path = tmp_path / "run.csv"
 
-    def told(header: str, period: float = 0.01, joints: tuple[str, ...] = (), *,
-             jitter: float = 0.0, empty: int = 0) -> list[str]:  # fmt: skip
+    def told(
+        header: str,
+        period: float = 0.01,
+        joints: tuple[str, ...] = (),
+        *,
+        jitter: float = 0.0,
+        empty: int = 0,
+    ) -> list[str]:
         names = header.split(",")
         rows = [
             [str(period * k + jitter * (k % 2)), *("1.5" for _ in names[1:])] for k in range(40)

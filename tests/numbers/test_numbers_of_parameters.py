@@ -44,10 +44,14 @@ def test_least_squares_with_a_ridge_if_needed(condition: float, unchanged: Uncha
     found = solve(blocks, scale=np.ones(3), weighted=True)
     labels = np.repeat(np.arange(3), 30)
     assert (found.ridge > 0.0) == (condition > 1000.0)
-    unchanged({
-        "found": found, "plain": solve(blocks, scale=np.array([1.0, 2.0, 0.1]), weighted=False),
-        "covariance": covariance_of(blocks, found, labels).matrix,
-    }, rtol=1e-5)  # fmt: skip
+    unchanged(
+        {
+            "found": found,
+            "plain": solve(blocks, scale=np.array([1.0, 2.0, 0.1]), weighted=False),
+            "covariance": covariance_of(blocks, found, labels).matrix,
+        },
+        rtol=1e-5,
+    )
 
 
 # --- bodies that can exist --------------------------------------------------------------------
@@ -78,9 +82,11 @@ def test_coordinates_of_bodies(arm_model: Robot, unchanged: Unchanged) -> None:
         difference = (chart.parameters(x + step) - chart.parameters(x - step)) / 2e-6
         np.testing.assert_allclose(slopes[:, k], difference, atol=1e-7)
     unknown = SimpleNamespace(
-        nominal_parameters=np.array([*LINKS["plain"], 0.0]), links=1, inertial=11,
+        nominal_parameters=np.array([*LINKS["plain"], 0.0]),
+        links=1,
+        inertial=11,
         parameter_names=("",) * 11,
-    )  # fmt: skip
+    )
     of = physical._Chart.of(unknown)
     assert of.start.tolist() == [0.0] * 10 + [1.0]
     assert of.pull.tolist() == [0.2] * 10 + [1e-4]
@@ -152,9 +158,11 @@ def test_steps_of_a_constant(
     found = {}
     for name, kinds in (("one", [np.zeros(10)]), ("two", [np.zeros(10), payload])):
         problem = torque_constants._Problem.of(
-            [(blocks[1], carried) for carried in kinds], arm_model, weight,
+            [(blocks[1], carried) for carried in kinds],
+            arm_model,
+            weight,
             torque_constants._spread(arm_model, 0.1),
-        )  # fmt: skip
+        )
         start = problem._start()
         scales = [2.0, 3.0][: len(kinds)]
         left = problem._residuals(start + 0.01, scales)
@@ -192,17 +200,20 @@ def test_a_motion_is_matched_with_its_reverse(
 
 @pytest.fixture
 def friction(arm_model: Robot) -> FrictionModel:
-    seen = TrainedRange(
-        sample_time=0.005, dq=(-2, 2), q=(-2, 2), tau_load=(-30, 30), tau=(-5, 5)
-    )  # fmt: skip
+    seen = TrainedRange(sample_time=0.005, dq=(-2, 2), q=(-2, 2), tau_load=(-30, 30), tau=(-5, 5))
     laws = tuple(
         replace(LAW, values=LAW.values | {"F_c": f, "tau_0": 0.0 if f > 1.0 else 0.05})
         for f in (1.0, 1.2, 0.4)
     )
     return FrictionModel(
-        law="lugre", robot="arm", joints=arm_model.description.joints, laws=laws,
-        sample_time=0.005, trained=(seen,) * 3, training_rmse=(0.1,) * 3,
-    )  # fmt: skip
+        law="lugre",
+        robot="arm",
+        joints=arm_model.description.joints,
+        laws=laws,
+        sample_time=0.005,
+        trained=(seen,) * 3,
+        training_rmse=(0.1,) * 3,
+    )
 
 
 @pytest.fixture
@@ -219,9 +230,13 @@ def body(motion: Motion, arm_model: Robot) -> RigidBody:
 
 @pytest.mark.parametrize("as_plant", [False, True])
 def test_a_simulation(
-    as_plant: bool, motion: Motion, arm_model: Robot, friction: FrictionModel,
-    body: RigidBody, unchanged: Unchanged,
-) -> None:  # fmt: skip
+    as_plant: bool,
+    motion: Motion,
+    arm_model: Robot,
+    friction: FrictionModel,
+    body: RigidBody,
+    unchanged: Unchanged,
+) -> None:
     records = motion_records(motion, arm_model, body)
     windows = windows_of([records], 0.3)
     simulator = Simulator(
@@ -239,9 +254,12 @@ def test_a_simulation(
 
 
 def test_costs_of_an_output_error(
-    motion: Motion, arm_model: Robot, friction: FrictionModel, body: RigidBody,
+    motion: Motion,
+    arm_model: Robot,
+    friction: FrictionModel,
+    body: RigidBody,
     unchanged: Unchanged,
-) -> None:  # fmt: skip
+) -> None:
     logs = [motion_records(motion, arm_model, body)]
     sets = [windows_of(logs, output_error.LENGTH)]
     problem = output_error._Problem(arm_model, body, friction, [motion], logs, sets, with_body=True)

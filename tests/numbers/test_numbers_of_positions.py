@@ -196,8 +196,13 @@ def test_coarse_positions(unchanged: Unchanged, data_regression: DataRegressionF
 def test_positions_beyond_the_limits(
     lift: Robot, unchanged: Unchanged, data_regression: DataRegressionFixture
 ) -> None:
-    def told(turn: tuple[float, float], slide: tuple[float, float], *, unit: object = "rad",
-             words: str = "") -> list[str]:  # fmt: skip
+    def told(
+        turn: tuple[float, float],
+        slide: tuple[float, float],
+        *,
+        unit: object = "rad",
+        words: str = "",
+    ) -> list[str]:
         model = Robot(in_unit(lift.description, q=unit))
         q = np.linspace([turn[0], slide[0]], [turn[1], slide[1]], 100)
         log = two_joints(100)

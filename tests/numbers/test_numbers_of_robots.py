@@ -113,8 +113,14 @@ def test_ranges_of_an_mjcf(tmp_path: Path, angle: str, unchanged: Unchanged) -> 
     path = tmp_path / "lift.xml"
     path.write_text(MJCF.format(angle=angle), encoding="utf-8")
     model = Robot(path)
-    unchanged({"limits": model.limits, "rotors": model.rotor_nominal, "sides": [
-        joint.slides for joint in joints_of(path)]}, rtol=1e-9)  # fmt: skip
+    unchanged(
+        {
+            "limits": model.limits,
+            "rotors": model.rotor_nominal,
+            "sides": [joint.slides for joint in joints_of(path)],
+        },
+        rtol=1e-9,
+    )
 
 
 def test_coupled_motors(arm: RobotDescription, unchanged: Unchanged) -> None:

@@ -123,9 +123,18 @@ def test_bounded_ripple(unchanged: Unchanged) -> None:
     v = rng.uniform(-1.0, 1.0, 400)
     phase = 200.0 * rng.uniform(0.0, 1.0, 400)
     a = np.stack(
-        [np.sign(v), v, v * np.abs(v), np.ones(400), np.cos(phase), np.sin(phase),
-         np.cos(2.0 * phase), np.sin(2.0 * phase)], axis=1,
-    )  # fmt: skip
+        [
+            np.sign(v),
+            v,
+            v * np.abs(v),
+            np.ones(400),
+            np.cos(phase),
+            np.sin(phase),
+            np.cos(2.0 * phase),
+            np.sin(2.0 * phase),
+        ],
+        axis=1,
+    )
     y = a @ [1.0, 0.8, 0.1, 0.2, 2.0, 1.0, 0.3, -0.2] + 0.05 * rng.normal(size=400)
     gram, moment = a.T @ a, a.T @ y
     x = signed_least_squares(gram, moment, 5)

@@ -158,9 +158,11 @@ def test_the_search_of_the_paper(
 
 @pytest.mark.parametrize("g", [None, "tanh", "sin", "exp"])
 def test_the_third_stage(
-    g: str | None, features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch,
+    g: str | None,
+    features: HysteresisFeatures,
+    monkeypatch: pytest.MonkeyPatch,
     unchanged: Unchanged,
-) -> None:  # fmt: skip
+) -> None:
     start = candidate(g)
     if g == "exp":  # its offset is in the gain
         start = replace(start, theta=start.theta * [0, 1, 1, 1], theta_active=np.arange(4) > 0)
@@ -194,9 +196,11 @@ def test_effort_of_the_third_stage() -> None:
 
 
 def test_candidates_are_pruned_and_chosen(
-    exact: HysteresisFeatures, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch,
+    exact: HysteresisFeatures,
+    records: list[FrictionRecord],
+    monkeypatch: pytest.MonkeyPatch,
     unchanged: Unchanged,
-) -> None:  # fmt: skip
+) -> None:
     evaluations: list[int] = []
     run = refine.Refinement.run
 

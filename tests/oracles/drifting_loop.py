@@ -168,12 +168,16 @@ class Drifted:
         """Return the measurements as friction records."""
         return [
             FrictionRecord(
-                log="loop", joint=name, t=self.t[rows], dq=self.dq_d[rows, k], q=self.q_d[rows, k],
+                log="loop",
+                joint=name,
+                t=self.t[rows],
+                dq=self.dq_d[rows, k],
+                q=self.q_d[rows, k],
                 tau_load=self.tau_rigid[rows, k],
                 tau=(self.tau_meas - self.tau_rigid)[rows, k],
             )
             for k, name in enumerate(joints)
-        ]  # fmt: skip
+        ]
 
     def fixed(self, model: FrictionModel) -> Array:
         """Return the torque (N, n) of a model without adaptation [N.m]."""
@@ -192,9 +196,14 @@ FeedForward = Callable[[Drifted, int], FrictionModel]
 
 
 def run_drifting(
-    loop: DriftingLoop, drift: Drift, seconds: float, *, adapt: bool = True,
-    refitted: FeedForward | None = None, every: float = 60.0,
-) -> Drifted:  # fmt: skip
+    loop: DriftingLoop,
+    drift: Drift,
+    seconds: float,
+    *,
+    adapt: bool = True,
+    refitted: FeedForward | None = None,
+    every: float = 60.0,
+) -> Drifted:
     """Run the loop.
 
     Parameters
@@ -216,9 +225,15 @@ def run_drifting(
     q, tau_meas, tau_true = (np.empty((count, n)) for _ in range(3))
     learned = {name: np.empty((count, n)) for name in (*_LEARNED, *_WATCHED)}
     so_far = Drifted(
-        t=t, q_d=q_d, q=q, dq_d=dq_d, tau_rigid=rigid, tau_meas=tau_meas, tau_true=tau_true,
+        t=t,
+        q_d=q_d,
+        q=q,
+        dq_d=dq_d,
+        tau_rigid=rigid,
+        tau_meas=tau_meas,
+        tau_true=tau_true,
         learned=learned,
-    )  # fmt: skip
+    )
     torques = np.empty((count, n)) if refitted else None
     period = round(every / step)
 
@@ -281,9 +296,13 @@ def run_drifting(
 
 
 def _advance(
-    fmu: FmuInstance, write: Callable[[], None], k: int, step: float,
-    *, start: Mapping[str, Value] | None = None,
-) -> None:  # fmt: skip
+    fmu: FmuInstance,
+    write: Callable[[], None],
+    k: int,
+    step: float,
+    *,
+    start: Mapping[str, Value] | None = None,
+) -> None:
     """Set the inputs of sample k and step to it; initialise before the first one."""
     if k == 0:
         fmu.enter_initialisation(start=fmu.variables.expanded(start or {}))
@@ -298,8 +317,10 @@ def _controller_start(loop: DriftingLoop) -> dict[str, Value]:
     gains = loop.gains
     own = {name: getattr(gains, name) for name in ("Kp", "Kd", "Kv", "Ki")}
     return own | {
-        "compensation": SCHEME.compensation, "sample_time": loop.step, "lambda": gains.decay
-    }  # fmt: skip
+        "compensation": SCHEME.compensation,
+        "sample_time": loop.step,
+        "lambda": gains.decay,
+    }
 
 
 def _torques(
@@ -352,11 +373,12 @@ def score(
 
     return DriftScore(
         cut=_numbers(1.0 - np.sqrt(left / np.maximum(drifted, 1e-12))),
-        tracking=rms(followed), tracking_fixed=rms(fixed),
+        tracking=rms(followed),
+        tracking_fixed=rms(fixed),
         level=_numbers(followed.learned["level"][-1]),
         viscosity=_numbers(followed.learned["viscosity"][-1]),
         offset=_numbers(followed.learned["offset"][-1]),
-    )  # fmt: skip
+    )
 
 
 def _numbers(values: Array) -> tuple[float, ...]:

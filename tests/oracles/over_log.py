@@ -149,9 +149,15 @@ class StatesOverLog:
         return [(b, NUMPY["positive"](r)) for b, r in zip(found[::2], found[1::2], strict=True)]
 
     def _row_by_row(
-        self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
-        begins: NDArray[np.bool_], start: float | Array, discretisation: Discretisation,
-    ) -> Array:  # fmt: skip
+        self,
+        i: int,
+        values: Sequence[Any],
+        states: Sequence[Array],
+        dt: Array,
+        begins: NDArray[np.bool_],
+        start: float | Array,
+        discretisation: Discretisation,
+    ) -> Array:
         columns = [np.broadcast_to(v, dt.shape).tolist() for v in (*values, *states, dt)]
         function, euler = self._steps[i], float(discretisation == "euler")
         starts = np.broadcast_to(start, dt.shape).tolist()
@@ -167,9 +173,15 @@ class StatesOverLog:
             return self._in_arrays(i, values, states, dt, begins, start, discretisation)
 
     def _in_arrays(
-        self, i: int, values: Sequence[Any], states: Sequence[Array], dt: Array,
-        begins: NDArray[np.bool_], start: float | Array, discretisation: Discretisation,
-    ) -> Array:  # fmt: skip
+        self,
+        i: int,
+        values: Sequence[Any],
+        states: Sequence[Array],
+        dt: Array,
+        begins: NDArray[np.bool_],
+        start: float | Array,
+        discretisation: Discretisation,
+    ) -> Array:
         columns = [np.broadcast_to(v, dt.shape) for v in (*values, *states)]
         rows = np.stack(columns, axis=1)
         function = self._later[i]
@@ -207,9 +219,13 @@ def _unstable(z: float) -> SimulationError:
 
 
 def run(
-    first: Array, second: Array, dt: Array, begins: NDArray[np.bool_], start: float | Array,
+    first: Array,
+    second: Array,
+    dt: Array,
+    begins: NDArray[np.bool_],
+    start: float | Array,
     discretisation: Discretisation,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return a relaxation's state over a log, (N,), from its drive and rate, each (N,)."""
     a, c = step_coefficients(first, second, dt, discretisation)
     c = np.where(begins, start, c)
@@ -313,9 +329,16 @@ def predicted(law: FrictionLaw, t: Array, dq: Array, q: Array, tau_load: Array) 
     values = (*numbers(law), dq, q, tau_load)
     dt, begins = np.diff(t, prepend=t[0]), np.arange(len(t)) == 0
     [torque] = over_rows(
-        form.memory, (form.output,), symbols, values, dt, begins, law.start, law.discretisation,
+        form.memory,
+        (form.output,),
+        symbols,
+        values,
+        dt,
+        begins,
+        law.start,
+        law.discretisation,
         form.component.settling,
-    )  # fmt: skip
+    )
     return torque
 
 
@@ -329,9 +352,15 @@ def stepped(
     outputs = (form.output, *(m.state for m in form.memory))
     begins = np.arange(2 * motions) % 2 == 0
     found = over_rows(
-        form.memory, outputs, symbols, rows, np.repeat(dt, 2), begins, np.repeat(x, 2, axis=1),
+        form.memory,
+        outputs,
+        symbols,
+        rows,
+        np.repeat(dt, 2),
+        begins,
+        np.repeat(x, 2, axis=1),
         law.discretisation,
-    )  # fmt: skip
+    )
     torque, *states = (column[1::2] for column in found)
     return torque, np.array(states).reshape(len(x), motions)
 
@@ -345,7 +374,16 @@ def columns(problem: Separable, point: Array) -> Array:
     wanted = [output.diff(sympy.Symbol(name, real=True)) for name in problem.space.linear]
     symbols = (*(sympy.Symbol(name, real=True) for name in problem.space.names), *INPUTS)
     values = (*problem.numbers(point), s.dq, s.q, s.tau_load)
-    return np.column_stack(over_rows(
-        memory, wanted, symbols, values, s.dt, s.begins, problem.start, problem.discretisation,
-        form.component.settling,
-    ))  # fmt: skip
+    return np.column_stack(
+        over_rows(
+            memory,
+            wanted,
+            symbols,
+            values,
+            s.dt,
+            s.begins,
+            problem.start,
+            problem.discretisation,
+            form.component.settling,
+        )
+    )

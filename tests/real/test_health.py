@@ -43,8 +43,10 @@ def test_only_the_wrist_of_a_tiago_is_odd_for_lack_of_signal() -> None:
     found = findings("tiago.toml", [SHARED / "tiago_arm" / "tiago_excitation.csv"])
     assert {check for check, _ in found} == {"torque-signal"}
     assert sorted(joint for _, joints in found for joint in joints) == [
-        "arm_5_joint", "arm_6_joint", "arm_7_joint",
-    ]  # fmt: skip
+        "arm_5_joint",
+        "arm_6_joint",
+        "arm_7_joint",
+    ]
 
 
 def test_backward_currents_of_a_tiago_are_found_from_its_urdf_alone() -> None:

@@ -173,10 +173,14 @@ SILENT = {
 @pytest.mark.parametrize(
     "log",
     [
-        "id_fourier_50s_12harm", "id_fourier_20s_5harm", "test_fourier_40s_12harm",
-        "test_fourier_20s_7harm", "test_fourier_20s_8harm", "test_ptp_10_points",
+        "id_fourier_50s_12harm",
+        "id_fourier_20s_5harm",
+        "test_fourier_40s_12harm",
+        "test_fourier_20s_7harm",
+        "test_fourier_20s_8harm",
+        "test_ptp_10_points",
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_detected_in_other_logs_of_a_ur10e(log: str, what: str) -> None:
     if (log, what) in SILENT:
         pytest.xfail("told by other words")

@@ -50,10 +50,12 @@ def ratios(
     joints."""
     follower = Follower(fit(law, *training))
     found = [
-        [rmse(one.outputs["tau"] - one.record.tau) / rmse(one.fixed - one.record.tau)
-         for one in follower.follow(day)]
+        [
+            rmse(one.outputs["tau"] - one.record.tau) / rmse(one.fixed - one.record.tau)
+            for one in follower.follow(day)
+        ]
         for day in days
-    ]  # fmt: skip
+    ]
     moved = [[np.abs(record.dq).max() > MOVES for record in day] for day in days]
     return np.array(found), np.array(moved)
 

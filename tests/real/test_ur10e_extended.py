@@ -310,9 +310,11 @@ def stepped(fmu: Path, folder: Path, t: np.ndarray, inputs: dict[str, np.ndarray
     asked = [places[f"tau[{k}]"] for k in range(1, 7)]
     rows = np.hstack(list(inputs.values())).tolist()
     slave = FMU2Slave(
-        guid=about.guid, unzipDirectory=extract(fmu, folder), instanceName="own",
+        guid=about.guid,
+        unzipDirectory=extract(fmu, folder),
+        instanceName="own",
         modelIdentifier=about.coSimulation.modelIdentifier,
-    )  # fmt: skip
+    )
     slave.instantiate()
     slave.setupExperiment(startTime=t[0])
     slave.enterInitializationMode()

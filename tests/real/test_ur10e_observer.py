@@ -38,9 +38,10 @@ def observers(
 
 
 def test_the_limits_are_no_wider_than_with_stribeck(
-    observers: dict[str, tuple[FrictionModel, ObserverLimits]], unseen_logs: list[Log],
+    observers: dict[str, tuple[FrictionModel, ObserverLimits]],
+    unseen_logs: list[Log],
     body: PlantBody,
-) -> None:  # fmt: skip
+) -> None:
     widths = {}
     for name, (law, limits) in observers.items():
         runs = observed_logs(law, body, limits, unseen_logs)
@@ -50,9 +51,10 @@ def test_the_limits_are_no_wider_than_with_stribeck(
 
 
 def test_a_payload_missing_in_the_body_appears_as_its_weight(
-    observers: dict[str, tuple[FrictionModel, ObserverLimits]], unseen_logs: list[Log],
+    observers: dict[str, tuple[FrictionModel, ObserverLimits]],
+    unseen_logs: list[Log],
     body: PlantBody,
-) -> None:  # fmt: skip
+) -> None:
     law, limits = observers["parfam_s_load"]
     robot, parameters = body.robot, body.parameters.copy()
     point = np.array([MASS, *np.zeros(9)])
@@ -62,8 +64,10 @@ def test_a_payload_missing_in_the_body_appears_as_its_weight(
     rest = (np.abs(run.dq).max(axis=1) < 0.002) & (run.t - run.t[0] > 1.0)
     assert rest.sum() > 20
     found = np.hstack([run.outputs["force"], run.outputs["moment"]])[rest]
-    known = [np.concatenate([WEIGHT, np.cross(robot.places(q)[-1][0] @ CENTRE, WEIGHT)])
-             for q in log.q[rest]]  # fmt: skip
+    known = [
+        np.concatenate([WEIGHT, np.cross(robot.places(q)[-1][0] @ CENTRE, WEIGHT)])
+        for q in log.q[rest]
+    ]
     errors, covariance = found - known, run.outputs["wrench_covariance"][rest]
     distance = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariance), errors)
     assert np.mean(distance < 12.6) >= 0.95  # of chi squared with six degrees of freedom

@@ -18,10 +18,11 @@ def test_the_model_masses_give_two_of_six(
     # As if none were stated.
     gains = np.array([1.0, 5.0, 20.0, 3.0, 30.0, 10.0])
     motions = [
-        smooth(log.__class__(name=log.name, t=log.t, q=log.q, dq=log.dq,
-                             tau=log.tau / stated * gains))
+        smooth(
+            log.__class__(name=log.name, t=log.t, q=log.q, dq=log.dq, tau=log.tau / stated * gains)
+        )
         for log in id_logs
-    ]  # fmt: skip
+    ]
     found = torque_constants(motions, ur10e_model, gains, mass_error=mass_error)
     assert [c.determined for c in found] == [False, True, True, False, False, False]
     assert found[1].value == pytest.approx(stated[1], rel=0.1)

@@ -21,7 +21,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = true_law(
     "lugre", {}, sigma_0=2000.0, sigma_1=0.0, sigma_2=7.0, F_c=5.0, F_s=6.0, v_s=0.1, tau_0=0.5
-)  # fmt: skip
+)
 
 
 def day(seed: int, *, seconds: float = 24.0, **changed: float) -> FrictionRecord:

@@ -25,12 +25,23 @@ def followed(record: FrictionRecord, law: FrictionLaw, *, adapt: bool = True) ->
     return found
 
 
-def steady(law: FrictionLaw, seconds: float = 60.0, *, seed: int = 0, level: float = 1.0,
-           viscosity: float = 1.0, noise: float = NOISE) -> FrictionRecord:  # fmt: skip
+def steady(
+    law: FrictionLaw,
+    seconds: float = 60.0,
+    *,
+    seed: int = 0,
+    level: float = 1.0,
+    viscosity: float = 1.0,
+    noise: float = NOISE,
+) -> FrictionRecord:
     return truth(
-        law, *motion(seconds, seed), seed=seed, noise=noise,
-        level=lambda t: np.full_like(t, level), viscosity=lambda t: np.full_like(t, viscosity),
-    )  # fmt: skip
+        law,
+        *motion(seconds, seed),
+        seed=seed,
+        noise=noise,
+        level=lambda t: np.full_like(t, level),
+        viscosity=lambda t: np.full_like(t, viscosity),
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -146,8 +157,16 @@ def test_learning_does_not_depend_on_the_step() -> None:
     found = []
     for step in (0.002, 0.01):
         t, dq, q, load = motion(30.0, step=step)
-        record = truth(law, t, dq, q, load, level=lambda t: np.full_like(t, 1.2),
-                       viscosity=np.ones_like, noise=0.0)  # fmt: skip
+        record = truth(
+            law,
+            t,
+            dq,
+            q,
+            load,
+            level=lambda t: np.full_like(t, 1.2),
+            viscosity=np.ones_like,
+            noise=0.0,
+        )
         found.append(followed(record, law).outputs["level"][-1])
     assert found[0] == pytest.approx(found[1], abs=5e-3)
 
@@ -189,9 +208,14 @@ def fuzzed(steps: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     run.begin(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     offset, stored = 0.0, float(k @ np.square(run.states))
-    boxes = [TUNING.level, TUNING.viscosity, (-TUNING.offset * NOISE, TUNING.offset * NOISE),
-             (0.0, TUNING.level_sd), (0.0, TUNING.viscosity_sd),
-             (0.0, TUNING.offset_sd * NOISE)]  # fmt: skip
+    boxes = [
+        TUNING.level,
+        TUNING.viscosity,
+        (-TUNING.offset * NOISE, TUNING.offset * NOISE),
+        (0.0, TUNING.level_sd),
+        (0.0, TUNING.viscosity_sd),
+        (0.0, TUNING.offset_sd * NOISE),
+    ]
     low, high = np.array(boxes).T
     for _ in range(steps // 1000):
         dq = rng.normal(size=1000) * 10.0 ** rng.uniform(-4, 1, 1000)

@@ -14,16 +14,20 @@ from hesr_model.rigid_body.residual import FrictionRecord
 MODEL = model(lugre(), lugre(), lugre())
 
 
-def day(log: str, seed: int, *, seconds: float = 45.0, worn: tuple[int, ...] = (),
-        offset: float = 0.0) -> list[FrictionRecord]:  # fmt: skip
+def day(
+    log: str, seed: int, *, seconds: float = 45.0, worn: tuple[int, ...] = (), offset: float = 0.0
+) -> list[FrictionRecord]:
     """Records of three joints; friction of worn joints rises by a quarter after 20 s."""
     found = []
     for k, joint in enumerate(MODEL.joints):
         rise = 0.25 * float(k in worn)
         record = truth(
-            lugre(), *motion(seconds, seed + k), seed=10 * seed + k,
-            level=lambda t, rise=rise: 1.0 + rise * (t > 20.0), viscosity=np.ones_like,
-        )  # fmt: skip
+            lugre(),
+            *motion(seconds, seed + k),
+            seed=10 * seed + k,
+            level=lambda t, rise=rise: 1.0 + rise * (t > 20.0),
+            viscosity=np.ones_like,
+        )
         shifted = record.tau + offset * (k == 0) * (record.t > 20.0)
         found.append(replace(record, log=log, joint=joint, tau=shifted))
     return found
@@ -67,9 +71,18 @@ def test_a_common_change_needs_more_than_half_of_the_joints(sign: int) -> None:
 def monitoring(alarms: int) -> Monitoring:
     def state(log: str, joint: str) -> State:
         return State(
-            log=log, joint=joint, level=1.25, level_sd=0.01, viscosity=0.8, viscosity_sd=0.02,
-            offset=-0.4321, offset_sd=0.15, learning=1.0, rmse_fixed=0.5, rmse=0.25,
-        )  # fmt: skip
+            log=log,
+            joint=joint,
+            level=1.25,
+            level_sd=0.01,
+            viscosity=0.8,
+            viscosity_sd=0.02,
+            offset=-0.4321,
+            offset_sd=0.15,
+            learning=1.0,
+            rmse_fixed=0.5,
+            rmse=0.25,
+        )
 
     return Monitoring(
         model=MODEL,

@@ -75,8 +75,9 @@ def side_by_side(
     t, measured = records[0].t, friction + load
     [component] = adaptive_components(model(law))
     steps = Steps(component, ["drift", "shift", "level"], lanes=True)
-    values = law.values | {p.name: p.start for p in component.parameters
-                           if isinstance(p, Parameter)}  # fmt: skip
+    values = law.values | {
+        p.name: p.start for p in component.parameters if isinstance(p, Parameter)
+    }
     names = ("dq", "q", "tau_load", "tau_meas", "tau_rigid", "adapt")
     run = steps.run(values, [np.zeros(len(seeds))] * len(law.start), names)
     rows = zip(dq, q, load, measured, load, strict=True)

@@ -14,9 +14,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.robots.transmission import Coupling
 
-TRUTH = law(
-    "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
-)  # fmt: skip
+TRUTH = law("strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5)
 
 
 def noisy(seed: int, *, rests: bool = False, spread: float = 0.5) -> FrictionRecord:
@@ -36,8 +34,9 @@ def banded() -> FrictionLaw:
 
 def model_of(*laws: FrictionLaw, **more) -> FrictionModel:
     joints = tuple(f"axis_{i}" for i, _ in enumerate(laws))
-    return FrictionModel(law="lugre", robot="bench", joints=joints, laws=laws, sample_time=0.008,
-                         **more)  # fmt: skip
+    return FrictionModel(
+        law="lugre", robot="bench", joints=joints, laws=laws, sample_time=0.008, **more
+    )
 
 
 @pytest.mark.parametrize("coverage", [0.8, 0.9, 0.95, 0.99])
@@ -70,8 +69,10 @@ def test_uncertain_coefficients_widen_the_band() -> None:
     known = with_standard_errors(TRUTH, records)
     assert known.covariance is not None
     large = replace(known.covariance, within=1e4 * known.covariance.within)
-    certain, doubtful = (calibrated(x, records)[0].band for x in (replace(known, covariance=None),
-                         replace(known, covariance=large)))  # fmt: skip
+    certain, doubtful = (
+        calibrated(x, records)[0].band
+        for x in (replace(known, covariance=None), replace(known, covariance=large))
+    )
     assert certain is not None
     assert doubtful is not None
     assert doubtful.fast / doubtful.floor > 2.0 * certain.fast / certain.floor
@@ -98,8 +99,9 @@ def test_a_band_survives_json(banded: FrictionLaw, tmp_path) -> None:
     assert FrictionModel.read(tmp_path / "law.json").laws[0].band == banded.band
 
 
-@pytest.mark.parametrize(("name", "value"), [("floor", -1.0), ("slow_speed", 0.0),
-                                             ("tail", float("nan"))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "value"), [("floor", -1.0), ("slow_speed", 0.0), ("tail", float("nan"))]
+)
 def test_invalid_bands_are_refused(banded: FrictionLaw, name: str, value: float) -> None:
     with pytest.raises(ArtifactError, match=f"'{name}' of a band is"):
         replace(banded.band, **{name: value})

@@ -78,8 +78,9 @@ def test_the_data_choose_the_exponent_of_the_curve(alpha: int) -> None:
     t = 0.01 * np.arange(3000)
     dq, load = 0.3 * np.sin(1.1 * t) * np.sin(0.37 * t), 20.0 * np.cos(1.3 * t)
     tau = np.array([_bam(4, v, tau_load, alpha) for v, tau_load in zip(dq, load, strict=True)])
-    record = FrictionRecord(log="made", joint="j1", t=t, dq=dq, q=np.cumsum(dq) * 0.01,
-                            tau_load=load, tau=tau)  # fmt: skip
+    record = FrictionRecord(
+        log="made", joint="j1", t=t, dq=dq, q=np.cumsum(dq) * 0.01, tau_load=load, tau=tau
+    )
     found = fit_joint("bam_m4", [record], seed=0)
     assert found.structure == {"alpha": alpha}
     for name, value in found.values.items():
@@ -89,11 +90,14 @@ def test_the_data_choose_the_exponent_of_the_curve(alpha: int) -> None:
 @pytest.mark.parametrize(
     ("name", "structure", "said"),
     [
-        ("bam_m2", {"alpha": 4}, "law 'bam_m2' has 'alpha', one of 1, 2, 3 to choose, found "
-         "{'alpha': 4}."),
+        (
+            "bam_m2",
+            {"alpha": 4},
+            "law 'bam_m2' has 'alpha', one of 1, 2, 3 to choose, found {'alpha': 4}.",
+        ),
         ("bam_m1", {"alpha": 2}, "law 'bam_m1' has nothing to choose, found {'alpha': 2}."),
     ],
-)  # fmt: skip
+)
 def test_an_invalid_choice_is_refused(name: str, structure: dict[str, int], said: str) -> None:
     with pytest.raises(ArtifactError) as caught:
         registry()[name].form(structure)
@@ -193,8 +197,9 @@ def test_the_load_of_bounds_stays_within_its_trained_range(name: str) -> None:
     assert (proof.verdict, proof.largest_step) == ("proven", inf)
     # A law of an earlier version has no limit.
     values = {k: v for k, v in found.values.items() if k != "load_most"}
-    older = replace(found, structure={}, form=registry()[name].form({}), values=values,
-                    covariance=None)  # fmt: skip
+    older = replace(
+        found, structure={}, form=registry()[name].form({}), values=values, covariance=None
+    )
     for r in records:
         np.testing.assert_array_equal(predict(found, **r.motion), predict(older, **r.motion))
     heavy, heaviest = (

@@ -101,8 +101,10 @@ def test_the_power_at_the_stated_difference_is_as_stated() -> None:
         stated = compared(of).ratios("law_0")["law_1"].detectable
         assert stated is not None
         fresh = errors(10_000 + seed, 4, 1, 80.0, common=0.5)
-        larger = {law: [e * (1.0 if law == "law_0" else stated) for e in logs]
-                  for law, logs in fresh.items()}  # fmt: skip
+        larger = {
+            law: [e * (1.0 if law == "law_0" else stated) for e in logs]
+            for law, logs in fresh.items()
+        }
         hits.append("law_1" in worse(compared(larger)))
     assert 0.7 <= np.mean(hits) <= 0.93
 
@@ -159,8 +161,9 @@ def test_the_interval_for_other_logs_contains_the_ratio_of_the_next_logs() -> No
     def logs(seed: int) -> LawErrors:
         rng = np.random.default_rng([seed, 1])
         of = errors(seed, 2, 4, 10.0, memory=0.5)
-        return compared({law: [np.exp(rng.normal(0.0, 0.1)) * e for e in own]
-                         for law, own in of.items()})  # fmt: skip
+        return compared(
+            {law: [np.exp(rng.normal(0.0, 0.1)) * e for e in own] for law, own in of.items()}
+        )
 
     inside, narrower, draws = 0, 0, 200
     for seed in range(draws):

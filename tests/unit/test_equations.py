@@ -75,9 +75,13 @@ def stops_over(way: np.ndarray, bound: np.ndarray, begins: np.ndarray, start: np
 
 
 def states_over(
-    memory: tuple[Relaxation, ...], dq: np.ndarray, dt: np.ndarray, begins: np.ndarray,
-    start: tuple[float, ...], discretisation: Discretisation,
-) -> np.ndarray:  # fmt: skip
+    memory: tuple[Relaxation, ...],
+    dq: np.ndarray,
+    dt: np.ndarray,
+    begins: np.ndarray,
+    start: tuple[float, ...],
+    discretisation: Discretisation,
+) -> np.ndarray:
     kernel = Kernel(memory, (), (DQ,), [m.state for m in memory])
     run = KernelRun(kernel, [dq], dt, np.flatnonzero(begins), euler=discretisation == "euler")
     return run.at(np.zeros(0), np.array(start), settled=True).T
@@ -140,8 +144,12 @@ def test_a_rate_may_depend_on_its_own_state() -> None:
     np.testing.assert_allclose(found[:101], steps, rtol=1e-14)
     truth = solve_ivp(
         lambda s, y: 2.0 * np.sin(3.0 * s) - abs(2.0 * np.sin(3.0 * s)) * abs(y) * y,
-        (0.0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10,
-    )  # fmt: skip
+        (0.0, t[-1]),
+        [0.0],
+        t_eval=t,
+        rtol=1e-9,
+        atol=1e-10,
+    )
     assert np.abs(found - truth.y[0]).max() < 2e-3
 
 
@@ -187,8 +195,14 @@ def test_the_continuous_stop_equals_the_sampled_one(bound: float) -> None:
     truth = predict(law(stop, output=stop.state), t=t, dq=dq)
     found = solve_ivp(
         lambda s, x: [float(slope(0.05 * np.sin(2.0 * np.pi * s), x[0])[0])],
-        (0.0, t[-1]), [0.0], t_eval=t, method="LSODA", rtol=1e-6, atol=1e-8, max_step=1e-3,
-    )  # fmt: skip
+        (0.0, t[-1]),
+        [0.0],
+        t_eval=t,
+        method="LSODA",
+        rtol=1e-6,
+        atol=1e-8,
+        max_step=1e-3,
+    )
     assert np.abs(found.y[0] - truth).max() < 5e-3
 
 
@@ -197,8 +211,13 @@ def test_the_continuous_stop_yields_if_its_bound_shrinks_at_rest() -> None:
     slope = lowered((DQ, TAU_LOAD, stop.state), [stop.continuous()])
     found = solve_ivp(
         lambda s, x: [float(slope(0.0, 1.0 - 0.8 * min(s, 1.0), x[0])[0])],
-        (0.0, 2.0), [1.0], method="LSODA", rtol=1e-8, atol=1e-10, max_step=1e-2,
-    )  # fmt: skip
+        (0.0, 2.0),
+        [1.0],
+        method="LSODA",
+        rtol=1e-8,
+        atol=1e-10,
+        max_step=1e-2,
+    )
     assert found.y[0, -1] == pytest.approx(0.2, rel=0.01)
 
 
@@ -242,9 +261,11 @@ def test_step_dependent_variables_are_held_between_steps() -> None:
 def test_a_tangent_follows_named_expressions() -> None:
     own = Component(
         inputs=(signal("x"),),
-        equations=(Equation(name="a", expression=X**2), Equation(
-            name="b", expression=sympy.sin(sympy.Symbol("a", real=True)), output=True)),
-    )  # fmt: skip
+        equations=(
+            Equation(name="a", expression=X**2),
+            Equation(name="b", expression=sympy.sin(sympy.Symbol("a", real=True)), output=True),
+        ),
+    )
     seed = sympy.Symbol("seed", real=True)
     program = {**readings(own), **changes_along({X: seed}, readings(own))}
     b = program[change_of(sympy.Symbol("b", real=True))]
@@ -280,8 +301,9 @@ def test_before_the_first_step_no_time_has_passed() -> None:
     grows = Component(
         inputs=(u,),
         equations=(
-            Equation(name="y", expression=previous("y") + DT * u.symbol, start=u.symbol,
-                     output=True),
+            Equation(
+                name="y", expression=previous("y") + DT * u.symbol, start=u.symbol, output=True
+            ),
         ),
-    )  # fmt: skip
+    )
     assert Steps(grows).run({}, [], ["u"]).begin(3.0) == [3.0]

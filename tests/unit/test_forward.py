@@ -49,9 +49,12 @@ SLIDE = """
 def carriage(tmp_path: Path) -> Robot:
     (tmp_path / "slide.xml").write_text(SLIDE, encoding="utf-8")
     description = RobotDescription(
-        name="axis", model=tmp_path / "slide.xml", joints=("axis",), rotor_inertia=False,
+        name="axis",
+        model=tmp_path / "slide.xml",
+        joints=("axis",),
+        rotor_inertia=False,
         log=LogFormat(),
-    )  # fmt: skip
+    )
     return Robot(description)
 
 
@@ -60,15 +63,20 @@ def stribeck(**values: float) -> FrictionModel:
     numbers = {c.name: values.get(c.name, 0.0) for c in form.coefficients} | {"v_s": 0.1}
     law = FrictionLaw(name="stribeck", form=form, values=numbers)
     return FrictionModel(
-        law="stribeck", robot="axis", joints=("axis",), laws=(law,), sample_time=0.01,
+        law="stribeck",
+        robot="axis",
+        joints=("axis",),
+        laws=(law,),
+        sample_time=0.01,
         sliding=(True,),
-    )  # fmt: skip
+    )
 
 
 def axis_record(t: np.ndarray, force: np.ndarray, dq: np.ndarray, q: np.ndarray) -> FrictionRecord:
     zero = np.zeros_like(t)
-    return FrictionRecord(log="run", joint="axis", t=t, dq=dq, q=q, tau_load=zero, tau=force,
-                          sliding=True)  # fmt: skip
+    return FrictionRecord(
+        log="run", joint="axis", t=t, dq=dq, q=q, tau_load=zero, tau=force, sliding=True
+    )
 
 
 def test_mass_and_weight_match_the_body(carriage: Robot) -> None:
@@ -150,12 +158,16 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     zero = np.zeros(len(fine.log.t))
     log = [
         FrictionRecord(
-            log="trial", joint=joint, t=fine.log.t, tau_load=zero,
-            dq=fine.truth.dq[:, k].copy(), q=fine.truth.q[:, k].copy(),
+            log="trial",
+            joint=joint,
+            t=fine.log.t,
+            tau_load=zero,
+            dq=fine.truth.dq[:, k].copy(),
+            q=fine.truth.q[:, k].copy(),
             tau=fine.truth.tau_meas[:, k].copy(),
         )
         for k, joint in enumerate(robot.description.joints)
-    ]  # fmt: skip
+    ]
     return {"robot": robot, "body": body, "law": law, "truth": truth, "log": log}
 
 
@@ -164,8 +176,9 @@ def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: floa
     """Below a hundredth of LuGre's error: with MuJoCo's own order of steps, only round-off."""
     robot, body = twin["robot"], twin["body"]
     windows = windows_of([twin["log"]], length)
-    true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"],
-                     as_plant=True)  # fmt: skip
+    true = Simulator(
+        robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"], as_plant=True
+    )
     lugre = Simulator(robot=robot, parameters=body.parameters, friction=twin["law"], as_plant=True)
     of_true, of_lugre = (
         np.array(position_errors(one.run(windows), windows), dtype=float) for one in (true, lugre)
@@ -241,9 +254,12 @@ def test_one_joint_under_gravity_is_simulated_at_each_position(tmp_path: Path) -
     hanging = hinge.replace('<inertial pos="0 0 0"', '<inertial pos="0 0 -1"')
     (tmp_path / "slide.xml").write_text(hanging, encoding="utf-8")
     description = RobotDescription(
-        name="axis", model=tmp_path / "slide.xml", joints=("axis",), rotor_inertia=False,
+        name="axis",
+        model=tmp_path / "slide.xml",
+        joints=("axis",),
+        rotor_inertia=False,
         log=LogFormat(),
-    )  # fmt: skip
+    )
     robot = Robot(description)
     t = np.arange(0, 0.3, 1e-3)
     start = np.full_like(t, 0.5)

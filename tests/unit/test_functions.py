@@ -132,9 +132,12 @@ def test_a_maximum_has_the_slope_of_the_larger_argument(x: float, slope: float) 
 
 @pytest.mark.parametrize(
     ("a", "b", "values"),
-    [(3.0, 2.0, (1.5, 0.5, -0.75, 0.0)), (3.0, 0.0, (7.0, 0.0, 0.0, 1.0)),
-     (3.0, -2.0, (7.0, 0.0, 0.0, 1.0))],
-)  # fmt: skip
+    [
+        (3.0, 2.0, (1.5, 0.5, -0.75, 0.0)),
+        (3.0, 0.0, (7.0, 0.0, 0.0, 1.0)),
+        (3.0, -2.0, (7.0, 0.0, 0.0, 1.0)),
+    ],
+)
 def test_a_quotient_and_its_slopes_at_a_zero_divisor(
     a: float, b: float, values: tuple[float, ...]
 ) -> None:

@@ -44,15 +44,24 @@ def rng() -> np.random.Generator:
 
 
 def rows_of(
-    wanted: list[sympy.Expr], u: np.ndarray, v: np.ndarray | None = None, *,
-    memory: tuple[Element, ...] = (), begins: np.ndarray | None = None, dt: float = 0.01,
-    euler: bool = False, target: np.ndarray | None = None,
-) -> KernelRun:  # fmt: skip
+    wanted: list[sympy.Expr],
+    u: np.ndarray,
+    v: np.ndarray | None = None,
+    *,
+    memory: tuple[Element, ...] = (),
+    begins: np.ndarray | None = None,
+    dt: float = 0.01,
+    euler: bool = False,
+    target: np.ndarray | None = None,
+) -> KernelRun:
     return KernelRun(
-        Kernel(memory, (K,), (U, V), wanted), (u, np.zeros_like(u) if v is None else v),
-        np.full(len(u), dt), [0] if begins is None else np.flatnonzero(begins), euler=euler,
+        Kernel(memory, (K,), (U, V), wanted),
+        (u, np.zeros_like(u) if v is None else v),
+        np.full(len(u), dt),
+        [0] if begins is None else np.flatnonzero(begins),
+        euler=euler,
         target=target,
-    )  # fmt: skip
+    )
 
 
 def values(expression: sympy.Expr, u: np.ndarray, k: float = 1.0) -> np.ndarray:
@@ -200,10 +209,20 @@ def test_inputs_of_other_lengths_are_refused() -> None:
         rows_of([K * U], np.ones(ROWS), target=np.ones(ROWS + 1))
     with pytest.raises(ValueError, match="broadcast"):
         predict(
-            law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
-                tau_0=0.4),
-            t=np.arange(5.0), dq=np.ones(4),
-        )  # fmt: skip
+            law(
+                "lugre",
+                {},
+                sigma_0=3e3,
+                sigma_1=20.0,
+                sigma_2=6.0,
+                F_c=9.0,
+                F_s=12.0,
+                v_s=0.1,
+                tau_0=0.4,
+            ),
+            t=np.arange(5.0),
+            dq=np.ones(4),
+        )
 
 
 def test_columns_of_a_table_are_read_in_place(rng: np.random.Generator) -> None:
@@ -314,8 +333,9 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Non
 
 @pytest.mark.usefixtures("no_compiler")
 def test_a_missing_compiler_is_refused() -> None:
-    made = law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
-               tau_0=0.4)  # fmt: skip
+    made = law(
+        "lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1, tau_0=0.4
+    )
     with pytest.raises(
         ExportError,
         match=r"the package 'ziglang' is missing: .*No such file.*; reinstall it\.",
@@ -338,8 +358,9 @@ def test_an_unsupported_machine_is_refused(
 
 @pytest.fixture(scope="module")
 def samples() -> JointRows:
-    made = law("lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
-               tau_0=0.4)  # fmt: skip
+    made = law(
+        "lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1, tau_0=0.4
+    )
     return JointRows.of(training(made, noise=0.1), coefficients=3)
 
 

@@ -167,9 +167,7 @@ def test_a_non_numeric_start_value_is_refused() -> None:
 )
 def test_a_model_has_one_law_per_joint(joints: tuple[str, ...], laws: int, sentence: str) -> None:
     with pytest.raises(ArtifactError) as caught:
-        FrictionModel(
-            law="m", robot="r", joints=joints, laws=(law(),) * laws, sample_time=0.005
-        )  # fmt: skip
+        FrictionModel(law="m", robot="r", joints=joints, laws=(law(),) * laws, sample_time=0.005)
     assert str(caught.value) == sentence
 
 

@@ -76,9 +76,9 @@ def test_the_bristle_start_comes_from_the_first_samples() -> None:
     bent = -0.8 * CASES[1]["F_c"] / CASES[1]["sigma_0"] * np.sign(way.dq[0])
     log = along(generating, way, start=(float(bent),))
     first = slice(0, 12)
-    estimated = np.abs(predict_record(fitted, log, measured_start=True)
-                       - log.tau)[first].max()  # fmt: skip
-    from_zero = np.abs(predict_record(LuGreLoad().fit([log], np.random.default_rng(0)), log)
-                       - log.tau)[first].max()  # fmt: skip
+    estimated = np.abs(predict_record(fitted, log, measured_start=True) - log.tau)[first].max()
+    from_zero = np.abs(
+        predict_record(LuGreLoad().fit([log], np.random.default_rng(0)), log) - log.tau
+    )[first].max()
     assert estimated < 0.3
     assert from_zero > 3.0

@@ -24,9 +24,16 @@ def matrix(*inner: bytes, kind: int = 6, order: str = "<", flags: int = 6, size:
 
 
 def version_4(
-    kind: int = 0, *, rows: int = 2, columns: int = 3, imaginary: int = 0, name: bytes = b"q\0",
-    digits: int = 0, order: str = "<", less: int = 0,
-) -> bytes:  # fmt: skip
+    kind: int = 0,
+    *,
+    rows: int = 2,
+    columns: int = 3,
+    imaginary: int = 0,
+    name: bytes = b"q\0",
+    digits: int = 0,
+    order: str = "<",
+    less: int = 0,
+) -> bytes:
     """A matrix of version 4, truncated by some bytes."""
     size = SIZES.get(kind, 8) * abs(rows * columns) * (1 + imaginary)
     head = struct.pack(f"{order}IiiII", digits + 10 * kind, rows, columns, imaginary, len(name))

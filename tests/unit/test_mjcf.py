@@ -207,8 +207,12 @@ def test_appearance_may_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_an_included_file_counts(tmp_path: Path) -> None:
     """Also for the cache of compiled files."""
     tip = tmp_path / "tip.xml"
-    path = mjcf(tmp_path, arm("a", "", 'axis="0 1 0"').replace(
-        "</body></body>", '<include file="tip.xml"/></body></body>'))  # fmt: skip
+    path = mjcf(
+        tmp_path,
+        arm("a", "", 'axis="0 1 0"').replace(
+            "</body></body>", '<include file="tip.xml"/></body></body>'
+        ),
+    )
     masses = []
     for mass in (1.0, 2.0):
         tip.write_text(f'<mujoco><body name="tip">{INERTIAL.format(mass)}</body></mujoco>')

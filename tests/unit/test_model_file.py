@@ -29,11 +29,13 @@ def urdf(folder: Path, *joints: dict[str, str]) -> Path:
 @pytest.fixture
 def chain(tmp_path: Path) -> Path:
     return urdf(
-        tmp_path, {"name": "turn", "kind": "revolute"}, {"name": "stuck", "kind": "fixed"},
+        tmp_path,
+        {"name": "turn", "kind": "revolute"},
+        {"name": "stuck", "kind": "fixed"},
         {"name": "slide", "kind": "prismatic"},
         {"name": "finger", "kind": "revolute", "more": '<mimic joint="turn" multiplier="2"/>'},
         {"name": "float", "kind": "floating"},
-    )  # fmt: skip
+    )
 
 
 def test_moving_joints_are_listed_from_base_to_tip(chain: Path) -> None:

@@ -46,8 +46,9 @@ def test_each_joint_is_shrunk_to_its_most_exceeded_limit(
     """
     kept = limits.shrink(motion, arm_model, np.zeros(3))
     q, dq, ddq = one_period(motion)
-    shares = np.array([1.0 / np.ptp(q[:, 0]), 0.5 / np.abs(dq[:, 1]).max(),
-                       0.8 / np.abs(ddq[:, 2]).max()])  # fmt: skip
+    shares = np.array(
+        [1.0 / np.ptp(q[:, 0]), 0.5 / np.abs(dq[:, 1]).max(), 0.8 / np.abs(ddq[:, 2]).max()]
+    )
     assert np.all(shares < 1.0)
     np.testing.assert_allclose(kept.a, 0.999 * shares[:, None] * motion.a, rtol=1e-12)
     np.testing.assert_allclose(kept.b, 0.999 * shares[:, None] * motion.b, rtol=1e-12)
@@ -74,8 +75,9 @@ def test_the_torque_limit_shrinks_all_paths_towards_rest(
     assert share * 4096 == pytest.approx(round(share * 4096))
     assert peak_torque(arm_model, kept)[1] <= 0.999 * between[1]
     more = share + 1 / 4096
-    larger = replace(small, a=more * small.a, b=more * small.b,
-                     offset=rest + more * (small.offset - rest))  # fmt: skip
+    larger = replace(
+        small, a=more * small.a, b=more * small.b, offset=rest + more * (small.offset - rest)
+    )
     assert peak_torque(arm_model, larger)[1] > 0.999 * between[1]
 
 

@@ -94,9 +94,14 @@ def one_joint(name: str, t: np.ndarray, run: np.ndarray, tau: np.ndarray) -> Mot
     """q = run^3, with the given torque."""
     q = (run**3)[:, None]
     return Motion(
-        name=name, t=t, q=q, dq=3.0 * run[:, None] ** 2, ddq=6.0 * run[:, None], tau=tau[:, None],
+        name=name,
+        t=t,
+        q=q,
+        dq=3.0 * run[:, None] ** 2,
+        ddq=6.0 * run[:, None],
+        tau=tau[:, None],
         q_raw=np.sign(q - 0.1),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("late", [0.0, 0.2])

@@ -27,9 +27,16 @@ def features_of(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> HysteresisFea
 
 def linear(c: list[float]) -> Candidate:
     return Candidate(
-        g=None, alpha=ALPHA, beta=BETA, c=np.array(c), theta=np.zeros(4), gain=0.0,
-        c_active=np.ones(4, bool), theta_active=np.zeros(4, bool), cost=np.nan,
-    )  # fmt: skip
+        g=None,
+        alpha=ALPHA,
+        beta=BETA,
+        c=np.array(c),
+        theta=np.zeros(4),
+        gain=0.0,
+        c_active=np.ones(4, bool),
+        theta_active=np.zeros(4, bool),
+        cost=np.nan,
+    )
 
 
 # --- stage 1 ----------------------------------------------------------------------------------
@@ -85,8 +92,10 @@ def test_the_profile_is_the_residual_of_cubic_surfaces_over_a_grid() -> None:
     betas = beta_low * (beta_high / beta_low) ** (np.arange(10) / 9)
     np.testing.assert_allclose(sorted({a for a, _ in found}), alphas)
     np.testing.assert_allclose(sorted({b for _, b in found}), betas)
-    every = {cell: monomials(features.columns(*cell)[:, 1:] / scales(features, *cell))
-             for cell in list(found)[::9]}  # fmt: skip
+    every = {
+        cell: monomials(features.columns(*cell)[:, 1:] / scales(features, *cell))
+        for cell in list(found)[::9]
+    }
     sound = {cell: columns for cell, columns in every.items() if np.linalg.cond(columns) < 1e5}
     assert len(sound) > 3
     for (alpha, beta), columns in sound.items():
@@ -175,11 +184,14 @@ def test_bounds_of_a_structure_follow_from_its_rows() -> None:
         assert limits == pytest.approx(expected[name], rel=1e-9), name
     assert found.linear == ("c_0", "c_h", "c_h_bump", "c_g1")
     assert [(name, float(value)) for name, value in found.values] == [("v_0", 1e-3)]
-    bristle = trial.search_space({"linear": ["h", "h_bump"], "units": [], "state": "bristle"},
-                                 samples)  # fmt: skip
+    bristle = trial.search_space(
+        {"linear": ["h", "h_bump"], "units": [], "state": "bristle"}, samples
+    )
     assert bristle.bounds == (
-        ("rho", STATIC_RATIO_BOUNDS), ("v_s", VELOCITY_BOUNDS), ("kappa", (0.05, 2000.0))
-    )  # fmt: skip
+        ("rho", STATIC_RATIO_BOUNDS),
+        ("v_s", VELOCITY_BOUNDS),
+        ("kappa", (0.05, 2000.0)),
+    )
 
 
 # --- stage 3 ----------------------------------------------------------------------------------

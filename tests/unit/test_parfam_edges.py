@@ -20,7 +20,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = law(
     "lugre", {}, sigma_0=600.0, sigma_1=1.0, sigma_2=4.0, F_c=8.0, F_s=11.0, v_s=0.1, tau_0=0.5
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

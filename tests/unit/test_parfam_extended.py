@@ -47,8 +47,12 @@ RELAXED = extended(HX_PAPER, **PAPER)
 BUMPED = extended(plus(HX_PAPER, "h_bump"), **PAPER, c_h_bump=6.0, v_s=0.08)
 RIPPLING = extended(
     plus(HX_BRISTLE, ripple={"gear_ratio": GEAR_RATIO, "orders": [2]}),
-    **BRISTLE, ripple2_cos=0.6, ripple2_sin=-0.5, lag=3e-3, smoothing=1e-3,
-)  # fmt: skip
+    **BRISTLE,
+    ripple2_cos=0.6,
+    ripple2_sin=-0.5,
+    lag=3e-3,
+    smoothing=1e-3,
+)
 
 
 def fitted(truth: FrictionLaw, **options: Any) -> FrictionLaw:
@@ -138,8 +142,13 @@ def test_a_unit_pays_only_if_true() -> None:
     unit = {"g": "tanh", "arguments": ["1", "dq", "h", "dh"]}
     curved = extended(
         plus(HX_BRISTLE, units=[unit]),
-        **BRISTLE, c_g1=6.0, theta1_0=0.8, theta1_dq=5.0, theta1_h=-1.5, theta1_dh=0.0,
-    )  # fmt: skip
+        **BRISTLE,
+        c_g1=6.0,
+        theta1_0=0.8,
+        theta1_dq=5.0,
+        theta1_h=-1.5,
+        theta1_dh=0.0,
+    )
     test = unseen(curved)
     options = BARE | {"functions": ("tanh",), "starts": 12}
     on, off = fitted(curved, **options), fitted(curved, **BARE)
@@ -166,8 +175,13 @@ def test_the_initial_state_pays_for_a_bent_bristle() -> None:
 def test_all_extensions_are_on_by_default() -> None:
     truth = extended(
         plus(HX_BRISTLE, "h_load", ripple={"gear_ratio": GEAR_RATIO, "orders": [2]}),
-        **BRISTLE, c_h_load=0.2, ripple2_cos=0.6, ripple2_sin=-0.5, lag=3e-3, smoothing=1e-3,
-    )  # fmt: skip
+        **BRISTLE,
+        c_h_load=0.2,
+        ripple2_cos=0.6,
+        ripple2_sin=-0.5,
+        lag=3e-3,
+        smoothing=1e-3,
+    )
     found = fitted(truth)
     assert found.start_samples == 5
     assert [u.name for u in found.form.inputs] == ["dq", "q", "tau_load"]
@@ -204,9 +218,16 @@ def test_friction_that_relaxes_in_time_is_better_than_with_exact_lugre(alpha: fl
 
 def test_on_lugre_friction_it_is_close_to_lugre() -> None:
     truth = law(
-        "lugre", {}, sigma_0=2500.0, sigma_1=10.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1,
+        "lugre",
+        {},
+        sigma_0=2500.0,
+        sigma_1=10.0,
+        sigma_2=6.0,
+        F_c=9.0,
+        F_s=12.0,
+        v_s=0.1,
         tau_0=0.3,
-    )  # fmt: skip
+    )
     records, test = training(truth, noise=NOISE), unseen(truth)
     rng = np.random.default_rng(0)
     errors = [
@@ -237,9 +258,13 @@ def test_seeds_agree() -> None:
 
 def test_a_law_in_time_and_position_holds_at_rest_and_relaxes_while_moving() -> None:
     generalised = law(
-        "parfam_hx", {**HX_BRISTLE, "state": "generalised"},
-        **LINEAR, **PAPER, kappa=0.05, v_0=1e-3,
-    )  # fmt: skip
+        "parfam_hx",
+        {**HX_BRISTLE, "state": "generalised"},
+        **LINEAR,
+        **PAPER,
+        kappa=0.05,
+        v_0=1e-3,
+    )
     t = 0.01 * np.arange(200)
     rest = predict(generalised, t=t, dq=np.zeros(200), start=(0.7,))
     np.testing.assert_allclose(rest, 0.4 + 9.0 * 0.7, rtol=1e-12)

@@ -241,8 +241,10 @@ def test_the_load_of_bounds_stays_within_its_trained_range() -> None:
     new = record("three", 2)
     heavy, heaviest = (replace(new, tau_load=np.full_like(new.t, f * largest)) for f in (1.5, 3.0))
     np.testing.assert_array_equal(predict(law, **heavy.motion), predict(law, **heaviest.motion))
-    assert np.abs(predict(older, **heaviest.motion)).max() > 1.5 * np.abs(
-        predict(law, **heaviest.motion)).max()  # fmt: skip
+    assert (
+        np.abs(predict(older, **heaviest.motion)).max()
+        > 1.5 * np.abs(predict(law, **heaviest.motion)).max()
+    )
 
 
 def broken_away() -> FrictionRecord:

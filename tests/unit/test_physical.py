@@ -164,10 +164,11 @@ def test_errors_shrink_with_more_data_and_cover_the_truth(
     arm_model: Robot, make_motion: MakeMotion
 ) -> None:
     short, long = (
-        identify_motions([noisy(make_motion(friction=3.0, seconds=s), 0.5, 0)], arm_model,
-                         physical=True)
+        identify_motions(
+            [noisy(make_motion(friction=3.0, seconds=s), 0.5, 0)], arm_model, physical=True
+        )
         for s in (5.0, 40.0)
-    )  # fmt: skip
+    )
     assert np.all(long.standard_errors < short.standard_errors)
     carried = dependence(arm_model, long.base)
     error = carried @ (long.parameters - arm_model.nominal_parameters)

@@ -12,16 +12,20 @@ from hesr_model.friction.records import predict_record, record_start
 
 LUGRE = law(
     "lugre", {}, sigma_0=2000.0, sigma_1=10.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1, tau_0=0.3
-)  # fmt: skip
+)
 BRISTLE = law(
     "parfam_hx", HX_BRISTLE, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, kappa=100.0, rho=1.3, v_s=0.1
 )
 PAPER = law("parfam_hx", HX_PAPER, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=10.0, beta=50.0)
 STRIBECK = law("stribeck", {}, F_c=6.0, F_s=9.0, v_s=0.1, sigma_2=4.0, tau_0=-0.3)
 DAHL = law(
-    "dahl", {}, sigma_2=1.5, tau_0=0.1,
-    **{f"F_{i}": 2.0 for i in range(1, 6)}, **{f"kappa_{i}": 10.0 * i for i in range(1, 6)},
-)  # fmt: skip
+    "dahl",
+    {},
+    sigma_2=1.5,
+    tau_0=0.1,
+    **{f"F_{i}": 2.0 for i in range(1, 6)},
+    **{f"kappa_{i}": 10.0 * i for i in range(1, 6)},
+)
 
 
 def sampling(one: FrictionLaw, samples: int = 5) -> FrictionLaw:
@@ -50,10 +54,11 @@ def test_the_true_start_of_a_bristle_at_rest_is_found(
 
 def test_noise_is_averaged_over_the_samples() -> None:
     starts = [
-        record_start(sampling(BRISTLE, 5), along(BRISTLE, from_rest(), noise=0.5, seed=s,
-                                                 start=(0.5,)))[0]
+        record_start(
+            sampling(BRISTLE, 5), along(BRISTLE, from_rest(), noise=0.5, seed=s, start=(0.5,))
+        )[0]
         for s in range(40)
-    ]  # fmt: skip
+    ]
     assert np.mean(starts) == pytest.approx(0.5, abs=0.02)
     assert np.std(starts) == pytest.approx(0.5 / 9.0 / np.sqrt(5.0), rel=0.35)
 

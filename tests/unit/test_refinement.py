@@ -21,9 +21,17 @@ from hesr_model.robots.robot import Robot
 MakeMotion = Callable[..., Motion]
 
 BRISTLE = made(
-    "lugre_load", {}, sigma_0=600.0, sigma_1=0.0, sigma_2=4.0, F_c=12.0, F_s=18.0, v_s=0.15,
-    tau_0=0.5, mu=0.01,
-)  # fmt: skip
+    "lugre_load",
+    {},
+    sigma_0=600.0,
+    sigma_1=0.0,
+    sigma_2=4.0,
+    F_c=12.0,
+    F_s=18.0,
+    v_s=0.15,
+    tau_0=0.5,
+    mu=0.01,
+)
 """So soft that its memory resembles rigid-body torque in a fit with Coulomb columns."""
 NOISE = 0.2
 

@@ -58,10 +58,13 @@ def torque(problem: Separable, values: Mapping[str, float]) -> np.ndarray:
         rows = s.record == k
         parts.append(
             predict(
-                made, t=np.cumsum(s.dt[rows]), dq=s.dq[rows], q=s.q[rows],
+                made,
+                t=np.cumsum(s.dt[rows]),
+                dq=s.dq[rows],
+                q=s.q[rows],
                 tau_load=s.tau_load[rows],
             )
-        )  # fmt: skip
+        )
     return np.concatenate(parts)
 
 
@@ -91,8 +94,10 @@ def test_columns_follow_the_discretisation(samples: JointRows) -> None:
     values = problem.values(point, np.ones(5))
     expected = predict(
         FrictionLaw(name="made", form=problem.form, values=values, discretisation="euler"),
-        t=np.cumsum(samples.dt[rows]), dq=samples.dq[rows], tau_load=samples.tau_load[rows],
-    )  # fmt: skip
+        t=np.cumsum(samples.dt[rows]),
+        dq=samples.dq[rows],
+        tau_load=samples.tau_load[rows],
+    )
     found = (euler.columns(point) @ np.ones(5))[rows]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.ptp(expected))
     assert np.abs(found - (problem.columns(point) @ np.ones(5))[rows]).max() > 1e-3

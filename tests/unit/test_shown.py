@@ -68,10 +68,17 @@ def test_a_comparison_shows_errors_by_law(registry_models: dict[str, FrictionMod
     model = registry_models["lugre"]
     t = 0.01 * np.arange(500)
     records = [
-        FrictionRecord(log="a", joint=joint, t=t, dq=np.cos(t), q=np.sin(t), tau_load=0.0 * t,
-                       tau=3.0 * np.tanh(50.0 * np.cos(t)))
+        FrictionRecord(
+            log="a",
+            joint=joint,
+            t=t,
+            dq=np.cos(t),
+            q=np.sin(t),
+            tau_load=0.0 * t,
+            tau=3.0 * np.tanh(50.0 * np.cos(t)),
+        )
         for joint in model.joints
-    ]  # fmt: skip
+    ]
     scores = compare(by_joint([records]), {"lugre": predict_model(model, by_joint([records]))})
     _, spread, row = cells(scores._repr_html_())
     assert row == ["lugre", *(f"{error:.4g}" for error in scores.laws["lugre"].rmse)]

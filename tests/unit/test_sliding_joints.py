@@ -107,9 +107,10 @@ def test_a_fit_records_sliding_joints(model: FrictionModel) -> None:
     turns, slides = model.laws
     # The bounds of the search differ.
     assert slides.values == pytest.approx(turns.values, rel=1e-5)
-    units = {c.name: (c.unit, s.unit) for c, s in zip(
-        turns.form.coefficients, slides.form.coefficients, strict=True
-    )}  # fmt: skip
+    units = {
+        c.name: (c.unit, s.unit)
+        for c, s in zip(turns.form.coefficients, slides.form.coefficients, strict=True)
+    }
     assert units["sigma_0"] == ("N.m/rad", "N/m")
     assert units["sigma_2"] == ("N.m.s/rad", "N.s/m")
     assert units["v_s"] == ("rad/s", "m/s")
@@ -201,8 +202,10 @@ def test_the_scale_of_a_sliding_joint_is_that_of_its_friction() -> None:
     wide = law("dahl", {}, **{f"kappa_{k}": 1.0 / w for k, w in enumerate(
         (1e-4, 4e-4, 1e-3, 3e-3, 9e-3), 1)}, **{f"F_{k}": 4.0 for k in range(1, 6)},
         sigma_2=200.0, tau_0=0.0)  # fmt: skip
-    logs = [replace(along(wide, path(k, peak=0.1), noise=0.05, seed=k, log=str(k)), sliding=True)
-            for k in range(2)]  # fmt: skip
+    logs = [
+        replace(along(wide, path(k, peak=0.1), noise=0.05, seed=k, log=str(k)), sliding=True)
+        for k in range(2)
+    ]
     found = fit_joint("parfam_s_v", logs, seed=0)
     assert max(node for _, node in found.structure["stops"]) < len(DEFLECTIONS)
     turning = fit_joint(

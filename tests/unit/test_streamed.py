@@ -43,8 +43,11 @@ def assert_alike(one: RigidBody, other: RigidBody) -> None:
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-9 * float(np.abs(b).max()))
     assert one.condition == pytest.approx(other.condition, rel=1e-9)
     assert (one.base, one.rows, one.logs, one.ridge) == (
-        other.base, other.rows, other.logs, other.ridge
-    )  # fmt: skip
+        other.base,
+        other.rows,
+        other.logs,
+        other.ridge,
+    )
 
 
 def test_the_body_equals_that_of_the_batch(

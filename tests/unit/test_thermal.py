@@ -42,9 +42,17 @@ def log(
         temperature = thermal.ambient + thermal.rise(power, np.diff(t, prepend=t[0]), start)
         level, viscosity = thermal.factors(temperature)
         record = truth(
-            law, t, dq, q, load, seed=seed, level=lambda _, own=level: own,
-            viscosity=lambda _, own=viscosity: own, correlation=0.001, noise=WHITE,
-        )  # fmt: skip
+            law,
+            t,
+            dq,
+            q,
+            load,
+            seed=seed,
+            level=lambda _, own=level: own,
+            viscosity=lambda _, own=viscosity: own,
+            correlation=0.001,
+            noise=WHITE,
+        )
         clean = Factored(law).torque(record, level, viscosity)
         power = np.abs(clean * dq)
     return replace(record, log=f"log {seed}", temperature=temperature)
@@ -65,8 +73,9 @@ def fitted(logs: list[list[FrictionRecord]]) -> tuple[FrictionModel, ThermalFit]
 def test_held_factors_equal_the_stepped_equations(law) -> None:
     t, dq, q, load = motion(10.0, 4)
     level, viscosity = 1.0 + 0.2 * np.sin(t), 1.0 - 0.3 * np.cos(t)
-    record = truth(law(), t, dq, q, load, noise=0.0, level=lambda _: level,
-                   viscosity=lambda _: viscosity)  # fmt: skip
+    record = truth(
+        law(), t, dq, q, load, noise=0.0, level=lambda _: level, viscosity=lambda _: viscosity
+    )
     torque = Factored(law()).torque(record, level, viscosity)
     # The first row begins in a different steady state.
     late = t > 1.0
@@ -166,12 +175,16 @@ def test_the_temperature_of_factors_stays_within_its_trained_range(fitted, logs)
     known, found = fitted
     [thermal] = known.thermal
     seen = np.concatenate([of_joint[0].temperature for of_joint in logs])
-    assert (thermal.coldest, thermal.warmest) == (seen.min(), seen.max()) == (
-        found.thermal.coldest, found.thermal.warmest
-    )  # fmt: skip
+    assert (
+        (thermal.coldest, thermal.warmest)
+        == (seen.min(), seen.max())
+        == (found.thermal.coldest, found.thermal.warmest)
+    )
     day = log(stops(), 20.0, 7, start=30.0)
-    for beyond, limit in ((thermal.warmest + 20.0, thermal.warmest),
-                          (thermal.coldest - 20.0, thermal.coldest)):  # fmt: skip
+    for beyond, limit in (
+        (thermal.warmest + 20.0, thermal.warmest),
+        (thermal.coldest - 20.0, thermal.coldest),
+    ):
         torques = [
             known.predict([replace(day, temperature=np.full_like(day.t, temperature))])
             for temperature in (beyond, limit)
@@ -244,8 +257,9 @@ def test_logs_without_thermal_information_are_refused(logs) -> None:
     short = replace(first, temperature=None)
     with pytest.raises(FitError, match="the longest log takes 150 s; without temperatures it"):
         fit_thermal(model(stops()), [[short]])
-    cold = [[replace(log(lugre(), 310.0, 5, replace(TRUE, coulomb=0.0, viscous=0.0)),
-                     temperature=None)]]  # fmt: skip
+    cold = [
+        [replace(log(lugre(), 310.0, 5, replace(TRUE, coulomb=0.0, viscous=0.0)), temperature=None)]
+    ]
     with pytest.raises(FitError, match="friction does not change as the joint warms up"):
         fit_thermal(model(lugre()), cold)
     coupled = replace(model(stops()), coupling=Coupling(((2.0,),)))

@@ -26,9 +26,7 @@ from hesr_model.inference.covariance import correlation_length, standard_errors
 from hesr_model.laws.dahl import DahlBasis
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS, LuGre, LuGreLoadRipple
 
-TRUTH = law(
-    "strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5
-)  # fmt: skip
+TRUTH = law("strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5)
 CLEAN = along(TRUTH, path(0, from_rest=True))
 
 
@@ -127,8 +125,10 @@ def test_coefficients_without_effect_have_no_error() -> None:
 
 
 def test_more_data_reduce_the_errors() -> None:
-    records = [with_tau(r, r.tau + 0.3 * np.random.default_rng(k).normal(size=len(r.tau)))
-               for k, r in enumerate(along(TRUTH, path(k)) for k in range(4))]  # fmt: skip
+    records = [
+        with_tau(r, r.tau + 0.3 * np.random.default_rng(k).normal(size=len(r.tau)))
+        for k, r in enumerate(along(TRUTH, path(k)) for k in range(4))
+    ]
     one = with_standard_errors(TRUTH, records[:1]).standard_errors
     four = with_standard_errors(TRUTH, records).standard_errors
     assert np.mean([four[n] / one[n] for n in one]) == pytest.approx(0.5, rel=0.3)

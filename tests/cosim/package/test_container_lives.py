@@ -53,8 +53,11 @@ def lives(
         resources = (folder / "resources").as_uri()
         ended = subprocess.run(
             [host, library, about.guid, resources, str(count), *observed],
-            capture_output=True, text=True, check=False, timeout=3000,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=3000,
+        )
         assert ended.returncode == 0, ended.stderr[-4000:]
         return [int(n) for n in ended.stdout.split()]
 

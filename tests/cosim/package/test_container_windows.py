@@ -32,9 +32,13 @@ def rows(folder: Path, library: str, host: Path, *before: str, **environment: st
     place = ("file:///Z:" if before else "file://") + str(folder / "resources")
     command = [*before, host, folder / "binaries" / library, about.guid, place, STEPS, *observed]
     ended = subprocess.run(
-        [str(part) for part in command], capture_output=True, text=True, check=False,
-        timeout=900, env=os.environ | environment,
-    )  # fmt: skip
+        [str(part) for part in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=900,
+        env=os.environ | environment,
+    )
     assert ended.returncode == 0, ended.stderr
     found = np.array([line.split() for line in ended.stdout.splitlines()], dtype=float)
     assert found.shape == (STEPS, len(observed))
@@ -62,8 +66,12 @@ def test_the_closed_loop_matches_linux(wine: Wine, tmp_path: Path) -> None:
     dll = folder / "binaries/win64/bcryptprimitives.dll"
     compile_c(Path(missing), flags, dll, (*TARGETS["win64"].flags, "-ladvapi32"))
     found = rows(
-        folder, f"win64/{name}.dll", host, wine.program, **wine.environment,
-    )  # fmt: skip
+        folder,
+        f"win64/{name}.dll",
+        host,
+        wine.program,
+        **wine.environment,
+    )
     assert np.ptp(expected, axis=0).max() > 0.1  # the arm has moved
     worst = np.abs(found - expected).max(axis=0) / np.ptp(expected, axis=0)
     assert np.all(worst <= 1e-9), worst

@@ -93,7 +93,7 @@ FAHRENHEIT = "degF", si(K=1, factor=5 / 9, offset=459.67 * 5 / 9)
         ("turn", None, 3.0, ("turn", si(rad=1, factor=6.28)), 3.0),
         (None, None, 3.0, ("anything", None), 3.0),
     ],
-)  # fmt: skip
+)
 def test_a_number_is_in_the_unit_of_its_variable(
     unit: str | None, relative: bool | None, given: float, of: Unit, value: float
 ) -> None:

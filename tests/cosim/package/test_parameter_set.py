@@ -26,9 +26,12 @@ def model() -> FrictionModel:
     plain = FrictionModel.read(model_file("uf850-table1"))
     names = tuple(plain.laws[1].values)[:2]
     known = Covariance(
-        names=names, within=np.array([[4.0, -1.0], [-1.0, 0.3]]), between=2.0, degrees=50.0,
+        names=names,
+        within=np.array([[4.0, -1.0], [-1.0, 0.3]]),
+        between=2.0,
+        degrees=50.0,
         carried=np.zeros((2, 2)),
-    )  # fmt: skip
+    )
     first, second, *more = plain.laws
     return replace(plain, laws=(first, replace(second, covariance=known), *more))
 

@@ -139,8 +139,14 @@ def inline(parameters: str) -> str:
 
 def test_units_are_converted_between_connectors(ssp: Any, wired: Any) -> None:
     """y in 1 becomes u in %; the FMU is shared, and the unconnected input keeps its start."""
-    path = ssp(system(lag("a", bindings(binding(more=inline(U)))), lag("b", unit="%"),
-                      wires=wire("a.y", "b.u")), {"documentation/x.bin": "extra"})  # fmt: skip
+    path = ssp(
+        system(
+            lag("a", bindings(binding(more=inline(U)))),
+            lag("b", unit="%"),
+            wires=wire("a.y", "b.u"),
+        ),
+        {"documentation/x.bin": "extra"},
+    )
     compared(hesr.simulate(path, step=0.01).signals, wired({"u": 2.0}, {}, (100.0, 0.0)))
     kept = ssp(system(lag("a"), lag("b"), wires=wire("a.y", "b.u", suppressUnitConversion="true")))
     compared(hesr.simulate(kept, step=0.01).signals, wired({"u": 0.0}, {}))
@@ -158,37 +164,58 @@ def test_linear_transformations_follow_units(ssp: Any, wired: Any) -> None:
 
 def test_nested_systems_and_their_connectors_become_one_level(ssp: Any, wired: Any) -> None:
     """a is two levels down, b one; values pass through connectors in other units."""
-    deepest = system(lag("a"), ends=connector("in", "input", "%") + connector("out", "output"),
-                     wires=wire("in", "a.u") + wire("a.y", "out"), name="deepest")  # fmt: skip
-    inner = system(deepest, lag("b"), ends=connector("feed", "input", "1"),
-                   wires=wire("feed", "deepest.in") + wire("deepest.out", "b.u"),
-                   name="inner")  # fmt: skip
+    deepest = system(
+        lag("a"),
+        ends=connector("in", "input", "%") + connector("out", "output"),
+        wires=wire("in", "a.u") + wire("a.y", "out"),
+        name="deepest",
+    )
+    inner = system(
+        deepest,
+        lag("b"),
+        ends=connector("feed", "input", "1"),
+        wires=wire("feed", "deepest.in") + wire("deepest.out", "b.u"),
+        name="inner",
+    )
     value = '<ssv:Parameter name="target"><ssv:Real value="2"/></ssv:Parameter>'
-    path = ssp(system(inner, ends=connector("target", "input", "1"),
-                      wires=wire("target", "inner.feed"),
-                      more=bindings(binding(more=inline(value)))))  # fmt: skip
+    path = ssp(
+        system(
+            inner,
+            ends=connector("target", "input", "1"),
+            wires=wire("target", "inner.feed"),
+            more=bindings(binding(more=inline(value))),
+        )
+    )
     found = hesr.simulate(path, step=0.01)
     assert list(found.signals) == ["inner_deepest_a.y", "inner_b.y"]
     compared(found.signals, wired({"u": 2.0}, {}))
-    compared(hesr.simulate(path, step=0.01, set=["target=3.0", "inner.b.T=0.25"]).signals,
-             wired({"u": 3.0}, {"T": 0.25}))  # fmt: skip
+    compared(
+        hesr.simulate(path, step=0.01, set=["target=3.0", "inner.b.T=0.25"]).signals,
+        wired({"u": 3.0}, {"T": 0.25}),
+    )
 
 
 def test_sources_prefixes_and_mappings_are_applied(ssp: Any, wired: Any) -> None:
     """Later sources and outer systems win; a mapping applies its own names only."""
     millis = '<ssv:Parameter name="T"><ssv:Real value="250" unit="ms"/></ssv:Parameter>'
     other = '<ssv:Parameter name="u"><ssv:Real value="9"/></ssv:Parameter>' + millis
-    outer = ('<ssv:Parameter name="level"><ssv:Real value="4"/></ssv:Parameter>'
-             '<ssv:Parameter name="unused"><ssv:Real value="7"/></ssv:Parameter>')  # fmt: skip
-    mapped = (MAPPING + '<ssm:MappingEntry source="level" target="a.u"><ssc:LinearTransformation '
-              'factor="0.5" offset="0.25"/></ssm:MappingEntry></ssm:ParameterMapping>')  # fmt: skip
+    outer = (
+        '<ssv:Parameter name="level"><ssv:Real value="4"/></ssv:Parameter>'
+        '<ssv:Parameter name="unused"><ssv:Real value="7"/></ssv:Parameter>'
+    )
+    mapped = (
+        MAPPING + '<ssm:MappingEntry source="level" target="a.u"><ssc:LinearTransformation '
+        'factor="0.5" offset="0.25"/></ssm:MappingEntry></ssm:ParameterMapping>'
+    )
     files = {"own": other, "b": millis, "outer": outer}
     files = {f"resources/{name}.ssv": SETS + own + SET_END for name, own in files.items()}
     files["resources/map.ssm"] = mapped
     start = '<ssv:Parameter name="x_start"><ssv:Real value="0.75"/></ssv:Parameter>'
     own = bindings(binding("resources/own.ssv"), binding(more=inline(start)))
-    top = bindings(binding("resources/b.ssv", prefix="b."), binding(
-        "resources/outer.ssv", '<ssd:ParameterMapping source="resources/map.ssm"/>'))  # fmt: skip
+    top = bindings(
+        binding("resources/b.ssv", prefix="b."),
+        binding("resources/outer.ssv", '<ssd:ParameterMapping source="resources/map.ssm"/>'),
+    )
     path = ssp(system(lag("a", own), lag("b"), wires=wire("a.y", "b.u"), more=top), files)
     expected = wired({"u": 2.25, "T": 0.25, "x_start": 0.75}, {"T": 0.25})
     compared(hesr.simulate(path, step=0.01).signals, expected)
@@ -227,11 +254,16 @@ TABLE = (
 
 
 def test_connectors_of_every_type_are_connected(ssp: Any, typed_fmu: Path) -> None:
-    wires = (wire("a.ro", "b.r") + wire("a.io", "b.i", TABLE.format("Integer", "3", "-7"))
-             + wire("a.bo", "b.b", TABLE.format("Boolean", "true", "false"))
-             + wire("a.so", "b.s"))  # fmt: skip
-    path = ssp(system(typed("a", bindings(binding(more=inline(VALUES)))), typed("b"), wires=wires),
-               {"resources/Typed.fmu": typed_fmu})  # fmt: skip
+    wires = (
+        wire("a.ro", "b.r")
+        + wire("a.io", "b.i", TABLE.format("Integer", "3", "-7"))
+        + wire("a.bo", "b.b", TABLE.format("Boolean", "true", "false"))
+        + wire("a.so", "b.s")
+    )
+    path = ssp(
+        system(typed("a", bindings(binding(more=inline(VALUES)))), typed("b"), wires=wires),
+        {"resources/Typed.fmu": typed_fmu},
+    )
     found = hesr.simulate(path, step=0.5).signals
     last = {name: column[-1] for name, column in found.items()}
     assert last == {"a.ro": 1.5, "a.io": 3, "a.bo": True, "a.so": "some text",
@@ -241,8 +273,10 @@ def test_connectors_of_every_type_are_connected(ssp: Any, typed_fmu: Path) -> No
 
 
 def test_types_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) -> None:
-    path = ssp(system(typed("a"), typed("b"), wires=wire("a.ro", "b.i")),
-               {"resources/Typed.fmu": typed_fmu})  # fmt: skip
+    path = ssp(
+        system(typed("a"), typed("b"), wires=wire("a.ro", "b.i")),
+        {"resources/Typed.fmu": typed_fmu},
+    )
     said = r"the input is of type Integer, the output of type Real, which does not fit\."
     with pytest.raises(ConfigError, match=said):
         hesr.simulate(path)
@@ -262,8 +296,12 @@ def test_enumerations_are_mapped_by_name(ssp: Any, typed_fmu: Path, tmp_path: Pa
     )
     value = '<ssv:Parameter name="i"><ssv:Enumeration value="low"/></ssv:Parameter>'
     own = typed("a", bindings(binding(more=inline(value))))
-    path = ssp(system(own, typed("b"), wires=wire("a.io", "b.i", TABLE.format(
-        "Enumeration", "low", "high"))), {"resources/Typed.fmu": changed})  # fmt: skip
+    path = ssp(
+        system(
+            own, typed("b"), wires=wire("a.io", "b.i", TABLE.format("Enumeration", "low", "high"))
+        ),
+        {"resources/Typed.fmu": changed},
+    )
     found = hesr.simulate(path, step=0.5).signals
     assert (found["a.io"][-1], found["b.io"][-1]) == (1, 2)
 
@@ -312,12 +350,18 @@ def test_parameters_of_systems_are_transformed_like_signals(ssp: Any, typed_fmu:
 def test_a_mapping_is_applied_before_the_connections_of_its_target(ssp: Any, wired: Any) -> None:
     """200 ms are .2 s, with the mapping .6 s; the connection doubles that."""
     linear = '<ssc:LinearTransformation factor="{}" offset="{}"/>'
-    own = binding(more=inline(one("t", "Real", "200", "ms"))
-                  + mapping("t", "lag", linear.format(2, 0.2)))  # fmt: skip
-    path = ssp(system(lag("a", bindings(binding(more=inline(U)))), lag("b"),
-                      ends=connector("lag", "parameter", "s"), more=bindings(own),
-                      wires=wire("a.y", "b.u") + wire("lag", "b.T", linear.format(2, 0)))
-               )  # fmt: skip
+    own = binding(
+        more=inline(one("t", "Real", "200", "ms")) + mapping("t", "lag", linear.format(2, 0.2))
+    )
+    path = ssp(
+        system(
+            lag("a", bindings(binding(more=inline(U)))),
+            lag("b"),
+            ends=connector("lag", "parameter", "s"),
+            more=bindings(own),
+            wires=wire("a.y", "b.u") + wire("lag", "b.T", linear.format(2, 0)),
+        )
+    )
     compared(hesr.simulate(path, step=0.01).signals, wired({"u": 2.0}, {"T": 1.2}))
 
 
@@ -350,8 +394,11 @@ def test_differences_are_converted_without_offset(
     relative: str, ssp: Any, wired: Any, lag_fmu: Path, tmp_path: Path
 ) -> None:
     """FMPy reads the attribute of types only."""
-    unit = ('<Unit name="1">', '<Unit name="K"><BaseUnit K="1"/></Unit><Unit name="degC"><BaseUnit '
-            'K="1" offset="273.15"/></Unit><Unit name="1">')  # fmt: skip
+    unit = (
+        '<Unit name="1">',
+        '<Unit name="K"><BaseUnit K="1"/></Unit><Unit name="degC"><BaseUnit '
+        'K="1" offset="273.15"/></Unit><Unit name="1">',
+    )
     end = "</UnitDefinitions>"
     kind = f'<TypeDefinitions><SimpleType name="D"><Real relativeQuantity="{relative}"/>'
     types = (end, f"{end}{kind}</SimpleType></TypeDefinitions>")
@@ -389,15 +436,23 @@ def test_transformations_that_do_not_fit_are_refused(ssp: Any, typed_fmu: Path) 
     number = TABLE.format("Integer", "3", "x")
     table = binding(more=inline(one("n", "Integer", "3")) + mapping("n", "a.i", number))
     for root, said in (
-        (system(typed("a"), typed("b"), wires=wire("a.so", "b.s", linear)),
-         "connection 'b.s' = 'a.so': its transformation does not fit the type String."),
-        (system(typed("a"), typed("b"), wires=wire("a.io", "b.i", linear)),
-         "connection 'b.i' = 'a.io': its transformation does not fit the type Integer."),
-        (system(typed("a"), more=bindings(text)),
-         "component 'a': parameter 's': its transformation does not fit 'x'."),
-        (system(typed("a"), more=bindings(table)),
-         "component 'a': parameter 'i': its transformation does not fit 3."),
-    ):  # fmt: skip
+        (
+            system(typed("a"), typed("b"), wires=wire("a.so", "b.s", linear)),
+            "connection 'b.s' = 'a.so': its transformation does not fit the type String.",
+        ),
+        (
+            system(typed("a"), typed("b"), wires=wire("a.io", "b.i", linear)),
+            "connection 'b.i' = 'a.io': its transformation does not fit the type Integer.",
+        ),
+        (
+            system(typed("a"), more=bindings(text)),
+            "component 'a': parameter 's': its transformation does not fit 'x'.",
+        ),
+        (
+            system(typed("a"), more=bindings(table)),
+            "component 'a': parameter 'i': its transformation does not fit 3.",
+        ),
+    ):
         path = ssp(root, {"resources/Typed.fmu": typed_fmu})
         with pytest.raises(ConfigError) as error:
             hesr.simulate(path)

@@ -66,17 +66,27 @@ def slip(folder: Path, *, output: str = "tau[1]") -> Path:
             Variable(name="dq[1]", role="input", description="velocity", unit="rad/s"),
             Variable(name="q[1]", role="input", description="position", unit="rad"),
             Variable(name="tau_load[1]", role="input", description="load", unit="N.m"),
-            Variable(name=output, role="output", description="friction", unit="N.m",
-                     dependencies=("dq[1]",)),
+            Variable(
+                name=output,
+                role="output",
+                description="friction",
+                unit="N.m",
+                dependencies=("dq[1]",),
+            ),
         ),
         own=3,
         model_exchange=False,
         directional_derivatives=False,
-    )  # fmt: skip
+    )
     about = Description(
-        name="Slip", identifier="slip", text="Spring-sliders.", version="1", step=0.005,
-        created="2000-01-01T00:00:00Z", sources=("all.c",),
-    )  # fmt: skip
+        name="Slip",
+        identifier="slip",
+        text="Spring-sliders.",
+        version="1",
+        step=0.005,
+        created="2000-01-01T00:00:00Z",
+        sources=("all.c",),
+    )
     sources = {"slip.c": SLIP.read_text(encoding="utf-8")}
     return write_fmu(
         Content(table=table, about=about, members={}, sources=sources), folder / "Slip.fmu"

@@ -102,9 +102,12 @@ def test_a_bristle_lags_only_on_a_falling_level(
 def test_checks_of_the_fmu_agree_with_the_audit_of_its_law(table_1: Properties) -> None:
     laws = FrictionModel.read(model_file("uf850-table1"))
     seen = TrainedRange(
-        sample_time=laws.sample_time, dq=(-1.2, 1.2), q=(0.0, 0.0), tau_load=(0.0, 0.0),
+        sample_time=laws.sample_time,
+        dq=(-1.2, 1.2),
+        q=(0.0, 0.0),
+        tau_load=(0.0, 0.0),
         tau=(0.0, 0.0),
-    )  # fmt: skip
+    )
     for joint, of_joint in enumerate(laws.laws, start=1):
         expected = audit(of_joint, seen)
         assert value(table_1, "chatter", joint) == pytest.approx(expected.chatter, rel=1e-9)

@@ -63,9 +63,13 @@ def test_skipped_checks_have_no_plot_and_names_are_escaped(tmp_path: Path) -> No
     hostile = '<b onclick="x">'
     made = model(bristle())
     named = type(made)(
-        law=made.law, robot=hostile, joints=(hostile,), laws=made.laws, trained=made.trained,
+        law=made.law,
+        robot=hostile,
+        joints=(hostile,),
+        laws=made.laws,
+        trained=made.trained,
         sample_time=made.sample_time,
-    )  # fmt: skip
+    )
     found = measure(Subject(name="hostile", model=named))
     sheet = page(export_fmu(named, tmp_path / "hostile.fmu", properties=found))
     assert not any(tag == "b" for tag, _ in sheet.tags)

@@ -12,8 +12,9 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.laws.lugre import LuGre
 
-BAND = Band(floor=0.7, slow=0.0, slow_speed=0.02, rest=0.0, fast=0.5, load=0.0, tail=0.65,
-            envelope=0.0)  # fmt: skip
+BAND = Band(
+    floor=0.7, slow=0.0, slow_speed=0.02, rest=0.0, fast=0.5, load=0.0, tail=0.65, envelope=0.0
+)
 
 
 def test_both_limits_of_a_band_are_drawn() -> None:

@@ -136,9 +136,13 @@ def test_loops_of_friction(recorded) -> None:
     laws = {f"law {k}": (DQ, TAU + k) for k in range(7)}
     recorded(
         loops((DQ, TAU), laws, x="velocity", y="torque", points=50),
-        loops((np.tile(DQ, 9), np.tile(TAU, 9)), {"a": (np.tile(DQ, 9), np.tile(TAU, 9))},
-              x="v", y="tau"),
-    )  # fmt: skip
+        loops(
+            (np.tile(DQ, 9), np.tile(TAU, 9)),
+            {"a": (np.tile(DQ, 9), np.tile(TAU, 9))},
+            x="v",
+            y="tau",
+        ),
+    )
 
 
 def test_ratios_with_intervals(recorded) -> None:
@@ -150,9 +154,10 @@ def test_ratios_with_intervals(recorded) -> None:
     one = {"a": [Ratio(value=1.5, low=1.2, high=1.9)]}
     names = [f"J{k}" for k in range(7)]
     recorded(
-        ratios(narrow, ["J1", "J2"], x="ratio"), ratios(wide, names, x="ratio"),
+        ratios(narrow, ["J1", "J2"], x="ratio"),
+        ratios(wide, names, x="ratio"),
         ratios(one, ["J1"], x="ratio"),
-    )  # fmt: skip
+    )
 
 
 def test_sheets_of_closed_lines(recorded) -> None:

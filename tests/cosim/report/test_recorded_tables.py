@@ -102,11 +102,15 @@ COMPARISON = Comparison(
     seconds=(12.4, 80.0),
 )
 SHORT = Comparison(
-    joints=("a", "b"), tau_std=(4.0, 30.0), laws={"lugre": law(1.0, 12.0), "dahl": law(3.0, 9.0)},
+    joints=("a", "b"),
+    tau_std=(4.0, 30.0),
+    laws={"lugre": law(1.0, 12.0), "dahl": law(3.0, 9.0)},
     ratios=Ratios(reference="lugre", laws={"dahl": (ratio(3.0), ratio(0.75))}),
-    leading=(("lugre", "dahl"), ("dahl", "lugre")), per_log=("tau_0", "offset"),
-    detectable=({}, {}), seconds=(40.0, 50.0),
-)  # fmt: skip
+    leading=(("lugre", "dahl"), ("dahl", "lugre")),
+    per_log=("tau_0", "offset"),
+    detectable=({}, {}),
+    seconds=(40.0, 50.0),
+)
 
 
 def test_numbers_of_a_gear_have_the_digits_of_their_errors() -> None:
@@ -146,10 +150,11 @@ def test_errors_on_other_plants_and_of_positions(recorded: Recorded) -> None:
     }
     comparisons = {"unseen": COMPARISON, "second": SHORT}
     positions = PositionErrors(
-        joints=("a", "b"), lengths=(0.2, 0.5),
+        joints=("a", "b"),
+        lengths=(0.2, 0.5),
         windows={"lugre": ((0.001, 0.02), (0.0035, None)), "dahl": ((0.002, 0.03), (0.3, 1.0))},
         open_loop={"lugre": (0.125, 0.5)},
-    )  # fmt: skip
+    )
     recorded(
         [
             scores.other_truths(comparisons, {"stiff": other}),
@@ -174,9 +179,12 @@ def test_errors_of_the_closed_loop(recorded: Recorded) -> None:
         scheme=first, law="dahl", rmse=np.full((2, 2), np.nan), last=np.full((2, 2), np.nan)
     )
     rows = [
-        tracked(first, "lugre", 1.0), tracked(second, "lugre", 0.7), lost,
-        tracked(first, StandIn.ORACLE, 0.001), tracked(second, StandIn.BODY_ONLY, 9.0),
-    ]  # fmt: skip
+        tracked(first, "lugre", 1.0),
+        tracked(second, "lugre", 0.7),
+        lost,
+        tracked(first, StandIn.ORACLE, 0.001),
+        tracked(second, StandIn.BODY_ONLY, 9.0),
+    ]
     found = LoopOutcome(
         tracking=rows,
         long=[tracked(first, "lugre", 1.0, motions=1), tracked(second, "dahl", 2.0, motions=1)],
@@ -195,10 +203,16 @@ def findings(values: list[float | None], verdicts: list[str]) -> Properties:
         return PropertyResult(verdict=verdict, figures=figures, reason=f"it {verdict}s")  # type: ignore[arg-type]
 
     return Properties(
-        law="x", robot="bench", tau_load=0.0,
+        law="x",
+        robot="bench",
+        tau_load=0.0,
         joints=tuple(
             JointProperties(
-                joint=f"j{k}", speed=1.0, level=1.0, deflection=1e-3, inertia=None,
+                joint=f"j{k}",
+                speed=1.0,
+                level=1.0,
+                deflection=1e-3,
+                inertia=None,
                 findings={
                     key: result(values[(k + n) % len(values)], verdicts[(k + n) % len(verdicts)])
                     for n, key in enumerate(EXPECTATIONS)
@@ -206,7 +220,7 @@ def findings(values: list[float | None], verdicts: list[str]) -> Properties:
             )
             for k in range(2)
         ),
-    )  # fmt: skip
+    )
 
 
 def test_physics_checks(recorded: Recorded) -> None:
@@ -217,10 +231,12 @@ def test_physics_checks(recorded: Recorded) -> None:
     }
     recorded(
         [
-            laws.properties(found), laws.properties(found, full=True),
-            laws.legend((False, True)), laws.reasons(found),
+            laws.properties(found),
+            laws.properties(found, full=True),
+            laws.legend((False, True)),
+            laws.reasons(found),
         ]
-    )  # fmt: skip
+    )
 
 
 def test_conventions_and_draws(recorded: Recorded) -> None:
@@ -229,24 +245,33 @@ def test_conventions_and_draws(recorded: Recorded) -> None:
 
     error = [Error(rmse=0.1234, rmse_reversal=1.25), Error(rmse=2.0, rmse_reversal=3.0005)]
     convention = Convention(
-        joints=("a", "b"), step=0.004, frequency=0.25, speeds=(0.5, 0.12345),
-        replay={"direct": tuple(error)}, continuous={"direct": tuple(error[::-1])},
-    )  # fmt: skip
+        joints=("a", "b"),
+        step=0.004,
+        frequency=0.25,
+        speeds=(0.5, 0.12345),
+        replay={"direct": tuple(error)},
+        continuous={"direct": tuple(error[::-1])},
+    )
     seeds = Seeds(
-        seeds=5, joints=("a", "b"), reference="lugre",
+        seeds=5,
+        joints=("a", "b"),
+        reference="lugre",
         tests={
             "unseen": SeedScores(
                 rmse={"lugre": (spread(1.0), spread(2.5)), "dahl": (spread(3.0), spread(0.1))},
                 ratios={"dahl": (spread(3.0), spread(0.04))},
             )
         },
-    )  # fmt: skip
+    )
     recorded([laws.convention("Friction.fmu", convention), *over_draws(seeds)])
 
 
 def test_leaving_a_trained_range_is_told() -> None:
-    found = [{"dq": Excess(rows=0.1234, below=0.5, above=0.25)}, {}, {"tau_load": Excess(
-        rows=0.5, below=1.0, above=20.0)}]  # fmt: skip
+    found = [
+        {"dq": Excess(rows=0.1234, below=0.5, above=0.25)},
+        {},
+        {"tau_load": Excess(rows=0.5, below=1.0, above=20.0)},
+    ]
     assert laws.leaving(("a", "b", "c"), found, (False, False, True)).splitlines() == [
         "a: dq leaves the trained range in 12.3 % of the rows, by up to 0.5 rad/s.",
         "c: tau_load leaves the trained range in 50.0 % of the rows, by up to 20 N.",

@@ -426,19 +426,27 @@ def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("results", "name", "change", "said"),
     [
-        ("part", "run.json", lambda d: d.update(format="x"),
-         "'format' is 'x', expected 'hesr-run-1'."),
+        (
+            "part",
+            "run.json",
+            lambda d: d.update(format="x"),
+            "'format' is 'x', expected 'hesr-run-1'.",
+        ),
         ("part", "run.json", lambda d: d.pop("logs"), "key 'logs' is missing."),
         ("part", "run.json", lambda d: d.update(more=1), "not the description of a run"),
-        ("part", "evaluation.json", lambda d: d.clear(),
-         "not the scores of a run (it has no test set)."),
+        (
+            "part",
+            "evaluation.json",
+            lambda d: d.clear(),
+            "not the scores of a run (it has no test set).",
+        ),
         ("part", "evaluation.json", lambda d: d["unseen"].pop("laws"), "key 'laws' is missing."),
         ("part", "evaluation.json", lambda d: d.update(unseen=1), "not the scores of a run"),
         whole("closed_loop.json", lambda d: d.pop("long"), "key 'long' is missing."),
         whole("closed_loop.json", lambda d: d.update(long=[1]), "not the closed loop of a run"),
     ],
     indirect=["results"],
-)  # fmt: skip
+)
 def test_errors_in_a_file_are_reported(
     copied: Path,
     name: str,

@@ -47,9 +47,16 @@ def records(seed: int) -> list[FrictionRecord]:
         noise = np.random.default_rng(10 * seed + k).normal(0.0, 0.3, len(t))
         tau = 3.0 * np.tanh(30.0 * dq) + 1.5 * dq + noise
         found.append(
-            FrictionRecord(log=f"log{seed}", joint=joint, t=t, dq=dq, q=np.cumsum(0.01 * dq),
-                           tau_load=load, tau=tau)
-        )  # fmt: skip
+            FrictionRecord(
+                log=f"log{seed}",
+                joint=joint,
+                t=t,
+                dq=dq,
+                q=np.cumsum(0.01 * dq),
+                tau_load=load,
+                tau=tau,
+            )
+        )
     return found
 
 
@@ -58,10 +65,13 @@ def model(name: str, values: dict[str, float], *, scale: float = 1.0) -> Frictio
     one = law(name, {}, **own)
     errors = dict.fromkeys(own, 0.01)
     return FrictionModel(
-        law=name, robot="bench", joints=JOINTS, sample_time=0.01,
+        law=name,
+        robot="bench",
+        joints=JOINTS,
+        sample_time=0.01,
         laws=(replace(one, standard_errors=errors), replace(one, values=own | {"F_c": 2.9})),
         trained=tuple(TrainedRange.of([record]) for record in records(1)),
-    )  # fmt: skip
+    )
 
 
 def scored(logs: list[FrictionRecord], models: dict[str, FrictionModel]) -> Comparison:
@@ -77,53 +87,87 @@ def outcome() -> LoopOutcome:
         return Tracked(scheme=scheme, law=name, rmse=rmse, last=rmse / 8.0)
 
     schemes = [
-        Scheme(compensation="none"), Scheme(compensation="torque_error"),
-        Scheme(compensation="torque_error", Kx=5.0), Scheme(compensation="servo_inversion"),
+        Scheme(compensation="none"),
+        Scheme(compensation="torque_error"),
+        Scheme(compensation="torque_error", Kx=5.0),
+        Scheme(compensation="servo_inversion"),
         Scheme(compensation="servo_inversion", source="filtered"),
-    ]  # fmt: skip
+    ]
     names = (StandIn.BODY_ONLY, "lugre", "own")
-    rows = [tracked(s, n, 1.0 + k + 0.1 * m) for k, s in enumerate(schemes)
-            for m, n in enumerate(names)]  # fmt: skip
+    rows = [
+        tracked(s, n, 1.0 + k + 0.1 * m) for k, s in enumerate(schemes) for m, n in enumerate(names)
+    ]
     return LoopOutcome(
-        tracking=rows, long=rows[:2], sweeps=[replace(rows[0], law="lugre")],
+        tracking=rows,
+        long=rows[:2],
+        sweeps=[replace(rows[0], law="lugre")],
         overcompensation=[Overcompensation(law="lugre", scheme=schemes[1], factor=1.5)],
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
 def results(tmp_path: Path) -> Results:
     models = {
-        "stribeck": model("stribeck", COULOMB, scale=0.9), "lugre": model("lugre", BRISTLES),
+        "stribeck": model("stribeck", COULOMB, scale=0.9),
+        "lugre": model("lugre", BRISTLES),
         "own": replace(model("lugre", BRISTLES, scale=1.2), law="lugre"),
-    }  # fmt: skip
+    }
     test = records(2)
     write_torques(
-        tmp_path / "traces" / "torques_1.npz", test,
-        {name: [one[0] for one in of_law]
-         for name, of_law in predict_models(models, [[r] for r in test]).items()}
+        tmp_path / "traces" / "torques_1.npz",
+        test,
+        {
+            name: [one[0] for one in of_law]
+            for name, of_law in predict_models(models, [[r] for r in test]).items()
+        }
         | {ORACLE: [r.tau for r in test]},
-    )  # fmt: skip
+    )
     whole = scored(test, models)
     half = scored([r.rows(slice(900, None)) for r in test], models)
     log = SavedLog(
-        name="unseen log", file="unseen.csv", sha256="ab", roles=("unseen", "identification"),
-        rows=1800, duration=17.99, rate=100.0, trace="torques_1.npz",
-    )  # fmt: skip
+        name="unseen log",
+        file="unseen.csv",
+        sha256="ab",
+        roles=("unseen", "identification"),
+        rows=1800,
+        duration=17.99,
+        rate=100.0,
+        trace="torques_1.npz",
+    )
     other = replace(log, name="train", file="t.csv", roles=("training",), trace="", sample=True)
     run = SavedRun(
-        study="made up", command="hesr run study.toml", robot="bench", model="arm.xml",
-        joints=JOINTS, gear_ratio=(101.0, 50.5), twin=True, quick=False, seed=3,
+        study="made up",
+        command="hesr run study.toml",
+        robot="bench",
+        model="arm.xml",
+        joints=JOINTS,
+        gear_ratio=(101.0, 50.5),
+        twin=True,
+        quick=False,
+        seed=3,
         logs=(log, other, replace(other, name="spare", roles=())),
         bands=(TimeBand(test="unseen", name="late", start=9.0),),
-        inputs={"stribeck": "v", "lugre": "v", "own": "v"}, variants={"own": "lugre"},
-        controller={"drift": 12.0, "Kx": 5.0}, versions={"numpy": "2.0", "hesr": "0.1"},
-    )  # fmt: skip
+        inputs={"stribeck": "v", "lugre": "v", "own": "v"},
+        variants={"own": "lugre"},
+        controller={"drift": 12.0, "Kx": 5.0},
+        versions={"numpy": "2.0", "hesr": "0.1"},
+    )
     body = RigidBody(
-        robot="bench", joints=JOINTS, names=("l1.m", "l1.Ir", "l2.m"), base=(0, 1),
-        parameters=np.array([1.2345, -0.5, 0.0]), standard_errors=np.array([0.0123, 0.25]),
-        condition=12.345, ridge=0.0, friction=np.zeros((2, 3)), rmse=np.array([0.123, 4.567]),
-        rows=1800, logs=("log1",), method="stacked", weighting="wls",
-    )  # fmt: skip
+        robot="bench",
+        joints=JOINTS,
+        names=("l1.m", "l1.Ir", "l2.m"),
+        base=(0, 1),
+        parameters=np.array([1.2345, -0.5, 0.0]),
+        standard_errors=np.array([0.0123, 0.25]),
+        condition=12.345,
+        ridge=0.0,
+        friction=np.zeros((2, 3)),
+        rmse=np.array([0.123, 4.567]),
+        rows=1800,
+        logs=("log1",),
+        method="stacked",
+        weighting="wls",
+    )
     findings = [
         Finding(check="a", severity="warning", found="one", remedy="do it"),
         Finding(check="b", severity="advice", logs=("unseen log",), found="two"),
@@ -137,13 +181,21 @@ def results(tmp_path: Path) -> Results:
     path = Trace(t=t, q_d=np.column_stack([t, t]), q=np.column_stack([t + 0.01, t - 0.02]))
     keys = [(Scheme(compensation="torque_error"), name) for name in (StandIn.BODY_ONLY, "lugre")]
     return Results(
-        folder=tmp_path, run=run, body=body, models=models,
+        folder=tmp_path,
+        run=run,
+        body=body,
+        models=models,
         comparisons={"unseen": whole, "late": half},
         truths={"stiff": {"unseen": {"stribeck": (1.0, 2.0), "lugre": (0.5, 0.7)}}},
-        loop=outcome(), paths=dict.fromkeys(keys, path),
-        provenance={"files": [{"name": "robot.toml", "sha256": "cd"},
-                              {"name": "unseen.csv", "sha256": "ab"}]},
-    )  # fmt: skip
+        loop=outcome(),
+        paths=dict.fromkeys(keys, path),
+        provenance={
+            "files": [
+                {"name": "robot.toml", "sha256": "cd"},
+                {"name": "unseen.csv", "sha256": "ab"},
+            ]
+        },
+    )
 
 
 _NUMBER = re.compile(r"-?\d+\.\d{4,}(e-\d+)?")

@@ -61,8 +61,12 @@ def test_our_binaries_pass(table1, tmp_path):
 
 
 def test_a_wrong_name_is_reported(table1_fmu, tmp_path):
-    path = changed(table1_fmu, tmp_path / "F.fmu", only_co_simulation, {
-        BINARY: None, "binaries/linux64/other.so": members(table1_fmu)[BINARY]})  # fmt: skip
+    path = changed(
+        table1_fmu,
+        tmp_path / "F.fmu",
+        only_co_simulation,
+        {BINARY: None, "binaries/linux64/other.so": members(table1_fmu)[BINARY]},
+    )
     assert said(path) == [
         "binaries/linux64: it lacks 'friction_parfam_h.so', the name that modelIdentifier of "
         "CoSimulation requires."
@@ -72,19 +76,34 @@ def test_a_wrong_name_is_reported(table1_fmu, tmp_path):
 @pytest.mark.parametrize(
     ("target", "folder", "text"),
     [
-        ("aarch64-linux-gnu.2.17", "linux64",
-         "it is ELF for AARCH64; needed in this folder is ELF for X86_64."),
-        ("x86-linux-gnu.2.17", "linux64",
-         "it is ELF for I386; needed in this folder is ELF for X86_64."),
-        ("x86_64-windows-gnu", "linux64",
-         "it is PE for AMD64; needed in this folder is ELF for X86_64."),
-        ("x86_64-linux-gnu.2.17", "win64",
-         "it is ELF for X86_64; needed in this folder is PE for AMD64."),
-        ("x86_64-linux-gnu.2.17", "darwin64",
-         "it is ELF for X86_64; needed in this folder is Mach-O for X86_64 or ARM64."),
+        (
+            "aarch64-linux-gnu.2.17",
+            "linux64",
+            "it is ELF for AARCH64; needed in this folder is ELF for X86_64.",
+        ),
+        (
+            "x86-linux-gnu.2.17",
+            "linux64",
+            "it is ELF for I386; needed in this folder is ELF for X86_64.",
+        ),
+        (
+            "x86_64-windows-gnu",
+            "linux64",
+            "it is PE for AMD64; needed in this folder is ELF for X86_64.",
+        ),
+        (
+            "x86_64-linux-gnu.2.17",
+            "win64",
+            "it is ELF for X86_64; needed in this folder is PE for AMD64.",
+        ),
+        (
+            "x86_64-linux-gnu.2.17",
+            "darwin64",
+            "it is ELF for X86_64; needed in this folder is Mach-O for X86_64 or ARM64.",
+        ),
         ("x86_64-linux-gnu.2.17", "x86_64-linux", None),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_machine_type_is_reported(target, folder, text, library, of):
     suffix = binaries.PLATFORMS[2][folder].suffix
     name = f"binaries/{folder}/friction_parfam_h{suffix}"
@@ -109,8 +128,10 @@ def test_a_broken_library_is_reported(of):
 
 def test_a_program_is_reported(library, of):
     program = library(
-        "int main(void) { return 0; }", flags=(*LINUX, "-no-pie"), last=("-rdynamic",),
-    )  # fmt: skip
+        "int main(void) { return 0; }",
+        flags=(*LINUX, "-no-pie"),
+        last=("-rdynamic",),
+    )
     found = of(program)
     assert f"{BINARY}: it is a program or object file; expected a shared library." in found
 

@@ -102,8 +102,9 @@ def container(table1_fmu, tmp_path):
     config = pytest.importorskip("fmpy.container_fmu.config")
     part = config.Component(name="a", filename=table1_fmu, modelDescription=inner)
     dq = ModelVariable("dq", 0, "Real", causality="input", variability="continuous", start="0")
-    tau = ModelVariable("tau", 1, "Real", causality="output", variability="continuous",
-                        initial="calculated")  # fmt: skip
+    tau = ModelVariable(
+        "tau", 1, "Real", causality="output", variability="continuous", initial="calculated"
+    )
     about = ModelDescription(
         fmiVersion="2.0",
         modelName="Container",

@@ -166,8 +166,9 @@ BOMB = b"<?xml version='1.0' encoding='UTF-8'?><!DOCTYPE x><x/>"
 
 @pytest.mark.parametrize("content", [GOOD, BOMB])
 def test_validators_get_only_checked_xml(content, source_fmu, vdmcheck, tmp_path):
-    folder = vdmcheck(f"for last; do :; done; cp \"$last\" {tmp_path}/seen.fmu; "
-                      "echo 'No errors found.'")  # fmt: skip
+    folder = vdmcheck(
+        f"for last; do :; done; cp \"$last\" {tmp_path}/seen.fmu; echo 'No errors found.'"
+    )
     terminals = "terminalsAndIcons/terminalsAndIcons.xml"
     path = changed(source_fmu, tmp_path / "F.fmu", files={terminals: content})
     found = check(path, vdmcheck=folder)
@@ -192,9 +193,14 @@ def test_fmpy_parses_only_names_that_are_not_plainly_legal(table1_fmu, tmp_path,
         root.set("variableNamingConvention", convention)
         for name in names:
             variable = etree.SubElement(
-                root.find("ModelVariables"), "ScalarVariable", name=name, valueReference="99999",
-                causality="parameter", variability="fixed", initial="exact",
-            )  # fmt: skip
+                root.find("ModelVariables"),
+                "ScalarVariable",
+                name=name,
+                valueReference="99999",
+                causality="parameter",
+                variability="fixed",
+                initial="exact",
+            )
             etree.SubElement(variable, "Real", start="0")
         file = tmp_path / "modelDescription.xml"
         file.write_bytes(etree.tostring(root))

@@ -49,8 +49,12 @@ def assert_report(path, data):
 
 
 @QUIET
-@given(flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)),
-                      min_size=1, max_size=8), tail=st.booleans())  # fmt: skip
+@given(
+    flips=st.lists(
+        st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=8
+    ),
+    tail=st.booleans(),
+)
 def test_flipped_bytes_give_a_report(flips, tail, small, tmp_path, alone):
     """Anywhere, or only in the table of contents."""
     data = bytearray(small)

@@ -14,17 +14,26 @@ STEP = 0.1
 
 def variable(name: str, variability: str = "continuous", **own: str) -> ParsedVariable:
     return ParsedVariable(
-        index=1, name=name, reference=7, causality="output", variability=variability,
-        declared_initial=None, kind="Real", own=own, type=None,
-    )  # fmt: skip
+        index=1,
+        name=name,
+        reference=7,
+        causality="output",
+        variability=variability,
+        declared_initial=None,
+        kind="Real",
+        own=own,
+        type=None,
+    )
 
 
 @pytest.fixture
 def master(tmp_path: Path) -> _Master:
     about = SimpleNamespace(
         variables=[variable("y"), variable("z"), variable("d", "discrete")],
-        experiment={"stepSize": str(STEP)}, attributes={}, structure={"Derivatives": []},
-    )  # fmt: skip
+        experiment={"stepSize": str(STEP)},
+        attributes={},
+        structure={"Derivatives": []},
+    )
     return _Master(about, {}, tmp_path)  # type: ignore[arg-type]
 
 
@@ -73,8 +82,10 @@ def test_outputs_may_have_any_value_of_the_two_steps_around(master: _Master) -> 
     """From 0.15 to 0.35 at 2.5 s."""
     assert jumps(master, fifth=run(0.02, at=2.5, y=0.1199, z=-0.1199)) == []
     (found,) = jumps(master, fifth=run(0.02, at=2.5, y=0.1201))
-    assert found.endswith("'y' is 0.3701 at 2.5 s after a step of 0.02 s, where steps of 0.1 s and "
-                          "less give from 0.15 to 0.35.")  # fmt: skip
+    assert found.endswith(
+        "'y' is 0.3701 at 2.5 s after a step of 0.02 s, where steps of 0.1 s and "
+        "less give from 0.15 to 0.35."
+    )
     assert len(jumps(master, fifth=run(0.02, at=2.5, z=-0.1201))) == 1
 
 

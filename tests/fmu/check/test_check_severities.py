@@ -95,8 +95,10 @@ BINARY = FMI_3.replace(
       <Dimension valueReference="4"/></Float64>
   </ModelVariables>""",
 )
-SOURCES = {"sources/all.c": b"", "sources/buildDescription.xml": BUILD.replace(
-    b'<SourceFile name="none.c"/>', b"")}  # fmt: skip
+SOURCES = {
+    "sources/all.c": b"",
+    "sources/buildDescription.xml": BUILD.replace(b'<SourceFile name="none.c"/>', b""),
+}
 SCHEDULED = FMI_3.replace(b"CoSimulation", b"ScheduledExecution")
 BRANCHES = b"""#if defined(_WIN32)
 #include "only_windows.h"
@@ -107,8 +109,7 @@ BRANCHES = b"""#if defined(_WIN32)
 #endif
 /* from /home/anna/robot/x.c */
 """
-FLAT = both(put(".", variableNamingConvention="flat"),
-            var("joint[1].alpha", name="\xe4 b (1)"))  # fmt: skip
+FLAT = both(put(".", variableNamingConvention="flat"), var("joint[1].alpha", name="\xe4 b (1)"))
 
 
 def no_inputs(xml: Xml) -> None:
@@ -171,8 +172,11 @@ def test_rules_link_to_their_clause():
 
 
 def test_findings_are_written_for_other_programs(source_fmu, tmp_path):
-    bad = changed(source_fmu, tmp_path / "F.fmu", both(
-        put(".", guid=" "), put("CoSimulation", needsExecutionTool="true")))  # fmt: skip
+    bad = changed(
+        source_fmu,
+        tmp_path / "F.fmu",
+        both(put(".", guid=" "), put("CoSimulation", needsExecutionTool="true")),
+    )
     files = tmp_path / "junit.xml", tmp_path / "new" / "check.sarif"
     report = hesr.check([bad, source_fmu], junit=files[0], sarif=files[1])
     assert not report.passed
@@ -186,7 +190,9 @@ def test_findings_are_written_for_other_programs(source_fmu, tmp_path):
     (run,) = json.loads(files[1].read_text())["runs"]
     results = run["results"]
     assert [(r["ruleId"], r["level"]) for r in results] == [
-        ("token-empty", "error"), ("kind-tool", "note")]  # fmt: skip
+        ("token-empty", "error"),
+        ("kind-tool", "note"),
+    ]
     rules = run["tool"]["driver"]["rules"]
     assert [rules[r["ruleIndex"]]["id"] for r in results] == [r["ruleId"] for r in results]
 

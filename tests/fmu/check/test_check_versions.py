@@ -70,15 +70,26 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
         ('start="0.5 0.5"', 'start="1 9" max="8"', "'u' has the start value 9, outside"),
         ('start="1" min', 'start="4" min', "'k' has the start value 4, outside its"),
         ('derivative="4"', 'derivative="1"', ""),
-        ('derivative="4"', 'derivative="3"', "'rate' is the derivative of 'k', which is not "
-                                             "another continuous variable of type Float32 or "
-                                             "Float64 and of its size"),
-        (OUTPUT, OUTPUT.replace('""', '"7"'), "ModelStructure/Output gives 'y' a dependency on "
-         "value reference 7, which does not exist"),
-        ('instantiationToken="{1}"', 'instantiationToken=" "',
-         "the attribute instantiationToken is empty"),
+        (
+            'derivative="4"',
+            'derivative="3"',
+            "'rate' is the derivative of 'k', which is not "
+            "another continuous variable of type Float32 or "
+            "Float64 and of its size",
+        ),
+        (
+            OUTPUT,
+            OUTPUT.replace('""', '"7"'),
+            "ModelStructure/Output gives 'y' a dependency on "
+            "value reference 7, which does not exist",
+        ),
+        (
+            'instantiationToken="{1}"',
+            'instantiationToken=" "',
+            "the attribute instantiationToken is empty",
+        ),
     ],
-)  # fmt: skip
+)
 def test_rules_of_fmi_3_are_checked(old, new, said):
     assert old.encode() in FULL
     about = read_description(etree.fromstring(FULL.replace(old.encode(), new.encode())))
@@ -92,15 +103,17 @@ def test_rules_of_fmi_3_are_checked(old, new, said):
     ("old", "new", "said"),
     [
         ('start="0.5 0.5"', "", 'Variable "u" (line 8) has no start value.'),
-        ('valueReference="3"', 'valueReference="2"',
-         ' has the same value reference as variable "'),
+        ('valueReference="3"', 'valueReference="2"', ' has the same value reference as variable "'),
         ('Alias name="z"', 'Alias name="u"', 'The variable name "u" (line 6) is not unique.'),
         ('derivative="4"', 'derivative="9"', "references value reference 9 which does not exist."),
         (OUTPUT, "", "ModelStructure/Outputs must have exactly one entry for each variable with"),
-        ('variability="fixed" start="1"', 'variability="continuous" start="1"',
-         'an illegal combination of causality="parameter" and variability="continuous".'),
+        (
+            'variability="fixed" start="1"',
+            'variability="continuous" start="1"',
+            'an illegal combination of causality="parameter" and variability="continuous".',
+        ),
     ],
-)  # fmt: skip
+)
 def test_findings_of_fmpy_in_fmi_3_need_no_rule(old, new, said, tmp_path):
     assert old.encode() in FULL
     members = {MODEL: FULL.replace(old.encode(), new.encode())}

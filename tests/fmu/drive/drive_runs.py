@@ -17,9 +17,12 @@ Array = np.ndarray
 def model_of(laws: Mapping[str, FrictionLaw]) -> FrictionModel:
     """One joint per law."""
     return FrictionModel(
-        law="by_hand", robot="bench", joints=tuple(laws), laws=tuple(laws.values()),
+        law="by_hand",
+        robot="bench",
+        joints=tuple(laws),
+        laws=tuple(laws.values()),
         sample_time=0.005,
-    )  # fmt: skip
+    )
 
 
 def drive(
@@ -40,9 +43,15 @@ class Run:
     """
 
     def __init__(
-        self, fmu: Path, tau: Array, *, grid: float, step: float, substep: float | None = None,
+        self,
+        fmu: Path,
+        tau: Array,
+        *,
+        grid: float,
+        step: float,
+        substep: float | None = None,
         start: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         joints = range(1, tau.shape[1] + 1)
         steps = round(grid / step)
         names = [f"{name}[{i}]" for name in ("q", "dq", "tau_f") for i in joints]

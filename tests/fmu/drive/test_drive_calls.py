@@ -112,8 +112,11 @@ def test_a_long_step_equals_its_inner_steps(binary: Binary) -> None:
             assert binary.step(many, k / 128.0 + n / 1024.0, 1.0 / 1024.0) == 0
     assert everything(binary, one)[:-1] != [0.0]
     names = [v.name for v in binary.about.modelVariables if v.type == "Real"]
-    differ = [n for n, a, b in zip(names, everything(binary, one), everything(binary, many),
-                                   strict=True) if a != b]  # fmt: skip
+    differ = [
+        n
+        for n, a, b in zip(names, everything(binary, one), everything(binary, many), strict=True)
+        if a != b
+    ]
     assert differ == ["substep"]
 
 
@@ -203,10 +206,12 @@ def test_a_step_without_a_root_is_discarded(binary: Binary) -> None:
     c = ready(binary, tau_motor=8.0)
     assert binary.set_all(c, {"joint[1].sigma_2": -1e6, "tau_motor[2]": 20.0}) == 0
     assert_discards(
-        binary, c, 0.01,
+        binary,
+        c,
+        0.01,
         r"dq\[1\]: no speed was found that balances the torques in a step of 0\.001 s; it keeps "
         r"its last value\. Take a smaller substep, or look at the torque and the coefficients\.",
-    )  # fmt: skip
+    )
     assert binary.set_all(c, {"joint[1].sigma_2": 12.0}) == 0
     assert binary.step(c, 0.0, 0.01) == 0
     assert min(binary.get(c, "dq[1]", "dq[2]")) > 0.0
@@ -235,10 +240,12 @@ def test_unstable_euler_steps_are_discarded(table1, tmp_path: Path, load) -> Non
     binary = load(path)
     c = ready(binary, substep=1.0)
     assert_discards(
-        binary, c, 0.2,
+        binary,
+        c,
+        0.2,
         r"h\[1\]: Euler needs rate \* step < 1 but found 2\.274 at dq\[1\] = \S+; take a smaller "
         r"step or the exact discretisation\.",
-    )  # fmt: skip
+    )
 
 
 def test_euler_stability_is_checked_at_the_final_speed(make_law, tmp_path: Path, load) -> None:
@@ -258,10 +265,12 @@ def test_euler_stability_is_checked_at_the_final_speed(make_law, tmp_path: Path,
 
 def test_steps_with_too_many_inner_steps_are_discarded(binary: Binary) -> None:
     assert_discards(
-        binary, ready(binary, substep=1e-300), 0.01,
+        binary,
+        ready(binary, substep=1e-300),
+        0.01,
         r"A step of 0\.01 s would be 1e\+298 inner ones; at most 1e\+07 are made\. Take a shorter "
         r"step or a longer substep than 1e-300 s\.",
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
@@ -285,22 +294,33 @@ def test_invalid_motors_are_refused(fmu: Path, name: str, value: float, said: st
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"inertia": [1.0]},
-         "drive: 'inertia' has 1 values; 2 are needed, one per joint."),
-        ({"inertia": [1.0, 0.0]},
-         "drive: 'inertia' of joint 2 is 0 kg.m2; expected a positive number."),
-        ({"inertia": [float("inf"), 1.0]},
-         "drive: 'inertia' of joint 1 is inf kg.m2; expected a positive number."),
-        ({"inertia": [1.0, 1.0], "stiffness": [-1.0, 0.0]},
-         "drive: 'stiffness' of joint 1 is -1 N.m/rad; expected a number that is not negative."),
-        ({"inertia": [1.0, 1.0], "damping": [0.0, float("nan")]},
-         "drive: 'damping' of joint 2 is nan N.m.s/rad; expected a number that is not negative."),
-        ({"inertia": [1.0, 1.0], "ratio": [0.0, 1.0]},
-         "drive: 'ratio' of joint 1 is 0 turns; expected a number other than zero."),
-        ({"inertia": [1.0, 1.0], "ratio": [1.0]},
-         "drive: 'ratio' has 1 values; 2 are needed, one per joint."),
+        ({"inertia": [1.0]}, "drive: 'inertia' has 1 values; 2 are needed, one per joint."),
+        (
+            {"inertia": [1.0, 0.0]},
+            "drive: 'inertia' of joint 2 is 0 kg.m2; expected a positive number.",
+        ),
+        (
+            {"inertia": [float("inf"), 1.0]},
+            "drive: 'inertia' of joint 1 is inf kg.m2; expected a positive number.",
+        ),
+        (
+            {"inertia": [1.0, 1.0], "stiffness": [-1.0, 0.0]},
+            "drive: 'stiffness' of joint 1 is -1 N.m/rad; expected a number that is not negative.",
+        ),
+        (
+            {"inertia": [1.0, 1.0], "damping": [0.0, float("nan")]},
+            "drive: 'damping' of joint 2 is nan N.m.s/rad; expected a number that is not negative.",
+        ),
+        (
+            {"inertia": [1.0, 1.0], "ratio": [0.0, 1.0]},
+            "drive: 'ratio' of joint 1 is 0 turns; expected a number other than zero.",
+        ),
+        (
+            {"inertia": [1.0, 1.0], "ratio": [1.0]},
+            "drive: 'ratio' has 1 values; 2 are needed, one per joint.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_impossible_exports_are_refused(make_law, tmp_path: Path, more, said: str) -> None:
     model = model_of({"a": make_law("lugre"), "b": make_law("bare")})
     with pytest.raises(ExportError) as caught:

@@ -149,9 +149,12 @@ def test_a_link_with_direct_feedthrough_forms_no_algebraic_loop(
     path = tmp_path / "system.toml"
     path.write_text(f'order = "{order}"\n' + ADMITTANCE.replace("\\\n", ""), encoding="utf-8")
     export_drive(
-        model_of({"a": make_law("lugre")}), tmp_path / "D.fmu", inertia=[1.0], damping=[10.0],
+        model_of({"a": make_law("lugre")}),
+        tmp_path / "D.fmu",
+        inertia=[1.0],
+        damping=[10.0],
         stiffness=[200.0],
-    )  # fmt: skip
+    )
     write_fmu(controller(1, step=0.01), tmp_path / "Controller.fmu")
     result = System.read(path).run()
     torque, speed = (result.vector(n)[:, 0] for n in ("drive.tau_link", "link.dq_cmd"))
@@ -208,9 +211,13 @@ def speeds(
     first = next(v.valueReference for v in about.modelVariables if v.name == "dq[1]")
     whole = [*command, path, about.guid, 3, first, STEPS, 0.005, 20.0]
     result = subprocess.run(
-        [str(part) for part in whole], capture_output=True, text=True, check=False,
-        timeout=300, env=os.environ | environment,
-    )  # fmt: skip
+        [str(part) for part in whole],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env=os.environ | environment,
+    )
     assert result.returncode == 0, result.stderr
     return np.array([line.split() for line in result.stdout.splitlines()], dtype=float)
 
@@ -233,9 +240,13 @@ def test_windows_matches(fmu: Path, native: np.ndarray, wine: Wine, tmp_path: Pa
     program = build_host("drive_host.c", tmp_path, "x86_64-windows-gnu")
     program = program.rename(tmp_path / "host.exe")
     rows = speeds(
-        fmu, tmp_path, "win64/drive_parfam_h.dll", wine.program, program,
+        fmu,
+        tmp_path,
+        "win64/drive_parfam_h.dll",
+        wine.program,
+        program,
         **wine.environment,
-    )  # fmt: skip
+    )
     assert_agrees(rows, native)
 
 

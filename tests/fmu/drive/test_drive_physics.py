@@ -176,9 +176,14 @@ def test_the_reference_is_the_continuous_motion(runs: dict[float, Run], swung: n
         y, speeds = np.zeros(2), []
         for torque in swung[:rows, own][:, joint]:
             solved = solve_ivp(
-                motion, (0.0, GRID), y, method="LSODA", rtol=1e-10, atol=1e-13,
+                motion,
+                (0.0, GRID),
+                y,
+                method="LSODA",
+                rtol=1e-10,
+                atol=1e-13,
                 args=(torque, inertia),
-            )  # fmt: skip
+            )
             y = solved.y[:, -1]
             speeds.append(y[0])
         found = runs[REFERENCE].dq[99 : 100 * rows : 100, own][:, joint]

@@ -200,8 +200,9 @@ def test_the_nearest_of_several_roots_is_used(table1, tmp_path: Path) -> None:
 def test_a_flexspline_moves_the_link(make_law, tmp_path: Path, ratio: float) -> None:
     """Motor, gear, spring and link, friction 3 dq: a linear system in closed form."""
     inertia, own, k, d, torque, end = 0.4, 1.5, 900.0, 6.0, 2.0, 0.5
-    fmu = drive({"bare": make_law("bare")}, tmp_path, [inertia], stiffness=[k], damping=[d],
-                ratio=[ratio])  # fmt: skip
+    fmu = drive(
+        {"bare": make_law("bare")}, tmp_path, [inertia], stiffness=[k], damping=[d], ratio=[ratio]
+    )
     # (motor angle, motor speed, link angle, link speed)
     spring = np.array([[-k / ratio, -d / ratio, k, d]])  # minus the torque on the link
     matrix = np.zeros((4, 4))

@@ -124,9 +124,19 @@ def test_ripple_is_kept():
     law = by_hand(
         "lugre_load_ripple",
         {"ripple": {"gear_ratio": 30.0, "orders": [2]}},
-        sigma_0=5000.0, sigma_1=2.0, sigma_2=16.0, F_c=9.0, F_s=11.0, v_s=0.08, tau_0=0.1, mu=0.0,
-        ripple2_cos=0.0, ripple2_sin=1.5, lag=1e-3, smoothing=1e-3,
-    )  # fmt: skip
+        sigma_0=5000.0,
+        sigma_1=2.0,
+        sigma_2=16.0,
+        F_c=9.0,
+        F_s=11.0,
+        v_s=0.08,
+        tau_0=0.1,
+        mu=0.0,
+        ripple2_cos=0.0,
+        ripple2_sin=1.5,
+        lag=1e-3,
+        smoothing=1e-3,
+    )
     waves = [wave for wave in parts_of(projected(law, TRAINED, STEP)[0]).waves if wave.poles]
     assert {wave.poles for wave in waves} == {60.0}
     assert max(abs(wave.amplitude) for wave in waves) == pytest.approx(1.5, rel=0.1)

@@ -269,15 +269,26 @@ def _program(model: FrictionModel, folder: Path, triple: str, steps: int) -> Pat
     export_c(model, folder / "law.h")
     source = folder / "host.c"
     source.write_text((HERE / "header_host.c").read_text(encoding="utf-8"), encoding="utf-8")
-    flags = ("-target", triple, "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra",
-             "-Werror", f"-DSTEPS={steps}", f"-I{HERE.parent}")  # fmt: skip
+    flags = (
+        "-target",
+        triple,
+        "-std=c99",
+        "-O2",
+        "-ffp-contract=off",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-DSTEPS={steps}",
+        f"-I{HERE.parent}",
+    )
     compile_c(source, flags, folder / "host", ("-lm",))
     return folder / "host"
 
 
 def _lines(*command: object) -> list[str]:
-    result = subprocess.run([str(part) for part in command], capture_output=True, text=True,
-                            check=False, timeout=120)  # fmt: skip
+    result = subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, check=False, timeout=120
+    )
     assert result.returncode == 0, result.stderr
     return result.stdout.splitlines()
 
@@ -312,17 +323,40 @@ def test_a_bare_metal_cortex_m7_matches(table1, tmp_path, capsys) -> None:
     steps, m7 = 500, HERE / "m7"
     here = _lines(_program(table1, tmp_path, "x86_64-linux-gnu.2.17", steps))
     command = [
-        M7_COMPILER, "-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-std=c99", "-O2",
-        "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", f"-DSTEPS={steps}", "-DCOUNTER",
+        M7_COMPILER,
+        "-mcpu=cortex-m7",
+        "-mfpu=fpv5-d16",
+        "-mfloat-abi=hard",
+        "-std=c99",
+        "-O2",
+        "-ffp-contract=off",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-DSTEPS={steps}",
+        "-DCOUNTER",
         *(f"-I{folder}" for folder in (tmp_path, HERE.parent, m7)),
-        "--specs=rdimon.specs", "-nostartfiles", f"-T{m7 / 'mps2.ld'}",
-        HERE / "header_host.c", m7 / "start.c", "-lm", "-o", tmp_path / "m7.elf",
-    ]  # fmt: skip
+        "--specs=rdimon.specs",
+        "-nostartfiles",
+        f"-T{m7 / 'mps2.ld'}",
+        HERE / "header_host.c",
+        m7 / "start.c",
+        "-lm",
+        "-o",
+        tmp_path / "m7.elf",
+    ]
     assert _lines(*command) == []
     *lines, counted = _lines(
-        M7_MACHINE, "-machine", "mps2-an500", "-nographic", "-semihosting",
-        "-icount", "shift=0", "-kernel", tmp_path / "m7.elf",
-    )  # fmt: skip
+        M7_MACHINE,
+        "-machine",
+        "mps2-an500",
+        "-nographic",
+        "-semihosting",
+        "-icount",
+        "shift=0",
+        "-kernel",
+        tmp_path / "m7.elf",
+    )
     found, expected = (np.array([row.split() for row in text], float) for text in (lines, here))
     # The C libraries differ in the last digits.
     assert np.all(np.abs(found - expected).max(axis=0) <= 1e-13 * np.abs(expected).max(axis=0))

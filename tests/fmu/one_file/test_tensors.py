@@ -52,10 +52,19 @@ def run(python: Path, library: str, model, folder: Path, rows, count: int = SLOP
     """Torques in double and single precision, and slopes as (found, finite differences)."""
     EXPORT[library](model, folder / "law.py")
     weights = np.random.default_rng(2).uniform(0.5, 1.5, size=(count, len(model.joints)))
-    np.savez(folder / "rows.npz", **dict(zip(("dq", "q", "load"), rows, strict=True)),
-             weights=weights, step=STEP)  # fmt: skip
-    answer = subprocess.run([python, HERE / "run_tensors.py", library, folder],
-                            capture_output=True, text=True, check=False, timeout=600)  # fmt: skip
+    np.savez(
+        folder / "rows.npz",
+        **dict(zip(("dq", "q", "load"), rows, strict=True)),
+        weights=weights,
+        step=STEP,
+    )
+    answer = subprocess.run(
+        [python, HERE / "run_tensors.py", library, folder],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
     assert answer.returncode == 0, answer.stderr
     found = dict(np.load(folder / "found.npz"))
     return found.pop("double"), found.pop("single"), found
@@ -118,9 +127,10 @@ def test_euler_steps_of_table_1_match(python, library, table1, table1_fmu, tmp_p
 def test_ripple_far_from_zero_keeps_its_phase(python, library, make_model, tmp_path) -> None:
     """Sixteen times a gear of 160, some turns away: single precision alone has lost the phase."""
     law = FrictionLaw(
-        name="ripple", form=LawForm(coefficients=(), output=DQ + sympy.cos(2560 * (Q - DQ / 500))),
+        name="ripple",
+        form=LawForm(coefficients=(), output=DQ + sympy.cos(2560 * (Q - DQ / 500))),
         values={},
-    )  # fmt: skip
+    )
     model = make_model(law)
     dq, q, load = inputs(1, seconds=2.0)
     rows = (dq, (q + 20.0).astype(np.float32).astype(float), load)
@@ -188,8 +198,9 @@ def test_usual_torch_operations_work(table1, tmp_path, use) -> None:
     if not _runs(DEBIAN, "-c", "import torch"):
         pytest.skip("Debian's python3-torch is not installed")
     export_torch(table1, tmp_path / "law.py")
-    answer = subprocess.run([DEBIAN, "-c", use], cwd=tmp_path, capture_output=True, text=True,
-                            check=False)  # fmt: skip
+    answer = subprocess.run(
+        [DEBIAN, "-c", use], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert answer.returncode == 0, answer.stderr
 
 
@@ -241,8 +252,13 @@ def test_the_documented_actuators_work(table1, tmp_path, name, use) -> None:
         pytest.skip("Debian's python3-torch is not installed")
     export_torch(table1, tmp_path / "friction.py")
     [block] = (b for b in blocks("python") if f"class {name}(" in b.text)
-    answer = subprocess.run([DEBIAN, "-c", BASES + block.text + use + TAUGHT], cwd=tmp_path,
-                            capture_output=True, text=True, check=False)  # fmt: skip
+    answer = subprocess.run(
+        [DEBIAN, "-c", BASES + block.text + use + TAUGHT],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert answer.returncode == 0, answer.stderr
 
 
@@ -286,7 +302,8 @@ def test_piecewise_laws_are_refused(make_model) -> None:
 def test_joints_must_have_the_same_integration(make_model) -> None:
     h = Relaxation(name="h", unit="1", drive=DQ, rate=sympy.Integer(1))
     form = LawForm(coefficients=(), memory=(h,), output=h.state)
-    laws = (FrictionLaw(name="x", form=form, values={}, discretisation=d)
-            for d in ("exact", "euler"))  # fmt: skip
+    laws = (
+        FrictionLaw(name="x", form=form, values={}, discretisation=d) for d in ("exact", "euler")
+    )
     with pytest.raises(ExportError, match="its joints use both exact and Euler integration"):
         tensor_code(make_model(*laws), "torch")

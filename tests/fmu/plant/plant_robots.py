@@ -81,18 +81,26 @@ def coupled(folder: Path) -> RobotDescription:
     names = tuple(f"j{k}" for k in range(1, 7))
     transmission = Transmission(matrix=tuple(map(tuple, matrix.tolist())))
     return RobotDescription(
-        name="coupled", model=ur_like(folder), joints=names, transmission=transmission,
-        mount=(0.3, -0.8, 0.4), balancers=("j2", "j6"),
-    )  # fmt: skip
+        name="coupled",
+        model=ur_like(folder),
+        joints=names,
+        transmission=transmission,
+        mount=(0.3, -0.8, 0.4),
+        balancers=("j2", "j6"),
+    )
 
 
 def sprung(folder: Path) -> RobotDescription:
     """The tree with springs on a turning and a sliding joint and a balancer."""
     names = tuple(f"j{k}" for k in range(1, 8))
     return RobotDescription(
-        name="sprung", model=tree(folder), joints=names, springs=("j2", "j3"), balancers=("j2",),
+        name="sprung",
+        model=tree(folder),
+        joints=names,
+        springs=("j2", "j3"),
+        balancers=("j2",),
         rotor_inertia=True,
-    )  # fmt: skip
+    )
 
 
 def robots(folder: Path) -> dict[str, Robot]:

@@ -25,9 +25,14 @@ def stribeck() -> FrictionLaw:
 def content_of(robot: Robot, laws: Sequence[FrictionLaw], *, tool: bool = False) -> Content:
     """Return the plant of a robot with the masses of its model file."""
     model = FrictionModel(
-        law="by_hand", robot=robot.name, joints=robot.joints, laws=tuple(laws), sample_time=0.005,
-        sliding=robot.slides if any(robot.slides) else (), coupling=robot.description.coupling,
-    )  # fmt: skip
+        law="by_hand",
+        robot=robot.name,
+        joints=robot.joints,
+        laws=tuple(laws),
+        sample_time=0.005,
+        sliding=robot.slides if any(robot.slides) else (),
+        coupling=robot.description.coupling,
+    )
     return content(model, PlantBody.of(robot), tool=tool, bare=True)
 
 

@@ -61,8 +61,16 @@ def tangent(fmu, c, unknowns: Sequence[str], seed: Mapping[str, float]) -> Array
     result = (ctypes.c_double * len(unknowns))()
     along = (ctypes.c_double * len(seed))(*seed.values())
     references = fmu.references(unknowns), fmu.references(list(seed))
-    status = fmu("GetDirectionalDerivative", c, references[0], len(unknowns), references[1],
-                 len(seed), along, result)  # fmt: skip
+    status = fmu(
+        "GetDirectionalDerivative",
+        c,
+        references[0],
+        len(unknowns),
+        references[1],
+        len(seed),
+        along,
+        result,
+    )
     assert status == OK, fmu.messages[-1]
     return np.array(result)
 
@@ -116,11 +124,23 @@ ROBOTS = {
 
 @pytest.mark.parametrize(
     ("robot", "law"),
-    [("one", "lugre"), ("three", "stribeck"), ("three", "parfam"),
-     *(pytest.param(*pair, marks=pytest.mark.ci) for pair in
-       (("six", "lugre"), ("six", "stribeck"), ("six", "parfam"), ("six", "stops"),
-        ("sprung", "lugre"), ("coupled", "lugre")))],
-)  # fmt: skip
+    [
+        ("one", "lugre"),
+        ("three", "stribeck"),
+        ("three", "parfam"),
+        *(
+            pytest.param(*pair, marks=pytest.mark.ci)
+            for pair in (
+                ("six", "lugre"),
+                ("six", "stribeck"),
+                ("six", "parfam"),
+                ("six", "stops"),
+                ("sprung", "lugre"),
+                ("coupled", "lugre"),
+            )
+        ),
+    ],
+)
 def test_directional_derivatives_match_differences(robot: str, law: str, arms) -> None:
     """Along inputs, parameters and start values, of both kinds and with both starts."""
     arm, fmu = arms(ROBOTS[robot], law)
@@ -164,9 +184,11 @@ def test_fmi_3_gives_the_same_derivatives(make_law, load, tmp_path: Path) -> Non
     about = read_model_description(str(path))
     vr = {v.name: v.valueReference for v in about.modelVariables}
     arm = FMU3Model(
-        guid=about.guid, unzipDirectory=extract(str(path), str(tmp_path / "three")),
-        modelIdentifier=about.modelExchange.modelIdentifier, instanceName="arm",
-    )  # fmt: skip
+        guid=about.guid,
+        unzipDirectory=extract(str(path), str(tmp_path / "three")),
+        modelIdentifier=about.modelExchange.modelIdentifier,
+        instanceName="arm",
+    )
     arm.instantiate()
     arm.enterInitializationMode()
     arm.setFloat64([vr["dq_start"], vr["tau"]], [0.3, -0.2, 0.1, 5.0, -6.0, 7.0])
@@ -178,9 +200,11 @@ def test_fmi_3_gives_the_same_derivatives(make_law, load, tmp_path: Path) -> Non
     for k, name in enumerate(("tau", "q", "dq")):
         seed = [1.0 + k, -2.0, 0.5]
         found = arm.getDirectionalDerivative(
-            unknowns=[vr["ddq"], vr["tau_friction"]], knowns=[vr[name]], seed=seed,
+            unknowns=[vr["ddq"], vr["tau_friction"]],
+            knowns=[vr[name]],
+            seed=seed,
             nSensitivity=6,
-        )  # fmt: skip
+        )
         unknowns = [f"{n}[{i}]" for n in ("ddq", "tau_friction") for i in (1, 2, 3)]
         along = {f"{name}[{i}]": x for i, x in zip((1, 2, 3), seed, strict=True)}
         np.testing.assert_array_equal(found, tangent(two, c, unknowns, along))

@@ -51,8 +51,14 @@ class Generated:
         parameters = table(self.robot) @ self.body.parameters[: 10 * self.robot.links]
         mass, bias = np.zeros((n, n)), np.zeros(n)
         springs = self.body.parameters[self.robot.inertial :]
-        given = (parameters, self.body.rotors, springs, self.robot.gravity, forward @ q,
-                 forward @ dq)  # fmt: skip
+        given = (
+            parameters,
+            self.body.rotors,
+            springs,
+            self.robot.gravity,
+            forward @ q,
+            forward @ dq,
+        )
         arrays = [*(np.ascontiguousarray(a, dtype=float) for a in given), mass, bias]
         self._run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         whole = np.tril(mass) + np.tril(mass, -1).T
@@ -61,8 +67,10 @@ class Generated:
 
 def states(robot: Robot) -> list[tuple[Array, Array, Array]]:
     rng, n = np.random.default_rng(3), robot.n
-    return [(rng.uniform(-3, 3, n), rng.uniform(-3, 3, n), rng.uniform(-50, 50, n))
-            for _ in range(STATES)]  # fmt: skip
+    return [
+        (rng.uniform(-3, 3, n), rng.uniform(-3, 3, n), rng.uniform(-50, 50, n))
+        for _ in range(STATES)
+    ]
 
 
 def worst(found: Array, expected: Array) -> float:

@@ -33,8 +33,9 @@ LARGEST = 600e3  # bytes of a plant with three platforms
 def fmus(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     """The twin's robot, by the version of FMI."""
     folder, body = tmp_path_factory.mktemp("plant"), PlantBody.of(Robot(UF850))
-    return {fmi: export_plant(table1, folder / f"Arm{fmi}.fmu", body=body, fmi=fmi)
-            for fmi in (2, 3)}  # fmt: skip
+    return {
+        fmi: export_plant(table1, folder / f"Arm{fmi}.fmu", body=body, fmi=fmi) for fmi in (2, 3)
+    }
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -62,9 +63,13 @@ def test_both_versions_of_fmi_move_the_same(fmus: dict[int, Path]) -> None:
         output = ["q"] if fmi == 3 else [f"q[{i}]" for i in (1, 2, 3)]
         assert set(output) <= set(names)
         result = simulate_fmu(
-            str(path), stop_time=0.9, step_size=0.005, output_interval=0.005, input=rows,
+            str(path),
+            stop_time=0.9,
+            step_size=0.005,
+            output_interval=0.005,
+            input=rows,
             output=output,
-        )  # fmt: skip
+        )
         found.append(result["q"] if fmi == 3 else np.column_stack([result[n] for n in output]))
     assert np.ptp(found[0], axis=0).min() > 0.01
     np.testing.assert_array_equal(*found)
@@ -164,10 +169,21 @@ def test_base_parameters_become_those_of_bodies(
     base = np.linalg.lstsq(rows, rows @ robot.nominal_parameters, rcond=None)[0]
     columns, none = unknown_columns(robot), np.zeros(robot.n)
     body = RigidBody(
-        robot=robot.name, joints=robot.joints, names=robot.parameter_names, parameters=base,
-        base=columns, standard_errors=np.zeros(len(columns)), condition=1.0, ridge=0.0,
-        friction=none, rmse=none, rows=1, logs=("made",), method="stacked", weighting="wls",
-    )  # fmt: skip
+        robot=robot.name,
+        joints=robot.joints,
+        names=robot.parameter_names,
+        parameters=base,
+        base=columns,
+        standard_errors=np.zeros(len(columns)),
+        condition=1.0,
+        ridge=0.0,
+        friction=none,
+        rmse=none,
+        rows=1,
+        logs=("made",),
+        method="stacked",
+        weighting="wls",
+    )
     hesr.export(table1, tmp_path / "Arm.fmu", format="plant", robot=UF850, rigid_body=body)
     [said] = caplog.messages
     assert re.fullmatch(
@@ -187,10 +203,12 @@ def test_base_parameters_become_those_of_bodies(
         ({"substep": 0.0}, "substep is 0; it must be positive."),
         ({"stop_damping[2]": -1.0}, "stop_damping[2] is -1; it must not be negative."),
         ({"q_max[1]": -9.0}, "q_max[1] is -9; it must not be below the lower limit."),
-        ({"payload.m": -50.0, "payload.com[1]": 2.0},
-         "The mass matrix is not positive definite at this posture"),
+        (
+            {"payload.m": -50.0, "payload.com[1]": 2.0},
+            "The mass matrix is not positive definite at this posture",
+        ),
     ],
-)  # fmt: skip
+)
 def test_bad_start_values_are_refused(start, sentence: str, fmus: dict[int, Path]) -> None:
     with FmuInstance(fmus[2]) as arm, pytest.raises(SimulationError, match=re.escape(sentence)):
         arm.initialise(start=start)

@@ -28,9 +28,15 @@ POSTURE = np.array([0.3, -0.8, 1.2, 0.4, 0.5, 0.1])
 def solved(path: Path, start: Mapping[str, float], end: float, names: Sequence[str]) -> Array:
     """Rows of variables by a solver of variable order, without slopes of the inputs."""
     result = simulate_fmu(
-        str(path), fmi_type="ModelExchange", solver="CVode", relative_tolerance=1e-10,
-        start_values=dict(start), stop_time=end, output_interval=INTERVAL, output=list(names),
-    )  # fmt: skip
+        str(path),
+        fmi_type="ModelExchange",
+        solver="CVode",
+        relative_tolerance=1e-10,
+        start_values=dict(start),
+        stop_time=end,
+        output_interval=INTERVAL,
+        output=list(names),
+    )
     return np.column_stack([result[name] for name in names])
 
 
@@ -93,11 +99,16 @@ LAWS = ("lugre", "stribeck", "parfam_tanh")
 
 @pytest.mark.parametrize(
     ("joints", "law"),
-    [(1, "lugre"), (1, "stribeck"), (3, "parfam_tanh"),
-     *(pytest.param(n, law, marks=pytest.mark.ci) for n in (3, 6) for law in LAWS)],
-)  # fmt: skip
-def test_reversals_and_rests_are_those_of_short_steps(joints: int, law: str, make_law,
-                                                      tmp_path: Path) -> None:  # fmt: skip
+    [
+        (1, "lugre"),
+        (1, "stribeck"),
+        (3, "parfam_tanh"),
+        *(pytest.param(n, law, marks=pytest.mark.ci) for n in (3, 6) for law in LAWS),
+    ],
+)
+def test_reversals_and_rests_are_those_of_short_steps(
+    joints: int, law: str, make_law, tmp_path: Path
+) -> None:
     robot = Robot(chain(tmp_path, joints))
     one = stribeck() if law == "stribeck" else make_law(law)
     path = plant(robot, [one] * joints, tmp_path)
@@ -131,8 +142,13 @@ def test_friction_beyond_any_load_is_refused(load, tmp_path: Path) -> None:
 
 def test_a_plant_with_a_servo_is_for_co_simulation_only(make_law, tmp_path: Path) -> None:
     robot = Robot(chain(tmp_path, 1))
-    model = FrictionModel(law="by_hand", robot=robot.name, joints=robot.joints,
-                          laws=(make_law("lugre"),), sample_time=0.005)  # fmt: skip
+    model = FrictionModel(
+        law="by_hand",
+        robot=robot.name,
+        joints=robot.joints,
+        laws=(make_law("lugre"),),
+        sample_time=0.005,
+    )
     body = PlantBody.of(robot)
     path = export_plant(model, tmp_path / "Plant.fmu", body=body, kv=[9.0], bare=True)
     about = read_model_description(str(path))

@@ -88,8 +88,11 @@ def test_laws_evaluated_at_once_give_what_each_gives(tmp_path: Path) -> None:
     """A joint with another form of the same law forces the evaluation one by one."""
     robot, law = Robot(ur_like(tmp_path)), lugre(1e4, 5.0, 4.0)
     spare = Coefficient(name="spare", unit="N.m.s/rad", description="more viscous friction")
-    form = replace(law.form, coefficients=(*law.form.coefficients, spare),
-                   output=law.form.output + spare.symbol * DQ)  # fmt: skip
+    form = replace(
+        law.form,
+        coefficients=(*law.form.coefficients, spare),
+        output=law.form.output + spare.symbol * DQ,
+    )
     other = replace(law, form=form, values=law.values | {"spare": 0.0})
     tau = gravity(robot, POSTURE) + 15.0 * np.sin(0.02 * np.arange(300)[:, None] + np.arange(6))
     found = []
@@ -185,10 +188,14 @@ def test_steps_of_10_ms_are_stable(name: str, fitted, tmp_path: Path) -> None:
     t = 0.01 * np.arange(300)
     tau = gravity(robot, POSTURE) + np.outer(np.sin(2.0 * t), [15.0, 20.0, 15.0, 8.0, 8.0, 8.0])
     found = [
-        Run(fmu, np.repeat(tau, more, axis=0), step=0.01 / more,
-            start=at(robot, POSTURE) | {"substep": 0.01 / more} | open_stops(robot))
+        Run(
+            fmu,
+            np.repeat(tau, more, axis=0),
+            step=0.01 / more,
+            start=at(robot, POSTURE) | {"substep": 0.01 / more} | open_stops(robot),
+        )
         for more in (1, 20)
-    ]  # fmt: skip
+    ]
     coarse, fine = (np.max(np.abs(run.dq), axis=0) for run in found)
     assert np.all(coarse < 2.0 * fine + 0.1)
 

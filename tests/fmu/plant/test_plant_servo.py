@@ -203,9 +203,13 @@ def test_servos_turn_coupled_motors(fmi, make_law, tmp_path: Path) -> None:
     model = content_of(robot, [make_law("lugre")] * 6)
     assert model.table.places["tau[1]"] == 0
     laws = FrictionModel(
-        law="by_hand", robot=robot.name, joints=robot.joints, laws=(make_law("lugre"),) * 6,
-        sample_time=STEP, coupling=robot.description.coupling,
-    )  # fmt: skip
+        law="by_hand",
+        robot=robot.name,
+        joints=robot.joints,
+        laws=(make_law("lugre"),) * 6,
+        sample_time=STEP,
+        coupling=robot.description.coupling,
+    )
     servo = ServoGains(kv=(100.0,) * 6, ki=(1000.0,) * 6, kp=(5.0,) * 6)
     whole = content(laws, PlantBody.of(robot), servo=servo, tool=True, bare=True)
     path = write_fmu(whole, tmp_path / "Arm.fmu", fmi=fmi)

@@ -220,9 +220,13 @@ def test_motor_angles_are_not_taken_for_degrees(log: Log, arm_model: Robot) -> N
     robot = arm_model.description
     for name, said, changes in (
         ("q{}", "q is in degrees; set [log.units] q = 'deg'", {"log.units.q": "deg"}),
-        ("qm{}", "columns such as 'qm1' are named like motors'; give the turns of each motor "
-         "per turn of each joint as 'matrix' in [transmission], with logs = 'motor'", {}),
-    ):  # fmt: skip
+        (
+            "qm{}",
+            "columns such as 'qm1' are named like motors'; give the turns of each motor "
+            "per turn of each joint as 'matrix' in [transmission], with logs = 'motor'",
+            {},
+        ),
+    ):
         columns = robot.log.columns.model_copy(update={"q": name})
         own = robot.model_copy(update={"log": robot.log.model_copy(update={"columns": columns})})
         first, *others = examine([turned], own, Robot(own)).findings
