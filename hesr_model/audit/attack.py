@@ -24,7 +24,7 @@ _LEAST, _ALIKE = 1e-6, 0.05  # smallest share of the work; tolerance between two
 
 @dataclass(frozen=True, kw_only=True)
 class Attack:
-    """A cycle dq = amplitude cos(2 pi f t) with a moving load, or to and fro at two speeds."""
+    """A cycle dq = amplitude cos(2 pi f t) with the load mean + swing cos(4 pi f t + phase)."""
 
     energy: float  # [J] generated
     amplitude: float  # [rad/s]
@@ -32,7 +32,7 @@ class Attack:
     mean: float  # [N.m]
     swing: float = 0.0  # [N.m]
     phase: float = 0.0  # [rad]
-    back: float | None = None  # [rad/s]
+    back: float | None = None  # [rad/s], constant speed of the return; then forward at `amplitude`
 
     @property
     def text(self) -> str:

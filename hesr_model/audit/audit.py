@@ -1,4 +1,8 @@
-"""Audit of a friction law: dissipation, stiffness at rest and range of the torque."""
+"""Audit of a friction law: dissipation, stiffness at rest and range of the torque.
+
+Torques of position alone can drive the joint without generating net energy, so steady sliding is
+audited with (`driving`) and without them (`driving_both_ways`).
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +50,10 @@ class ClosedMotions:
 
 
 def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
-    """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle place."""
+    """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle position.
+
+    Each position occurs once at dq and once at -dq, so torques of position alone do zero work.
+    """
     half = max(4, round(0.5 / (wanted * trained.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))
     phase = np.pi / half * np.arange(-settling, 2 * half)

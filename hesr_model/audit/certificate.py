@@ -104,7 +104,10 @@ def least_viscosity(law: FrictionLaw) -> float:
 
 
 def scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
-    """Return limits of each factor of `SCALES` (None: any) that keep the proof of a proven law."""
+    """Return limits of each factor of `SCALES` (None: any) that keep the proof of a proven law.
+
+    Both remain 1 if either part alone could generate energy, or Coulomb friction covers ripple.
+    """
     proof = _Proof(law)
     try:
         proof.certificate()

@@ -1,4 +1,9 @@
-"""Components: named equations of one joint with previous values and memory."""
+"""Components: named equations of one joint, lowered to every target.
+
+name = expression            function of inputs, parameters, states, names and `dt`
+previous(name)               value at the last sample, with its own start expression
+Relaxation, Stop             memory with a sampled and a continuous form
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,7 @@
-"""Bounds of expressions by interval arithmetic (Moore, Kearfott and Cloud 2009, ch. 5 and 6)."""
+"""Bounds of expressions by interval arithmetic (Moore, Kearfott and Cloud 2009, ch. 5 and 6).
+
+They hold for real numbers, without the round-off of floating point.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
@@ -27,7 +30,11 @@ class Least(NamedTuple):
 def lowest(
     bound: Callable[[Array, Array], Array], edges: Array, *, enough: float = inf, size: float = 0.0
 ) -> Least:
-    """Return the least value for x in `edges` > 0, if not `enough`, to 1e-6 of it or of `size`."""
+    """Return the least value of a function of x > 0 between the first and the last of `edges`.
+
+    `bound` maps ends of intervals to lower bounds. Intervals are halved until the bound exceeds
+    `enough` or is precise to 1e-6 of the least value or of `size`, or until a limit is reached.
+    """
     low, high = edges[:-1], edges[1:]
     known, value, at = inf, inf, 0.0
     spent = 0

@@ -95,7 +95,7 @@ class KernelRun(ProgramRun):
         return self.starts
 
     def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
-        """Return the (N, K) results, valid until the next call; raises SimulationError."""
+        """Return (N, K) results, valid until the next call; SimulationError if unstable."""
         self.begin(numbers, start, settled=settled)
         self.on(numbers)
         return self.found
@@ -103,7 +103,11 @@ class KernelRun(ProgramRun):
     def solved(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
     ) -> tuple[Array, float] | None:
-        """Return factors (K,) with the least error, some >= 0, and it; None if ill-conditioned."""
+        """Return the factors (K,) of the results that fit the target best, and the squared error.
+
+        The leading `non_negative` factors are at least 0; `weights` (N,) weight the rows. Returns
+        None if the factors are ill-conditioned.
+        """
         self.begin(numbers)
         return self.factors(numbers, non_negative, weights, keep=keep)
 

@@ -9,7 +9,7 @@ import sympy
 from hesr_model.equations.functions import absolute, clip, decay, larger, over, positive, sgn, share
 
 DT = sympy.Symbol("dt", real=True)  # length of the current step [s]
-Discretisation: TypeAlias = Literal["exact", "euler"]  # for held inputs; eq. 10
+Discretisation: TypeAlias = Literal["exact", "euler"]  # exact for held inputs; Euler: eq. 10
 EULER = sympy.Symbol("euler", real=True)  # 1 for Euler's step (eq. 10) of relaxations, 0 if exact
 FIRST_STEP = sympy.Rational(1, 1000)  # step [s] of the search for the settled state
 RELEASE = sympy.Float(0.005)  # T [s], time constant of a continuous stop with a shrinking bound
@@ -48,10 +48,10 @@ class _Element:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(_Element):
-    """x' = drive - rate x of earlier states, the rate also of x; a negative rate counts as 0."""
+    """x' = drive - rate x, where both may use earlier states."""
 
     drive: sympy.Expr
-    rate: sympy.Expr
+    rate: sympy.Expr  # may also use x, frozen over a step; a negative rate counts as 0
 
     @property
     def parts(self) -> tuple[sympy.Expr, sympy.Expr]:
@@ -74,7 +74,11 @@ class Relaxation(_Element):
         return self.state in self.rate.free_symbols
 
     def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
-        """Return drive / rate (x if it is 0), or half the way if the rate depends on x (Heron)."""
+        """Return drive / rate, the zero of x'; x itself if the rate is 0.
+
+        If the rate depends on x, return the point halfway there, as in Heron's square root; whole
+        steps could oscillate.
+        """
         if not self.seeks:
             return over(first, second, self.state)
         return (self.state + over(first, second, self.state + FIRST_STEP * first)) / 2
@@ -99,11 +103,11 @@ class Slow(Relaxation):
 
 @dataclass(frozen=True, kw_only=True)
 class Stop(_Element):
-    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii, with s >= 0."""
+    """x+ = clip(x + v dt / w, -s, s), the stop operator of Prandtl and Ishlinskii."""
 
-    velocity: sympy.Expr
-    deflection: sympy.Expr
-    bound: sympy.Expr
+    velocity: sympy.Expr  # v
+    deflection: sympy.Expr  # w > 0
+    bound: sympy.Expr  # s; negative values count as 0
 
     @property
     def parts(self) -> tuple[sympy.Expr, sympy.Expr]:

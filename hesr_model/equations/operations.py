@@ -39,7 +39,7 @@ class Dependence(IntEnum):
 class Node:
     """Value of every row; `detail` is a literal, or the index of a number, input or state."""
 
-    operation: str
+    operation: str  # empty for literals, numbers and inputs
     operands: "tuple[int, ...]"
     detail: Any
     dependence: Dependence
@@ -190,8 +190,9 @@ class Graph:
 class Program:
     """Program for `rows.c`; registers hold inputs, then uniform values, then the others.
 
-    `given` (G,) are literals, `numbers` (2, M) places and numbers, `operations` (K, 5) operation,
-    result and operands, uniform ones first.
+    `inputs` are the inputs of the first registers, `dt` first, then known nodes; `given` (G,)
+    literals, 0 in place of numbers; `numbers` (2, M) positions there and numbers; `operations`
+    (K, 5) operation, result and three operands, uniform ones first; `results` (R,) registers.
     """
 
     inputs: tuple[int, ...]

@@ -40,7 +40,7 @@ def initial_symbol(element: Element) -> sympy.Symbol:
 
 
 def initial_state(memory: Iterable[Element], settling: sympy.Expr) -> Definitions:
-    """Return initial states, moved by the share `settling` to steady ones, and other values."""
+    """Return initial states, moved by `settling` towards steady ones, and intermediate values."""
     found: Definitions = {}
     seen: Definitions = {}
     for element in memory:

@@ -58,7 +58,7 @@ class Steps:
         *,
         settled: bool = True,
     ) -> Array:
-        """Return the observed equations (observed, N) of a log; the first row may settle it."""
+        """Return the observed equations (observed, N); if `settled`, row 0 settles the states."""
         used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
         run = self.run(values, start, list(used))
         first = [float(c[0]) for c in used.values()]

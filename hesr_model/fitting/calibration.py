@@ -38,7 +38,7 @@ _NONE = 1e-30
 def calibrated(
     law: FrictionLaw, records: Sequence[FrictionRecord]
 ) -> tuple[FrictionLaw, float | None]:
-    """Return the law with its band, and its RMSE on logs left out in turn [N.m], if finite."""
+    """Return the law with its band, and its left-out RMSE [N.m]; itself and None if not finite."""
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
         return law, None

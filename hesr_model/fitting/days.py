@@ -116,7 +116,12 @@ _LEAST_NOISE = 1e-12  # [N.m] of the noise
 
 
 def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
-    """Return a model with mean and spread of `models` of one structure; raises FitError."""
+    """Return a model whose laws have mean and spread of those of `models`, for a further day.
+
+    The covariance is the mean one plus (1 + 1/K) times the scatter of K models of one structure.
+
+    Raises FitError for laws without a covariance, or of different joints or structures.
+    """
     first = models[0]
     for model in models:
         if model.thermal or any(law.covariance is None for law in model.laws):
@@ -162,7 +167,10 @@ def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> F
 def adapt(
     prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
-    """Adapt the laws to records [joint][log], with a sentence per joint; raises FitError."""
+    """Adapt the laws of `prior_of` to records [joint][log]; return them and a sentence per joint.
+
+    Raises FitError if the joints differ.
+    """
     if (joints := tuple(of_joint[0].joint for of_joint in records)) != prior.joints:
         raise FitError(
             f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
@@ -221,7 +229,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
 
 
 def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return bounds of adapted coefficients: half to twice in functions, else keep the sign."""
+    """Return bounds of adapted coefficients: half to twice if nonlinear, else of the same sign."""
     form, found = law.form, {}
     memory = set().union(*(part.free_symbols for m in form.memory for part in m.parts))
     still = {DQ: 0, **{s: 0 for m in form.memory for s in (m.state, m.derivative)}}

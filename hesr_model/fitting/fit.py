@@ -55,7 +55,11 @@ def fit_joint(
     seed: int,
     options: Mapping[str, Any] | None = None,
 ) -> FrictionLaw:
-    """Fit one law to a joint, on one BLAS thread for the same bits; ArtifactError, FitError."""
+    """Fit one law to the records of one joint, with one BLAS thread for bit reproducibility.
+
+    Raises ArtifactError if the law is unknown, FitError if the records or `options` do not suit it
+    or a coefficient is not finite.
+    """
     chosen = estimator(law)
     try:
         configured = chosen(**(options or {}))
@@ -131,8 +135,10 @@ def fit_models(
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint; return models by name of the law or variant.
 
-    `records` are [joint][log], `kept` is a folder of checkpoints, nuisances `per_log` are removed.
-    Without `left_out` the first error is raised.
+    `records` are those of each joint, one per training log; `variants` maps names to laws of the
+    registry. Without `left_out` the first law that the records do not determine raises its error.
+    `kept` is a folder of checkpoints for killed runs. Nuisances `per_log` are removed first
+    (`days`).
     """
     coupling = records[0][0].coupling
     records = all_at_friction(records)

@@ -1,4 +1,8 @@
-"""Rows of all records of one joint, least squares on them, and ties: the first one wins."""
+"""Rows of all records of one joint, linear and sign-constrained least squares on them, and ties.
+
+Round-off differs between processors: among candidates within a tolerance the first one, which
+callers make the simplest, wins.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,7 +100,10 @@ def least_squares(columns: Array, target: Array) -> Array:
 def non_negative_least_squares(
     columns: Array, target: Array, *, non_negative: int
 ) -> tuple[Array, float]:
-    """Return (K,) coefficients, the leading ones non-negative, and the sum of squared residuals."""
+    """Return (K,) coefficients, the leading ones non-negative, and the sum of squared residuals.
+
+    Negative ones are set to zero one by one, the worst first: exact for nearly orthogonal columns.
+    """
     gram, moment = columns.T @ columns, columns.T @ target
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     active = np.arange(columns.shape[1])

@@ -55,7 +55,11 @@ _NO_EFFECT = 1e-9  # relative change of the cost
 
 
 class Separable:
-    """Least squares of a form on a joint; points are logarithmic where bounds are positive."""
+    """The least-squares problem of a form on the rows of a joint.
+
+    A point has the searched numbers, logarithms where bounds are positive; `start` has the states
+    at rest, 0 by default.
+    """
 
     def __init__(
         self,
@@ -167,7 +171,10 @@ class Separable:
         return np.asarray(found.x)
 
     def settled(self, point: Array) -> Array:
-        """Return the point after local searches, also from both ends of numbers without effect."""
+        """Return the point after a local search, also from both bounds of numbers without effect.
+
+        Where F_s = F_c, v_s has none, and its value decides whether a higher F_s is found.
+        """
         point = self.polish(point, evaluations=40)
         cost = self.solve(point)[1]
         ends = [

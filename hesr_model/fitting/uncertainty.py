@@ -1,4 +1,7 @@
-"""Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction."""
+"""Uncertainty of the coefficients of a law: covariance from the Jacobian of its prediction.
+
+Coefficients at a bound, or in a structure chosen by the data, have a covariance but no interval.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -133,8 +136,10 @@ def wider_side(
 ) -> float:
     """Return the ratio of the wider side of a coefficient's interval to its standard error.
 
-    `slope` (P,) is its derivative, `q` and `r` decompose those of the torque, `moved_by` maps steps
-    to changes. The interval ends as the profile t of Bates and Watts (1988, ch. 6).
+    `slope` (P,) is its derivative, `q` and `r` the QR decomposition of the torque's (N, P)
+    derivatives; `moved_by` maps a step (P,) to the changes of the coefficient and of the torque
+    (N,) [N.m]. If the torque moves less than linearly with the other coefficients fitted again, the
+    interval is wider by that ratio: the end of the profile t of Bates and Watts (1988, ch. 6).
     """
     error = float(np.sqrt(slope @ covariance @ slope))
     normal = np.linalg.lstsq(r.T, slope, rcond=None)[0]

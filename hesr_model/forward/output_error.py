@@ -1,7 +1,8 @@
 """Refinement of friction, or of body and friction, by output error over short windows.
 
-The torque error determines the other directions (DIDIM: Gautier, Janot and Vandanjon 2013, IEEE
-Trans. Control Syst. Technol. 21(2); here with friction that has a state).
+The cost is the position error; the torque error determines the directions that hardly change it
+(DIDIM: Gautier, Janot and Vandanjon 2013, IEEE Trans. Control Syst. Technol. 21(2); here with
+friction that has a state).
 """
 
 from collections.abc import Sequence
@@ -37,13 +38,13 @@ _SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)  # shares of the way to the optimum
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Refined body and friction, or the original ones with ratio 1 if left-out windows lose."""
+    """Refined body and friction, or the original ones, ratio 1, if left-out windows are worse."""
 
     body: RigidBody
     friction: FrictionModel
-    ratio: float
-    before: Array
-    left_out: Array
+    ratio: float  # RMS of the position errors over those before
+    before: Array  # errors of the original on left-out windows, by length and joint [rad; m]
+    left_out: Array  # those of this friction
 
     @property
     def size(self) -> float:

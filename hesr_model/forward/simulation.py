@@ -39,7 +39,7 @@ class Windows:
     q: Array
     dq: Array
     tau: Array
-    places: tuple[tuple[int, int], ...]
+    places: tuple[tuple[int, int], ...]  # part of a log and first row of each window
     logs: Logs = field(repr=False)
 
     def blocks(self, length: float) -> Array:
@@ -152,12 +152,12 @@ class _Moving:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulator:
-    """Body with (P,) or (W, P) parameters, and friction; `as_plant` steps explicitly as MuJoCo."""
+    """Rigid body of a robot and its friction."""
 
     robot: Robot
-    parameters: Array
+    parameters: Array  # standard ones (P,), or (W, P) for each window
     friction: FrictionModel
-    as_plant: bool = False
+    as_plant: bool = False  # step explicitly, as MuJoCo does, for logs of the twin
 
     def run(
         self,
@@ -166,9 +166,11 @@ class Simulator:
         values: Sequence[Array] | None = None,
         states: Sequence[Array] | None = None,
     ) -> Array:
-        """Return the positions over windows, (W, K + 1, n) [rad; m]; raises SimulationError.
+        """Return the positions over windows, (W, K + 1, n) [rad; m].
 
-        `values` (C, W) of laws and initial `states` (m, W) are by default those of the friction.
+        `values` (C, W) are coefficients of each law, by default its own; `states` (m, W) its
+        initial states, by default run in along the logs. Raises SimulationError if the mass matrix
+        is not positive definite.
         """
         # MuJoCo uses the rates before a step: its states lag by one row.
         x0 = windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
@@ -272,7 +274,10 @@ def _root(
     gain: Array,
     start: Array,
 ) -> Array:
-    """Return the velocity s with s + gain F(s) = target, (W,) [rad/s], by the Illinois method."""
+    """Return the velocity s with s + gain F(s) = target, (W,) [rad/s], by the Illinois method.
+
+    Friction hardly falls within a step, so the root is within twice the first residual.
+    """
 
     def residual(s: Array) -> Array:
         return s - target + gain * law(h, s, q + h * s, load, x)[0]

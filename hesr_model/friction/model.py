@@ -131,17 +131,20 @@ class FrictionModel:
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a friction model written by `write` or `hesr fit`; raises ArtifactError."""
+        """Read a friction model written by `write` or `hesr fit`.
+
+        Raises ArtifactError if the file cannot be read, or a key or value is missing or invalid.
+        """
         path = path_of(path, "a friction model")
         return cls.from_json(read_json(path, MODEL_FORMAT), path)
 
     def write(self, path: PathArg) -> None:
-        """Write the model as JSON, with every digit of every number; raises ArtifactError."""
+        """Write the model as JSON, with all digits; ArtifactError if the file cannot be written."""
         write_json(path_of(path, "a friction model"), self.to_json())
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], path: Path) -> Self:
-        """Return the model of JSON data; raises ArtifactError with `path`."""
+        """Return the model of JSON data; raises ArtifactError, which names `path`, if invalid."""
         file = from_json(ModelFile, data, path, "a friction model")
         joints = file.joints
         try:

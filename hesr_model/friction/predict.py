@@ -72,9 +72,11 @@ def predict(
     start: tuple[float, ...] | None = None,
     shown: Sequence[Array] | None = None,
 ) -> Array:
-    """Return the friction torque (N,) [N.m] of a law over a log; raises SimulationError.
+    """Return the friction torque (N,) [N.m] of a law over a log of (N,) [s, rad/s, rad, N.m].
 
-    `start` has the states at t[0]. `shown` are `dq`, `q` and `tau_load` for reading the torque.
+    `start` has the states at t[0], by default `first_states`. `shown` has `dq`, `q` and `tau_load`
+    for reading the torque, if other than those that move the states. Raises SimulationError if the
+    discretisation is unstable.
     """
     dt, inputs = _arrays(t, (dq, q, tau_load))
     if shown is None:
@@ -123,7 +125,7 @@ def predict_band(
     torque: Array,
     coverage: float = LEVEL,
 ) -> tuple[Array, Array]:
-    """Return both ends (N,) [N.m] of the band around `torque` (N,); raises ArtifactError."""
+    """Return both ends (N,) [N.m] of the band around `torque` (N,); ArtifactError if none."""
     if law.band is None:
         raise ArtifactError(f"law '{law.name}' has no band; fit it again with this version.")
     dt, inputs = _arrays(t, (dq, q, tau_load))
@@ -154,7 +156,12 @@ def _run(
 def estimated_start(
     law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array, tau: Array
 ) -> tuple[float, ...]:
-    """Return the start, if it can be searched, that best explains the first torques."""
+    """Return the start of the states that best explains the first `law.start_samples` torques.
+
+    A relaxation is searched within its reachable limits in the log (N,) [s, rad/s, rad, N.m, N.m];
+    stops share one number, their deflection as a share of their bounds. For other memories, or if
+    the parts of a relaxation depend on its state, the law's own start is returned.
+    """
     first = slice(0, law.start_samples)
 
     def error(start: tuple[float, ...]) -> float:
@@ -227,7 +234,10 @@ class LawStepper:
     def __call__(
         self, dt: Array, dq: Array, q: Array, tau_load: Array, x: Array
     ) -> tuple[Array, Array]:
-        """Return torque (W,) and states (m, W) after inputs held over dt; dt = 0 reads at `x`."""
+        """Hold inputs (W,) in [s, rad/s, rad, N.m] and return torque (W,) [N.m] and states (m, W).
+
+        `x` (m, W) are the states before; dt = 0 reads the torque there.
+        """
         if self._run is None or self._table.shape[1] != 2 * len(dt):
             self._run = self._bind(len(dt))
         self._table[0, 1::2] = dt

@@ -25,7 +25,10 @@ def predict_record(
     measured_start: bool = False,
     thermal: Thermal | None = None,
 ) -> Array:
-    """Return a law's (N,) torque [N.m] for a record, at its temperature if `thermal` is given."""
+    """Return the (N,) torque [N.m] of a law for a record, at its temperature if `thermal` is given.
+
+    `measured_start` estimates the initial states from the first torques.
+    """
     start = record_start(law, record) if measured_start and law.start_samples else None
     if thermal:
         # it imports SciPy's optimisers
@@ -42,9 +45,9 @@ def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Prediction errors [N.m] and R^2 of one joint; `tau_std` is the error of the measured mean."""
+    """Prediction errors [N.m] and R^2 of one joint; None without rows of the kind."""
 
-    tau_std: float
+    tau_std: float  # error of the measured mean
     rmse: float
     rmse_reversal: float | None
     rmse_moving: float | None
@@ -69,13 +72,13 @@ def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Sc
 
 @dataclass(frozen=True, kw_only=True)
 class BandScore:
-    """Coverage of a band: shares of rows `held`, and mean `width` over that of a constant one."""
+    """Coverage of one joint's band; None without rows of the kind."""
 
-    held: float
+    held: float  # share of the rows within the band
     held_moving: float | None
     held_reversal: float | None
-    least_log: float
-    width: float | None
+    least_log: float  # lowest share of a log
+    width: float | None  # mean, over that of the constant band of the same coverage
 
 
 def score_band(

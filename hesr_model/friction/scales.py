@@ -107,14 +107,14 @@ _CLIPPED = 1.0 - 1e-9  # share of its bound above which a stop is clipped, up to
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """Terms of a torque [N.m] with memory scaled by the level, `along` which it changes."""
+    """Terms of a law's torque [N.m], with memory scaled by the level."""
 
     memory: tuple[Element, ...]
     hysteresis: sympy.Expr
     viscous: sympy.Expr
-    rest: sympy.Expr
-    along: sympy.Expr
-    sensitivities: tuple[Equation, ...]
+    rest: sympy.Expr  # ripple and offset
+    along: sympy.Expr  # derivative of the hysteresis by the level, from `sensitivities`
+    sensitivities: tuple[Equation, ...]  # derivatives of the stops, warmth included
 
 
 def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:

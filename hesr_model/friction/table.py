@@ -95,7 +95,11 @@ def torques(y: Any, rows: int) -> Array:
 
 
 def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
-    """Return the motion in named columns (N, P), or in t, then q, dq and load of all joints."""
+    """Return the motion in the columns (N, P) of a table [s, rad, rad/s, N.m].
+
+    Names are t, dq and optionally q and load, numbered from 1 for several joints. Columns without
+    names are t, then q, dq and load of all joints.
+    """
     columns = _by_name(values, names) if names else _in_order(values)
     t, dq = columns["t"][:, 0], columns["dq"]
     if len(t) < 2:

@@ -36,10 +36,10 @@ class Thermal:
     coulomb_scale: float = 1.0
     viscous_scale: float = 1.0
     reference: float = 20.0
-    resistance: float = 1.0
+    resistance: float = 1.0  # 1 if no temperature was `measured`
     time_constant: float = 1200.0
     ambient: float = 20.0
-    coldest: float = -273.15
+    coldest: float = -273.15  # trained range, unknown in older files
     warmest: float = 1e4
     measured: bool = True
 

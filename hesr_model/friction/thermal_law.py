@@ -48,7 +48,7 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
 def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, float]]:
     """Return a thermal law's inputs over a record, and the parameters that depend on them."""
     columns = {"dq": record.dq, "q": record.q, "tau_load": record.tau_load}
-    if record.temperature is None:
+    if record.temperature is None:  # then friction heats the joint
         return columns, {models.THERMOMETER: 0.0}
     return columns | {TEMPERATURE.name: record.temperature}, {}
 

@@ -95,7 +95,7 @@ def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescrip
 def without(
     robot: RobotDescription, rest: Mapping[str, float], *, temperatures: bool = False
 ) -> RobotDescription:
-    """Return a description without the joints, and their columns, that `rest` locks [rad or m]."""
+    """Return a description without the joints that `rest` locks [rad or m], and their columns."""
     if robot.transmission:
         raise RobotError(
             f"robot '{robot.name}' has a [transmission], whose motors turn joints that would be "

@@ -1,4 +1,8 @@
-"""Mistakes in a robot file that explain the torques better: hypotheses with corrected rows."""
+"""Mistakes in a robot file that explain the torques better than the file as it is.
+
+Each is a hypothesis with corrected rows. Weights of the model file's rigid body and friction are
+non-negative, so wrong signs and swapped columns fit badly.
+"""
 
 import json
 from collections.abc import Iterator, Sequence

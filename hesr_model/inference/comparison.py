@@ -25,7 +25,8 @@ LEAST_DEGREES = 4  # degrees of freedom below which no law is called worse: abou
 _BOTH_SETS = 2.0**0.5  # standard error of a difference between two sets of logs, over that of one
 LEAST_SECONDS = 40.0
 MOST_SECONDS = 1e7
-# Factor on p for up to `CALIBRATED` comparisons; a level of 5 % is then at most 6.5 % (benchmarks).
+# Factor on p for up to `CALIBRATED` simultaneous comparisons and many degrees of freedom: a level
+# of 5 % is then at most 6.5 % from 40 s of logs on (`tests/benchmarks`).
 CALIBRATION = 5.0
 CALIBRATED = 8
 SIGNIFICANCE = 0.05  # level of p after the factor, adjusted for all laws of a table
@@ -36,8 +37,10 @@ POWER = 0.8  # probability with which the smallest detectable difference is foun
 class ErrorRatio:
     """Ratio of the RMSEs of two laws: value and 95 % interval, None if the logs are too short.
 
-    `others` is the interval on as many other logs. `p` is two-sided, times `calibration`, and
-    `detectable` the smallest ratio above 1 that these logs would show.
+    `others` is the interval on as many other logs of this kind: both sets vary within and between
+    logs. It needs several logs. `p` is two-sided, times `calibration`, not adjusted. `detectable`
+    is the smallest ratio above 1 that these logs would show. All but the value are None if the logs
+    are too short.
     """
 
     value: float
@@ -92,7 +95,10 @@ class LawErrors:
         return self._deviation(self.rows - self.rows[:, [other]])
 
     def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
-        """Return the ratios of all others to a law, in a `family` of simultaneous comparisons."""
+        """Return the ratios of all other laws to a law.
+
+        `family` is the number of simultaneous comparisons, by default that of the other laws.
+        """
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
         if self.too_short:
@@ -235,7 +241,7 @@ def two_sided(t: Array, degrees: float) -> Array:
 
 def detection_factor(degrees: float, level: float) -> float:
     """Return the smallest log ratio, in standard errors, that is found with probability `POWER`."""
-    low = chdtri(degrees, POWER)
+    low = chdtri(degrees, POWER)  # the standard error may be estimated too low
     t = stdtrit(degrees, 1.0 - level / 2.0) + stdtrit(degrees, POWER)
     return float(t * np.sqrt(degrees / low))
 

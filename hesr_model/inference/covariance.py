@@ -128,7 +128,11 @@ def pooled(group: Sequence[Covariance]) -> list[Covariance]:
 
 
 def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
-    """Return residuals (N,) by estimates without the row (HC3, MacKinnon and White 1985)."""
+    """Return the residual (N,) of each row by an estimate without it.
+
+    A few rows around reversals determine some unknowns alone, which hides their errors (MacKinnon
+    and White 1985, HC3). `hessian` (P, P) is that of half the sum of squares.
+    """
     leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
     return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
 
@@ -240,7 +244,11 @@ class Moments:
 
 
 def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]) -> list[Array]:
-    """Return each log's covariance (P, P) of its summed influences, by Bartlett's kernel."""
+    """Return each log's covariance (P, P) of the sum of its rows.
+
+    The `influences` are numbers of logs with their next rows (N, P). Bartlett's kernel with weights
+    1 - lag / width is the mean product of sums over windows of that width.
+    """
     memory = _memory([(log.squares, log.lag1) for log in moments])
     width = 1 + _bandwidth([log.whitened(memory) for log in moments], moments)
     size = len(memory)
@@ -278,7 +286,11 @@ def _between(
     hessians: Sequence[Array],
     whole: Array,
 ) -> tuple[float, float]:
-    """Return the mean square difference of logs from the others over variance, and number."""
+    """Compare each log's estimate with that of the others by one Gauss-Newton step each.
+
+    Returns the mean square difference over its variance by `parts`, and the number of independent
+    differences.
+    """
     if len(moments) < 2:
         return 1.0, 0.0
     every = np.sum(parts, axis=0)

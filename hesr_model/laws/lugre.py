@@ -35,7 +35,7 @@ def bristle() -> Relaxation:
 def bristle_space(
     linear: tuple[str, ...], non_negative: int, **bounds: tuple[float, float]
 ) -> SearchSpace:
-    """Search the sliding deflection F_c / sigma_0, F_s / F_c and v_s, within `bounds` if given."""
+    """Search F_c / sigma_0, F_s / F_c and v_s within `bounds`: eq. 1 is linear in the others."""
     f_c, deflection, ratio = sympy.symbols("F_c deflection ratio", real=True)
     usual = {"deflection": DEFLECTION_BOUNDS, "ratio": RATIO_TEXTBOOK, "v_s": VELOCITY_BOUNDS}
     return SearchSpace(

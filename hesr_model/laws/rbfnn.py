@@ -133,7 +133,8 @@ def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -
 
 MAX_CENTRES = 40  # runs in microseconds
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
-RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))  # over mean squares of Gaussians
+# Added to the mean square of Gaussians with peak 1; sums of larger weights lose digits.
+RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
 CLUSTERED_ROWS = 2400  # for k-means
 _INPUTS = (("dq", "rad/s"), ("h", "1"), ("dh", "1/s"))
 

@@ -104,7 +104,11 @@ def _powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArra
 def select(
     base: Array, samples: JointRows, gear_ratio: float, folds: Sequence[Mask]
 ) -> tuple[Ripple, Times] | None:
-    """Return ripple, lag and smoothing that predict left-out logs best beyond `base`, or None."""
+    """Return the ripple with lag and smoothing that predicts left-out logs best, or None.
+
+    `base` (N, L) are the columns of the law without ripple. Orders are added one by one while the
+    error on left-out logs falls.
+    """
     tau = samples.tau
     gain = max(GAIN, CHANCE / len(tau))
     chosen, times = Ripple(gear_ratio=gear_ratio, orders=()), _TIMES[0]
@@ -155,7 +159,10 @@ def _ranking(
 
 
 def starts(times: Times) -> Iterator[dict[str, float]]:
-    """Yield lag and smoothing for local searches: as selected, and off the limit of smoothing."""
+    """Yield lag and smoothing for local searches: as selected, and off the limit of smoothing.
+
+    A search from the limit ends there or not, depending on round-off.
+    """
     lag, smoothing = times
     for start in dict.fromkeys((smoothing, max(smoothing, _SMOOTHINGS[1]))):
         yield {LAG.name: lag, SMOOTHING.name: start}

@@ -51,7 +51,7 @@ _UNPACKERS: Mapping[bytes, Callable[[Path], io.BufferedIOBase]] = {
 
 
 def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = None) -> LogTable:
-    """Open a text, or its `content`, with `names` if it has no header; raises LogError."""
+    """Open a text file, or `content` instead, with `names` if it has no header; raises LogError."""
     _require_length(path, path.stat().st_size)
     content = _content(path) if content is None else content
     _require_length(path, len(content or b""))

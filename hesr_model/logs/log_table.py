@@ -31,8 +31,9 @@ class TextCell:
 class LogTable:
     """An open table file; messages on missing columns mention `others`.
 
-    A `TextCell` replaces a column of text; `number` are lines of a CSV; a piece of a file has rows
-    `before` it and the `first` piece, whose first date is the origin.
+    Columns (N,) of `arrays` hold integers, floats (NaN for empty cells), times or durations; a
+    `TextCell` replaces any other column. The lines of a CSV have a `number`, its header's is 1. A
+    piece of a file has rows `before` it and the `first` piece, whose first date is the origin.
     """
 
     path: Path

@@ -78,7 +78,11 @@ class _Part:
 
 
 class LongLog:
-    """A log that is read several times, in pieces of at most `rows` rows; errors as `Log.read`."""
+    """A log that is read in pieces of at most `rows` rows, several times; errors as `Log.read`.
+
+    Formats that cannot be read in pieces are held in memory. `stretches` are up to eight of the
+    pieces, without `gaps`; `travel` (n,) is the range of the positions [rad, m].
+    """
 
     def __init__(self, source: Log | Path, robot: RobotDescription, rows: int = ROWS) -> None:
         robot.require_one_per_joint()

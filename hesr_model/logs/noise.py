@@ -1,4 +1,8 @@
-"""Noise as a pure function of seed, stream and counter: splitmix64 and Box-Muller's cosine."""
+"""Measurement noise as a pure function of seed, stream and counter.
+
+Words of splitmix64 (Steele, Lea, Flood 2014) from a base by seed and stream, and the cosine branch
+of Box-Muller over two successive words. `tests/unit/test_noise.py` has test vectors.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -183,7 +183,10 @@ class Log:
         return columns
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` (SI) over ``t`` [s]; ConfigError if pandas is missing."""
+        """Return a `pandas.DataFrame` of ``q1.., dq1.., tau1..`` (SI) over ``t`` [s].
+
+        Raises ConfigError if pandas is not installed.
+        """
         return frames.pandas_frame(self._columns, index="t")
 
     def to_xarray(self) -> Any:
@@ -196,7 +199,11 @@ class Log:
         )
 
     def write(self, path: PathArg) -> None:
-        """Write as CSV, or as Parquet by its suffix, with all digits; raises ArtifactError."""
+        """Write the log as CSV or, with suffix ``.parquet``, as Parquet, with all digits.
+
+        The columns ``t, q1.., dq1.., tau1.., temperature1..`` are the defaults of a robot file.
+        Raises ArtifactError if the file cannot be written.
+        """
         with written_whole(path_of(path, "a log")) as temporary:
             write_table(temporary, self._columns)
 

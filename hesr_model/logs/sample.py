@@ -1,4 +1,10 @@
-"""A bounded sample of motions that keeps rare conditions (Efraimidis and Spirakis 2006)."""
+"""A bounded sample of motions that keeps rare conditions.
+
+Windows of a second belong to strata of each joint: rest, reversals, octaves of speed and of torque.
+A stratum ranks them by weighted sampling without replacement (Efraimidis and Spirakis, Inf.
+Process. Lett. 97 (2006) 181-185). Strata take turns at choosing their best window, the smallest
+first.
+"""
 
 import hashlib
 from collections import Counter

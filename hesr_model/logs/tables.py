@@ -19,7 +19,12 @@ _PARQUET, _FEATHER = {".parquet", ".pq"}, {".feather", ".arrow", ".ipc"}
 
 
 def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
-    """Open a CSV, maybe packed, a Parquet or a Feather file, with `names` if it has no header."""
+    """Open a CSV, maybe packed, a Parquet or a Feather file; raises LogError.
+
+    A CSV has commas, or semicolons, tabs or single blanks, which allow decimal commas. Preamble,
+    ``#`` of a header, comments, blank lines and a row of units are skipped. Without a header,
+    `names` names its columns.
+    """
     require_content(path)
     suffix = path.suffix.lower()
     if suffix not in _PARQUET | _FEATHER:

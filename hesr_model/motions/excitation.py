@@ -28,7 +28,8 @@ _SINGULAR = 1e-14
 class Search:
     """Fourier motions at rest at both ends, with a range of periods [s], as vectors.
 
-    These have `a` and `b` over the joint's speed, mean positions from -1 to 1, and ln(period).
+    A vector contains, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
+    joint's speed, then mean positions from -1 to 1 within their limits, then ln(period).
     """
 
     model: Robot
@@ -86,7 +87,10 @@ class Search:
         )
 
     def value_and_gradient(self, x: Array, weight: float) -> tuple[float, Array]:
-        """Return the log of a bound of cond(W_b) plus `weight` times the mean squared excess."""
+        """Return the log of a bound of cond(W_b) plus `weight` times the mean squared excess.
+
+        The excess is the relative part of |q - middle|, |dq|, |ddq| and |tau| above their limits.
+        """
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period
         series = self._series
@@ -153,7 +157,10 @@ def _excess(values: Array, limit: Array) -> tuple[float, Array]:
 
 
 def _log_condition(columns: Array) -> tuple[float, Array]:
-    """Return the log of a bound of the condition number of rows (N, n, P), and derivatives."""
+    """Return the log of a bound of the condition number of rows (N, n, P), and derivatives.
+
+    For eigenvalues l_i of W'W, max l / min l <= (sum l_i^p)^(1/p) (sum l_i^-p)^(1/p).
+    """
     rows = columns.reshape(-1, columns.shape[2])
     values, vectors = np.linalg.eigh(rows.T @ rows)
     values = np.maximum(values, _SINGULAR * values[-1])
@@ -172,14 +179,14 @@ _LARGE = 100.0  # size of a random motion before it is shrunk, relative to the j
 
 
 class ExcitationSettings(Config):
-    """Settings of the designed motion; `sample_rate` [Hz] is by default that of the logs."""
+    """Settings of the designed motion."""
 
     harmonics: int = Field(default=10, ge=2)
-    period: tuple[Positive, Positive] = (10.0, 30.0)
+    period: tuple[Positive, Positive] = (10.0, 30.0)  # range [s]
     periods: int = Field(default=1, ge=1)
     starts: int = Field(default=4, ge=1)
     seed: int = Field(default=0, ge=0)
-    sample_rate: Positive | None = None
+    sample_rate: Positive | None = None  # [Hz], by default that of the logs, or 200
     limits: MotionLimits = MotionLimits()
 
     @field_validator("period")
@@ -192,13 +199,13 @@ class ExcitationSettings(Config):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
-    """Designed motion, condition of W_b, and `peak_torque` (n,) [N.m] of the rigid body."""
+    """Designed motion, at rest at both ends, for a robot."""
 
     motion: Fourier
-    condition: float
-    sample_rate: float
+    condition: float  # condition number of W_b
+    sample_rate: float  # of the setpoints [Hz]
     limits: Limits
-    peak_torque: Array
+    peak_torque: Array  # (n,) [N.m], of the model file's rigid body, without friction
 
     def setpoints(self) -> tuple[Array, Array, Array, Array]:
         """Return times (N,) [s] and q, dq, ddq (N, n) [rad, rad/s, rad/s2]."""
@@ -216,7 +223,11 @@ def condition(model: Robot, base: tuple[int, ...], motion: Fourier) -> float:
 def design(
     model: Robot, settings: ExcitationSettings | None = None, *, progress: Progress = silent
 ) -> Excitation:
-    """Design the motion with the smallest `condition` in limits; raises RobotError, FitError."""
+    """Design the motion with the smallest `condition` within limits.
+
+    L-BFGS-B descends a smooth bound of the condition number from random motions; the best one is
+    refined. Raises RobotError if the limits do not fit the robot, FitError if they admit no motion.
+    """
     settings = settings or ExcitationSettings()
     rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
     limits = Limits.of(model, settings.limits)

@@ -139,7 +139,7 @@ class Limits:
         return towards_rest(low)
 
     def rest(self, model: Robot) -> Array:
-        """Return the position (n,) [rad] with the least gravity over limits; raises FitError."""
+        """Return the position (n,) [rad] of least gravity over limits; FitError if too large."""
         places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
         places[0] = 0.5 * (self.lower + self.upper)
 

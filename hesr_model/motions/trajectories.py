@@ -242,7 +242,10 @@ def random_fourier(
 def _quadratic_phase_integral(
     phase: Array | float, rate: float, slope: float, t: Array
 ) -> NDArray[np.complex128]:
-    """Return the integral of exp(i (phase + rate s + slope s^2 / 2)) by Fresnel's functions."""
+    """Return the integral from 0 to t of exp(i (phase + rate s + slope s^2 / 2)) ds, for slope > 0.
+
+    Completing the square turns it into Fresnel's C + i S (Abramowitz and Stegun 7.3).
+    """
     stretch = np.sqrt(slope / np.pi)
     s0, c0 = fresnel(stretch * rate / slope)
     s1, c1 = fresnel(stretch * (t + rate / slope))

@@ -1,4 +1,9 @@
-"""Identification motion by motion, by triangular factors, with bounded memory."""
+"""Identification motion by motion, with bounded memory.
+
+Least squares needs only triangular factors (Golub and Van Loan, Matrix Computations, sec. 5.3 and
+6.5): the estimate is that of `identification.identify`. Its covariance needs the motions twice
+again; that of a sample of them is conservative.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -19,7 +24,10 @@ from hesr_model.support.arrays import Array
 
 
 class Streamed:
-    """The growing stacked problem of a robot, without rows slower than `slow` (n,) [rad/s]."""
+    """The growing stacked problem of a robot.
+
+    Rows slower than `slow` (n,) [rad/s] are dropped, which depends on all motions: check `fits`.
+    """
 
     def __init__(self, model: Robot, slow: Array | None = None) -> None:
         self._model, self._base = model, unknown_columns(model)

@@ -33,9 +33,11 @@ _LEAST = 1e-3  # torque of an element over that of the gear
 class ElasticGear:
     """Elastic gear of a joint, and friction on both sides.
 
-    `parameters` has value and standard error of stiffness, damping, (motor_coulomb + motor_load
-    |tau_g|) sgn(dq) + motor_viscous dq, and link_coulomb sgn(dq_link) + link_viscous dq_link.
-    `zero` [rad] is the twist without torque; `elements` have width [rad], < 0 if soft, and torque.
+    `parameters` has value and standard error of `stiffness` [N.m/rad], `damping` [N.m.s/rad] and
+    friction [N.m; 1; N.m.s/rad], (motor_coulomb + motor_load |tau_g|) sgn(dq) + motor_viscous dq of
+    the motor and link_coulomb sgn(dq_link) + link_viscous dq_link of the link. `zero` [rad] is the
+    difference of the encoders without torque. `elements` have width [rad], negative in softer
+    zones, and torque [N.m].
     """
 
     joint: str

@@ -79,12 +79,15 @@ class RigidBody:
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
-        """Read a rigid body that `write` or `hesr identify` has written; raises ArtifactError."""
+        """Read a rigid body that `write` or `hesr identify` has written.
+
+        Raises ArtifactError if the file cannot be read, or a key or value is missing or invalid.
+        """
         path = path_of(path, "a rigid body")
         return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
 
     def write(self, path: PathArg) -> None:
-        """Write the rigid body as JSON, with every digit; raises ArtifactError."""
+        """Write the rigid body as JSON, all digits; ArtifactError if the file cannot be written."""
         write_json(path_of(path, "a rigid body"), {"format": RIGID_BODY_FORMAT, **to_json(self)})
 
     def __repr__(self) -> str:
@@ -117,7 +120,11 @@ class RigidBody:
         return self.parameters
 
     def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
-        """Return torque errors (N, n, r) [N.m] of one deviation of r errors; None if unknown."""
+        """Return torque errors over a motion, (N, n, r) [N.m]; None if the covariance is unknown.
+
+        They are for one standard deviation of each of the r independent parameter errors that
+        matter.
+        """
         if self.covariance is None:
             return None
         values, vectors = np.linalg.eigh(self.covariance.matrix)

@@ -47,14 +47,14 @@ class Factor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Unknowns of a least-squares problem, its condition, and the `pull` (P,) of a ridge."""
+    """Unknowns of a least-squares problem, and its conditioning."""
 
     x: Array
-    condition: float
-    ridge: float
-    pull: Array
-    weights: Array
-    rmse: Array
+    condition: float  # of the weighted matrix, with columns divided by their scales
+    ridge: float  # pull of the scaled unknowns towards zero over the largest singular value
+    pull: Array  # (P,), cost of the ridge per unit of each unknown
+    weights: Array  # of each block
+    rmse: Array  # of each block
 
 
 def solve(
@@ -62,8 +62,9 @@ def solve(
 ) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
-    Above a condition number of 1e3 with columns over their usual `scale` (P,), a ridge is added,
-    or a weaker one on `loose` (P,) columns, such as harmonics over a small angle, if they cause it.
+    A ridge is added only if the condition number exceeds 1e3. The usual size `scale` (P,) of each
+    column must not come from the data, which may hardly excite it. If the ridge were due to columns
+    that are `loose` (P,), such as harmonics over a small angle, only these have a weaker one.
     """
     factors = [Factor.of(block) for block in blocks]
     return solve_factors(factors, scale=scale, weighted=weighted, loose=loose)

@@ -145,7 +145,10 @@ def stacked(
 def averaged(
     motions: Sequence[Motion], counterparts: Sequence[Motion], model: Robot, base: tuple[int, ...]
 ) -> list[Block]:
-    """Return means of forward and reversed rows by friction coordinate; raises FitError."""
+    """Return one block per friction coordinate: means of forward and reversed rows.
+
+    Only rows of opposite velocity are used. Raises FitError if the logs are not counterparts.
+    """
     if not motions or len(motions) != len(counterparts):
         raise FitError(
             f"{len(motions)} logs come with {len(counterparts)} time-reversed ones; "

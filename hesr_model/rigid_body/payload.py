@@ -32,10 +32,10 @@ _SIGNIFICANT = 4.0  # mass in standard errors; twin logs without payload had 3.4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
-    """Parameters (10,) of a load in the frame of the last joint, with friction; see `RigidBody`."""
+    """An identified payload, with friction under load; see `RigidBody`."""
 
-    parameters: Array
-    covariance: Array
+    parameters: Array  # (10,) `LINK_PARAMETERS` in the frame of the last joint [kg, kg.m, kg.m2]
+    covariance: Array  # residuals correlated within a second, and errors of the unloaded body
     condition: float
     friction: Array
     rmse: Array

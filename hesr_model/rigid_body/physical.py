@@ -75,7 +75,12 @@ def fit(
     rmse: Array,
     weighted: bool,
 ) -> PhysicalFit:
-    """Fit consistent parameters by Levenberg-Marquardt to `blocks` of all columns and friction."""
+    """Fit physically consistent parameters by Levenberg-Marquardt, friction eliminated.
+
+    `blocks` have all P standard columns, then friction columns; `labels` (samples,) is the log
+    number of each sample, `rmse` (blocks,) [N.m] the residual of the unconstrained fit, for first
+    weights.
+    """
     chart = _Chart.of(model)
     count, size = sum(len(block.target) for block in blocks), model.inertial
     x = chart.start
@@ -126,7 +131,11 @@ def is_possible(model: Robot, parameters: Array) -> bool:
 
 
 def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
-    """Return the nearest consistent parameters (P,), and torques (n,): difference and largest."""
+    """Return the physically consistent parameters (P,) with torques closest to those of others.
+
+    Also returns the largest difference and the largest torque per joint, (n,) [N.m], at random
+    states.
+    """
     size, rows = model.inertial, at_random_states(model)
     torque = (rows @ parameters).reshape(-1, model.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]

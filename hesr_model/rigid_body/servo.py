@@ -108,8 +108,8 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
 
 
 def commanded(log: Log) -> tuple[Array, Array]:
-    """Return desired positions and velocities (N, n), q by integration if it was not logged."""
-    if log.q_cmd is None:
+    """Return desired positions and velocities (N, n) of a log with commands."""
+    if log.q_cmd is None:  # integrate from the first measured position
         assert log.dq_cmd is not None
         moved = np.cumsum(log.dq_cmd[:-1] * np.diff(log.t)[:, None], axis=0)
         return log.q[0] + np.vstack([np.zeros(log.q.shape[1]), moved]), log.dq_cmd

@@ -67,7 +67,9 @@ def torque_constants(
 ) -> tuple[Constant, ...]:
     """Estimate the torque constants of all joints from currents; raises FitError.
 
-    Torques of `motions`, and of those `loaded` by `payload` (10,), are by constants `assumed` (n,).
+    `motions`, without payload, and `loaded` ones have torques computed with the constants `assumed`
+    (n,). `mass_error` is the relative standard deviation of the file's masses. `payload` (10,) is
+    in the frame of the last joint.
     """
     if not 0.0 < mass_error < 1.0:
         raise FitError(

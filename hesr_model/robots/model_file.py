@@ -25,8 +25,9 @@ Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, 
 class RobotModel:
     """A model file: Pinocchio's `model` of all its joints, and the rest of its content.
 
-    `rest` are positions of joints that do not move, `above` the bodies between joint and base,
-    `loops` closed chains, and `springs` the parameters k and const of linear ones.
+    `rest` are the positions of joints that do not move; `above` are the bodies between each joint
+    and the base; `loops` are pairs of bodies that close a chain, and its joints. `gravity` is in
+    [m/s2]; `springs` are the parameters k and const of linear springs.
     """
 
     path: Path
@@ -235,14 +236,14 @@ def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointFrame:
-    """Joint in the tree: pose relative to the `parent`, -1 for the base, and unit vector `axis`."""
+    """Place of a joint in the kinematic tree: its pose at zero relative to the parent."""
 
     name: str
-    parent: int
+    parent: int  # -1 for the base
     rotation: Array
     translation: Array
-    axis: Array
-    prismatic: bool
+    axis: Array  # unit vector in the frame of the joint
+    prismatic: bool  # slides along the axis
 
 
 def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
@@ -266,14 +267,14 @@ def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelJoint:
-    """A joint of a model file after `parent`, at `rest` while locked; followers are not free."""
+    """A joint of a model file."""
 
     name: str
-    freedom: int
+    freedom: int  # 0 for joints that follow others
     slides: bool
     finger: bool = field(default=False, repr=False)
-    rest: float = field(default=0.0, repr=False)
-    parent: str = field(default="", repr=False)
+    rest: float = field(default=0.0, repr=False)  # position while locked
+    parent: str = field(default="", repr=False)  # name of the joint before it
 
 
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:

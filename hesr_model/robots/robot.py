@@ -153,7 +153,7 @@ class Robot:
 
     @cached_property
     def limits(self) -> tuple[Array, Array, Array]:
-        """Lowest and highest position [rad or m] and highest speed, (n,) each, or infinite."""
+        """Lowest and highest position [rad or m] and highest speed (n,); infinite if absent."""
         return self._limits[:3]
 
     @cached_property

@@ -193,7 +193,11 @@ def position_limits(model: Any, joint: Any, *, valid: bool = True) -> tuple[floa
 def chain_limits(
     model: Any, own: Sequence[int], follow: tuple[Array, Array] | None
 ) -> tuple[Array, Array, Array, Mask]:
-    """Return limits of position and speed (n,) of joints `own`, and where followers leave none."""
+    """Return lowest and highest position [rad or m] and highest speed (n,) of the joints `own`.
+
+    `follow` is G and b of q_all = G q + b. Joints that follow a leader also limit it, unless they
+    leave it no range: there the mask (n,) is true.
+    """
     joints, n = list(model.joints)[1:], len(own)
     ranges = np.array([position_limits(model, joint) for joint in joints])
     speeds = np.array([float(model.velocityLimit[joint.idx_v]) for joint in joints])

@@ -1,6 +1,7 @@
 """Cache of slow results that depend on their inputs only.
 
-Entries contain a hash of their content under a key of the user, who alone may read them.
+Entries, named by a hash of their inputs, contain a hash of their content under a key of the user,
+who alone may read folder, entries and key.
 """
 
 import hashlib
@@ -25,7 +26,10 @@ _log = logging.getLogger(__name__)
 
 
 def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
-    """Return the result of `make` for `inputs`, computed once for all processes of a user."""
+    """Return the result of `make`, computed once for all processes of a user.
+
+    `inputs` have a fixed order. Concurrent calls wait for the first; damaged entries are rebuilt.
+    """
     name = _name(inputs)
     from filelock import FileLock  # slow to import
 
@@ -49,7 +53,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
             found = make()
             with suppress(OSError):
                 _write(shelf / name, found)
-                # Shelves fill alike: below its share, one tells that there is room in all.
+                # Shelves fill evenly: if this one is below its share, the cache is not full.
                 if sum(size for _, size, _ in _files(shelf)) > LIMIT / _SHELVES:
                     _prune(shelf.parent)
     finally:

@@ -18,7 +18,10 @@ PREBUILT = Path(__file__).with_name("binaries")  # kernels of a wheel, named by 
 
 
 def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
-    """Compile a source, or reuse the result; `last` may use `{compiler}`. Raises ExportError."""
+    """Compile one source file, or reuse the result for the same texts and flags.
+
+    In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
+    """
     name = digest(source, flags, output, last)
     if (prebuilt := PREBUILT / name).is_file():
         output.write_bytes(prebuilt.read_bytes())

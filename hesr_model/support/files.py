@@ -79,7 +79,12 @@ def sha256(path: Path) -> str:
 
 @contextmanager
 def folder_written_whole(path: Path) -> Iterator[Path]:
-    """Yield a folder whose files move into `path`, all or none, on success; or ArtifactError."""
+    """Yield a temporary folder whose files move into `path` when the block succeeds.
+
+    On any exception nothing at `path` changes; a killed process leaves all files or none to
+    `settle`. Raises ArtifactError before the block if another run is writing into the folder or it
+    cannot be written.
+    """
     with _room_for(path), ExitStack() as cleanup:
         try:
             cleanup.enter_context(folder_made(path))
@@ -235,7 +240,10 @@ def _remove_whatever(folder: Path) -> None:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path that becomes `path` if the block succeeds; raises ArtifactError."""
+    """Yield a temporary path in the same folder that becomes `path` when the block succeeds.
+
+    On any exception, also an interrupt, an existing file stays unchanged. Raises ArtifactError.
+    """
     with _room_for(path), ExitStack() as cleanup:
         try:
             cleanup.enter_context(folder_made(path.parent))

@@ -19,7 +19,10 @@ def lazy_stub(module: str, file: str) -> Names:
 
 
 def lazy(module: str, homes: Mapping[str, str]) -> Names:
-    """Return ``__getattr__`` and ``__dir__`` of a module that imports names from `homes` on use."""
+    """Return ``__getattr__`` and ``__dir__`` of a module that imports its names on use.
+
+    `homes` gives the module of each public name, with a colon and the name there if it differs.
+    """
 
     def find(name: str) -> object:
         if name not in homes:

@@ -128,9 +128,11 @@ def results_of(
     costs: Sequence[float] = (),
     names: Sequence[str] = (),
 ) -> Iterator[Iterator[Returned]]:
-    """Run jobs in processes; yield an iterator of their results, which raises WorkerError.
+    """Run jobs in processes; yield the iterator of their results, in the order of the jobs.
 
-    Jobs with large `costs` start first. Processes are new, one per core, or those of `one_pool`.
+    Jobs with large `costs` start first; `names` are shown while jobs run. Processes are new, one
+    per core by default, or those of `one_pool`. One worker is this process. The iterator raises
+    WorkerError if a process ended before its job was done.
     """
     if (count := min(workers or os.cpu_count() or 1, len(jobs))) <= 1:
         yield _here(jobs, names)
@@ -146,7 +148,11 @@ def results_of(
 
 @contextmanager
 def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Iterator[None]:
-    """Share processes among blocks of `results_of`; they import `modules`, then do `first`."""
+    """Share processes among all blocks of `results_of` within that do not give `workers`.
+
+    They first import `modules`, then do the jobs `first`, whose results and errors are dropped.
+    After a block has failed the next one starts new processes.
+    """
     global _sharing
     if _sharing is not None:
         yield

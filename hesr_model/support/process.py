@@ -32,7 +32,7 @@ class Ended:
 
 
 class ChildProcess:
-    """A program in its own session, with a `mark` on descendants; raises FailedError."""
+    """A program in its own session, whose variable `mark` identifies descendants; FailedError."""
 
     def __init__(
         self,

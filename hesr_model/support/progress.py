@@ -83,7 +83,7 @@ def into_file(path: Path) -> Progress:
     def tell(done: int, total: int) -> None:
         nonlocal most
         if (share := PARTS * done // max(total, 1)) > most:
-            # Digits never become fewer, so nothing is cut, for which some file systems need 3 ms.
+            # The number never gets shorter, so the file is not truncated: some take 3 ms for that.
             mode = "r+" if most else "w"
             most = share
             with suppress(OSError), path.open(mode, encoding="utf-8") as file:

@@ -13,12 +13,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # machines, 510 for following errors, and 530 for plants in model exchange, long logs and numbers
 # that are written into binaries.
 BUDGET = {
-    "hesr_model": 22_431,
+    "hesr_model": 22_710,
     "fmu_src": 19_667,
     "cosim": 11_123,
     "hesr": 793,
     "hesr.extras": 13_577,
-    "all": 67_597,
+    "all": 67_870,
 }
 
 TEMPLATES = 3_837  # lines of templates, styles and scripts, without those of project folders

@@ -58,7 +58,11 @@ def distinct(cells: list[Cell], count: int) -> list[Cell]:
 
 
 def geometric(features: HysteresisFeatures) -> tuple[float, float]:
-    """Return (alpha, beta) from settling time and slope after reversals, stage 1 of the paper."""
+    """Return (alpha, beta) from the geometry of the loop, as in stage 1 of the paper.
+
+    1 / alpha is the mean settling time after a reversal: area over height. beta is the slope of the
+    torque over speed at its sign change, relative to the sliding level.
+    """
     s = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     level = 0.5 * float(np.quantile(s.tau, 0.9) - np.quantile(s.tau, 0.1))

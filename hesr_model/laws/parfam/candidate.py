@@ -40,7 +40,7 @@ class Candidate:
             raise ValueError("a candidate without a unit must not have arguments")
 
     def canonical(self) -> "Candidate":
-        """Return the same law with a positive gain and the offset within half a turn."""
+        """Return the same law with positive gain, offset within a quarter turn (cos: half)."""
         theta, gain = self.theta.copy(), self.gain
         if self.g == "sin" and self.theta_active[0]:
             half_turns = np.round(theta[0] / np.pi)

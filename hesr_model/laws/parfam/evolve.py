@@ -1,4 +1,9 @@
-"""Stage 2: variable projection (Golub and Pereyra 1973, Kaufman), or the paper's search."""
+"""Stage 2: variable projection from a batch of starts, or basin hopping as in the paper.
+
+For fixed (alpha, beta) and g the torque is linear in c and the gain, so only theta is searched
+(Golub and Pereyra 1973, with Kaufman's simplification of the Jacobian), by Levenberg-Marquardt.
+The paper's search uses standardised data, so that one L1 weight fits every coefficient and joint.
+"""
 
 from dataclasses import replace
 
@@ -37,7 +42,11 @@ def arguments(
     keep: int,
     limit: float = ARGUMENT_LIMIT,
 ) -> list[Array]:
-    """Return at most `keep` distinct arguments theta (F,) of a unit g added to `linear`."""
+    """Return at most `keep` distinct arguments theta (F,) of a unit g added to a linear law.
+
+    `features` (M, F) are those of the argument, the first one constant, `linear` (M, L) the columns
+    of the linear law. `starts` (S, F) and `limit` are for standardised features.
+    """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     problem = _Projected(g, features / scale, linear, tau, limit)
     theta, cost = problem.minimise(starts.T.copy())
@@ -153,7 +162,7 @@ TRUNCATION = 0.02  # smaller ones are truncated: 2 % of the torque's spread
 
 
 class Objective:
-    """Eq. 12 for one unit g with its gradient, of standardised data and an `active` mask (9,)."""
+    """Eq. 12 for one unit g and its gradient; `active` (9,) masks c (4), gain and theta (4)."""
 
     def __init__(self, g: str, x: Array, y: Array, gamma: float, active: Array) -> None:
         self.g, self.dg = UNIT_FUNCTIONS[g]

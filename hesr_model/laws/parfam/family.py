@@ -52,7 +52,11 @@ def denominator_name(feature: str) -> str:
 
 
 def form(structure: Mapping[str, Any]) -> LawForm:
-    """Return the expressions of a structure; raises ArtifactError if a key or term is unknown."""
+    """Return the expressions of a structure {"linear": [...], "units": [{"g", "arguments"}]}.
+
+    Optional keys are "state", one of `STATES`, and "denominator", features x of 1 + sum_i d_i x_i
+    below the output. Raises ArtifactError if one is unknown.
+    """
     linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)
     h, dh = hysteresis.state, hysteresis.derivative
@@ -102,7 +106,12 @@ def form(structure: Mapping[str, Any]) -> LawForm:
 
 
 def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
-    """Return the hysteresis state of one of `STATES`, and its coefficients."""
+    """Return the hysteresis state and its coefficients.
+
+    The generalised state adds position memory (kappa, as in Dahl's model), and a gate that stops
+    the relaxation at rest. The bristle has position memory alone, and the Stribeck curve inside the
+    state (eq. 2-3, with h = 1 at Coulomb friction).
+    """
     target = sympy.tanh(_BETA * DQ)
     if kind == "paper":
         return Relaxation(name="h", unit="1", drive=_ALPHA * target, rate=_ALPHA), _HYSTERESIS

@@ -34,7 +34,7 @@ def select(
     folds: Sequence[Mask],
     trained: TrainedRange,
 ) -> Candidate:
-    """Return the simplest refined and pruned candidate within `SAME` of the best, or FitError."""
+    """Return the simplest pruned candidate within `SAME` of the best; FitError if all explode."""
     looked = list(found)
     for i, (evaluations, keep) in enumerate(ROUNDS):
         refined: list[Candidate] = []
@@ -134,7 +134,12 @@ def left_out_cost(
 
 
 class Refinement:
-    """Least squares of a candidate over (alpha, beta, c, gain, theta), the first two as logits."""
+    """The joint least-squares problem of a candidate over (alpha, beta, c, gain, theta).
+
+    alpha and beta are the logit of their position within (logarithmic) bounds, so that 0 < alpha dt
+    < 1; coefficients are for standardised features. The residual is that of `rows`, while the state
+    runs over all rows.
+    """
 
     def __init__(
         self, features: HysteresisFeatures, start: Candidate, rows: Mask | slice = _ALL
@@ -189,7 +194,10 @@ class Refinement:
         return np.r_[k.alpha, k.beta, k.c, k.gain, k.theta], factors
 
     def _reduced(self, point: Array) -> Array:
-        """Return a square R with R'R = A'A, A: slopes and residual; it leads to the same steps."""
+        """Return a square R with R'R = A'A, where A has the slopes and, last, the residual.
+
+        Levenberg-Marquardt depends on inner products alone, so it takes the same steps with R.
+        """
         numbers, factors = self._at(point)
         products = self.run_of_slopes.products(numbers, self.weights)[:-1, :-1]
         used, factors = np.r_[self.active, True], np.r_[factors, 1.0]

@@ -220,7 +220,8 @@ def constrained(
 ) -> Array:
     """Return the least-squares coefficients that satisfy the condition, a cone problem.
 
-    The last `free` have any sign and end in cosines and sines, after those of `viscous` (S, V).
+    The last `free` of the unconstrained solution `x` have any sign and end in cosines and sines;
+    those of `viscous` (S, V) precede them. `waves` (S, W) is the result of `needed`.
     """
     # Bounds between neighbouring speeds: all columns are monotonic, and waves fall.
     viscous, waves = np.minimum(viscous[:-1], viscous[1:]), waves[:-1]

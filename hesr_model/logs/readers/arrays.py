@@ -22,7 +22,11 @@ _KIND = "NumPy arrays without objects"
 
 
 def table_of_arrays(path: Path, arrays: Mapping[str, Array], time: str) -> LogTable:
-    """Make a table as long as the vector `time`, or else as most arrays; raises LogError."""
+    """Make a table as long as the vector `time`, or else as most arrays; raises LogError.
+
+    The columns of an array ``q`` are ``q`` or ``q1``, ``q2``, ..; time is its first axis of that
+    length.
+    """
     arrays = {name: np.squeeze(array) for name, array in arrays.items()}
     counted = Counter(max(array.shape) for array in arrays.values() if array.size > 1)
     if not counted:

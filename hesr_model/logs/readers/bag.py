@@ -81,7 +81,10 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
-    """Read the joint states of a bag at the stamps of the slowest message; raises LogError."""
+    """Read the joint states from the topics of a bag; raises LogError.
+
+    Joints that no message lists together are interpolated at the stamps of the slowest one.
+    """
     bag, drop = robot.log.bag, robot.log.missing == "drop"
     joints = bag.joints or robot.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"

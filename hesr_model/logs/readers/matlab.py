@@ -1,4 +1,8 @@
-"""MATLAB files, checked for SciPy, which may crash; version 7.3 is HDF5 and needs h5py."""
+"""MATLAB files; version 7.3 is HDF5 with transposed matrices and needs h5py.
+
+Elements of earlier versions are checked because SciPy may crash or unpack a bomb. Format:
+MathWorks, "MAT-File Format", chapter on level 5.
+"""
 
 import struct
 import zlib
@@ -103,7 +107,11 @@ def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
-    """Open a MATLAB file as a table as long as the vector `time`; raises LogError."""
+    """Open a MATLAB file as a table as long as the vector `time`; raises LogError.
+
+    A matrix ``q`` of N rows or columns (also 1 x n x N, from Simulink) gives ``q1``, ``q2``, ..;
+    fields are named as in MATLAB, ``log.t``, ``out.signals(2).values1``.
+    """
     if not path.is_file():
         raise LogError(f"{path}: no such log file.")
     with path.open("rb") as file:
