@@ -170,7 +170,10 @@ class FrictionRegressor:
         return torque[:, 0] if self._flat else torque
 
     def score(self, X: Any, y: Any = None) -> float:
-        """Return R2 averaged over joints, of the rows of logs without gaps; X and y as in `fit`."""
+        """Return the coefficient of determination R2, averaged over joints; X and y as in `fit`.
+
+        Logs are predicted separately; rows in their gaps do not count.
+        """
         model = self._fitted()
         if (logs := self._logs(X)) is not None:
             records = self._records(parts_of(logs))

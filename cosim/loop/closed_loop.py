@@ -160,7 +160,10 @@ def system(
     limits: Collection[tuple[float, float]] = (),
     motion: Mapping[str, Value] | None = None,
 ) -> SystemSpec:
-    """Return the loop as a system: arm first, commands of the last sample, end outside `limits`."""
+    """Return the loop as a system; the arm steps first, with the commands of the last sample.
+
+    A run of `duration` [s] ends early outside `limits` (n, 2) [rad].
+    """
     fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
     measured = scheme.source != "desired"
     filtered = setting.time_constant if scheme.source == "filtered" else 0.0

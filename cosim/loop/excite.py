@@ -40,7 +40,10 @@ _OUTPUTS = {
 
 
 def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTable | None]:
-    """Return plant and signals of a twin with its study's friction; its MJCF goes to `folder`."""
+    """Return plant and table of signals of a twin with the friction of its study.
+
+    `study` is for messages; `folder` receives the MJCF of an alternative plant.
+    """
     plant = Plant.read(twin.plant)
     signals = SignalTable.read(twin.signals) if twin.signals else None
     if twin.truth is None or signals is None:
@@ -143,7 +146,10 @@ def excite(
     seed: int | None = None,
     fmu: Path | None = None,
 ) -> dict[str, Path]:
-    """Write the logs of all motions, and true friction next to them; return the files by name."""
+    """Run the arm along every motion; return the CSV files of the logs by name.
+
+    The true friction is written next to each log. Noise seed and FMU default to those of `plant`.
+    """
     paths = {}
     for one in recordings(motions, plant, seed=seed, fmu=fmu):
         paths[one.log.name] = path = folder / f"{one.log.name}.csv"

@@ -145,7 +145,7 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
                     remedy=str(error).rstrip("."),
                 )
             ]
-        # a PythonFMU under a PD controller, in the third run a native one
+        # The arm is a PythonFMU under a PD controller, in the third run a native FMU.
         for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
             own = replace(loop, fmus=replace(loop.fmus, arm=arm))
             spec = example(own, compensation="torque_error", duration=_SECONDS)

@@ -113,7 +113,7 @@ class Following:
     kv: _Errors = ()  # [N.m.s/rad]
     ki: _Errors = ()  # [N.m/rad]
     kp: _Errors = ()  # [1/s]
-    rows: tuple[FollowingError, ...] = ()  # first as logged, last the recommended law
+    rows: tuple[FollowingError, ...] = ()  # first: commands as logged; last: recommended law
 
 
 @dataclass(frozen=True, kw_only=True)

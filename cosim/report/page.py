@@ -34,7 +34,7 @@ class Chapter:
     key: str
     title: str
     values: Callable[[Results], dict[str, Any] | None]
-    folder: Path | None = None  # of the template of a plug-in, in the group hesr.chapters
+    folder: Path | None = None  # templates of a plug-in (group hesr.chapters)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,10 @@ _SUMMARY = Chapter("summary", "Summary", summary)
 
 
 def write_report(folder: Path, output: Path | None = None, *, progress: Stages = silent) -> Path:
-    """Write the page, by default report.html, figures and tables, all or none; return its path."""
+    """Write the page, by default report.html in `folder`, figures and tables; return its path.
+
+    A killed process leaves all files of the folder as they were, or all new ones.
+    """
     results = Results.read(folder)
     path = output or folder / REPORT
     with folder_written_whole(folder) as temporary:
@@ -98,7 +101,10 @@ def compose_report(
     brief: bool = False,
     progress: Stages = silent,
 ) -> None:
-    """Write the page of results, read at `place`, with files and zooming views unless `brief`."""
+    """Write the page of results, which is read at `place`, and figures and tables to a folder.
+
+    A `brief` page has neither files of figures nor zooming views.
+    """
     *first, last = SECTIONS.items()
     further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]
     folded = dict([*first, *(((f.key, f.title), (replace(f, title=""),)) for f in further), last])

@@ -90,7 +90,10 @@ class Results:
         return self.verdict.laws if self.verdict else (self.best,) * len(self.joints)
 
     def against(self, joint: int) -> tuple[str, str, dict[str, float | None]]:
-        """Return recommended law and reference of a joint, and ratios of errors by `AREAS`."""
+        """Return recommended law and strongest reference of a joint, and ratios of their errors.
+
+        Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
+        """
         test = self.tests[0]
         scores, law = self.comparisons[test], self.recommended[joint]
         pair = law, scores.ratios.of(law, joint)

@@ -48,7 +48,7 @@ def simulate_tests(
         except SimulationError as error:
             _warn(error)
             continue
-        # Whole logs: an upright arm diverges with any friction.
+        # Whole logs only without gravity: an upright arm diverges with any friction.
         if simulation.weightless(of_joints, robot, body):
             logs[test] = list(map(simulation.whole, of_joints))
     cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]

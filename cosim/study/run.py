@@ -173,7 +173,7 @@ def score_study(
     replace(rigid_body, provenance=source).write(folder / "rigid_body.json")
     tested = {name for names in study.logs.test.values() for name in names}
     runs = {}
-    for name, log in logs.items():  # a tested part of a log with all rows before it
+    for name, log in logs.items():  # a tested part includes all rows before it
         whole = job.led_up_to(name, files[name]) if name in tested else None
         ends = {part.t[-1]: part for part in (whole or log).parts()}
         parts = [ends.get(part.t[-1], part) for part in log.parts()]

@@ -42,7 +42,7 @@ class Ratio:
     value: float
     low: float | None
     high: float | None
-    p: float | None = None  # after Holm and `calibration`; None in earlier versions
+    p: float | None = None  # adjusted by Holm and `calibration`; None in earlier versions
     others: tuple[float, float] | None = None  # interval for other logs of this kind
 
     @property
@@ -92,16 +92,21 @@ class LawScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Scores of several laws on the same logs, whose velocity is causal in predictions."""
+    """Scores of several laws on the same logs.
+
+    Predictions use a causal velocity, `zero_phase` (RMSE) that of the fits. By joint, `leading` has
+    the law with the lowest error and all not significantly worse (Holm), `detectable` the smallest
+    ratio that would show each other law to be worse, if any.
+    """
 
     joints: tuple[str, ...]
     tau_std: tuple[float, ...]  # standard deviation of friction [N.m]
     laws: Mapping[str, LawScores]
     ratios: Ratios
-    leading: tuple[tuple[str, ...], ...] = ()  # lowest error, and not significantly worse (Holm)
+    leading: tuple[tuple[str, ...], ...] = ()
     per_log: tuple[str, ...] | None = None  # fitted to each test log
     bands: Mapping[str, tuple[BandScore, ...]] = field(default_factory=dict)  # coverage of 95 %
-    detectable: tuple[Mapping[str, float], ...] = ()  # smallest ratio of a law that would show
+    detectable: tuple[Mapping[str, float], ...] = ()
     seconds: tuple[float, ...] = ()  # [s] test that finds `RECORDED`, median
     zero_phase: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE without lag
 
@@ -284,7 +289,10 @@ def _reference(
     models: Mapping[str, FrictionModel],
     fallback: str,
 ) -> str:
-    """Return the classic law of no further inputs with the lowest left-out, or else test, error."""
+    """Return the strongest classic law on a joint without further inputs.
+
+    It has the lowest error on left-out training logs, or on the test if that is unknown.
+    """
     if law not in inputs:
         return fallback
     own, suffix = set(inputs[law].split(", ")), MEASURED_START * law.endswith(MEASURED_START)
@@ -308,7 +316,10 @@ def _reference(
 def within(
     records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
-    """Return rows of records and torques with start <= t < stop [s]; ConfigError without any."""
+    """Return the rows of records and torques [joint][log] with start <= t < stop [s] in each log.
+
+    Raises ConfigError if no log has such rows.
+    """
     kept_records, kept_torques = [], []
     for of_joint, predicted in zip(records, torques, strict=True):
         rows = [time_band(r.t - r.t[0], start, stop) for r in of_joint]

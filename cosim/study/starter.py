@@ -31,13 +31,16 @@ class NewProject:
     folder: Path
     joints: tuple[str, ...]  # joints in the robot file
     followers: tuple[str, ...] = ()
-    locked: Mapping[str, float] = field(default_factory=dict)  # of other joints [rad or m]
+    locked: Mapping[str, float] = field(default_factory=dict)  # positions of others [rad or m]
     doubts: tuple[Finding, ...] = ()
     bench: str = ""  # kind of a bench, or "twin", whose folder has no logs and no study
 
 
 def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
-    """Create a project folder for `hesr run`, with the model (URDF or .xml) and its includes."""
+    """Create a project folder for `hesr run`; see `hesr.new`.
+
+    The model (URDF, or MJCF as ``.xml``) is copied with its includes, but without meshes.
+    """
     require_new(folder)
     if model.suffix.lower() == ".xacro":
         raise RobotError(
@@ -138,10 +141,10 @@ class Bench:
 
     kind: Literal["rotary", "sliding"]
     joints: tuple[str, ...]
-    gravity: bool = False  # along sliding axes, across rotary ones
+    gravity: bool = False  # sliding axes are vertical, rotary ones horizontal
     inertia: tuple[float, ...] | None = None  # [kg.m2], of a sliding joint mass [kg]
     moment: tuple[float, ...] | None = None  # amplitude of the gravity moment [N.m]
-    phase: tuple[float, ...] | None = None  # position where the body hangs [rad]
+    phase: tuple[float, ...] | None = None  # where the body hangs and the moment is 0 [rad]
     gear_ratio: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -202,7 +205,10 @@ class Bench:
 def start_bench(
     folder: Path, bench: Bench, log: Mapping[str, Any], source: str | None = None
 ) -> NewProject:
-    """Create a folder with the model of a bench and its robot file, with [log] and its `source`."""
+    """Create a folder with the model of a bench and its robot file, which has `log` as [log].
+
+    `source` is that of the torque constants in `log`.
+    """
     require_new(folder)
     with folder_written_whole(folder) as temporary:
         model, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))

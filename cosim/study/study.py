@@ -84,7 +84,7 @@ class RefinementStudy(Config):
     """Refinement of the body: again with fitted friction, or both to the simulated position."""
 
     kind: Literal["in_turn", "output_error"] = "in_turn"
-    law: str = ""  # by default all, and the body of a single joint, by output error
+    law: str = ""  # by default output error refines all laws, and the body of a single joint
     rounds: int = Field(default=1, ge=1)
 
     @model_validator(mode="before")

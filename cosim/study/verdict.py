@@ -35,11 +35,15 @@ _LOADED = 0.5  # spread of the load over that of friction
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """Laws `tied` with the `best` on a joint, which a test cannot distinguish."""
+    """Laws `tied` with the `best` on a joint, which a test cannot distinguish.
+
+    The test would find errors of `detectable` times the lowest: the smallest and the largest such
+    ratio of the other laws, None for a short test.
+    """
 
     best: str
     tied: tuple[str, ...]
-    detectable: tuple[float, float] | None  # range of ratios that would show; None: short test
+    detectable: tuple[float, float] | None
     seconds: float  # [s] test that would find `RECORDED`
     law: str = ""  # recommended; empty in earlier versions
 

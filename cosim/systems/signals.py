@@ -42,7 +42,10 @@ class Signals:
         return float(self.t[-1]) if len(self.t) else 0.0
 
     def vector(self, signal: str) -> Array:
-        """Return all elements of a signal, (N, n) in its unit; SimulationError if not observed."""
+        """Return all elements of an observed signal, (N, n) in its unit.
+
+        Raises SimulationError if it was not observed.
+        """
         names = [signal] if signal in self.signals else []
         while (name := f"{signal}[{len(names) + 1}]") in self.signals:
             names.append(name)
@@ -57,10 +60,16 @@ class Signals:
         return self
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` by signal over ``t`` [s]; ConfigError without pandas."""
+        """Return a `pandas.DataFrame` with a column per signal over ``t`` [s].
+
+        Raises ConfigError if pandas is not installed.
+        """
         return frames.pandas_frame({"t": self.t} | self.signals, index="t")
 
     def write(self, path: PathArg) -> None:
-        """Write time and signals as CSV or ``.parquet``; ArtifactError if that is impossible."""
+        """Write time and signals as CSV or, with suffix ``.parquet``, as Parquet.
+
+        Raises ArtifactError if the file cannot be written.
+        """
         with written_whole(path_of(path, "an output")) as temporary:
             write_table(temporary, {"t": self.t} | self.signals)

@@ -213,7 +213,10 @@ class Master:
     def run(
         self, progress: Progress = silent, *, start: Mapping[str, Mapping[str, Value]] | None = None
     ) -> Signals:
-        """Run the system after a reset, with more `start` values; a failure is part of it."""
+        """Run the system after a reset; a failure ends the run and is part of the result.
+
+        `start` adds start values of components to those of the system.
+        """
         steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
         kept = np.empty((steps + 1, len(self._layout.rows)))
         failure = None

@@ -35,7 +35,7 @@ Bounds = Annotated[tuple[float, float], AfterValidator(_ordered)]
 
 
 class ComponentSpec(Config):
-    """One FMU of a system; start values are a number, a list of elements, or a choice's name."""
+    """One FMU of a system; a start value is a number, list of all elements, or name of a choice."""
 
     name: Name
     fmu: RelativePath

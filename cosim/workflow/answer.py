@@ -22,7 +22,7 @@ class PluginJob:
 
     verb: str
     key: str
-    run: Callable[..., Answer]
+    run: Callable[..., Answer]  # takes the path and the options of the verb
 
 
 def find_job(path: Path, verb: str) -> PluginJob | None:

@@ -47,7 +47,10 @@ MOST_ROWS = 10**6  # rows of a fit or test
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedLogs:
-    """Logs that passed the checks, their robot and known files; warnings and accepted errors."""
+    """Logs that passed the checks, with their robot and known files of both.
+
+    `findings` has the warnings of the checks and the accepted errors.
+    """
 
     logs: list[Log]
     robot: Robot

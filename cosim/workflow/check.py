@@ -30,7 +30,7 @@ class FmuReport(Answer):
 
     format = "hesr-fmu-report-1"
     reports: Sequence[Report]
-    conventions: Mapping[Path, Convention] = field(default_factory=dict)  # errors by file
+    conventions: Mapping[Path, Convention] = field(default_factory=dict)  # for that kind
     files: Sequence[Path] = ()
 
     @property

@@ -214,7 +214,7 @@ def inspect(
 def _write(
     proposal: Proposal, output: PathArg | None, write: PathArg | None, study: PathArg | None
 ) -> tuple[list[Path], str]:
-    """Write what is wanted; return the paths, and why a study that cannot run is not written."""
+    """Write what is requested; return the paths, and the reason if the study fails in a dry run."""
     from hesr_model.health.proposal import robot_file
     from hesr_model.support.files import path_of, written_together
 

@@ -31,7 +31,7 @@ KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LawReport(Answer):
-    """Result of `hesr.test`, by law; `scores` and `positions` [rad, m] need the prediction."""
+    """Result of `hesr.test` by law; `scores` and `positions` [rad, m] are None if not predicted."""
 
     format = "hesr-law-report-1"
     laws: Sequence[NamedLaw]

@@ -55,7 +55,10 @@ _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 
 @contextmanager
 def errors_said() -> Iterator[None]:
-    """Print every error, also of the system, as one sentence and exit with 2; bugs propagate."""
+    """Print every error as one sentence and exit with 2; bugs keep their traceback.
+
+    These include errors that readers do not report, such as a full disk.
+    """
     try:
         try:
             yield
@@ -234,7 +237,8 @@ def ended_by_signals() -> Iterator[None]:
             last = now
             raise KeyboardInterrupt if number == signal.SIGINT else _Ended
 
-    def dropped(what: "sys.UnraisableHookArgs") -> None:  # in a deallocation: raise it once more
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
+        # Python drops an exception raised during a deallocation: raise it once more.
         nonlocal last
         if not isinstance(what.exc_value, KeyboardInterrupt):
             show(what)

@@ -75,7 +75,7 @@ class JointView:
     name: str
     unit: str
     velocities: Sequence[Line]
-    friction: Line | None  # None without a model, as the loads
+    friction: Line | None  # None without a model, like `loads`
     covered: Array
     loads: Array | None
 

@@ -81,7 +81,10 @@ def errors(
 
 
 def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
-    """Return laws that a test does not separate from the best, with recommended `laws`; or None."""
+    """Return which laws a test does not separate from the best, and what would show; or None.
+
+    `laws` are those recommended for each joint, if any.
+    """
     if not scores.detectable:
         return None
     rows = []
@@ -127,7 +130,10 @@ def left_out(
 
 
 def bands(name: str, scores: Comparison) -> ResultTable:
-    """Return the share of test rows within each law's 95 % band; notes: moving, turning, width."""
+    """Return the share of test rows within each law's 95 % band.
+
+    Notes: share of moving rows, share near reversals, width over that of an equal constant band.
+    """
 
     def cell(band: BandScore) -> TableCell:
         shares = (band.held_moving, band.held_reversal)

@@ -87,7 +87,11 @@ def _blend(s: Array) -> Array:
 
 
 def faded_chirp(start: Array, limits: Limits, t: Array) -> Array:
-    """Return rows (N, n) of a chirp from .1 to 1 Hz around `start`, at rest at both ends."""
+    """Return rows (N, n) of a chirp from .1 to 1 Hz around `start` (n,), at rest at both ends.
+
+    Its frequency rises geometrically; positions, speeds and accelerations stay within the limits,
+    but for its envelope.
+    """
     growth = np.log(_LAST / _FIRST) / t[-1]
     rate = 2.0 * np.pi * _FIRST * np.exp(growth * t)[:, None]
     room = np.maximum(0.9 * np.minimum(start - limits.lower, limits.upper - start), 1e-9)

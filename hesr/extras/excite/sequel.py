@@ -63,7 +63,10 @@ class Knowledge:
         return float(gained + 0.25 * np.log1p(apart) + np.mean(unseen))
 
     def shrinking(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
-        """Return standard errors with further rows of equal noise and misfit, over today's."""
+        """Return the standard error of each coefficient with further rows, over today's.
+
+        Noise and misfit per row remain those of the covariance.
+        """
         if law.covariance is None:
             return {}
         slopes, more = self._slopes(law), _slopes(law, new)
@@ -162,7 +165,10 @@ def rows_of(motion: PlannedMotion, guard: Guard) -> list[Rows]:
 def plan_sequel(
     planner: Planner, folder: Path, time: float
 ) -> tuple[dict[str, PlannedMotion], Forecast, list[str]]:
-    """Plan motions of `time` [s] after results; return them by purpose, forecast and sentences."""
+    """Plan motions of `time` [s] in total after results: for friction, and a test if it helps.
+
+    Returns motions by purpose, the expected findings of the next run, and sentences.
+    """
     results, guard = Results.read(folder), planner.guard
     known, joints = knowledge(results, guard), guard.robot.joints
     assert results.verdict is not None

@@ -1,4 +1,10 @@
-"""Outliers and trends over days; see docs/fleet.md, and Rousseeuw and Croux 1993 for the MAD."""
+"""Outliers and trends over days.
+
+Scores are z = (x - median) / s, with s the scaled MAD; of logarithms for positive values. The MAD
+of n values is as precise as the standard deviation of 0.37 n values (Rousseeuw and Croux
+1993), so z has Student's t distribution with 0.37 (n - 1) degrees of freedom: conservative in
+simulations with at least 5 values.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +29,10 @@ class Deviation:
 
 
 def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
-    """Return distances from the median of `ENOUGH` or more values, limited by their `errors`."""
+    """Return the distance of each of at least `ENOUGH` values from the median of all.
+
+    Standard `errors`, None if unknown, limit the distance.
+    """
     x = np.array(values, dtype=float)
     own = np.array([0.0 if error is None else error for error in errors])
     median = float(np.median(x))

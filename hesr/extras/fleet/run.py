@@ -48,7 +48,10 @@ _ERROR = "rmse"
 def compared(
     robots: Sequence[RobotResult], level: float
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
-    """Compare robots of a type; return z by (robot, law, joint) and name, and deviants (Holm)."""
+    """Compare numbers of a type and law structure with at least `ENOUGH` robots.
+
+    Returns z by (robot, law, joint), then by name, and deviants at significance `level` (Holm).
+    """
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:
         for one in robot.joints:
@@ -201,7 +204,7 @@ class _Kind(NamedTuple):
 def write_types(
     study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
 ) -> dict[tuple[str, str, str], Path]:
-    """Write FMUs of median coefficients by (type, law, structure); rare structures are numbered."""
+    """Write FMUs with median coefficients by (type, law, structure), rarer structures numbered."""
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:
         for law in robot.laws:

@@ -44,7 +44,7 @@ class Tried:
     """Evaluation of an entry."""
 
     entry: Entry
-    inputs: tuple[str, ...]
+    inputs: tuple[str, ...]  # that change the torque
     torques: Sequence[Array]  # (N, n) [N.m] per part
     seconds: float  # per step
     ours: bool  # exported here, so that it runs in this process

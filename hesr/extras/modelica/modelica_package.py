@@ -89,7 +89,10 @@ def _page(template: str, **values: Any) -> str:
 
 
 def export_modelica(model: FrictionModel, path: Path) -> Path:
-    """Write a package NAME.mo (MSL 4.0) with a block and a bearing per joint, and examples."""
+    """Write a friction model as a Modelica package NAME.mo, for the Modelica Standard Library 4.0.
+
+    It has a block and a bearing per joint, and examples.
+    """
     if path.suffix != ".mo":
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
     if odd := _oddity(path.stem, _WORDS | _LIBRARIES):

@@ -20,7 +20,10 @@ from hesr_model.support.files import scratch_folder, written_whole
 
 
 def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
-    """Write NAME.so for the installed MuJoCo, and NAME.xml with a plug-in `hesr.NAME` per joint."""
+    """Write the library NAME.so for the installed MuJoCo and this platform, and NAME.xml.
+
+    The MJCF has one instance of the plug-in `hesr.NAME` per joint, for the joint of the same name.
+    """
     if path.suffix != ".so" or PLATFORM not in ("linux64", "aarch64-linux"):
         raise ExportError(f"{path}: a plug-in of MuJoCo is a library (.so) for Linux.")
     require_exportable(model, "a plug-in of MuJoCo", coupled=False)

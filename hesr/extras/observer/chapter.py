@@ -37,7 +37,10 @@ def _external(
 
 
 def events_of(t: Array, external: Array, threshold: Array) -> list[tuple[int, int, int, int]]:
-    """Return first and last row, joint and peak row of excesses of external torques (N, n)."""
+    """Return when external torques (N, n) exceed thresholds (N, n), by first row.
+
+    Events are first and last row, joint from 0, and the row of the largest excess.
+    """
     found, excess = [], np.abs(external) / threshold
     for j, size in enumerate(excess.T):
         beyond = np.flatnonzero(size > 1.0)

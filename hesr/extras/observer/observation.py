@@ -120,7 +120,7 @@ def observed_logs(
     logs: Sequence[Log],
     bandwidth: float = BANDWIDTH,
 ) -> list[ObservedLog]:
-    """Run the observer over the parts of logs; unlogged speeds are those of the low pass."""
+    """Run the observer over parts of logs, with logged speeds or else those behind the low pass."""
     bare = content(model, body, limits, bandwidth=bandwidth, bare=True)
     arrays, found = outputs_of(bare.table), []
     names = [v.name for v in bare.table.variables if v.role == "input"]
@@ -257,7 +257,10 @@ def _of_joint(
 
 
 def _scaled(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
-    """Return shares and squared half-widths (N,) that contain 95 % in motion, and at rest."""
+    """Scale shares to contain 95 % of squared errors in motion, and at rest if they do not yet.
+
+    Returns the shares and the squares of the half-widths (N,).
+    """
     # One scale for both would contain more than 95 % at rest and less in motion.
     moving = columns[:, _REST] < 0.5
     moving |= not moving.any()

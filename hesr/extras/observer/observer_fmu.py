@@ -36,7 +36,7 @@ class ObserverLimits:
 
     numbers: tuple[tuple[float, ...], ...]  # of the half-widths (6, n), in the order of `NAMES`
     factor: float  # threshold over half-width
-    duration: float = 0.0  # of the calibration [s]
+    duration: float = 0.0  # of the calibration [s]; 0 for a law's bands
     logs: Sequence[str] = ()
 
     @property

@@ -101,7 +101,7 @@ def _function(
     read: Sequence[sympy.Symbol],
     ends: Sequence[sympy.Symbol],
 ) -> str:
-    """Return the text of a function that reads outputs and returns them with the ends of states."""
+    """Return the text of `name(c, dq, q, tau_load, *more, x_0, ..)`: outputs and ends of states."""
     program = {symbol: _wrapped(e) for symbol, e in program.items()}
     lines, names = straight_line(program, (*read, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]
@@ -155,7 +155,10 @@ def _export(model: FrictionModel, path: Path, library: Library) -> Path:
 
 
 def tensor_code(model: FrictionModel, library: Library) -> str:
-    """Return the text of a Python file, only for PyTorch or JAX, that steps batches of robots."""
+    """Return the text of a Python file that needs only PyTorch or JAX.
+
+    It steps batches of robots with their hidden states, all joints of one form together.
+    """
     require_exportable(model, "a file of tensors")
     discretisation = discretisation_of(model)
     groups: dict[LawForm, list[int]] = {}

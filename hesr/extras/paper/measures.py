@@ -95,7 +95,10 @@ def training(e: Evidence, case: Case, joint: int, *, other: str) -> float:
 def tracking(
     e: Evidence, *, pairs: Sequence[tuple[str, str]], controllers: Sequence[tuple[str, str]]
 ) -> Values:
-    """Return a law's tracking RMSE over another's: geometric mean and Student's interval."""
+    """Return the RMSE of tracking of a law over that of another one, both under controllers.
+
+    The value is the geometric mean over the motions, the interval Student's.
+    """
     found: dict[str, Number] = {}
     for one, other in controllers:
         for law, reference in pairs:

@@ -79,7 +79,10 @@ class PaperResult:
 
 
 def verdict(values: Sequence[Number], at_least: Limit | None, at_most: Limit | None) -> str:
-    """Return `REPRODUCED` if all intervals are within limits, `REFUTED` if one is outside."""
+    """Compare the intervals of values with limits.
+
+    A claim is reproduced if all are within, not reproduced if one is outside, else not testable.
+    """
     low = np.array([v.value if v.low is None else v.low for v in values])
     high = np.array([v.value if v.high is None else v.high for v in values])
     least = -np.inf if at_least is None else np.array(at_least)

@@ -69,7 +69,7 @@ class FrictionBench(_Bench):
                 )
         super().__init__(component, joints, [u.name for u in INPUTS], ["tau"])
         self.places = np.zeros(joints)
-        self.exact = DISCRETISATION in names  # over any step
+        self.exact = DISCRETISATION in names  # integrates exactly over any step
         self._settles = START_MODE in names
         self.forever = _FOREVER if self.exact else _LONG  # time of steady sliding [s]
 

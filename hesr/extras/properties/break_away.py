@@ -19,7 +19,10 @@ _SPRING = 20.0  # stretch at the friction level, in deflections
 def dissipation(
     bench: DriveBench, scale: Scale, peaks: Array, loaded: Array
 ) -> list[PropertyResult]:
-    """Sum up the friction work of spring-held joints, under loads from 0 to `peaks` (n,) [N.m]."""
+    """Drive spring-held joints back and forth and sum up the work of their friction.
+
+    The load of `loaded` (n,) laws moves between 0 and `peaks` (n,) [N.m].
+    """
     angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
     dt = np.full(len(angle), _INNER_STEP)
     worst = np.full(bench.joints, -np.inf)
@@ -148,7 +151,10 @@ def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 
 def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array]:
-    """Return peak friction before sliding [N.m], displacement at half of it [rad]; NaN if none."""
+    """Return peak friction before sliding (n,) [N.m] and displacement at half of it (n,) [rad].
+
+    Both are NaN for a joint that does not slide.
+    """
     bench.start(load=scale.load, torque=scale.offset)
     dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
     rows: list[Array] = []

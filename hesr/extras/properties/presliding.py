@@ -151,7 +151,11 @@ def _remembered(
     innermost: float,
     loaded: float,
 ) -> PropertyResult:
-    """Judge inner loops along `way` (K,) and the branch `on` after them by the outer loop."""
+    """Judge inner loops and the branch `on` after them by the outer loop.
+
+    `way` (K,) has the positions of `inner` (K,), in amplitudes below the turning point; `innermost`
+    is the gap of the innermost loop, `loaded` the height at the largest load [N.m].
+    """
     height = max(float(np.ptp(loop)), _LITTLE)
     outer = loop[-len(_BRANCH) :]
     miss = max(abs(float(inner[-1] - inner[0])), abs(innermost)) / height

@@ -130,7 +130,10 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
 def standing_inertia(
     robot: Robot, body: RigidBody, model: FrictionModel
 ) -> tuple[float, ...] | None:
-    """Return joint inertias at mid-range [kg.m2]: `INERTIA`, or a positive mass diagonal."""
+    """Return the inertia of each joint at the middle of the trained range [kg.m2].
+
+    It is that of `INERTIA`, else the diagonal of the identified mass matrix if positive.
+    """
     if body.robot in INERTIA:
         return INERTIA[body.robot]
     n = robot.n

@@ -200,6 +200,7 @@ def lag(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 def _widest(tau: Array) -> tuple[float, int]:
     """Return the largest distance of branches [N.m], + if acceleration is above, and its row."""
+    # Rows k and -1 - k have the same speed.
     apart = tau[: _ROWS // 2] - tau[::-1][: _ROWS // 2]
     row = int(np.argmax(np.abs(apart)))
     width = float(apart[row])

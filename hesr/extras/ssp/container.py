@@ -46,7 +46,10 @@ def export_container(spec: SystemSpec, path: Path, output: Path) -> None:
 
 
 def write_container(contents: SystemContents, path: Path) -> Path:
-    """Write a system as one reproducible FMU; ConfigError for own steps or missing binaries."""
+    """Write a system as one FMU and return the path; the bytes are reproducible.
+
+    Raises ConfigError if a component has its own step or the binaries share no platform.
+    """
     if path.suffix != ".fmu":
         raise ExportError(f"{path}: the name of an FMU ends in .fmu.")
     for component in contents.spec.components:

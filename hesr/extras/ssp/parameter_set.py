@@ -1,4 +1,14 @@
-"""Coefficients as a parameter set of SSP 1.0, with their covariance in an annotation by joint."""
+"""Coefficients of a friction model as a parameter set of SSP 1.0, with their covariance.
+
+The covariance of each joint is in an annotation of the set, which other tools ignore:
+
+    <hesr:Joint number="1" names="joint[1].F_c joint[1].sigma_2">
+      <hesr:Row>0.012 -0.003</hesr:Row>
+      <hesr:Row>-0.003 0.04</hesr:Row>
+    </hesr:Joint>
+
+with one row per name.
+"""
 
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -18,7 +28,10 @@ COVARIANCE = "urn:hesr:covariance:1"
 
 
 def export_ssv(model: FrictionModel, path: Path) -> Path:
-    """Write coefficients, or scales of laws that expose none, and covariance as .ssv."""
+    """Write coefficients and covariance of a friction model as .ssv, and return the path.
+
+    The names are those of its FMU. Laws without exposed coefficients have their scales instead.
+    """
     if path.suffix != ".ssv":
         raise ExportError(f"{path}: a parameter set of SSP must end in .ssv.")
     require_numbers(model)

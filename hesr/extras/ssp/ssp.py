@@ -48,7 +48,10 @@ def export_ssp(spec: SystemSpec, path: Path, output: Path, *, ssp: Version = "1.
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
-    """Write a system with its FMUs as a reproducible SSP; libcosim and ecos read version 1.0."""
+    """Write a system with its FMUs as an SSP and return the path; the bytes are reproducible.
+
+    libcosim and ecos read version 1.0 only.
+    """
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
     members = {SSD: to_ssd(contents, version)}
@@ -64,7 +67,10 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
 
 
 def left_out(contents: SystemContents) -> str | None:
-    """Return a sentence on parts of a system that engines refuse in an SSP, if there are any."""
+    """Return a sentence on missing parts of a system's SSP, if any.
+
+    Engines refuse connectors of unconnected inputs, parameters and local variables.
+    """
     used = set(contents.used)
     observed = [".".join(e) for e in contents.wiring.observed if e not in used]
     parts = [f"observes outputs only, not {listed(observed)}"] if observed else []

@@ -149,7 +149,10 @@ def _spreads(values: Array, shown: Callable[[Array], Array] = np.asarray) -> tup
 def under_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
-    """Return the errors of laws refitted to each alternative plant; the twin's favours bristles."""
+    """Return the errors of laws by alternative plant of the twin, refitted to each.
+
+    The twin's bristles favour bristle laws.
+    """
     twin = study.twin
     return {
         truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)

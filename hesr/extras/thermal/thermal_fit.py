@@ -1,4 +1,7 @@
-"""Temperature dependence of friction, from temperatures or heat (R = 1: up to a factor)."""
+"""Temperature dependence of friction, from measured temperatures or the heat of long logs.
+
+Without measured temperatures R is 1, because temperatures are known up to a factor only.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -71,7 +71,11 @@ def show_arm(
     speed: float = 1.0,
     progress: Stages = silent,
 ) -> Written:
-    """Show an arm next to its commanded pose in a window, .mp4 or .webp; see `hesr.report`."""
+    """Show the arm of a closed loop next to its commanded pose.
+
+    `output` is a .mp4, a .webp, or None for a window; by default it shows the rigid body alone and
+    the best law. `magnify` scales deviations.
+    """
     choice = ViewOptions(laws=law, scheme=scheme, magnify=magnify, speed=speed)
     shown = choose(results, choice)
     if output is None:
