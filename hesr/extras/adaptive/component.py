@@ -33,16 +33,16 @@ class Tuning:
 
     correlation_time: float = 0.5  # of the unexplained torque [s]
     forgetting_time: float = 60.0  # memory of the filter [s]
-    level_sd: float = 0.05  # initial and largest standard deviations
+    level_sd: float = 0.05  # *_sd: initial and largest standard deviations
     viscosity_sd: float = 0.4
-    offset_sd: float = 0.1
+    offset_sd: float = 0.1  # relative to the noise, as are limit and rate of the offset
     level: tuple[float, float] = (0.5, 2.0)
     viscosity: tuple[float, float] = (0.3, 3.0)
-    offset: float = 3.0  # limits of the offset are relative to the noise
+    offset: float = 3.0  # limit
     offset_rate: float = 0.05  # [1/s]
     rest: float = 0.02  # share of the largest speed below which nothing is learned
-    outlier: float = 6.0  # limits of innovations in standard deviations
-    clipped: float = 3.0
+    outlier: float = 6.0  # [standard deviations] innovations above are not learned from
+    clipped: float = 3.0  # [standard deviations] limit of the innovation in use
     hold: float = 0.5  # time without learning after an outlier [s]
     carried: float = 0.25  # share of the learned factors in the next log
     change: float = CHANGE  # smallest detected change
