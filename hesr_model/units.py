@@ -43,7 +43,7 @@ def backwards(unit: str | float) -> str | float:
 
 
 def fits(quantity: str, unit: str | float, *, slides: bool) -> bool:
-    """Return whether a joint can be logged in a unit; sliding joints accept default units."""
+    """Return whether a joint can be logged in a unit; sliding ones also in rad, rad/s and N.m."""
     if quantity in OTHERS or not isinstance(unit, str):
         return True
     unit = unit.removeprefix("-")

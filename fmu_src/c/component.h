@@ -48,7 +48,7 @@ typedef struct {
     char text[256];
 } Message;
 
-/* Fill in a message, by default the reason of a refusal; return false. */
+/* Write a message, usually the reason of a refusal; always return false. */
 SELDOM static inline bool deny(Message *why, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);

@@ -160,7 +160,7 @@ static fmi2Status failed(Instance *instance) {
     return fmi2Error;
 }
 
-/* The same with a message. */
+/* Report an error, then end the simulation. */
 #define FAIL(...) (complain(__VA_ARGS__), failed(instance))
 
 /* Whether sums of values are finite: false if one is not, or if they overflow. */

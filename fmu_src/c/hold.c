@@ -16,6 +16,7 @@
 /* Tolerance of times for round-off, as a fraction of the runtime's step. */
 #define ROUNDING 1e-6
 
+/* Calls that read and write variables of a type. */
 #define EACH_ACCESS(F, kind)                                                                       \
     F(fmi2Get##kind,                                                                               \
       (fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##kind value[]), own->inner,  \

@@ -49,7 +49,10 @@ class Attack:
 def attack(
     law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]] = ()
 ) -> tuple[Attack | None, int]:
-    """Return the cycle that generates the most energy, if any, and the number of cycles tried."""
+    """Return the cycle that generates the most energy, if any, and the number of cycles tried.
+
+    `speeds` are pairs [rad/s] for both directions, tried until one generates energy.
+    """
     tried = [*_still(law, trained), *_ways(law, trained, speeds)]
     if TAU_LOAD in law.form.inputs:
         tried += _moving(law, trained)

@@ -18,7 +18,7 @@ from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
-FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)  # [Hz]; slower cycles generate more energy
+FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)  # [Hz]; a driving law gives more if slower
 AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)  # of the trained speed
 ENCODER = 20e-6  # [rad] RMS noise
 _SETTLING = 3.0  # [s] several time constants

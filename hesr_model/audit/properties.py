@@ -198,7 +198,7 @@ EXPECTATIONS = {
 
 
 FORMAT = "hesr-friction-properties-1"
-PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]  # the third is no defect
+PropertyVerdict = Literal["pass", "fail", "not applicable", "not run"]  # n/a: not a defect
 MARKS = {"pass": "✓", "fail": "✗", "not applicable": "n/a", "not run": "–"}
 
 

@@ -43,8 +43,8 @@ class Refined:
     body: RigidBody
     friction: FrictionModel
     ratio: float  # RMS of the position errors over those before
-    before: Array  # errors of the original on left-out windows, by length and joint [rad; m]
-    left_out: Array  # those of this friction
+    before: Array  # position errors on left-out windows, by length and joint [rad; m]
+    left_out: Array  # those with the refined friction
 
     @property
     def size(self) -> float:

@@ -85,7 +85,7 @@ class Band:
 def shapes(
     dq: Any, tau_load: Any, slow_speed: Any, *, most: Any = np.minimum
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Return the factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2."""
+    """Return factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2; `most` is a minimum."""
     resting = (1 - most((dq / REST) ** 2, 1)) ** 2
     return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2
 

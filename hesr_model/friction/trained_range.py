@@ -19,7 +19,7 @@ Range = tuple[float, float]  # least and greatest value
 class TrainedRange:
     """Ranges of training records [rad/s, rad, N.m]; ArtifactError if invalid or without motion."""
 
-    sample_time: float
+    sample_time: float  # median [s]
     dq: Range
     q: Range
     tau_load: Range

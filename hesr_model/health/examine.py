@@ -89,7 +89,7 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
 def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
     """Return a robot whose unknown parameters are identified, or None if that fails."""
     informed = copy(model)
-    if model.description.known is None:
+    if model.description.known is None:  # then only its springs, if any, are unknown
         own = {"known": model.parameter_names[: model.inertial]}
         model = Robot(model.description.model_copy(update=own))
     motions = [

@@ -221,8 +221,8 @@ def loses_rows(log: Log) -> bool:
 def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[Finding]:
     """Check that the remaining rows determine each joint's sliding torque.
 
-    Estimates with random halves of the rows differ by four times the variance of that with all
-    rows.
+    The difference of estimates from random halves has four times the variance of the estimate from
+    all rows.
     """
     if not loses_rows(motion.log):
         return

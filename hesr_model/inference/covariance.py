@@ -272,7 +272,7 @@ def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]
 
 
 def _for_few_rows(moments: Sequence[Moments]) -> Array:
-    """Return Student's over the normal quantile for few rows (P, P) (Bell and McCaffrey 2002)."""
+    """Return the ratios (P, P) of Student's to normal quantiles (Bell and McCaffrey 2002)."""
     squares = np.sum([log.squares for log in moments], axis=0)
     fourths = np.sum([log.fourths for log in moments], axis=0)
     degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)

@@ -43,7 +43,8 @@ def _known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
 Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joint)]
 """Pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint."""
 KnownUnit = Annotated[UnitName, AfterValidator(_known_unit)]
-Units = Annotated[_UnitNames, AfterValidator(_known_unit)]  # names or sizes in SI
+# Unit of all joints or one per joint: a name, or its size in SI
+Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
 
 
 def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:

@@ -227,7 +227,10 @@ def random_fourier(
     offset: Array,
     periods: int = 1,
 ) -> Fourier:
-    """Draw a Fourier motion with peak velocities (n,) [rad/s], the same on every machine."""
+    """Draw a Fourier motion with peak velocities (n,) [rad/s].
+
+    A seed gives the same motion on every machine. Raises ConfigError for fewer than 2 harmonics.
+    """
     if harmonics < 2:
         raise ConfigError(f"random Fourier motion: {harmonics} harmonics; at least 2 are needed.")
     joints = np.arange(len(peak_velocity))[:, None]

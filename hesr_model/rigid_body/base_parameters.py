@@ -15,7 +15,7 @@ _LATER = 1e3  # springs replace no mass: their columns are chosen after those of
 
 
 def base_columns(model: Robot) -> tuple[int, ...]:
-    """Return a largest set of independent columns of the regressor in order, by pivoted QR."""
+    """Return indices of a largest set of independent columns, by pivoted QR at random states."""
     return _independent(model, ())
 
 

@@ -57,7 +57,7 @@ class GearForm:
 
 
 def gear_forms(motions: Sequence[Motion], model: Robot, used: Sequence[Mask]) -> list[GearForm]:
-    """Return the forms of elastic gears by joint, low-passed as motions; none if not logged."""
+    """Return the forms of elastic gears, low-passed as the motions; none without link encoders."""
     if not motions or any(motion.q_link is None for motion in motions):
         return []
     names = ("q", "dq", "ddq", "tau", "q_link", "dq_link")

@@ -47,7 +47,7 @@ def times(samples: JointRows) -> tuple[float, ...]:
 def weights(samples: JointRows, longest: float = 0.0) -> Array:
     """Return (N,) weights: 0 while the unknown initial state of a record matters, then 1.
 
-    The deflections are forgotten after a way, the age after three times the `longest` T [s].
+    The deflections are forgotten after a distance, the age after three times the `longest` T [s].
     """
     found = np.empty(len(samples.q))
     first = np.flatnonzero(samples.begins)
