@@ -223,17 +223,18 @@ class Refinement:
                 last = (point.copy(), self._reduced(point))
             return last[1]
 
-        # Calls MINPACK with a sixth of the overhead of `least_squares`.
-        point, _, found, *_ = scipy.optimize.leastsq(
-            lambda point: reduced(point)[:, -1],
-            self.pack(),
-            Dfun=lambda point: reduced(point)[:, :-1],
-            full_output=True,
-            ftol=1e-15,
-            xtol=1e-15,
-            gtol=1e-15,
-            maxfev=evaluations,
-        )
+        # A sixth of the overhead of `least_squares`; its covariance, not used, may overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            point, _, found, *_ = scipy.optimize.leastsq(
+                lambda point: reduced(point)[:, -1],
+                self.pack(),
+                Dfun=lambda point: reduced(point)[:, :-1],
+                full_output=True,
+                ftol=1e-15,
+                xtol=1e-15,
+                gtol=1e-15,
+                maxfev=evaluations,
+            )
         return self.unpack(point, float(np.sum(found["fvec"] ** 2)) / self.count)
 
     def statistics(self) -> Array:
