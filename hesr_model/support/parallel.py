@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
@@ -159,7 +159,7 @@ def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Itera
         return
     with _SharedPool() as _sharing:
         if modules and (count := os.cpu_count() or 1) > 1:
-            _sharing.pool().submit([lambda: [*map(import_module, modules)]] * count + list(first))
+            _sharing.pool().submit([partial(_import, modules)] * count + list(first))
         try:
             yield
         finally:
@@ -306,3 +306,8 @@ def _result(future: "Future[JobAnswer]") -> Any:
     if error is not None:
         raise error
     return result
+
+
+def _import(modules: Sequence[str]) -> None:  # a result would be imported by the parent as well
+    for name in modules:
+        import_module(name)

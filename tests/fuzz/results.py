@@ -67,9 +67,10 @@ def _run(path: Path) -> object:
 
 
 def _scores(path: Path) -> object:
-    from cosim.report.results import _comparisons
+    from cosim.report.results import _by_test
+    from cosim.study.scores import Comparison
 
-    return _comparisons(path)
+    return _by_test(Comparison, path, "the scores of a run")
 
 
 def _battery(path: Path) -> object:
