@@ -115,13 +115,7 @@ def run_study(
             )
             following = job.following(run, made, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
-            from cosim.report.page import REPORT, compose_report  # slow to import
-            from cosim.report.results import Results
-
-            saved = Results.read(folder)
-            saved = replace(saved, audited={law: a for law, a in audits.items() if a})
-            page = folder / REPORT
-            compose_report(saved, folder, page, folder, brief=quick, progress=job.progress)
+            _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
         shutil.rmtree(kept, ignore_errors=True)
     return Outcome(
@@ -154,6 +148,17 @@ def _shortened(study: Study) -> Study:
     return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
 
 
+def _report(
+    folder: Path, audits: Mapping[str, ModelAudit | None], progress: Stages, *, brief: bool
+) -> None:
+    from cosim.report.page import REPORT, compose_report  # slow to import
+    from cosim.report.results import Results
+
+    known = {law: audit for law, audit in audits.items() if audit}
+    results = replace(Results.read(folder), audited=known)
+    compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
+
+
 def score_study(
     job: Job, folder: Path, *, platforms: Sequence[str] = ("linux64",), accepted: Sequence[str] = ()
 ) -> Scored:
@@ -175,7 +180,7 @@ def score_study(
     runs = {}
     for name, log in logs.items():  # a tested part includes all rows before it
         whole = job.led_up_to(name, files[name]) if name in tested else None
-        ends = {part.t[-1]: part for part in (whole or log).parts()}
+        ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
         parts = [ends.get(part.t[-1], part) for part in log.parts()]
         runs[name] = [friction_records(part, model, rigid_body) for part in parts]
     records = {

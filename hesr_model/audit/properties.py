@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
@@ -54,8 +54,18 @@ _PASSIVE_LUGRE = (
 )
 
 
-_ALL: tuple[tuple[Any, ...], ...] = (
-    (
+def _expectation(
+    names: tuple[str, str, str],
+    figure: tuple[str, str, float],
+    measured: str,
+    expected: str,
+    *sources: str,
+) -> Expectation:
+    return Expectation(*names, *figure, measured, expected, sources)
+
+
+_ALL = (
+    _expectation(
         ("presliding", "Pre-sliding loop", "loop"),
         ("stiffness after a reversal", "kN.m/rad", 1e-3),
         "The joint moves back and forth by the deflection that reverses its friction, in 4 s and "
@@ -65,7 +75,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Al-Bender, Lampaert, Swevers (2005): The generalized Maxwell-slip model: a novel model "
         "for friction simulation and compensation",
     ),
-    (
+    _expectation(
         ("memory", "Reversal points and non-local memory", "memory"),
         ("miss of the closed inner loop", "%", 100.0),
         "On the rising branch of the slow loop the joint moves back by half the amplitude, returns "
@@ -76,7 +86,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Swevers, Al-Bender, Ganseman, Prajogo (2000): An integrated friction model structure "
         "with improved presliding behavior for accurate friction compensation",
     ),
-    (
+    _expectation(
         ("nested", "Non-local memory under load", "nested"),
         ("miss of the closed inner loops", "%", 100.0),
         "As above, with a second loop inside the inner one, at half the largest trained load; "
@@ -86,7 +96,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Mindlin, Deresiewicz (1953): Elastic spheres in contact under varying oblique forces",
         _HYSTERESIS,
     ),
-    (
+    _expectation(
         ("breakaway", "Break-away torque against torque rate", "break"),
         ("fall of the break-away torque", "%", 100.0),
         "From rest the torque on a JointDrive reaches the friction level in 10, 3, 1 and 0.3 s; "
@@ -99,7 +109,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Richardson, Nolle (1976): Surface friction under time-dependent loads",
         _LUGRE,
     ),
-    (
+    _expectation(
         ("start", "Start in motion", "start"),
         ("largest difference of the first torque", "%", 100.0),
         "The joint slides when its FMU is initialised, in both directions at 5 to 100 % of the "
@@ -110,7 +120,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Otter, Elmqvist, Mattsson (1999): Hybrid modeling in Modelica based on the synchronous "
         "data flow principle",
     ),
-    (
+    _expectation(
         ("lag", "Frictional lag", "lag"),
         ("distance of the branches, + if acceleration is above", "N.m", 1.0),
         "The joint slides in one direction at 1 to 11 % of the trained speed, varied with periods "
@@ -122,7 +132,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "sliding velocities",
         _LUGRE,
     ),
-    (
+    _expectation(
         ("stick_slip", "Stick-slip under a moving spring", "stick"),
         ("amplitude of the limit cycle", "mrad", 1e3),
         "A soft spring pulls a JointDrive at the speed where the steady curve falls most steeply, "
@@ -133,7 +143,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Armstrong-Hélouvry, Dupont, Canudas de Wit (1994): A survey of models, analysis tools "
         "and compensation methods for the control of machines with friction",
     ),
-    (
+    _expectation(
         ("dither", "Drift under a load with dither", "dither"),
         ("drift in a minute", "mrad", 1e3),
         "A JointDrive carries half its friction in the slowest sliding, at most half its level, "
@@ -142,7 +152,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "from the first deflection, such as LuGre and Dahl, drift.",
         _ELASTOPLASTIC,
     ),
-    (
+    _expectation(
         ("hold", "Hold against gravity", "hold"),
         ("drift in a minute", "mrad", 1e3),
         "A JointDrive carries half its friction level for 60 s; it is also the load of the law.",
@@ -151,7 +161,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "metallic bodies",
         _ELASTOPLASTIC,
     ),
-    (
+    _expectation(
         ("chatter", "Chatter at rest", "noise"),
         ("standard deviation of the torque", "N.m", 1.0),
         "The joint rests; its velocity is the difference of encoder readings with 20 urad of "
@@ -160,7 +170,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky (1998): Friction models and friction "
         "compensation",
     ),
-    (
+    _expectation(
         ("work", "Work over closed cycles", "work"),
         ("most energy given in a cycle", "J", 1.0),
         "Sines of 0.05 to 2 Hz and of 1 to 100 % of the trained speed, at the law's own sample "
@@ -168,7 +178,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "None generates energy: friction is passive.",
         _PASSIVE_LUGRE,
     ),
-    (
+    _expectation(
         ("drive", "Dissipation in a drive", "drive"),
         ("most energy given in a cycle", "J", 1.0),
         "A JointDrive on a spring is pushed back and forth at 1 Hz, by 2 %, 50 % and 200 % of "
@@ -179,7 +189,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
         "Willems (1972): Dissipative dynamical systems, part I: general theory",
         _PASSIVE_LUGRE,
     ),
-    (
+    _expectation(
         ("coupling", "Largest explicit coupling step", "step"),
         ("largest step without chatter", "ms", 1e3),
         "The Friction FMU is coupled explicitly to the joint's inertia, which slides to a stop "
@@ -191,10 +201,7 @@ _ALL: tuple[tuple[Any, ...], ...] = (
     ),
 )
 
-EXPECTATIONS = {
-    names[0]: Expectation(*(*names, *figure, measured, expected, tuple(sources)))
-    for names, figure, measured, expected, *sources in _ALL
-}
+EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}
 
 
 FORMAT = "hesr-friction-properties-1"

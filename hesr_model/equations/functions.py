@@ -44,17 +44,19 @@ def _function(name: str, nargs: int, latex: str, exact: Any = None) -> Any:
 
 
 sgn = _function("sgn", 1, r"\operatorname{{sgn}}{power}\left({}\right)", sympy.sign)  # 0 at 0
-absolute = _function("absolute", 1, r"\left|{}\right|", sympy.Abs)  # Absolute value
+absolute = _function("absolute", 1, r"\left|{}\right|", sympy.Abs)  # absolute value
 positive = _function("positive", 1, r"\max\left({}, 0\right)")  # max(x, 0), 0 for NaN
-larger = _function("larger", 2, r"\max\left({}, {}\right)")  # Maximum of two numbers
-clip = _function("clip", 2, r"\operatorname{{clip}}\left({}, \pm {}\right)")  # between -b and b
+larger = _function("larger", 2, r"\max\left({}, {}\right)")  # maximum of two numbers
+clip = _function("clip", 2, r"\operatorname{{clip}}\left({}, \pm {}\right)")
+"""x clipped to -b and b, for b >= 0."""
 exceeds = _function("exceeds", 2, r"\left[{} > {}\right]")  # 1 if a > b, else 0
-over = _function("over", 3, r"\left({0}\right) / \left({1}\right)")  # a / b; 3rd unless b > 0
+over = _function("over", 3, r"\left({0}\right) / \left({1}\right)")
+"""a / b for b > 0, else the third argument."""
 decay = _function("decay", 2, r"\left(e^{{-{0}}} - 1\right)")
 """Relative change exp(-z) - 1 of a state over a step, -z by Euler; z = rate * dt, 1 for Euler."""
 share = _function("share", 3, r"\varphi\left({}\right)")
 """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler."""
-share_slope = _function("share_slope", 3, r"\varphi'\left({}\right)")  # Derivative of `share` by z
+share_slope = _function("share_slope", 3, r"\varphi'\left({}\right)")  # derivative of `share` by z
 cardinal_sine = _function("cardinal_sine", 1, r"\operatorname{{sinc}}{power}\left({}\right)")
 """sin(x) / x, continued by 1 at 0: mean of a wave over a step relative to its middle value."""
 cardinal_slope = _function("cardinal_slope", 1, r"\operatorname{{sinc}}'\left({}\right)")
@@ -71,7 +73,7 @@ _SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
     "decay": lambda z, euler: (-1 - (1 - euler) * decay(z, euler), _ZERO),
     "share": lambda *arguments: (share_slope(*arguments), _ZERO, _ZERO),
     "cardinal_sine": lambda x: (cardinal_slope(x),),
-}  # Derivatives by each argument, almost everywhere
+}  # derivatives by each argument, almost everywhere
 
 
 def _cardinal_sine(x: Any) -> Any:
@@ -147,7 +149,7 @@ SCALAR: Mapping[str, Callable[..., float]] = {
     "decay": lambda z, euler: -z if euler else math.expm1(-z),
     "share": _share_of_one,
     "cardinal_sine": _sine_of_one,
-}  # Functions of one number by name, a hundred times as fast as NumPy
+}  # functions of one number by name, a hundred times as fast as NumPy
 
 
 def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
@@ -156,5 +158,6 @@ def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]
     printer = NumPyPrinter({**options, "user_functions": {name: name for name in NUMPY}})
     # By the name "numpy", SymPy would import all of NumPy, such as its Fortran compiler.
     modules = [dict(NUMPY), vars(np)]
-    both = list(arguments), list(expressions)
-    return sympy.lambdify(*both, modules=modules, printer=printer, cse=True)
+    return sympy.lambdify(
+        list(arguments), list(expressions), modules=modules, printer=printer, cse=True
+    )

@@ -104,7 +104,8 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
     if not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
     first = pairs[0][1]
-    beta, speed = first.values["beta"], model.trained[0].speed if model.trained else _SPEED
+    alpha, beta = first.values["alpha"], first.values["beta"]
+    speed = model.trained[0].speed if model.trained else _SPEED
     near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
     styles = strokes(list(_FACTORS.values()))
     slopes = tuple(
@@ -112,12 +113,7 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
         for f, name in _FACTORS.items()
     )
     widths = tuple(
-        _loop(
-            replace(first, values={**first.values, "alpha": f * first.values["alpha"]}),
-            speed,
-            name,
-            styles,
-        )
+        _loop(replace(first, values={**first.values, "alpha": f * alpha}), speed, name, styles)
         for f, name in _FACTORS.items()
     )
     styles = strokes(results.joints)
@@ -149,7 +145,8 @@ def _loop(law: FrictionLaw, speed: float, name: str, styles: Mapping[str, Stroke
 
 def ablation(results: Results) -> dict[str, Any] | None:
     """Return the change of the error with each added part."""
-    laws = results.comparisons[test := results.tests[0]].laws
+    test = results.tests[0]
+    laws = results.comparisons[test].laws
     steps = [(a, b, part) for a, b, part in _steps() if a in laws and b in laws]
     variants = [n for n in results.run.variants if n in laws and not n.endswith("_relaxed")]
     tables = {}
