@@ -15,30 +15,21 @@ from fmu_src.equations.printer import LanguagePrinter
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import DT, Relaxation
 from hesr_model.equations.program import Jumps, initial_state, initial_symbol
-from hesr_model.errors import ExportError
 from hesr_model.friction.law import SETTLING, LawForm
 
 _NAMES = "abs acos asin atan atan2 cos cosh der exp log sign sin sinh sqrt tan tanh"
 FUNCTIONS = tuple(_NAMES.split())  # functions and operators of Modelica in use
-_HALF = sympy.Rational(1, 2)
 _WIDTH = 96
 
 
 class _Printer(LanguagePrinter):
     language = "Modelica"
+    one, power = "1", "^"
 
     def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:
         super().__init__(derivatives)
         self.known_functions = {name: name for name in FUNCTIONS}
         self.known_functions |= {"sgn": "sign", "absolute": "abs"}
-
-    def _print_Pow(self, expr: sympy.Pow) -> str:
-        base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
-        if expr.exp == _HALF:
-            return f"sqrt({self._print(expr.base)})"
-        if expr.exp.could_extract_minus_sign():
-            return f"1/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
-        return f"{base}^{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
 
     # Magnitudes trigger no event in any tool.
     def _print_positive(self, expr: sympy.Expr) -> str:
@@ -85,12 +76,7 @@ def equations(form: LawForm) -> Equations:
     def text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
         # No sign is held before the first event.
         own = expression if begins else expression.xreplace(held)
-        try:
-            return str(printer.parenthesize(own, level))
-        except NotImplementedError as error:
-            raise ExportError(
-                f"friction law: '{expression}' has no counterpart in Modelica."
-            ) from error
+        return printer.text(own, level, of=expression)
 
     lines = [
         f"der({m.name}) = {text(m.drive)} - {text(m.rate, PRECEDENCE['Mul'])}*{m.name}"

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import sympy
-from sympy.printing.precedence import PRECEDENCE
 
 from fmu_src.equations.printer import LanguagePrinter
 from fmu_src.friction.validity import discretisation_of, require_exportable
@@ -34,7 +33,6 @@ _SHARED = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")
 _ARCS = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
 _OWN = ("positive", "larger", "clip", "exceeds", "over")
 
-_HALF = sympy.Rational(1, 2)
 _HIGH_BITS = 12
 """High bits of a factor on the position, half of single precision, so that products are exact."""
 _DIGITS = 40
@@ -47,7 +45,8 @@ class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not
 
 
 class _Printer(LanguagePrinter):
-    language = "Python"
+    language = "tensor code"
+    one, power = "1.0", "**"
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         super().__init__(names)
@@ -57,14 +56,7 @@ class _Printer(LanguagePrinter):
         self.known_functions |= {"sgn": "xp.sign", "absolute": "xp.abs", "Abs": "xp.abs"}
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
-        if expr.is_number:
-            return self._print_Float(expr)
-        if expr.exp == _HALF:
-            return f"xp.sqrt({self._print(expr.base)})"
-        if expr.exp.could_extract_minus_sign():
-            return f"1.0/{self.parenthesize(expr.base**-expr.exp, PRECEDENCE['Mul'])}"
-        base = self.parenthesize(expr.base, PRECEDENCE["Pow"])
-        return f"{base}**{self.parenthesize(expr.exp, PRECEDENCE['Pow'])}"
+        return self._print_Float(expr) if expr.is_number else super()._print_Pow(expr)
 
     def _print_Function(self, expr: sympy.Function) -> str:
         if expr.is_number:
@@ -109,16 +101,7 @@ def _function(
     known |= {m.state: x for m, x in zip(form.memory, states, strict=True)}
     known |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
     printer = _Printer(known | names)
-
-    def text(expression: sympy.Expr) -> str:
-        try:
-            return str(printer.parenthesize(expression, 0))
-        except NotImplementedError as error:
-            raise ExportError(
-                f"friction law: '{expression}' has no counterpart in tensor code."
-            ) from error
-
-    body = [f"{names.get(symbol, str(symbol))} = {text(e)}" for symbol, e in lines.items()]
+    body = [f"{names.get(symbol, str(symbol))} = {printer.text(e)}" for symbol, e in lines.items()]
     ended = "".join(f"{names[symbol]}, " for symbol in ends)
     arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *more)), *states))
     first = "".join(f"{names[symbol]}, " for symbol in read)
