@@ -19,7 +19,7 @@ from hesr_model.friction.predict import numbers
 from hesr_model.friction.records import rmse
 from hesr_model.friction.scales import parts
 from hesr_model.friction.thermal import Thermal
-from hesr_model.inference.covariance import blocks_of_time, covariance, left_out
+from hesr_model.inference.covariance import blocks_of_time, covariance_of_fit
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
@@ -193,11 +193,8 @@ class _Problem:
     def _errors(self, jacobian: Array, residual: Array) -> Array:
         rows = [int(known.sum()) for known in self._known]
         labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
-        own = [jacobian[labels == k] for k in range(int(labels.max()) + 1)]
-        hessians = [j.T @ j for j in own]
-        gradients = jacobian * left_out(jacobian, residual, np.sum(hessians, axis=0))[:, None]
         names = tuple(_UNKNOWNS)[: len(jacobian.T)]
-        return covariance(names, gradients, hessians, labels).standard_errors
+        return covariance_of_fit(names, jacobian, residual, labels).standard_errors
 
     def by_heat(self, thermal: Thermal) -> list[Array]:
         """Return the temperature of each record from its friction [degC]."""
