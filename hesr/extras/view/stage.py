@@ -1,8 +1,9 @@
 """The scene: shapes of arms side by side, each with its commanded pose as a ghost."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -165,39 +166,24 @@ def _strip(spec: Any) -> None:
 
 def _draw(spec: Any, length: float, paint: Paint) -> None:
     radius = _LINK * length * paint.thick
-    for body in _below(spec.worldbody):
+    kinds = mujoco.mjtGeom
+    for body in spec.worldbody.find_all("body"):
+        add = partial(body.add_geom, mass=0.0)
+        link = {"size": [radius, 0.0, 0.0], "rgba": paint.links}
         for child in body.bodies:
             if np.linalg.norm(child.pos) > _SMALL * length:
-                body.add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                    fromto=[0.0, 0.0, 0.0, *child.pos],
-                    size=[radius, 0.0, 0.0],
-                    rgba=paint.links,
-                    mass=0.0,
-                )
+                add(type=kinds.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], **link)
         for joint in body.joints:
             turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
             half = (1.2 if turns else 2.0) * radius * np.array(joint.axis)
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER if turns else mujoco.mjtGeom.mjGEOM_BOX,
+            add(
+                type=kinds.mjGEOM_CYLINDER if turns else kinds.mjGEOM_BOX,
                 fromto=[*(joint.pos - half), *(joint.pos + half)],
                 size=[radius * (_JOINT if turns else 0.8), radius * 0.8, 0.0],
                 rgba=paint.joints,
-                mass=0.0,
             )
         if not body.bodies:
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                size=[_END * radius, 0.0, 0.0],
-                rgba=paint.end,
-                mass=0.0,
-            )
-
-
-def _below(body: Any) -> Iterator[Any]:
-    for child in body.bodies:
-        yield child
-        yield from _below(child)
+            add(type=kinds.mjGEOM_SPHERE, size=[_END * radius, 0.0, 0.0], rgba=paint.end)
 
 
 WIDTH, HEIGHT = 1280, 720  # of a video
