@@ -1,7 +1,10 @@
 """Section of pages with the physics checks and small plots."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
+
+import numpy as np
 
 from fmu_src.pages.datasheet import figure
 from fmu_src.pages.html import rendered
@@ -81,47 +84,37 @@ def svg(plot: properties.Plot) -> str:
         return ""
     x_range = _range([v for c in curves for v in c.x])
     y_range = _range([v for c in curves for v in c.y])
-    parts = [*_frame(plot, x_range, y_range)]
-    for colour, curve in zip(_LINES, curves, strict=False):
-        points = " ".join(
-            f"{_across(x, x_range):.1f},{_down(y, y_range):.1f}"
-            for x, y in zip(curve.x, curve.y, strict=True)
-        )
-        parts.append(
-            f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.4"/>'
-        )
-    labels = "  ".join(
-        f'<tspan fill="{colour}">{curve.label}</tspan>'
-        for colour, curve in zip(_LINES, curves, strict=False)
-    )
-    parts.append(_text(_WIDTH - _RIGHT, 12, "end", labels))
+    across = partial(np.interp, xp=x_range, fp=(_LEFT + 2, _WIDTH - _RIGHT - 2))
+    down = partial(np.interp, xp=y_range, fp=(_HEIGHT - _BOTTOM - 2, _TOP + 2))
+    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    parts = [
+        f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
+        'fill="none" stroke="var(--line)"/>'
+    ]
+    if y_range[0] < 0.0 < y_range[1]:
+        parts.append(f'<path d="M{_LEFT} {down(0.0):.1f}H{right}" stroke="var(--line)"/>')
+    if x_range[0] < 0.0 < x_range[1]:
+        parts.append(f'<path d="M{across(0.0):.1f} {_TOP}V{bottom}" stroke="var(--line)"/>')
     x, y = plot.labels
+    left, end, low, high = (figure(v, _DIGITS) for v in x_range + y_range)
+    parts += [
+        _text(_LEFT, _HEIGHT - 5, "start", left),
+        _text(_WIDTH / 2, _HEIGHT - 5, "middle", x),
+        _text(right, _HEIGHT - 5, "end", end),
+        _text(_LEFT, 12, "start", f"{y}, {low} to {high}"),
+    ]
+    labels = []
+    for colour, curve in zip(_LINES, curves, strict=False):
+        places = np.column_stack([across(curve.x), down(curve.y)])
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in places)
+        line = f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.4"/>'
+        parts.append(line)
+        labels.append(f'<tspan fill="{colour}">{curve.label}</tspan>')
+    parts.append(_text(right, 12, "end", "  ".join(labels)))
     return (
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" height="{_HEIGHT}" role="img" '
         f'aria-label="{y} over {x}">{"".join(parts)}</svg>'
     )
-
-
-def _frame(
-    plot: properties.Plot, x_range: tuple[float, float], y_range: tuple[float, float]
-) -> Iterator[str]:
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    yield (
-        f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
-        'fill="none" stroke="var(--line)"/>'
-    )
-    if y_range[0] < 0.0 < y_range[1]:
-        y = f"{_down(0.0, y_range):.1f}"
-        yield f'<path d="M{_LEFT} {y}H{right}" stroke="var(--line)"/>'
-    if x_range[0] < 0.0 < x_range[1]:
-        x = f"{_across(0.0, x_range):.1f}"
-        yield f'<path d="M{x} {_TOP}V{bottom}" stroke="var(--line)"/>'
-    low, high = (figure(v, _DIGITS) for v in x_range)
-    yield _text(_LEFT, _HEIGHT - 5, "start", low)
-    yield _text(_WIDTH / 2, _HEIGHT - 5, "middle", plot.labels[0])
-    yield _text(right, _HEIGHT - 5, "end", high)
-    low, high = (figure(v, _DIGITS) for v in y_range)
-    yield _text(_LEFT, 12, "start", f"{plot.labels[1]}, {low} to {high}")
 
 
 def _text(x: float, y: float, anchor: str, text: str) -> str:
@@ -136,13 +129,3 @@ def _range(values: list[float]) -> tuple[float, float]:
     if high > low:
         return low, high
     return low - 0.5 * max(abs(low), 1.0), high + 0.5 * max(abs(high), 1.0)
-
-
-def _across(x: float, around: tuple[float, float]) -> float:
-    share = (x - around[0]) / (around[1] - around[0])
-    return _LEFT + 2 + share * (_WIDTH - _LEFT - _RIGHT - 4)
-
-
-def _down(y: float, around: tuple[float, float]) -> float:
-    share = (y - around[0]) / (around[1] - around[0])
-    return _HEIGHT - _BOTTOM - 2 - share * (_HEIGHT - _TOP - _BOTTOM - 4)
