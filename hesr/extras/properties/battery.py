@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -44,12 +44,7 @@ from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, counted, silent
 
 _SAMPLE_TIME = 5e-3  # [s] default
-_DRIVEN: Mapping[str, Callable[[DriveBench, Scale], list[PropertyResult]]] = {
-    "breakaway": breakaway,
-    "stick_slip": stick_slip,
-    "dither": dither,
-    "hold": hold,
-}
+_DRIVEN = (breakaway, stick_slip, dither, hold)
 _DRIVE = "drive"  # needs more than the scale
 _NO_INERTIA = "Not run: the inertia of the joints is unknown; give it with --inertia."
 _NO_MODEL = "Not run: the FMU contains no law, which a JointDrive needs."
@@ -127,8 +122,9 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
             with FmuInstance(drive) as component:
                 driven = DriveBench(component, bench.places)
-                for key, experiment in _DRIVEN.items():
-                    found[key] = _tried(partial(experiment, driven, scale), joints)
+                for experiment in _DRIVEN:
+                    run = partial(experiment, driven, scale)
+                    found[experiment.__name__] = _tried(run, joints)
                 loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
                 peaks = _peaks(seen, scale)
                 found[_DRIVE] = _tried(partial(dissipation, driven, scale, peaks, loaded), joints)
@@ -177,7 +173,8 @@ def _moved(
         "chatter": partial(chatter, bench, scale, seen),
         "work": partial(work, bench, seen, loads),
     }
-    reasons = dict.fromkeys((*_DRIVEN, _DRIVE), _NO_INERTIA if model else _NO_MODEL)
+    driven = (experiment.__name__ for experiment in _DRIVEN)
+    reasons = dict.fromkeys((*driven, _DRIVE), _NO_INERTIA if model else _NO_MODEL)
     if inertia is None:
         reasons["coupling"] = _NO_INERTIA
     else:

@@ -1,5 +1,8 @@
 """Sliding and rest without a plant: coupling, first torque, lag, chatter, work over cycles."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
@@ -32,10 +35,11 @@ _SWITCHES = 8  # sign changes in a row; a true stop has fewer
 
 def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[PropertyResult]:
     """Slide joints of an inertia (n,) [kg.m2] to a stop, with many coupling steps."""
+    slide = partial(_slide, bench, scale, inertia)
     bad: dict[float, Array] = {}
     stops = np.zeros(bench.joints, dtype=bool)
     for dt in _COARSE.tolist():
-        dq = _slide(bench, scale, inertia, dt)
+        dq = slide(dt)
         if not bad:
             stops = np.abs(dq[-1]) <= _STOPPED * np.abs(dq[0])
         bad[dt] = _chatters(dq)
@@ -48,10 +52,10 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Propert
     found = []
     for joint in range(bench.joints):
         first = next((dt for dt in bad if bad[dt][joint]), None)
-        largest = _refined(bench, scale, inertia, joint, list(bad), first)
+        largest = _refined(slide, joint, list(bad), first)
         slope = float(slopes[joint])
         predicted = 2.0 * float(inertia[joint]) / slope if slope > 0.0 else None
-        shown = _slide(bench, scale, inertia, max(STEP, LEAST))[:, joint]
+        shown = slide(max(STEP, LEAST))[:, joint]
         found.append(_judged(bool(driven[joint]), largest, predicted, slope, shown))
     return found
 
@@ -86,13 +90,9 @@ def _chatters(dq: Array) -> Array:
 
 
 def _refined(
-    bench: FrictionBench,
-    scale: Scale,
-    inertia: Array,
-    joint: int,
-    tried: list[float],
-    first: float | None,
+    slide: Callable[[float], Array], joint: int, tried: list[float], first: float | None
 ) -> float | None:
+    """Return the largest step [s] without chatter of a joint, below the `first` tried one with."""
     if first is None:
         return MOST
     if first == tried[0]:
@@ -100,7 +100,7 @@ def _refined(
     low, high = tried[tried.index(first) - 1], first
     for _ in range(_HALVINGS):
         middle = float(np.sqrt(low * high))
-        if _chatters(_slide(bench, scale, inertia, middle))[joint]:
+        if _chatters(slide(middle))[joint]:
             high = middle
         else:
             low = middle
@@ -120,10 +120,8 @@ def _judged(
     drawn = plot("time", "velocity", curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200))
     verdict: PropertyVerdict = "fail"
     if driven:
-        verdict, reason = (
-            "not applicable",
-            "The joint does not stop at any step: the law drives it.",
-        )
+        verdict = "not applicable"
+        reason = "The joint does not stop at any step: the law drives it."
     elif largest is None:
         reason = f"It chatters even at the smallest step tried, {1e3 * LEAST:g} ms."
     elif largest < STEP:
