@@ -69,10 +69,6 @@ _FACTORS = (
     ("offset", "N.m", "offset of {joint} in addition to that of the law"),
 )
 _PLACES = range(len(_FACTORS))
-_ALARMS = {
-    "drift": "alarm of {joint}: friction has risen (1) or fallen (-1)",
-    "shift": "alarm of {joint}: load, gravity or sensor, up (1) or down (-1)",
-}
 _HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
 _MIXED = sympy.Float(1e-7)  # share of correlations lost per sample, which keeps round-off harmless
 _LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
@@ -199,14 +195,16 @@ def _factors(
 
 
 def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
+    risen = "friction has risen (1) or fallen (-1)"
+    moved = "load, gravity or sensor, up (1) or down (-1)"
     rows = (
-        ("drift", "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
-        ("shift", "offset", _PHI[2], tuning.change_of_offset * sigma),
+        ("drift", risen, "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
+        ("shift", moved, "offset", _PHI[2], tuning.change_of_offset * sigma),
     )
     alarms, sums = [], []
-    for name, of, regressor, change in rows:
+    for name, text, of, regressor, change in rows:
         up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
-        alarms.append(_output(name, "1", _ALARMS[name], up - down))
+        alarms.append(_output(name, "1", f"alarm of {{joint}}: {text}", up - down))
         sums += [
             _cusum(f"{of}_{way}", sign * change, regressor, tuning.alarm)
             for way, sign in (("up", 1), ("down", -1))

@@ -209,16 +209,12 @@ def _state(one: Followed) -> State:
 
 def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
     found = [
-        Alarm(
-            log=one.record.log,
-            joint=one.record.joint,
-            time=float(one.record.t[row]),
-            kind=kind,
-            sign=int(one.outputs[kind][row]),
-        )
+        Alarm(log=r.log, joint=r.joint, time=float(r.t[row]), kind=kind, sign=int(alarm[row]))
         for one in log
+        for r in [one.record]
         for kind in ("drift", "shift")
-        for row in _begins(one.outputs[kind])
+        for alarm in [one.outputs[kind]]
+        for row in np.flatnonzero((alarm != 0.0) & (np.diff(alarm, prepend=0.0) != 0.0))
     ]
     shared = shared_signs(((a.joint, a.sign) for a in found if a.kind == "drift"), len(log))
     for alarm in sorted(found, key=lambda a: a.time):
@@ -231,8 +227,3 @@ def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
     found = set(drifts)
     most = max(1.0, _SHARED * joints)
     return [sign for sign in (1, -1) if sum(own == sign for _, own in found) > most]
-
-
-def _begins(alarm: Array) -> list[int]:
-    before = np.concatenate([[0.0], alarm[:-1]])
-    return [int(row) for row in np.flatnonzero((alarm != 0.0) & (alarm != before))]
