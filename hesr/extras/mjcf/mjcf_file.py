@@ -29,7 +29,7 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.dahl import DEFLECTIONS
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
-from hesr_model.motions.trajectories import Trajectory, random_fourier
+from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, counted, silent
@@ -77,14 +77,31 @@ def projected(
 
 def records(
     law: FrictionLaw, trained: TrainedRange | None, sample_time: float
-) -> tuple[FrictionRecord, FrictionRecord]:
+) -> list[FrictionRecord]:
     """Return records for the fit and the test of a projection."""
     peak, middle = np.array([trained_speed(trained)]), np.zeros(1)
-    slow, fast = (
-        random_fourier(seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle)
-        for seed, period in ((2, 40.0), (1, 20.0))
-    )
-    return _record(law, slow, trained, sample_time), _record(law, fast, trained, sample_time)
+    low, high = trained.tau_load if trained else (0.0, 0.0)
+    found = []
+    for seed, period in ((2, 40.0), (1, 20.0)):
+        trajectory = random_fourier(
+            seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle
+        )
+        t = sample_time * np.arange(round(period / sample_time), dtype=np.float64)
+        q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
+        if trained:
+            q = q + trained.middle
+        load = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked below
+            tau = predict(law, t=t, dq=dq, q=q, tau_load=load)
+        if not np.all(np.isfinite(tau)):
+            raise ExportError(
+                f"law '{law.name}': its torque is not finite at speeds up to "
+                f"{np.max(np.abs(dq)):.3g} rad/s, so it cannot be projected."
+            )
+        found.append(
+            FrictionRecord(log="projection", joint="", t=t, dq=dq, q=q, tau_load=load, tau=tau)
+        )
+    return found
 
 
 def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
@@ -96,25 +113,6 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
         rmse=rmse(difference),
         relative=float(np.max(np.abs(difference))) / largest if largest else 0.0,
     )
-
-
-def _record(
-    law: FrictionLaw, trajectory: Trajectory, trained: TrainedRange | None, sample_time: float
-) -> FrictionRecord:
-    t = sample_time * np.arange(round(trajectory.duration / sample_time), dtype=np.float64)
-    q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
-    if trained:
-        q = q + trained.middle
-    low, high = trained.tau_load if trained else (0.0, 0.0)
-    load = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked below
-        tau = predict(law, t=t, dq=dq, q=q, tau_load=load)
-    if not np.all(np.isfinite(tau)):
-        raise ExportError(
-            f"law '{law.name}': its torque is not finite at speeds up to {np.max(np.abs(dq)):.3g} "
-            "rad/s, so it cannot be projected."
-        )
-    return FrictionRecord(log="projection", joint="", t=t, dq=dq, q=q, tau_load=load, tau=tau)
 
 
 def _poles(law: FrictionLaw) -> list[float]:

@@ -13,7 +13,7 @@ a cogging without poles.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import sympy
@@ -87,17 +87,41 @@ def parts_of(law: FrictionLaw) -> JointFriction:
     motions = [_Motion.of(r, zeros, values) for r in form.relaxations]
     if form.relaxations and law.discretisation != "exact":
         raise NoCounterpartError("it has Euler steps, and MuJoCo relaxes a bristle exactly")
-    torque = _Torque(values, {s for r in form.relaxations for s in (r.state, r.derivative)})
+    forces = {s: sympy.S.Zero for r in form.relaxations for s in (r.state, r.derivative)}
+    viscous, waves = 0.0, []
     for term in sympy.Add.make_args(sympy.expand_mul(form.output.subs(zeros))):
-        torque.add(term)
+        states = forces.keys() & term.free_symbols
+        factors = {symbol: term / symbol for symbol in states or {DQ}}
+        linear = [
+            (symbol, factor)
+            for symbol, factor in factors.items()
+            if not _uses_inputs(factor) and not states & factor.free_symbols
+        ]
+        if states and linear:
+            [(state, factor)] = linear
+            forces[state] += factor
+        elif linear:
+            viscous += _number(factors[DQ], values, "its viscous friction")
+        elif not states and not _uses_inputs(term):
+            torque = _number(term, values, "a term of its torque")
+            waves.append(Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0))
+        elif not states and (wave := _wave(term, values)):
+            waves.append(wave)
+        elif TAU_LOAD in term.free_symbols:
+            raise NoCounterpartError(
+                f"its torque has the term {shown(term)}, which depends on the load"
+            )
+        else:
+            raise NoCounterpartError(
+                f"its torque has the term {shown(term)}, which is neither a bristle's nor viscous "
+                "nor a ripple in the joint's angle alone"
+            )
     bristles = [
-        _bristle(r, motion, torque.forces.get(r.state), torque.forces.get(r.derivative), values)
+        _bristle(r, motion, forces[r.state], forces[r.derivative], values)
         for r, motion in zip(form.relaxations, motions, strict=True)
     ]
     return JointFriction(
-        bristles=tuple(b for b in bristles if b is not None),
-        viscous=torque.viscous,
-        waves=tuple(torque.waves),
+        bristles=tuple(b for b in bristles if b is not None), viscous=viscous, waves=tuple(waves)
     )
 
 
@@ -145,41 +169,6 @@ def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | No
     return _number(sympy.sqrt(square), values, what)
 
 
-@dataclass
-class _Torque:
-    values: Values
-    states: set[sympy.Symbol]
-    viscous: float = 0.0
-    forces: dict[sympy.Symbol, sympy.Expr] = field(default_factory=dict)
-    waves: list[Wave] = field(default_factory=list)
-
-    def add(self, term: sympy.Expr) -> None:
-        """Add a term: linear in a state or the velocity, constant, or a wave in the angle."""
-        states = self.states & term.free_symbols
-        for symbol in states or {DQ}:
-            factor = term / symbol
-            if not _uses_inputs(factor) and not states & factor.free_symbols:
-                if states:
-                    self.forces[symbol] = self.forces.get(symbol, sympy.Integer(0)) + factor
-                else:
-                    self.viscous += _number(factor, self.values, "its viscous friction")
-                return
-        if not states and not _uses_inputs(term):
-            torque = _number(term, self.values, "a term of its torque")
-            self.waves.append(Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0))
-        elif not states and (wave := _wave(term, self.values)):
-            self.waves.append(wave)
-        elif TAU_LOAD in term.free_symbols:
-            raise NoCounterpartError(
-                f"its torque has the term {shown(term)}, which depends on the load"
-            )
-        else:
-            raise NoCounterpartError(
-                f"its torque has the term {shown(term)}, which is neither a bristle's nor viscous "
-                "nor a ripple in the joint's angle alone"
-            )
-
-
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:
     for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
         for wave in term.atoms(function):
@@ -198,14 +187,14 @@ def _wave(term: sympy.Expr, values: Values) -> Wave | None:
 def _bristle(
     relaxation: Relaxation,
     motion: _Motion,
-    force: sympy.Expr | None,
-    damping: sympy.Expr | None,
+    force: sympy.Expr,
+    damping: sympy.Expr,
     values: Values,
 ) -> Bristle | None:
-    stiffness = (force or sympy.Integer(0)) * motion.scale
+    stiffness = force * motion.scale
     own = f"its state '{relaxation.name}'"
     found = _number(stiffness, values, f"the stiffness of {own}")
-    micro = _number((damping or sympy.Integer(0)) * motion.scale, values, f"the damping of {own}")
+    micro = _number(damping * motion.scale, values, f"the damping of {own}")
     if not found and not micro:
         return None
     if found <= 0.0:
