@@ -45,24 +45,6 @@ _STEADY = "steadyStart"  # parameter that starts states in the steady state of t
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def package_html(
-    model: FrictionModel, joints: Sequence[Mapping[str, Any]], audits: Sequence[Audit], refused: str
-) -> str:
-    """Return the documentation of the package; without audits, `refused` is the reason."""
-    return _page(
-        "modelica.html.j2",
-        model=model,
-        joints=joints,
-        version=version("hesr"),
-        euler=any(law.discretisation == "euler" for law in model.laws),
-        jumps=[joint["name"] for joint in joints if joint["jumps"]],
-        training=training(model.provenance),
-        speed=UNKNOWN_SPEED,
-        audit=datasheet.audit_rows(audits),
-        refused=refused,
-    )
-
-
 def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
     """Return the documentation of the law of joint `index`, from 0."""
     law = model.laws[index]
@@ -130,13 +112,25 @@ def package(model: FrictionModel, name: str) -> str:
     forms = [_form(form, law) for form, law in laws.items()]
     audits, refused = datasheet.audited(model)
     joints = _joints(model, {law.form: form for form, law in laws.items()}, audits)
+    info = _page(
+        "modelica.html.j2",
+        model=model,
+        joints=joints,
+        version=version("hesr"),
+        euler=any(law.discretisation == "euler" for law in model.laws),
+        jumps=[joint["name"] for joint in joints if joint["jumps"]],
+        training=training(model.provenance),
+        speed=UNKNOWN_SPEED,
+        audit=datasheet.audit_rows(audits),
+        refused=refused,  # the reason, without audits
+    )
     return environment.get_template("modelica.mo.j2").render(
         name=name,
         title=f"Friction of {model.robot} by {model.law}",
         forms=forms,
         joints=joints,
         frequency=_FREQUENCY,
-        info=package_html(model, joints, audits, refused),
+        info=info,
     )
 
 
