@@ -54,7 +54,7 @@ ONLY_IN = {
     "click": ("hesr/cli/*",),
     "rich": ("hesr/cli/*", "cosim/report/tables/*"),
     "cloudpickle": ("hesr_model/support/parallel.py",),
-    "imageio_ffmpeg": ("hesr/extras/view/video.py",),
+    "imageio_ffmpeg": ("hesr/extras/view/report.py",),
 }
 
 FORBIDDEN_CALLS = {"print", "eval", "exec", "sympify", "parse_expr", "breakpoint"}

@@ -28,8 +28,8 @@ from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
+from hesr.extras.view.report import RATE, drawing, write_video
 from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, ViewOptions, arm, choose
-from hesr.extras.view.video import RATE, drawing, write_video
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log

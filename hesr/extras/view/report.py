@@ -1,23 +1,56 @@
-"""The arm of a closed loop in a window, a video or an animation."""
+"""The arm of a closed loop in a window, or without a screen in a video or an animation."""
 
+import ctypes.util
+import errno
 import os
+import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from cosim.workflow.answer import Written
-from hesr.extras.view.stage import Shown, Stage, ViewOptions, choose
-from hesr_model.errors import ConfigError
-from hesr_model.support.progress import Stages, silent
+from hesr.extras.view.stage import HEIGHT, WIDTH, Shown, Stage, ViewOptions, choose
+from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.support.files import written_whole
+from hesr_model.support.progress import Progress, Stages, counted, silent
+
+
+def show_arm(
+    results: Path,
+    output: Path | None = None,
+    *,
+    law: Sequence[str] = (),
+    scheme: str | None = None,
+    magnify: float = 1.0,
+    speed: float = 1.0,
+    progress: Stages = silent,
+) -> Written:
+    """Show the arm of a closed loop next to its commanded pose.
+
+    `output` is a .mp4, a .webp, or None for a window; by default it shows the rigid body alone and
+    the best law. `magnify` scales deviations.
+    """
+    choice = ViewOptions(laws=law, scheme=scheme, magnify=magnify, speed=speed)
+    shown = choose(results, choice)
+    if output is None:
+        show(shown, choice)
+        return Written(lines=[f"Shown: {', '.join(shown.runs)}."])
+    seconds = write_video(output, shown, choice, progress=partial(progress, "drawing"))
+    return Written(lines=[f"{seconds:.1f} s of video"], files=[output])
+
 
 _PATIENCE = 10.0  # [s] for the viewer to close
-_RATE = 60.0  # [Hz], update rate of the viewer
+_REFRESH = 60.0  # [Hz], update rate of the viewer
 
 
 def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
@@ -58,30 +91,145 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
                     stage.annotate(window.user_scn, t)
             window.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, *stage.legend(t)))
             window.sync()
-            time.sleep(1.0 / _RATE)
+            time.sleep(1.0 / _REFRESH)
 
 
-def show_arm(
-    results: Path,
-    output: Path | None = None,
-    *,
-    law: Sequence[str] = (),
-    scheme: str | None = None,
-    magnify: float = 1.0,
-    speed: float = 1.0,
-    progress: Stages = silent,
-) -> Written:
-    """Show the arm of a closed loop next to its commanded pose.
+Image = NDArray[np.uint8]
 
-    `output` is a .mp4, a .webp, or None for a window; by default it shows the rigid body alone and
-    the best law. `magnify` scales deviations.
-    """
-    choice = ViewOptions(laws=law, scheme=scheme, magnify=magnify, speed=speed)
-    shown = choose(results, choice)
-    if output is None:
-        show(shown, choice)
-        return Written(lines=[f"Shown: {', '.join(shown.runs)}."])
-    from hesr.extras.view.video import write_video
+RATE = 30  # frames per second
+_PAGE = 2  # divisor of size and rate for an animation
+_BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
+_GEOMS = 4000
 
-    seconds = write_video(output, shown, choice, progress=partial(progress, "drawing"))
-    return Written(lines=[f"{seconds:.1f} s of video"], files=[output])
+
+def write_video(
+    path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
+) -> float:
+    """Write a video (.mp4) or an animation (.webp); return its length [s]."""
+    if (kind := path.suffix.lower()) not in (".mp4", ".webp"):
+        raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
+    rate = RATE if kind == ".mp4" else RATE / _PAGE
+    encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating
+    stage = Stage(shown, choice)
+    count = max(round(stage.duration / choice.speed * rate), 1)
+    with (
+        written_whole(path) as temporary,
+        drawing(stage) as draw,
+        encoding(temporary, path) as write,
+    ):
+        for k in counted(range(count), progress):
+            write(draw(k * choice.speed / rate))
+    return count / rate
+
+
+@contextmanager
+def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
+    """Yield a function that draws the scene at a time [s], as (HEIGHT, WIDTH, 3)."""
+    with ExitStack() as cleanup:
+        try:
+            context = _gl()(WIDTH, HEIGHT)
+            cleanup.callback(context.free)
+            context.make_current()
+            target = mujoco.MjrContext(stage.model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        except Exception as error:  # drivers raise their own types
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(
+                f"OpenGL is not available ({_first_line(error)}); try MUJOCO_GL=osmesa or "
+                "MUJOCO_GL=egl."
+            ) from error
+        cleanup.callback(target.free)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
+        scene = mujoco.MjvScene(stage.model, maxgeom=_GEOMS)
+        scenery = stage.model, stage.data, mujoco.MjvOption(), None, stage.camera
+        place = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
+        view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
+        image: Image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+        def draw(t: float) -> Image:
+            stage.set(t)
+            mujoco.mjv_updateScene(*scenery, mujoco.mjtCatBit.mjCAT_ALL, scene)
+            stage.annotate(scene, t)
+            mujoco.mjr_render(view, scene, target)
+            mujoco.mjr_overlay(*place, view, *stage.legend(t), target)
+            mujoco.mjr_readPixels(image, None, view, target)
+            return np.ascontiguousarray(image[::-1])
+
+        yield draw
+
+
+def _gl() -> Any:
+    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if sys.platform == "linux" and not wanted:
+        found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
+        if not found:
+            raise ConfigError("videos need libEGL or libOSMesa (Debian: libegl1, libosmesa6).")
+        wanted = found[0]
+    if wanted == "egl":
+        from mujoco.egl import GLContext
+    elif wanted == "osmesa":
+        from mujoco.osmesa import GLContext
+    else:
+        from mujoco.gl_context import GLContext
+    return GLContext
+
+
+def _encoder() -> str:
+    try:
+        import imageio_ffmpeg
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except ImportError as error:
+        raise ConfigError(
+            "videos need the package imageio-ffmpeg: pip install 'hesr[video]'."
+        ) from error
+    except RuntimeError as error:
+        raise ConfigError(f"ffmpeg is missing ({_first_line(error)}).") from error
+
+
+@contextmanager
+def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
+    result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+        pipe = process.stdin
+        assert pipe is not None
+        try:
+            yield lambda image: pipe.write(image.tobytes())
+            pipe.close()
+        except BrokenPipeError:  # reported below
+            pass
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            with suppress(BrokenPipeError):
+                pipe.close()
+            process.wait()
+        if process.returncode:
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines()
+            full = os.strerror(errno.ENOSPC)
+            if any(full in line for line in lines):  # it may not be the last line
+                raise OSError(errno.ENOSPC, full, str(path))
+            reason = lines[-1].rstrip(".") if lines else f"exit code {process.returncode}"
+            raise ArtifactError(f"{path}: the video cannot be encoded ({reason}).")
+
+
+@contextmanager
+def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
+    import PIL.Image
+
+    del path
+    frames: list[PIL.Image.Image] = []
+    size = (WIDTH // _PAGE, HEIGHT // _PAGE)
+    yield lambda image: frames.append(PIL.Image.fromarray(image).resize(size))
+    options = {"save_all": True, "loop": 0, "quality": 60, "method": 4}
+    options["duration"] = round(1000 * _PAGE / RATE)
+    frames[0].save(file, "WEBP", append_images=frames[1:], **options)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
