@@ -69,6 +69,10 @@ _FACTORS = (
     ("offset", "N.m", "offset of {joint} in addition to that of the law"),
 )
 _PLACES = range(len(_FACTORS))
+_ALARMS = {
+    "drift": "alarm of {joint}: friction has risen (1) or fallen (-1)",
+    "shift": "alarm of {joint}: load, gravity or sensor, up (1) or down (-1)",
+}
 _HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
 _MIXED = sympy.Float(1e-7)  # share of correlations lost per sample, which keeps round-off harmless
 _LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
@@ -195,27 +199,20 @@ def _factors(
 
 
 def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
-    risen = "friction has risen (1) or fallen (-1)"
-    moved = "load, gravity or sensor, up (1) or down (-1)"
     rows = (
-        ("drift", risen, "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
-        ("shift", moved, "offset", _PHI[2], tuning.change_of_offset * sigma),
+        ("drift", "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
+        ("shift", "offset", _PHI[2], tuning.change_of_offset * sigma),
     )
-    alarms, sums = [], []
-    for name, text, of, regressor, change in rows:
-        up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
-        alarms.append(_output(name, "1", f"alarm of {{joint}}: {text}", up - down))
-        sums += [
-            _cusum(f"{of}_{way}", sign * change, regressor, tuning.alarm)
-            for way, sign in (("up", 1), ("down", -1))
-        ]
-    return alarms, sums
-
-
-def _cusum(name: str, d: sympy.Expr, regressor: sympy.Expr, alarm: float) -> Equation:
     weight, error = _named("weight"), _named("innovation")
-    change = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
-    return _hidden(name, _at_most(positive(previous(name) + change), 1.5 * alarm), sympy.S.Zero)
+    alarms, sums = [], []
+    for name, of, regressor, change in rows:
+        up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
+        alarms.append(_output(name, "1", _ALARMS[name], up - down))
+        for sum_name, d in ((f"{of}_up", change), (f"{of}_down", -change)):
+            gain = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
+            total = _at_most(positive(previous(sum_name) + gain), 1.5 * tuning.alarm)
+            sums.append(_hidden(sum_name, total, sympy.S.Zero))
+    return alarms, sums
 
 
 def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equation:

@@ -172,7 +172,11 @@ class _Problem:
         found = least_squares(
             lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
         )
-        errors, thermal = self._errors(found.jac, found.fun), thermal_of(found.x)
+        rows = [int(known.sum()) for known in self._known]
+        labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
+        names = tuple(_UNKNOWNS)[: len(scale)]
+        errors = covariance_of_fit(names, found.jac, found.fun, labels).standard_errors
+        thermal = thermal_of(found.x)
         seen = np.concatenate(list(temperatures(thermal)))
         coldest, warmest = float(np.min(seen)), float(np.max(seen))
         return ThermalFit(
@@ -189,12 +193,6 @@ class _Problem:
             self._law.torque(r, *thermal.factors(t))
             for r, t in zip(self._records, temperatures, strict=True)
         ]
-
-    def _errors(self, jacobian: Array, residual: Array) -> Array:
-        rows = [int(known.sum()) for known in self._known]
-        labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
-        names = tuple(_UNKNOWNS)[: len(jacobian.T)]
-        return covariance_of_fit(names, jacobian, residual, labels).standard_errors
 
     def by_heat(self, thermal: Thermal) -> list[Array]:
         """Return the temperature of each record from its friction [degC]."""
