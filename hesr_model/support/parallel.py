@@ -142,7 +142,7 @@ def results_of(
             pool = cleanup.enter_context(_Pool(count))
         else:
             cleanup.push(_sharing.stop_on_error)
-            pool = _sharing.pool()
+            pool = _sharing
         yield (_result(future) for future in pool.submit(jobs, costs, names))
 
 
@@ -157,9 +157,9 @@ def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Itera
     if _sharing is not None:
         yield
         return
-    with _SharedPool() as _sharing:
-        if modules and (count := os.cpu_count() or 1) > 1:
-            _sharing.pool().submit([partial(_import, modules)] * count + list(first))
+    with _Pool(count := os.cpu_count() or 1) as _sharing:
+        if modules and count > 1:
+            _sharing.submit([partial(_import, modules)] * count + list(first))
         try:
             yield
         finally:
@@ -175,6 +175,8 @@ _Task = tuple[int, int, Future[JobAnswer], AbstractContextManager[None]]
 
 
 class _Pool:
+    """Processes that start with the first jobs, and anew with the first ones after an error."""
+
     def __init__(self, count: int) -> None:
         self._count, self._batches = count, 0
         self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
@@ -184,8 +186,6 @@ class _Pool:
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "_Pool":
-        with deferred():
-            self._folder = self._cleanup.enter_context(scratch_folder())
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -198,6 +198,12 @@ class _Pool:
                 thread.join()
             for child in self._children:
                 child.process.wait()
+        self._tasks, self._children, self._threads = SimpleQueue(), [], []
+
+    def stop_on_error(self, kind: type[BaseException] | None, *raised: object) -> None:
+        """Kill the processes if a block has failed."""
+        if kind is not None:
+            self.__exit__(kind, *raised)
 
     def submit(
         self,
@@ -207,10 +213,12 @@ class _Pool:
     ) -> list[Future[JobAnswer]]:
         """Queue jobs, the most expensive first; return futures of answers."""
         self._batches += 1
-        (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
         with deferred():
+            if not self._children:
+                self._folder = self._cleanup.enter_context(scratch_folder())
             while len(self._children) < self._count:
                 self._start()
+        (self._folder / f"{JOBS}{self._batches}").write_bytes(cloudpickle.dumps(list(jobs)))
         futures = [Future[JobAnswer]() for _ in jobs]
         for k in sorted(range(len(jobs)), key=lambda k: -costs[k] if costs else k):
             self._tasks.put((self._batches, k, futures[k], _display(names, k)))
@@ -263,30 +271,7 @@ class _Pool:
         end_marked(self._mark)
 
 
-class _SharedPool:
-    def __init__(self) -> None:
-        self._pool: _Pool | None = None
-
-    def __enter__(self) -> "_SharedPool":
-        return self
-
-    def __exit__(self, *raised: Any) -> None:
-        pool, self._pool = self._pool, None
-        if pool:
-            pool.__exit__(*raised)
-
-    def pool(self) -> _Pool:
-        if self._pool is None:
-            self._pool = _Pool(os.cpu_count() or 1).__enter__()
-        return self._pool
-
-    def stop_on_error(self, kind: type[BaseException] | None, *raised: Any) -> None:
-        """Kill the processes if a block has failed."""
-        if kind is not None:
-            self.__exit__(kind, *raised)
-
-
-_sharing: _SharedPool | None = None
+_sharing: _Pool | None = None
 
 
 def _display(names: Sequence[str], k: int) -> AbstractContextManager[None]:
