@@ -79,7 +79,7 @@ def vdmcheck2(
         ended = run(tied(command), folder, VDMCHECK_SECONDS)
     except FailedError as error:
         return [], [f"VDMCheck2: {plain(str(error))}."]
-    lines = ended.text.splitlines()
+    lines = ended.stdout.splitlines()
     if "No errors found." in lines:
         return [], []
     if "Errors found." not in lines:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -152,9 +153,8 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
     if "dq" not in found.columns:
         changes["log.columns.dq"] = ""
         reasons["log.columns.dq"] = "likely: no column looks like a velocity"
-    if unit := found.units:
-        changes |= {f"log.units.{k}": v for k, v in unit.items()}
-        reasons |= {f"log.units.{k}": f"likely: {found.reasons[k]}" for k in unit}
+    changes |= {f"log.units.{k}": v for k, v in found.units.items()}
+    reasons |= {f"log.units.{k}": f"likely: {found.reasons[k]}" for k in found.units}
     reasons |= {
         f"log.columns.{k}": f"likely: {found.reasons.get(k, 'it rises')}" for k in found.columns
     }
@@ -208,9 +208,9 @@ def _changes(
     reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         for key, value in finding.changes.items():
-            wanted[key] = _combined(_value(robot, key), wanted.get(key), value)
+            wanted[key] = _combined(attrgetter(key)(robot), wanted.get(key), value)
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
-    changes = {key: value for key, value in wanted.items() if value != _value(robot, key)}
+    changes = {key: value for key, value in wanted.items() if value != attrgetter(key)(robot)}
     marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
     why = {key: f"{mark}: {'; '.join(reasons[key].values())}" for key, mark in marks.items()}
     return changes, why
@@ -274,13 +274,6 @@ def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposa
     return replace(proposal, robot=robot, reasons={**proposal.reasons, f"log.{key}": said})
 
 
-def _value(robot: RobotDescription, key: str) -> Any:
-    value: Any = robot
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
-
-
 def robot_file(proposal: Proposal, path: Path) -> str:
     """Return the text of a robot file, with reasons."""
     head = "Proposed by 'hesr inspect'. Comments give certainty and reason."
@@ -292,27 +285,16 @@ def robot_text(
 ) -> str:
     """Return the text of a robot file at `path`, with a comment as its head and reasons by key."""
     reasons = reasons or {}
-    plain = RobotDescription(name=robot.name, model=robot.model, joints=robot.joints)
-    lines = [f"# {head}", ""]
-    data = robot.model_dump(exclude={"log"})
+    data, unusual = robot.model_dump(), robot.model_dump(exclude_defaults=True)
     data["model"] = Path(relpath(robot.model, path.resolve().parent)).as_posix()
-    usual = plain.model_dump()
-    lines += [
-        _line(key, value, reasons.get(key, ""))
-        for key, value in data.items()
-        if value is not None
-        and (key in ("name", "model", "joints", "gravity") or value != usual[key])
-    ]
-    log, usual_log = robot.log.model_dump(), plain.log.model_dump()
+    log = unusual.pop("log", {})
+    if robot.log.cylinder is not None:  # with its usual unit
+        log["cylinder"] = data["log"]["cylinder"]
+    lines = [f"# {head}", "", *(_line(key, data[key], reasons.get(key, "")) for key in unusual)]
     tables = {"log": {k: v for k, v in log.items() if not isinstance(v, dict)}}
     tables |= {f"log.{k}": v for k, v in log.items() if isinstance(v, dict)}
     for table, values in tables.items():
-        own = usual_log if table == "log" else usual_log[table.removeprefix("log.")] or {}
-        told = [
-            _line(key, value, reasons.get(f"{table}.{key}", ""))
-            for key, value in values.items()
-            if value is not None and value != own.get(key)
-        ]
+        told = [_line(k, v, reasons.get(f"{table}.{k}", "")) for k, v in values.items()]
         lines += ["", f"[{table}]", *told] if told else []
     return "\n".join(lines) + "\n"
 

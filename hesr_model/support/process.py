@@ -7,9 +7,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
+from subprocess import CompletedProcess
 from typing import Any
 
 _MOST_OUTPUT = 4 << 20
@@ -21,14 +21,6 @@ _ROUNDS = 10  # a process may start others before it is killed
 
 class FailedError(Exception):
     """A program gave no answer; the text is a reason without full stop."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ended:
-    """Exit code and output of a program."""
-
-    code: int
-    text: str
 
 
 class ChildProcess:
@@ -97,7 +89,7 @@ def tied(command: Sequence[str]) -> Sequence[str]:
     return (*own, *command) if sys.platform == "linux" else command
 
 
-def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
+def run(command: Sequence[str], folder: Path, seconds: float) -> CompletedProcess[str]:
     """Run a program in a folder; raises FailedError, also after `seconds`."""
     with tempfile.TemporaryFile(dir=folder) as output:
         child = ChildProcess(
@@ -110,7 +102,8 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> Ended:
         finally:
             child.end()
         output.seek(0)
-        return Ended(code=code, text=output.read(_MOST_OUTPUT).decode("utf-8", "replace"))
+        text = output.read(_MOST_OUTPUT).decode("utf-8", "replace")
+        return CompletedProcess(command, code, text)
 
 
 def how_it_ended(code: int) -> str:

@@ -124,9 +124,9 @@ NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with
 """As `Numbers`, with null for NaN and infinity, read as NaN."""
 
 
-def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write JSON data whole or not at all."""
-    text = json.dumps(data, indent=indent, allow_nan=False)
+    text = json.dumps(data, indent=2, allow_nan=False)
     with written_whole(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 

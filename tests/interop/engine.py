@@ -85,7 +85,7 @@ class Tools:
         if not self._python.is_file():
             return {}
         ended = run((str(self._python), "-E", "-s", "-c", _VERSIONS), self.folder, SECONDS)
-        found: dict[str, str] = json.loads(ended.text) if ended.code == 0 else {}
+        found: dict[str, str] = json.loads(ended.stdout) if ended.returncode == 0 else {}
         return found
 
 
@@ -130,10 +130,10 @@ def require_success(command: Sequence[str | Path], folder: Path) -> str:
         If it ends with an error or takes too long, with the end of its output.
     """
     ended = run([str(part) for part in command], folder, SECONDS)
-    if ended.code != 0:
-        said = " ".join(ended.text.split())[-_LONGEST:]
-        raise FailedError(f"it ended with code {ended.code} and said '{said}'")
-    return ended.text
+    if ended.returncode != 0:
+        said = " ".join(ended.stdout.split())[-_LONGEST:]
+        raise FailedError(f"it ended with code {ended.returncode} and said '{said}'")
+    return ended.stdout
 
 
 def host(python: Path, name: str, given: Mapping[str, Any], folder: Path) -> Run:

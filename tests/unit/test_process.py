@@ -47,7 +47,7 @@ def test_a_tied_program_ends_with_its_killed_parent(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the system must end it with its parent")
 def test_a_tied_program_keeps_its_output_and_exit_code(tmp_path: Path) -> None:
     ended = run(tied([sys.executable, "-c", "print(7); raise SystemExit(3)"]), tmp_path, 60.0)
-    assert (ended.code, ended.text) == (3, "7\n")
+    assert (ended.returncode, ended.stdout) == (3, "7\n")
 
 
 def wait_for(true: Callable[[], bool]) -> None:

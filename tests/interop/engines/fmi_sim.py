@@ -21,7 +21,7 @@ from hesr_model.support.process import FailedError, run
 
 def _find(tools: Tools) -> str:
     # It prints the version but still exits with an error.
-    answer = run((str(tools.program("fmi-sim")), "--version"), Path.cwd(), SECONDS).text
+    answer = run((str(tools.program("fmi-sim")), "--version"), Path.cwd(), SECONDS).stdout
     found = re.search(r"fmi-sim (\d[\w.]*)", answer)
     if found is None:
         raise FailedError(f"fmi-sim does not tell its version but says '{answer[:100]}'")
