@@ -1,8 +1,7 @@
 """Logs that are read in pieces, with memory that does not grow with the rows."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -105,7 +104,8 @@ class LongLog:
             robot_log.require_rate(place, whole.steps.period, whole.steps.mean(longest), robot)
         if whole.steps.values[-1] > longest:
             parts = self._split(self._pieces(), longest)
-            self.stretches = [_longest_part(log, longest) for log in self.stretches]
+            split = (log.split(longest) for log in self.stretches)
+            self.stretches = [max(parts, key=lambda part: len(part.t)) for parts in split]
         self.stretches = [
             replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
         ]
@@ -195,11 +195,9 @@ class LongLog:
             log = robot_log.log_of(source, samples, self._robot)
             dropped = len(read.t) - len(samples.t)
             log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
-            checked, place, self._time = log, samples.place, samples.time
-            if last is not None:
-                checked = joined([last, log], arrays_of(log))
-                place = partial(_one_before, place)
-            robot_log.require_increase(checked, replace(samples, place=place))
+            self._time = samples.time
+            checked = log if last is None else joined([last, log], arrays_of(log))
+            robot_log.require_increase(checked, samples, before=len(checked.t) - len(log.t))
             last = log.rows(slice(-1, None))
             yield log
         if _state(source) != self._state:
@@ -210,13 +208,3 @@ def _state(source: Log | Path) -> tuple[int, int]:
     """Return size [B] and time of the last change [ns] of a file."""
     about = source.stat() if isinstance(source, Path) else None
     return (about.st_size, about.st_mtime_ns) if about else (0, 0)
-
-
-def _longest_part(log: Log, longest: float) -> Log:
-    ends = [0, *(np.flatnonzero(np.diff(log.t) > longest) + 1).tolist(), len(log.t)]
-    first, last = max(pairwise(ends), key=lambda part: part[1] - part[0])
-    return log.rows(slice(first, last))
-
-
-def _one_before(place: Callable[[int], str], k: int) -> str:
-    return place(k - 1)

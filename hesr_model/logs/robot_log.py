@@ -126,12 +126,15 @@ class Log:
         """Return the log of some rows, a slice or (K,) indices."""
         return some_rows(self, arrays_of(self), rows)
 
+    def split(self, longest: float) -> "list[Log]":
+        """Return the logs between steps above `longest` [s]."""
+        ends = [0, *(np.flatnonzero(np.diff(self.t) > longest) + 1).tolist(), len(self.t)]
+        return [self.rows(slice(first, last)) for first, last in pairwise(ends)]
+
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s; raises LogError if none does."""
-        ends = [0, *self.gaps.tolist(), len(self.t)]
-        if len(ends) == 2:
+        if len(parts := self.split(self.longest_step)) == 1:
             return (self,)
-        parts = [self.rows(slice(first, last)) for first, last in pairwise(ends)]
         kept = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
         if not kept:
             raise without_parts(self.where, len(parts) - 1, self.longest_step)
@@ -219,11 +222,13 @@ def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
         zero = (quantity == "q" and robot.log.zero) or 0.0
         return _of_joints(values * units.factors(quantity, n), robot) + zero
 
-    load = None
+    load, temperature = None, samples.temperature
     if robot.log.cylinder is None:
         tau = _torque(path, samples, robot)
     else:
         tau, load = robot.log.cylinder.forces(samples.effort)
+    if temperature is not None:
+        temperature = temperature - units.zero_of_temperature
     q = of_joints("q", samples.q)
     return Log(
         name=path.stem,
@@ -234,9 +239,7 @@ def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
         dq_cmd=of_joints("dq", samples.dq_cmd),
         tau=tau,
         load=load,
-        temperature=None
-        if samples.temperature is None
-        else samples.temperature - units.zero_of_temperature,
+        temperature=temperature,
         q_link=_q_link(path, samples, q, robot),
         path=path,
         robot=robot,
@@ -356,8 +359,8 @@ def require_rows(where: str, rows: int) -> None:
         raise LogError(f"{where}: has {rows} rows of data; at least 2 are needed.")
 
 
-def require_increase(log: Log, samples: LogSamples) -> None:
-    """Raise LogError if time does not increase."""
+def require_increase(log: Log, samples: LogSamples, before: int = 0) -> None:
+    """Raise LogError if time does not increase in `samples` and the rows `before` them."""
     steps = np.diff(log.t)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0)) + 1
@@ -370,7 +373,7 @@ def require_increase(log: Log, samples: LogSamples) -> None:
             else "; [log] sort = true sorts rows by time"
         )
         raise LogError(
-            f"{log.where}: {samples.time}, {samples.place(k)}: time must increase, but "
+            f"{log.where}: {samples.time}, {samples.place(k - before)}: time must increase, but "
             f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{why}."
         )
 

@@ -15,7 +15,8 @@ from hesr_model.support.arrays import Array
 
 _CHUNK = 10_000  # rows written at once
 _BATCH = 2**16  # rows read at once
-_PARQUET, _FEATHER = {".parquet", ".pq"}, {".feather", ".arrow", ".ipc"}
+_KINDS = dict.fromkeys((".parquet", ".pq"), "Parquet")
+_KINDS |= dict.fromkeys((".feather", ".arrow", ".ipc"), "Feather")
 
 
 def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
@@ -26,22 +27,18 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     `names` names its columns.
     """
     require_content(path)
-    suffix = path.suffix.lower()
-    if suffix not in _PARQUET | _FEATHER:
-        return read_text(path, names)
-    batches = list(_batches(path, "Parquet" if suffix in _PARQUET else "Feather"))
-    return _table(path, arrow().concat_tables(batches))
+    if kind := _KINDS.get(path.suffix.lower()):
+        return _table(path, arrow().concat_tables(_batches(path, kind)))
+    return read_text(path, names)
 
 
 def table_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
     """Yield the tables of successive rows of such a file; raises LogError."""
     require_content(path)
-    suffix = path.suffix.lower()
-    if suffix not in _PARQUET | _FEATHER:
+    if kind := _KINDS.get(path.suffix.lower()):
+        yield from (_table(path, data) for data in _batches(path, kind, rows) if data.num_rows)
+    else:
         yield from text_pieces(path, names, rows)
-        return
-    batches = _batches(path, "Parquet" if suffix in _PARQUET else "Feather", rows)
-    yield from (_table(path, data) for data in batches if data.num_rows)
 
 
 def _table(path: Path, data: Any) -> LogTable:
@@ -62,7 +59,7 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         with path.open("wb") as archive:
             np.savez_compressed(archive, allow_pickle=False, **columns)
         return
-    if path.suffix.lower() in _PARQUET:
+    if _KINDS.get(path.suffix.lower()) == "Parquet":
         arrays = {name: np.ascontiguousarray(values) for name, values in columns.items()}
         arrow().parquet.write_table(arrow().table(arrays), path)
         return
