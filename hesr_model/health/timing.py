@@ -291,15 +291,8 @@ def _fitted(table: Array, scale: float) -> Array:
 
 def _project_out(columns: Array, targets: Array) -> Array:
     """Project `targets` (N, K) onto the orthogonal complement of `columns` (N, P)."""
-    u = _basis(columns)
-    return np.asarray(targets - u @ (u.T @ targets))
-
-
-def _basis(columns: Array) -> Array:
-    """Return an orthonormal basis (N, rank) of `columns` (N, P)."""
     size = np.linalg.norm(columns, axis=0)
     used = columns[:, size > 1e-9 * size.max(initial=0.0)]
-    if not used.shape[1]:
-        return used
     u, s, _ = np.linalg.svd(used / np.linalg.norm(used, axis=0), full_matrices=False)
-    return np.asarray(u[:, s > 1e-6 * s[0]])
+    u = u[:, s > 1e-6 * s.max(initial=0.0)]
+    return np.asarray(targets - u @ (u.T @ targets))

@@ -1,7 +1,8 @@
 """Descriptions of robots: a TOML with joints, owner, sourced constants, and the format of logs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -46,22 +47,6 @@ class SourcedConstant:
     value: float
     unit: str
     source: SourceKind
-
-
-def sourced(
-    name: str,
-    unit: str,
-    joints: Sequence[str],
-    values: Sequence[float],
-    sources: Sequence[SourceKind],
-) -> dict[str, Any]:
-    """Return the entry of a provenance for a constant of each joint."""
-    return {
-        _KEY: [
-            to_json(SourcedConstant(name=name, joint=joint, value=value, unit=unit, source=source))
-            for joint, value, source in zip(joints, values, sources, strict=True)
-        ]
-    }
 
 
 def statements(provenance: Mapping[str, Any], *only: SourceKind) -> list[str]:
@@ -197,7 +182,9 @@ class RobotDescription(Config):
         if gains is None:
             return {}
         known = sources.each("torque_per_ampere", len(gains))
-        return sourced("torque constant", "N.m/A", self.joints, gains, known)
+        constant = partial(SourcedConstant, name="torque constant", unit="N.m/A")
+        each = zip(self.joints, gains, known, strict=True)
+        return {_KEY: [to_json(constant(joint=j, value=x, source=s)) for j, x, s in each]}
 
     @classmethod
     def read(cls, path: PathArg) -> Self:

@@ -17,6 +17,7 @@ from hesr_model.errors import ConfigError, RobotError
 from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.cache import kept
+from hesr_model.support.text import on_one_line
 
 _MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
 _LEAST = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
@@ -69,8 +70,8 @@ def _refused(path: Path) -> Iterator[None]:
         yield
     except (ValueError, RuntimeError) as error:  # RuntimeError: out of memory
         kind = "a URDF" if is_urdf(path) else "an MJCF"
-        reason = f"cannot be compiled as {kind} ({_reason(error)})"
-        raise ConfigError(f"{path}: {reason}.") from error
+        said = f"{path}: cannot be compiled as {kind} ({on_one_line(error)})."
+        raise ConfigError(said) from error
 
 
 def compiled_robot(path: Path) -> Compiled:
@@ -104,16 +105,12 @@ def _kept(content: Iterable[str | bytes], read: Callable[[], Any]) -> Compiled:
                 spec.compiler.fusestatic = False
                 found = _described(spec.compile())
         except (ValueError, RuntimeError) as error:
-            found = {"refusal": _reason(error)}
+            found = {"refusal": on_one_line(error)}
         return json.dumps(found).encode()
 
     key: list[str | bytes] = [Path(__file__).read_bytes(), version("mujoco"), *content]
     found: Compiled = json.loads(kept("robots", key, make))
     return found
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".")
 
 
 def _content(path: Path, base: Path, seen: set[Path]) -> Iterator[str | bytes]:
@@ -137,7 +134,7 @@ def _root(path: Path, data: bytes) -> Element | None:
     except ElementTree.ParseError:
         return None
     except (LookupError, ValueError) as error:  # an encoding, which MuJoCo ignores
-        raise ConfigError(f"{path}: cannot be parsed as an MJCF ({_reason(error)}).") from error
+        raise ConfigError(f"{path}: cannot be parsed as an MJCF ({on_one_line(error)}).") from error
 
 
 def with_includes(path: Path) -> bytes:

@@ -14,6 +14,7 @@ from hesr_model.findings import Finding
 from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
 from hesr_model.robots.urdf import doubts_of_model, position_limits, read_urdf
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import on_one_line
 
 _SHORT = 0.1  # range of fingers [m]
 _FINGER = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
@@ -151,8 +152,7 @@ def load(path: Path) -> RobotModel:
     try:
         model = pin.buildModelFromXML(urdf.text)
     except Exception as error:  # many kinds
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise RobotError(f"{path}: cannot be parsed as a URDF ({reason}).") from error
+        raise RobotError(f"{path}: cannot be parsed as a URDF ({on_one_line(error)}).") from error
     for frame in model.frames:  # a body named as a joint, which Pinocchio cannot reduce
         if frame.type == pin.FrameType.BODY and model.existJointName(frame.name):
             frame.name = f"{frame.name} (link)"
@@ -303,13 +303,7 @@ def _slides(joint: Any) -> bool:
 
 def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
     """Return the wanted joints, or all usable ones but fingers; RobotError without any."""
-    return _driven(path, joints_of(path), wanted)
-
-
-def _driven(
-    path: Path, known: Sequence[ModelJoint], wanted: Sequence[str] = ()
-) -> tuple[ModelJoint, ...]:
-    joints = {joint.name: joint for joint in known}
+    joints = {joint.name: joint for joint in joints_of(path)}
     for name in wanted:
         if name not in joints:
             raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(joints)}.")
@@ -327,10 +321,9 @@ def _driven(
 
 def arm(path: Path) -> tuple[ModelJoint, ...]:
     """Return the driven joints from the base to the end of the longest chain without branches."""
-    joints = joints_of(path)
-    driven = {joint.name: joint for joint in _driven(path, joints)}
+    driven = {joint.name: joint for joint in driven_joints(path)}
     chains: dict[str, list[str]] = {}
-    for joint in joints:
+    for joint in joints_of(path):
         above = chains.get(joint.parent, [])
         chains[joint.name] = [*above, joint.name] if joint.name in driven else above
     before = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven}

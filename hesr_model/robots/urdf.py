@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -10,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from hesr_model.errors import RobotError
-from hesr_model.findings import Finding, Severity, caution
+from hesr_model.findings import Finding, caution, of_joint
 from hesr_model.support.arrays import Array, Mask
 
 UNLIMITED = 1e9  # position limit of a joint without one, which Pinocchio's URDF parser would refuse
@@ -128,38 +129,41 @@ def _inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Findin
 def doubts_of_model(path: Path, model: Any) -> Iterator[Finding]:
     """Yield doubts about single joints of a model file."""
     urdf = path.suffix.lower() != ".xml"
+    doubt = partial(of_joint, where=str(path))
     for name, joint, link in list(zip(model.names, model.joints, model.inertias, strict=True))[1:]:
         if joint.nv != 1:
             found = "has several degrees of freedom and is held at its reference position"
-            yield _doubt("held-joint", path, name, found, "leave it out if it moves", "advice")
+            yield doubt("held-joint", name, found, "leave it out if it moves", "advice")
             continue
         low, high = position_limits(model, joint, valid=False)
         if urdf and not link.mass > 0.0:
             needs = "give the link an <inertial> if it is a real part"
-            yield _doubt("massless-link", path, name, "its link has no mass", needs)
+            yield doubt("massless-link", name, "its link has no mass", needs, "warning")
         if urdf and link.mass > 0.0 and not np.any(link.inertia):
             found = f"its link of {link.mass:.3g} kg has no inertia, as if it was rounded"
-            yield _doubt("rounded-inertia", path, name, found, "write more digits of its <inertia>")
+            needs = "write more digits of its <inertia>"
+            yield doubt("rounded-inertia", name, found, needs, "warning")
         if joint.nq != 1 or not np.isfinite(low + high):
             if joint.nq == 1 and urdf:
                 needs = "state them in its <limit>; hesr excite needs them"
-                yield _doubt("no-limits", path, name, "has no limits", needs, "advice")
+                yield doubt("no-limits", name, "has no limits", needs, "advice")
         elif low >= high:
             way = "equal" if low == high else "reversed"
             found = f"its position limits are {way}, {low:g} and {high:g}, and count as none"
-            yield _doubt("odd-limits", path, name, found, "correct its limits")
+            yield doubt("odd-limits", name, found, "correct its limits", "warning")
         elif 4 * np.pi < max(-low, high) <= 720.0 and "JointModelP" not in joint.shortname():
             found = f"its limits {low:g} and {high:g} rad look like degrees"
-            yield _doubt("odd-limits", path, name, found, "write radians")
+            yield doubt("odd-limits", name, found, "write radians", "warning")
 
 
 def doubts_of_chain(
     path: Path, joints: Sequence[str], masses: Array, bare: Mask, sprung: Iterable[str]
 ) -> Iterator[Finding]:
     """Yield doubts about mass matrices (N, n, n), joints without range (n,) and `sprung` ones."""
+    doubt = partial(of_joint, where=str(path))
     for name in sprung:
         found = "has a spring, which its torque leaves out"
-        yield _doubt("no-spring", path, name, found, "list it in 'springs' of the robot file")
+        yield doubt("no-spring", name, found, "list it in 'springs' of the robot file", "warning")
     least = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
     for j in np.flatnonzero(least <= 1e-12 * np.abs(masses).max()).tolist():
         found = (
@@ -167,19 +171,11 @@ def doubts_of_chain(
             "meaningless"
         )
         remedy = "correct the <inertial> of the links after it"
-        yield _doubt("no-inertia", path, joints[j], found, remedy, "error")
+        yield doubt("no-inertia", joints[j], found, remedy)
     for j in np.flatnonzero(bare).tolist():
         found = "joints that follow it leave it no range, and their limits count as none"
         remedy = "correct their limits or their <mimic> or equality"
-        yield _doubt("odd-limits", path, joints[j], found, remedy)
-
-
-def _doubt(
-    check: str, path: Path, joint: str, found: str, remedy: str, severity: Severity = "warning"
-) -> Finding:
-    return Finding(
-        check=check, severity=severity, where=str(path), joints=(joint,), found=found, remedy=remedy
-    )
+        yield doubt("odd-limits", joints[j], found, remedy, "warning")
 
 
 def position_limits(model: Any, joint: Any, *, valid: bool = True) -> tuple[float, float]:

@@ -22,6 +22,11 @@ def escaped(text: str) -> str:
     )
 
 
+def on_one_line(error: Exception) -> str:
+    """Return an error's text on one line, without full stop."""
+    return " ".join(str(error).split()).rstrip(".")
+
+
 def quoted(name: str) -> str:
     """Return a name in quotes, safe to print."""
     return f"'{plain(name)}'"

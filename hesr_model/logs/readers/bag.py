@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from os import SEEK_END
 from pathlib import Path
 from struct import pack, unpack
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
+from hesr_model.support.text import on_one_line
 
 _TYPE = "sensor_msgs/msg/JointState"
 _SUFFIXES = (".db3", ".mcap", ".bag")
@@ -89,7 +90,7 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     joints = bag.joints or robot.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
     messages = list(_messages(path, bag.topics))
-    used = [message for message in messages if set(joints) <= set(message.names)]
+    used = [message for message in messages if set(joints) <= set(message.state.name)]
     groups = {joints: used} if used else _groups(where, joints, messages)
     series = [_Series.of(where, *group, missing=drop) for group in groups.items()]
     base = min(series, key=lambda s: len(s.messages))
@@ -117,16 +118,10 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Message:
-    """A message, its number from 1, and its stamp [ns]."""
-
-    number: int
-    stamp: int
-    names: Sequence[str]
-    position: Array
-    velocity: Array
-    effort: Array
+class _Message(NamedTuple):
+    number: int  # from 1
+    stamp: int  # [ns]
+    state: Any  # JointState: name, position, velocity, effort
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,10 +176,10 @@ def _groups(
     """Return the messages of each joint."""
     if not messages:
         raise LogError(f"{where}: has no messages.")
-    listed = dict.fromkeys(name for message in messages for name in message.names)
+    listed = dict.fromkeys(name for message in messages for name in message.state.name)
     groups: dict[tuple[str, ...], Sequence[_Message]] = {}
     for joint in joints:
-        groups[joint,] = [m for m in messages if joint in m.names]
+        groups[joint,] = [m for m in messages if joint in m.state.name]
         if not groups[joint,]:
             raise LogError(
                 f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; map "
@@ -221,21 +216,13 @@ def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
         ):
             connections = [c for topic in topics for c in _connections(path, reader, topic)]
             for number, (connection, _, raw) in enumerate(reader.messages(connections), start=1):
-                message: Any = reader.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp
-                yield _Message(
-                    number=number,
-                    stamp=stamp.sec * 1_000_000_000 + stamp.nanosec,
-                    names=message.name,
-                    position=message.position,
-                    velocity=message.velocity,
-                    effort=message.effort,
-                )
+                state: Any = reader.deserialize(raw, connection.msgtype)
+                stamp = state.header.stamp
+                yield _Message(number, stamp.sec * 1_000_000_000 + stamp.nanosec, state)
     except LogError:
         raise
     except Exception as error:  # many kinds
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise LogError(f"{path}: cannot be read as a ROS bag ({reason}).") from error
+        raise LogError(f"{path}: cannot be read as a ROS bag ({on_one_line(error)}).") from error
 
 
 def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
@@ -259,17 +246,17 @@ def _values(
     where: str, messages: Sequence[_Message], joints: Sequence[str], field: str, *, missing: bool
 ) -> Array | None:
     """Return one field of all joints (N, n), if any message has it."""
-    if not any(len(getattr(message, field)) for message in messages):
+    if not any(len(getattr(message.state, field)) for message in messages):
         return None
     values = np.empty((len(messages), len(joints)))
     for row, message in zip(values, messages, strict=True):
-        given = getattr(message, field)
-        if len(given) != len(message.names):
+        names, given = message.state.name, getattr(message.state, field)
+        if len(given) != len(names):
             raise LogError(
                 f"{where}, message {message.number}: {field} has {len(given)} entries for "
-                f"{len(message.names)} joints."
+                f"{len(names)} joints."
             )
-        row[:] = [given[message.names.index(joint)] for joint in joints]
+        row[:] = [given[names.index(joint)] for joint in joints]
     bad = np.isinf(values) if missing else ~np.isfinite(values)
     if np.any(bad):
         k, joint = np.argwhere(bad)[0]

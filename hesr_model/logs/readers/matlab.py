@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.log_table import LogTable, most_bytes, readable
 from hesr_model.logs.readers.arrays import numeric, table_of_arrays
 from hesr_model.logs.readers.formats import table_format
@@ -116,9 +115,8 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
         raise LogError(f"{path}: no such log file.")
     with path.open("rb") as file:
         is_hdf5 = file.read(520)[512:] == _HDF5
-    if is_hdf5:
-        return table_of_arrays(path, arrays_of_hdf5(path, "MATLAB file", transposed=True), time)
-    return table_of_arrays(path, _classic(path), time)
+    found = arrays_of_hdf5(path, "MATLAB file", transposed=True) if is_hdf5 else _classic(path)
+    return table_of_arrays(path, found, time)
 
 
 def _classic(path: Path) -> dict[str, Array]:
@@ -133,8 +131,6 @@ def _classic(path: Path) -> dict[str, Array]:
     return dict(numeric({k: v for k, v in content.items() if not k.startswith("__")}, ""))
 
 
-def _read(path: Path, log: LogFormat) -> LogTable:
-    return read_matlab(path, time=log.columns.t)
-
-
-FORMAT = table_format("MATLAB file", {".mat"}, _read)
+FORMAT = table_format(
+    "MATLAB file", {".mat"}, lambda path, log: read_matlab(path, time=log.columns.t)
+)
