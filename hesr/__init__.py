@@ -19,6 +19,6 @@ notebook; logs and signals have `to_pandas()`, logs also `to_xarray()`. The stub
 the list of names; each is imported when it is first used.
 """
 
-from hesr_model.support.lazy import lazy_stub
+from hesr_model.support.lazy import lazy
 
-__getattr__, __dir__ = lazy_stub(__name__, __file__)
+__getattr__, __dir__ = lazy(__name__, __file__)

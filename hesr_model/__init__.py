@@ -17,7 +17,7 @@ Names for notebooks, imported on first use; `docs/tutorial.ipynb` is the long fo
     export_fmu(model, Path("Friction.fmu"))
 """
 
-from hesr_model.support.lazy import lazy_stub
+from hesr_model.support.lazy import lazy
 
-__getattr__, __dir__ = lazy_stub(__name__, __file__)
+__getattr__, __dir__ = lazy(__name__, __file__)
 __all__ = __dir__()
