@@ -1,6 +1,6 @@
 """Descriptions of robots: a TOML with joints, owner, sourced constants, and the format of logs."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, model_serializer, model_validator
 
 from hesr_model.errors import ArtifactError, RobotError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.robots.transmission import Coupling, Transmission
+from hesr_model.robots.transmission import BALANCER, LINEAR, Coupling, SpringTerm, Transmission
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.typed_files import Config, PrintableName, RelativePath, from_json, to_json
 
@@ -159,6 +159,25 @@ class RobotDescription(Config):
             )
         object.__setattr__(self, "gear_ratio", ratios)
         return self
+
+    def spring_terms(self, slides: Sequence[bool]) -> Iterator[SpringTerm]:
+        """Yield the terms of springs and balancers; raises RobotError."""
+        for key in ("springs", "balancers"):
+            for name in getattr(self, key):
+                if name not in self.joints:
+                    raise RobotError(
+                        f"key '{key}' of robot '{self.name}' contains '{name}'; its joints are "
+                        f"{', '.join(self.joints)}."
+                    )
+                if key == "balancers" and slides[self.joints.index(name)]:
+                    raise RobotError(
+                        f"key 'balancers' of robot '{self.name}' contains '{name}', which slides; "
+                        "list it in 'springs'."
+                    )
+        for number, joint in enumerate(self.joints):
+            names = [*LINEAR] * (joint in self.springs) + [*BALANCER] * (joint in self.balancers)
+            for name in dict.fromkeys(names):
+                yield SpringTerm(joint=number, name=name)
 
     @property
     def coupling(self) -> Coupling | None:

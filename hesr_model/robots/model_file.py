@@ -11,6 +11,7 @@ import numpy as np
 
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
+from hesr_model.robots.description import RobotDescription
 from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
 from hesr_model.robots.urdf import doubts_of_model, position_limits, read_urdf
 from hesr_model.support.arrays import Array
@@ -51,7 +52,7 @@ class RobotModel:
             )
         return found
 
-    def geometry(self, joints: Sequence[str], locked: Mapping[str, float], root: str | None) -> Any:
+    def geometry(self, robot: RobotDescription) -> Any:
         """Return Pinocchio's collision geometry of the reduced model; None if it is incomplete."""
         import pinocchio as pin  # slow to import
 
@@ -65,19 +66,14 @@ class RobotModel:
                 )
         except Exception:  # of many kinds: meshes or packages are missing, or names differ
             return None
-        return self.reduced(joints, locked, root, found) if found.ngeoms else None
+        return self.reduced(robot, found) if found.ngeoms else None
 
-    def reduced(
-        self,
-        joints: Sequence[str],
-        locked: Mapping[str, float],
-        root: str | None,
-        geometry: Any = None,
-    ) -> Any:
+    def reduced(self, robot: RobotDescription, geometry: Any = None) -> Any:
         """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
-        model, path, known = self.model, self.path, self._below(root)
+        model, path, known = self.model, self.path, self._below(robot.root)
+        joints, locked = robot.joints, robot.locked
         for name in (*joints, *locked):
             if name not in known:
                 raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
@@ -90,7 +86,7 @@ class RobotModel:
             raise RobotError(
                 f"{path}: joint '{both[0]}' is in both 'joints' and 'locked'; remove it from one."
             )
-        if [name for name in known if name in joints] != list(joints):
+        if tuple(name for name in known if name in joints) != joints:
             raise RobotError(
                 f"{path}: the joints {', '.join(joints)} must be listed once each, "
                 f"in the order of the model, {', '.join(known)}."

@@ -12,7 +12,7 @@ import numpy as np
 from hesr_model.findings import Finding
 from hesr_model.robots import model_file
 from hesr_model.robots.description import RobotDescription as RobotDescription
-from hesr_model.robots.transmission import LINEAR, spring_terms
+from hesr_model.robots.transmission import LINEAR
 from hesr_model.robots.urdf import chain_limits, doubts_of_chain
 from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.files import path_of
@@ -46,8 +46,7 @@ class Robot:
         self.description = description
         self._pin: Any = model_file.dynamics_engine()
         self._file = model_file.load(description.model)
-        names = description.joints
-        self._model: Any = self._file.reduced(names, description.locked, description.root)
+        self._model: Any = self._file.reduced(description)
         self._data: Any = self._model.createData()
         slopes = self.follow[0] if self.follow else np.eye(self.n)
         self.rotor_nominal: Array = np.array(self._model.armature) @ slopes**2
@@ -55,8 +54,7 @@ class Robot:
         # In the dynamics they are columns of the regressor.
         self._model.armature = np.zeros(self._model.nv)
         self._model.gravity.linear = np.array(self.gravity)
-        sprung = self.slides, description.springs, description.balancers
-        self.springs = tuple(spring_terms(self.name, self.joints, *sprung))
+        self.springs = tuple(description.spring_terms(self.slides))
         """Terms of springs and balancers."""
         description.log.units.require_fitting(description.joints, self.slides)
         if description.transmission:
@@ -188,8 +186,7 @@ class Robot:
     @cached_property
     def geometry(self) -> Any:
         """Pinocchio's collision geometry of the model file; None if it cannot be read."""
-        about = self.description
-        return self._file.geometry(about.joints, about.locked, about.root)
+        return self._file.geometry(self.description)
 
     def places(self, q: Array) -> list[tuple[Array, Array]]:
         """Return rotation (3, 3) and origin (3,) [m] of each joint's frame at a position (n,)."""

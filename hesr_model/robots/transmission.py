@@ -7,7 +7,7 @@ own gear ratios, or joints::
     u = C q,   C[i, j] = R[i, j] / R[i, i],   tau_q = C' tau_u
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -137,7 +137,7 @@ def onto(coupling: Coupling | None, motion: Array) -> Array:
 
 
 LINEAR = ("k", "const")
-_BALANCER = {"const": 0, "cos": 1, "sin": 1, "cos2": 2, "sin2": 2}  # multiples of the angle
+BALANCER = {"const": 0, "cos": 1, "sin": 1, "cos2": 2, "sin2": 2}  # multiples of the angle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,35 +165,9 @@ class SpringTerm:
     @property
     def harmonic(self) -> int:
         """Multiple of the angle; 0 for a constant."""
-        return _BALANCER.get(self.name, 0)
+        return BALANCER.get(self.name, 0)
 
     def over(self, q: Array) -> Array:
         """Return the torque at positions [rad or m] of its joint."""
         angle = self.harmonic * q
         return q if self.linear else np.sin(angle) if self.sine else np.cos(angle)
-
-
-def spring_terms(
-    robot: str,
-    joints: Sequence[str],
-    slides: Sequence[bool],
-    springs: Sequence[str],
-    balancers: Sequence[str],
-) -> Iterator[SpringTerm]:
-    """Yield the terms of the joints in two lists of a robot's file; raises RobotError."""
-    for key, listed in (("springs", springs), ("balancers", balancers)):
-        for name in listed:
-            if name not in joints:
-                raise RobotError(
-                    f"key '{key}' of robot '{robot}' contains '{name}'; its joints are "
-                    f"{', '.join(joints)}."
-                )
-            if key == "balancers" and slides[joints.index(name)]:
-                raise RobotError(
-                    f"key 'balancers' of robot '{robot}' contains '{name}', which slides; list it "
-                    "in 'springs'."
-                )
-    for number, joint in enumerate(joints):
-        names = [*LINEAR] * (joint in springs) + [*_BALANCER] * (joint in balancers)
-        for name in dict.fromkeys(names):
-            yield SpringTerm(joint=number, name=name)
