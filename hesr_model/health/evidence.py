@@ -44,8 +44,7 @@ class Motionwise:
 
     def thinned(self, rows: int) -> "Motionwise":
         """Return at most `rows` rows, evenly spread."""
-        every = slice(None, None, -(-len(self.t) // rows))
-        return some_rows(self, ("t", "q", "v", "a", "dq", "tau"), every)
+        return some_rows(self, slice(None, None, -(-len(self.t) // rows)))
 
 
 def motionwise(log: Log, cutoff: float) -> list[Motionwise]:

@@ -10,7 +10,7 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.logs import robot_log
 from hesr_model.logs.readers.formats import sample_pieces
-from hesr_model.logs.robot_log import Log, arrays_of
+from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Grid, Motion, filtered
 from hesr_model.robots.robot import RobotDescription
 from hesr_model.support.arrays import Array, joined
@@ -132,7 +132,7 @@ class LongLog:
         cutoff, parts = self._robot.log.filter_cutoff, list(self._parts)
         held, done, at = None, 0, 0  # rows held from number `at`
         for log in self._pieces():
-            held = joined([held, log], arrays_of(log)) if held else log
+            held = joined([held, log]) if held else log
             there, margin = at + len(held.t), 0
             while parts:
                 part, grid = parts[0], parts[0].grid
@@ -196,7 +196,7 @@ class LongLog:
             dropped = len(read.t) - len(samples.t)
             log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
             self._time = samples.time
-            checked = log if last is None else joined([last, log], arrays_of(log))
+            checked = log if last is None else joined([last, log])
             robot_log.require_increase(checked, samples, before=len(checked.t) - len(log.t))
             last = log.rows(slice(-1, None))
             yield log

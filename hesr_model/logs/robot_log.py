@@ -124,7 +124,7 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, arrays_of(self), rows)
+        return some_rows(self, rows)
 
     def split(self, longest: float) -> "list[Log]":
         """Return the logs between steps above `longest` [s]."""
@@ -244,12 +244,6 @@ def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
         path=path,
         robot=robot,
     )
-
-
-def arrays_of(log: Log) -> tuple[str, ...]:
-    """Return the names of the arrays along time."""
-    known = ("t", "load", *_UNITS)
-    return tuple(name for name in known if getattr(log, name) is not None)
 
 
 def parts_of(logs: Iterable[Log]) -> list[Log]:

@@ -62,7 +62,7 @@ class Sample:
                 groups[-1].append(window)
             else:
                 groups.append([window])
-        return [joined([w.motion for w in group], group[0].motion.columns) for group in groups]
+        return [joined([w.motion for w in group]) for group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
         t, n = motion.t, motion.q.shape[1]
@@ -84,7 +84,7 @@ class Sample:
                         if kind != "near" or code:
                             rows[joint, kind, int(code)] = int(k)
             # A view would keep the whole log in memory.
-            yield joined([motion.rows(slice(first, last))], motion.columns), rows
+            yield joined([motion.rows(slice(first, last))]), rows
 
     def _shrink(self) -> None:
         if sum(len(window.motion.t) for window in self._windows) <= self._most:

@@ -1,7 +1,7 @@
 """The smooth motion of a log, and its moving, resting and reversing rows."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class Motion:
 
     def rows(self, rows: slice | Mask) -> "Motion":
         """Return the motion of some rows, a slice or a mask (N,)."""
-        return some_rows(self, self.columns, rows)
+        return some_rows(self, rows)
 
     @property
     def states(self) -> tuple[Array, ...]:
@@ -75,12 +75,6 @@ class Motion:
         if self.q_link is None or self.dq_link is None or self.ddq_link is None:
             return self.q, self.dq, self.ddq
         return self.q_link, self.dq_link, self.ddq_link, self.ddq
-
-    @property
-    def columns(self) -> dict[str, Array]:
-        """Columns by name."""
-        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
-        return {name: column for name, column in found.items() if column is not None}
 
 
 def smooth(log: Log, cutoff: float = 15.0) -> Motion:

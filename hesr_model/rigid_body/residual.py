@@ -65,8 +65,7 @@ class FrictionRecord:
 
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
-        columns = ("t", "dq", "dq_causal", "q", "tau_load", "tau", "tau_load_spread", "temperature")
-        return some_rows(self, (*columns, "tau_body"), rows)
+        return some_rows(self, rows)
 
 
 def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:

@@ -1,7 +1,7 @@
 """Types of arrays; shapes and units are documented with each variable."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,19 +13,24 @@ Integers = NDArray[np.int_]
 Record = TypeVar("Record")
 
 
-def some_rows(record: Record, columns: Iterable[str], rows: slice | Mask | Integers) -> Record:
-    """Return a data class with some rows of its arrays `columns`."""
+def arrays_of(record: Any) -> dict[str, Any]:
+    """Return the arrays of a data class by name."""
+    found = {field.name: getattr(record, field.name) for field in fields(record)}
+    return {name: values for name, values in found.items() if isinstance(values, np.ndarray)}
+
+
+def some_rows(record: Record, rows: slice | Mask | Integers) -> Record:
+    """Return a data class with some rows of its arrays."""
     whole: Any = record
-    found = {name: getattr(record, name) for name in columns}
-    some: Record = replace(whole, **{n: v[rows] for n, v in found.items() if v is not None})
+    some: Record = replace(whole, **{k: values[rows] for k, values in arrays_of(record).items()})
     return some
 
 
-def joined(records: Sequence[Record], columns: Iterable[str]) -> Record:
-    """Return the first data class with its arrays `columns` followed by those of the others."""
+def joined(records: Sequence[Record]) -> Record:
+    """Return the first data class with its arrays followed by those of the others."""
     first: Any = records[0]
-    parts = {name: [getattr(record, name) for record in records] for name in columns}
-    whole: Record = replace(first, **{n: np.concatenate(p) for n, p in parts.items()})
+    parts = {k: [getattr(record, k) for record in records] for k in arrays_of(first)}
+    whole: Record = replace(first, **{k: np.concatenate(part) for k, part in parts.items()})
     return whole
 
 
