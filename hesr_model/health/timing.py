@@ -27,6 +27,7 @@ from hesr_model.support.arrays import Array, Mask
 _WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
 _SLOW = 0.5  # share of the peak speed in which friction falls
 _LATEST, _STEP = 0.25, 0.005  # searched delays, search step [s]
+_SHIFTS = _STEP * np.arange(-round(_LATEST / _STEP), round(_LATEST / _STEP) + 1)  # [s]
 _SMOOTH, _EVERY, _BODY = 0.1, 0.02, 5e-3  # averaging window, time between averages, bodies [s]
 _MOST = 40_000  # rows of a log, its middle ones
 _SYSTEMATIC = 0.04  # error of a joint's lag by memory of other shapes, over what memory explains
@@ -75,7 +76,7 @@ class LagRows:
         even = np.arange(log.t[0], log.t[-1], log.period)
         torque = make_interp_spline(even, _means(log.t, even, log.period) @ tau, k=1)
         return cls(
-            torques=torque(times[:, None] + _shifts()),
+            torques=torque(times[:, None] + _SHIFTS),
             still=_each(of_body, still),
             moving=_each(of_body, whole - still),
             rubs=tuple(mean @ _rubs(u[:, j], v[:, j]) for j in range(model.n)),
@@ -100,10 +101,6 @@ def _means(t: Array, times: Array, period: float) -> Any:
     indices = np.stack([row, row + 1], axis=-1)
     starts = np.arange(len(times) + 1) * 2 * len(kernel)
     return csr_array((weights.ravel(), indices.ravel(), starts), shape=(len(times), len(t)))
-
-
-def _shifts() -> Array:
-    return np.asarray(_STEP * np.arange(-round(_LATEST / _STEP), round(_LATEST / _STEP) + 1))
 
 
 def _rubs(u: Array, v: Array) -> Array:
@@ -238,12 +235,12 @@ def _delay(rubs: Array, torques: Array, used: int) -> Estimate:
     squares = np.sum(left**2, axis=0)
     k = int(np.argmin(squares))
     if k in (0, len(squares) - 1):
-        return Estimate(value=float(_shifts()[k]), error=np.inf)
+        return Estimate(value=float(_SHIFTS[k]), error=np.inf)
     free = max(len(left) - used - rubs.shape[1], 1)
     independent = free / correlation_length(left[:, k])
     before, at, after = 0.5 * independent * np.log(np.maximum(squares[k - 1 : k + 2], 1e-300))
     bend = max(before - 2.0 * at + after, 1e-12)
-    vertex = _shifts()[k] + 0.5 * _STEP * (before - after) / bend
+    vertex = _SHIFTS[k] + 0.5 * _STEP * (before - after) / bend
     return Estimate(value=float(vertex), error=float(_STEP / np.sqrt(bend)))
 
 
@@ -256,7 +253,7 @@ def stamps_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, float]:
     parts = []
     count = rows.still.shape[2]
     for j in joints:
-        torque = rows.torques[:, len(_shifts()) // 2, [j]]
+        torque = rows.torques[:, len(_SHIFTS) // 2, [j]]
         left = _project_out(rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]]))
         body = left[:, 1 : 1 + count] + left[:, 1 + count :]
         parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))

@@ -107,11 +107,6 @@ class LogUnits(Config):
         """Return the size in SI of each joint's unit."""
         return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
 
-    def each(self, quantity: str, joints: int) -> tuple[UnitName, ...]:
-        """Return the unit of each joint."""
-        units = getattr(self, quantity)
-        return units if isinstance(units, tuple) else (units,) * joints
-
     @property
     def zero_of_temperature(self) -> float:
         """Logged value at 0 degC."""

@@ -32,11 +32,6 @@ class Sources(Config):
 
     torque_per_ampere: SourceKind | tuple[SourceKind, ...] = "not stated"
 
-    def each(self, key: str, joints: int) -> tuple[SourceKind, ...]:
-        """Return the source of each joint's constant."""
-        found = getattr(self, key)
-        return found if isinstance(found, tuple) else (found,) * joints
-
 
 @dataclass(frozen=True, kw_only=True)
 class SourcedConstant:

@@ -84,7 +84,7 @@ def compiled_robot(path: Path) -> Compiled:
 
     try:
         _require_an_end(path)
-        found = _kept(_content(path, path.parent, set()), read)
+        found = _kept(_content(path), read)
     except ConfigError as error:
         raise RobotError(str(error)) from error
     if "refusal" in found:
@@ -113,19 +113,11 @@ def _kept(content: Iterable[str | bytes], read: Callable[[], Any]) -> Compiled:
     return found
 
 
-def _content(path: Path, base: Path, seen: set[Path]) -> Iterator[str | bytes]:
-    if path in seen:
-        return
-    seen.add(path)
-    data = path.read_bytes()
-    yield data
-    if (root := _root(path, data)) is None:
-        return
-    for element, file in _files(root, base):
-        if element.tag == "include" and file.is_file():
-            yield from _content(file, base, seen)
-        else:
-            yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
+def _content(path: Path) -> Iterator[str | bytes]:
+    yield (data := with_includes(path))
+    root = _root(path, data)
+    for _, file in _files(root, path.parent) if root is not None else ():
+        yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
 
 
 def _root(path: Path, data: bytes) -> Element | None:
@@ -142,17 +134,18 @@ def with_includes(path: Path) -> bytes:
     root = _root(path, data := path.read_bytes())
     if root is None or root.find(".//include") is None:
         return data
-    _include(root, path.parent, frozenset({path}))
+    _include(root, path.parent, {path})
     return ElementTree.tostring(root)
 
 
-def _include(element: Element, base: Path, above: frozenset[Path]) -> None:
+def _include(element: Element, base: Path, seen: set[Path]) -> None:
     for k, child in reversed(list(enumerate(element))):
         file, inner = base / child.get("file", ""), child
-        if child.tag == "include" and file.is_file() and file not in above:
+        if child.tag == "include" and file.is_file() and file not in seen:
+            seen.add(file)  # MuJoCo refuses a second time
             found = _root(file, file.read_bytes())
             inner = child if found is None else found
-        _include(inner, base, above | {file})
+        _include(inner, base, seen)
         if inner is not child:
             element[k : k + 1] = list(inner)
 

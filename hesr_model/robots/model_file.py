@@ -99,23 +99,19 @@ class RobotModel:
             joint = model.joints[model.getJointId(name)]
             require_one_axis(name, joint.nv, path)
             set_joint(joint, neutral, np.array(value))
-        self._require_open(moving)
-        others = [k for k, name in enumerate(model.names) if k and name not in moving]
+        for ends, others in self.loops.items():
+            if moved := sorted(moving & others):
+                raise RobotError(
+                    f"{path}: the bodies {ends} are tied to each other, which closes a chain over "
+                    f"joint '{moved[0]}', whose torque is then undetermined; remove the equality."
+                )
+        still = [k for k, name in enumerate(model.names) if k and name not in moving]
         if geometry is not None:
-            return pin.buildReducedModel(model, geometry, others, neutral)[1]
-        reduced = pin.buildReducedModel(model, others, neutral) if others else model
+            return pin.buildReducedModel(model, geometry, still, neutral)[1]
+        reduced = pin.buildReducedModel(model, still, neutral) if still else model
         for joint, name in zip(list(reduced.joints)[1:], list(reduced.names)[1:], strict=True):
             require_one_axis(name, joint.nv, path)
         return reduced
-
-    def _require_open(self, moving: set[str]) -> None:
-        for ends, joints in self.loops.items():
-            if moved := sorted(moving & joints):
-                raise RobotError(
-                    f"{self.path}: the bodies {ends} are tied to each other, which closes a chain "
-                    f"over joint '{moved[0]}', whose torque is then undetermined; remove the "
-                    "equality."
-                )
 
     def follow(self, names: Sequence[str], leaders: Sequence[str]) -> tuple[Array, Array]:
         """Return G (names, leaders) and b (names,) of q = G q_leaders + b."""

@@ -64,8 +64,7 @@ class Transmission(Config):
     def coordinates(self) -> Array:
         """Friction coordinates over joint angles (n, n)."""
         n = len(self.matrix)
-        sides = (self.friction,) * n if isinstance(self.friction, str) else self.friction
-        at_motor = np.array([side == "motor" for side in sides])
+        at_motor = np.array([side == "motor" for side in self.each("friction", n)])
         return np.where(at_motor[:, None], self.motors, np.eye(n))
 
     def require_turning(self, joints: Sequence[str], slides: Sequence[bool]) -> None:

@@ -52,7 +52,7 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
         if found is None:
             found = make()
             with suppress(OSError):
-                _write(shelf / name, found)
+                _replace(shelf / name, _digest(shelf / name, found) + found)
                 # Shelves fill evenly: if this one is below its share, the cache is not full.
                 if sum(size for _, size, _ in _files(shelf)) > LIMIT / _SHELVES:
                     _prune(shelf.parent)
@@ -196,10 +196,6 @@ def _read(entry: Path) -> bytes | None:
     with suppress(OSError):
         os.utime(entry)  # as recently used
     return content
-
-
-def _write(entry: Path, content: bytes) -> None:
-    _replace(entry, _digest(entry, content) + content)
 
 
 def _replace(path: Path, data: bytes) -> None:

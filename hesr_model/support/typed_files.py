@@ -39,6 +39,11 @@ class Config(BaseModel):
             raise ConfigError(f"{path}: not valid TOML ({error}).") from error
         return cls.validated(path, data)
 
+    def each(self, key: str, joints: int) -> tuple[Any, ...]:
+        """Return the value of each joint, where a file gives one for all or one per joint."""
+        value = getattr(self, key)
+        return value if isinstance(value, tuple) else (value,) * joints
+
     @classmethod
     def validated(cls, path: Path, data: Any) -> Self:
         """Validate data read from a file; errors as `read`."""
