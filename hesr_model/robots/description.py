@@ -68,8 +68,7 @@ class Owner(Config):
     @property
     def known(self) -> dict[str, str]:
         """Known entries by name."""
-        found = {name: str(getattr(self, name)) for name in type(self).model_fields}
-        return {name: text for name, text in found.items() if text}
+        return {name: text for name, text in self if text}
 
     @model_serializer(mode="plain")
     def _as_written(self) -> dict[str, str]:

@@ -164,9 +164,13 @@ def _take(path: Path, cleanup: ExitStack) -> None:
 @cache
 def _sweep(folder: Path) -> None:
     """Remove temporary files and folders of killed processes, once per process."""
+    import psutil  # slow to import
+
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            if not (found := _OF_A_PROCESS.fullmatch(entry.name)) or _runs(int(found[2])):
+            if not (found := _OF_A_PROCESS.fullmatch(entry.name)) or psutil.pid_exists(
+                int(found[2])
+            ):
                 continue
             with suppress(OSError):
                 owner = entry.stat(follow_symlinks=False).st_uid
@@ -176,12 +180,6 @@ def _sweep(folder: Path) -> None:
                     _remove_whatever(Path(entry.path))
                 else:
                     Path(entry.path).unlink()
-
-
-def _runs(process: int) -> bool:
-    import psutil
-
-    return bool(psutil.pid_exists(process))
 
 
 def _remove_empty(folder: Path) -> None:

@@ -128,33 +128,24 @@ def deferred() -> Iterator[None]:
         yield
         return
     came: list[int] = []
+    posix = hasattr(signal, "pthread_sigmask")
     before = {
         number: signal.signal(number, lambda number, _frame: came.append(number))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
+    # Child processes inherit the mask. It cannot replace the handlers, because another thread may
+    # take the signal.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if posix else set()
     try:
-        # Child processes inherit the mask. It cannot replace the handlers, because another thread
-        # may take the signal.
-        with _held_back_here():
-            yield
+        yield
     finally:
+        if posix:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in before.items():
             if handler is not None:  # None if set by C code
                 signal.signal(number, handler)
         if came:
             signal.raise_signal(came[0])
-
-
-@contextmanager
-def _held_back_here() -> Iterator[None]:
-    if not hasattr(signal, "pthread_sigmask"):  # on Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Interrupted(KeyboardInterrupt):

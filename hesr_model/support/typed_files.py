@@ -5,11 +5,12 @@ import os
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 import pydantic
 from pydantic import BaseModel, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.arrays import Array
@@ -23,6 +24,20 @@ class Config(BaseModel):
     """Base of every schema: immutable, without unknown keys, infinities and NaN."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _name_known_keys(cls, data: Any) -> Any:
+        """Add the allowed keys to pydantic's error about an unknown one."""
+        for key in data if isinstance(data, dict) else ():
+            if key not in cls.model_fields:
+                about = {"known": ", ".join(sorted(cls.model_fields))}
+                kind = PydanticCustomError(
+                    "extra_forbidden", "Extra inputs are not permitted", about
+                )
+                details = InitErrorDetails(type=kind, loc=(key,), input=data[key])
+                raise ValidationError.from_exception_data(cls.__name__, [details])
+        return data
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -50,7 +65,7 @@ class Config(BaseModel):
         try:
             return cls.model_validate(data, context={"folder": path.parent})
         except ValidationError as error:
-            raise ConfigError(_refusal(path, cls, error)) from error
+            raise ConfigError(_refusal(path, error)) from error
         except RecursionError as error:
             raise ConfigError(f"{path}: it is nested too deeply.") from error
 
@@ -65,14 +80,12 @@ RelativePath = Annotated[Path, pydantic.AfterValidator(_beside_the_toml)]  # to 
 PrintableName = Annotated[str, pydantic.AfterValidator(require_printable)]  # as FMUs need
 
 
-def _refusal(path: Path, schema: type[BaseModel], error: ValidationError) -> str:
+def _refusal(path: Path, error: ValidationError) -> str:
     problems = error.errors()
     first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        holder = _holder(schema, first["loc"])
-        known = ", ".join(sorted(holder.model_fields)) if holder else "none"
-        return f"{path}: unknown key '{key}'; allowed here: {known}."
+        return f"{path}: unknown key '{key}'; allowed here: {first['ctx']['known']}."
     if first["type"] == "missing":
         return f"{path}: key '{key}' is missing."
     reason = first["msg"].removeprefix("Value error, ")
@@ -85,27 +98,6 @@ def _refusal(path: Path, schema: type[BaseModel], error: ValidationError) -> str
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
-
-
-def _holder(schema: type[BaseModel], location: tuple[Any, ...]) -> type[BaseModel] | None:
-    holders = [schema]
-    for part in location[:-1]:
-        if fields := [h.model_fields[part] for h in holders if part in h.model_fields]:
-            holders = [inner for field in fields for inner in _schemas_in(field.annotation)]
-        else:  # an index, a user's name, or a kind of schema
-            holders = [h for h in holders if _is_of_kind(h, part)] or holders
-    return holders[0] if holders else None
-
-
-def _schemas_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [schema for inner in get_args(annotation) for schema in _schemas_in(inner)]
-
-
-def _is_of_kind(schema: type[BaseModel], kind: Any) -> bool:
-    annotations = [field.annotation for field in schema.model_fields.values()]
-    return any(get_origin(a) is Literal and kind in get_args(a) for a in annotations)
 
 
 Kind = TypeVar("Kind")

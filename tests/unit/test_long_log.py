@@ -19,6 +19,7 @@ from hesr_model.rigid_body.accumulation import identify_long
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
+from hesr_model.support.arrays import arrays_of
 
 KINDS = ["csv", "npz", "npy", "parquet", "feather"]
 
@@ -74,7 +75,7 @@ def test_a_body_identified_in_pieces(kind: str, robot: RobotDescription, tmp_pat
     log = LongLog(path, robot, rows=400)
     motions, expected = list(log.motions()), smoothed([whole], model)
     assert len(motions) > len(expected) == 2
-    for name in expected[0].columns:
+    for name in arrays_of(expected[0]):
         found, own = (np.concatenate([getattr(m, name) for m in s]) for s in (motions, expected))
         np.testing.assert_allclose(found, own, rtol=1e-9, atol=1e-12)
     assert_same(identify_long([log], model), identify([whole], model))
