@@ -62,13 +62,11 @@ _SQUARES = tuple(
 
 
 class _Bam(OneForm):
+    """A model above: a sum of terms times sgn(v), viscous friction and an offset."""
+
     terms: ClassVar[tuple[tuple[Coefficient, sympy.Expr], ...]]
     everyday = False
     classic = True
-
-    def __init_subclass__(cls, *, model: int) -> None:
-        super().__init_subclass__()
-        cls.name, cls.title, cls.order = f"bam_m{model}", f"BAM M{model}", 190 + 10 * model
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
@@ -111,43 +109,17 @@ class _Bam(OneForm):
         return any(factor.has(_AT_REST) for _, factor in cls.terms)
 
 
-@register
-class BamM1(_Bam, model=1):
-    """tau = F_c sgn(v) + sigma_2 v + tau_0: Coulomb and viscous friction."""
-
-    terms = (_LEVEL,)
-
-
-@register
-class BamM2(_Bam, model=2):
-    """tau = (F_c + F_e e) sgn(v) + ...: M1 with Stribeck's rise e = exp(-|v/v_s|^alpha)."""
-
-    terms = (_LEVEL, _RISE)
+def _register(number: int, *level: tuple[Coefficient, sympy.Expr]) -> None:
+    @register
+    class Model(_Bam):
+        __doc__ = _Bam.__doc__
+        name, title, order = f"bam_m{number}", f"BAM M{number}", 190 + 10 * number
+        terms = level
 
 
-@register
-class BamM3(_Bam, model=3):
-    """tau = (F_c + mu |L|) sgn(v) + ...: M1 with the load."""
-
-    terms = (_LEVEL, _LOAD)
-
-
-@register
-class BamM4(_Bam, model=4):
-    """tau = (F_c + mu |L| + e (F_e + mu_e |L|)) sgn(v) + ...: M2 with the load."""
-
-    terms = (_LEVEL, _RISE, _LOAD, _LOAD_RISE)
-
-
-@register
-class BamM5(_Bam, model=5):
-    """M4 with separate friction per load for the driving and the driven motor."""
-
-    terms = (_LEVEL, _RISE, *_DRIVING)
-
-
-@register
-class BamM6(_Bam, model=6):
-    """M5 with the square of the load in the rise at rest."""
-
-    terms = (_LEVEL, _RISE, *_DRIVING, *_SQUARES)
+_register(1, _LEVEL)
+_register(2, _LEVEL, _RISE)
+_register(3, _LEVEL, _LOAD)
+_register(4, _LEVEL, _RISE, _LOAD, _LOAD_RISE)
+_register(5, _LEVEL, _RISE, *_DRIVING)
+_register(6, _LEVEL, _RISE, *_DRIVING, *_SQUARES)
