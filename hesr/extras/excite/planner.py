@@ -19,7 +19,7 @@ from hesr_model.support.progress import Progress, silent
 
 Plane = tuple[float, float, float, float]  # unit normal n and offset d [m]: n x >= d is free
 
-_POSES, _ALWAYS = 200, 0.95  # random poses; links that touch in this share are not checked
+_POSES, _ALWAYS = 400, 0.95  # random poses; links that touch in this share are not checked
 _WIDTH = 0.04  # default radius of a capsule over the length of the arm
 
 
@@ -171,7 +171,7 @@ class Guard:
 
 
 _USUAL_RATE = 200.0
-_POSES, _PAIRS, _SHRINKS, _SHRINK = 400, 12, 12, 0.75
+_PAIRS, _SHRINKS, _SHRINK = 12, 12, 0.75
 _NEIGHBOURS = 0.05  # free surroundings of the start pose over the ranges
 _ROOM = 0.3  # largest stroke over the range of a joint
 _PAUSE, _HOLD = 0.2, 0.4  # [s] at rest before a part; least time at a constant speed

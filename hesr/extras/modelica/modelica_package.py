@@ -36,7 +36,6 @@ _KEYWORDS = """
 """
 _WORDS = frozenset(_KEYWORDS.split())
 _LIBRARIES = frozenset({"Modelica", "ModelicaServices", "Complex"})
-_IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 _FREQUENCY = 0.25  # frequency of the motions in the examples and of the reference motion [Hz]
 
@@ -137,7 +136,7 @@ def package(model: FrictionModel, name: str) -> str:
 def _oddity(name: str, taken: frozenset[str]) -> str:
     if name in taken:
         return "taken by Modelica"
-    return "" if _IDENTIFIER.fullmatch(name) else "not a valid name in Modelica"
+    return "" if name.isascii() and name.isidentifier() else "not a valid name in Modelica"
 
 
 def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:

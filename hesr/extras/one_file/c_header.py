@@ -80,7 +80,6 @@ def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
     )
 
 
-_IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LANES = 8  # robots per batch step: two vectors of AVX2, one of AVX-512
 _OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE|QUICK) \w+ (\w+)\(", re.MULTILINE)
 
@@ -92,7 +91,7 @@ def export_c(model: FrictionModel, path: Path) -> Path:
     """
     if path.suffix != ".h":
         raise ExportError(f"{path}: a C header ends in .h, found '{path.suffix}'.")
-    if not _IDENTIFIER.fullmatch(path.stem):
+    if not (path.stem.isascii() and path.stem.isidentifier()):
         raise ExportError(
             f"{path}: '{path.stem}' is not a valid C name; start with a letter, then use letters, "
             "digits and underscores."

@@ -122,12 +122,10 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
             with FmuInstance(drive) as component:
                 driven = DriveBench(component, bench.places)
-                for experiment in _DRIVEN:
-                    run = partial(experiment, driven, scale)
-                    found[experiment.__name__] = _tried(run, joints)
                 loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
-                peaks = _peaks(seen, scale)
-                found[_DRIVE] = _tried(partial(dissipation, driven, scale, peaks, loaded), joints)
+                runs = {e.__name__: partial(e, driven, scale) for e in _DRIVEN}
+                runs[_DRIVE] = partial(dissipation, driven, scale, _peaks(seen, scale), loaded)
+                found |= {key: _tried(run, joints) for key, run in runs.items()}
     names = model.joints if model else [f"joint {k}" for k in range(1, joints + 1)]
     sliding = model.slides if model else (False,) * joints
     return Properties(

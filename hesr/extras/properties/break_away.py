@@ -25,9 +25,8 @@ def dissipation(
     """
     angle = 2.0 * np.pi / _ROWS * np.arange(1, _ROWS * _CYCLES + 1)
     dt = np.full(len(angle), _INNER_STEP)
-    worst = np.full(bench.joints, -np.inf)
-    shown: list[tuple[Array, Array]] = [(np.empty(0), np.empty(0))] * bench.joints
-    at = np.zeros(bench.joints)
+    none: tuple[float, float, Array, Array] = (-np.inf, 0.0, np.empty(0), np.empty(0))
+    worst = [none] * bench.joints
     for share in AMPLITUDES:
         for phase in PHASES[: 2 if loaded.any() else 1]:
             load = 0.5 * peaks * (1.0 + np.cos(2.0 * angle + phase))[:, None]
@@ -45,10 +44,10 @@ def dissipation(
             # An offset does no work over a closed cycle.
             given = -((tau - scale.offset) * dq).sum(axis=0) * _INNER_STEP / _MEASURED
             given = np.where(np.isfinite(given), given, np.inf)
-            for j in np.flatnonzero(given > worst):
-                worst[j], at[j] = given[j], share
-                shown[j] = (q[-_ROWS:, j] - bench.places[j], tau[-_ROWS:, j])
-    return [_given(float(worst[j]), float(at[j]), *shown[j]) for j in range(bench.joints)]
+            for j in np.flatnonzero(given > [one[0] for one in worst]):
+                moved = q[-_ROWS:, j] - bench.places[j]
+                worst[j] = (float(given[j]), share, moved, tau[-_ROWS:, j])
+    return [_given(*one) for one in worst]
 
 
 def _given(given: float, share: float, q: Array, tau: Array) -> PropertyResult:
