@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from math import inf
 from pathlib import Path
 
@@ -64,57 +65,36 @@ def export_fmu(
     package.check_request(path, platforms)
     if no_documentation and (properties or body):
         raise ExportError(f"{path}: properties and body are for the page; omit no_documentation.")
-    if model.thermal:
-        beside = bool(power or band or low_pass or properties or body or no_events)
-        whole = thermal_content(model, beside=beside)
-    else:
-        whole = content(
-            *(model, properties, audit),
-            power=power,
-            band=band,
-            low_pass=low_pass,
-            body=body,
-            no_events=no_events,
-            documented=not no_documentation,
+    if not model.thermal:
+        more = (POWER,) if power else ()
+        whole = _component(model, more, band=band, low_pass=low_pass, no_events=no_events)
+        if not no_documentation:
+            whole = _documented(whole, _as_run(model, low_pass), properties, audit, body)
+    elif power or band or low_pass or properties or body or no_events:
+        raise ExportError(
+            f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
+            "properties, rigid body or no_events; export the model without temperature."
         )
+    else:
+        about = about_model(model, "friction", "from their motion and temperature")
+        equations = thermal_equations(model)
+        require_numbers(model)
+        whole = bare_content(model, about, *equations)
     return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
-def export_bare(
-    model: FrictionModel,
-    path: Path,
-    *,
-    platforms: Sequence[str] = ("linux64",),
-    band: bool = False,
-    fmi: package.Version = 2,
-    no_events: bool = False,
-) -> Path:
-    """Write the same FMU as `export_fmu` without its documentation."""
-    if model.thermal:
-        bare = thermal_content(model, beside=band or no_events)
-    else:
-        bare = _component(model, band=band, no_events=no_events)
-    return package.write_fmu(bare, path, platforms=platforms, fmi=fmi)
+export_bare = partial(export_fmu, no_documentation=True)
+"""Write the same FMU as `export_fmu` without its documentation."""
 
 
-def content(
+def _documented(
+    bare: package.Content,
     model: FrictionModel,
-    properties: Properties | None = None,
-    audit: ModelAudit | None = None,
-    *,
-    power: bool = False,
-    band: bool = False,
-    low_pass: float | None = None,
-    body: PageBody | None = None,
-    no_events: bool = False,
-    documented: bool = True,
+    properties: Properties | None,
+    audit: ModelAudit | None,
+    body: PageBody | None,
 ) -> package.Content:
-    """Return the FMU of a friction model, before it is compiled."""
-    more = (POWER,) if power else ()
-    bare = _component(model, more, band=band, low_pass=low_pass, no_events=no_events)
-    if not documented:
-        return bare
-    model = _as_run(model, low_pass)
+    """Add the page, the picture and the reference results of a model, as the FMU runs it."""
     with ThreadPoolExecutor(max_workers=1) as pool:
         # Draw the picture while the compiler runs.
         module = pool.submit(wasm, package.translation_unit(bare)[1])
@@ -158,19 +138,6 @@ def _as_run(model: FrictionModel, low_pass: float | None) -> FrictionModel:
             "must be positive."
         )
     return model.behind_low_pass(low_pass)
-
-
-def thermal_content(model: FrictionModel, *, beside: bool = False) -> package.Content:
-    """Return the FMU of a model that follows temperature, before it is compiled."""
-    if beside:
-        raise ExportError(
-            f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
-            "properties, rigid body or no_events; export the model without temperature."
-        )
-    about = about_model(model, "friction", "from their motion and temperature")
-    equations = thermal_equations(model)
-    require_numbers(model)
-    return bare_content(model, about, *equations)
 
 
 def bare_content(
