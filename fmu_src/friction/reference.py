@@ -4,13 +4,12 @@ The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt
 FMI-LS-REF lists them. They are computed by the laws in Python.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from fmu_src.friction.settings import CONTINUOUS, SHOWN, ReferenceMotion, torques
-from fmu_src.run.reference_manifest import ExperimentFiles, manifest_files
-from fmu_src.run.reference_results import ORDERS, options, table
+from fmu_src.run.reference_results import RUNS, ExperimentFiles, experiment_files, manifest_files
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
@@ -134,42 +133,34 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
         substeps=_SUBSTEPS,
         units=_units(model.sliding),
     )
-    held = [("hold", ORDERS["hold"], "ref", torque), ("shown", ORDERS["shown"], "shown", shown)]
-    stepped, experiments = _files(f"co_simulation/{identifier}", motion, step, _SAME, 14, held)
-    linear = ("continuous", "model exchange: inputs linear between the rows", "ref", fine)
-    solved, last = _files(f"model_exchange/{identifier}", smooth, 0.0, _CLOSE, 8, [linear])
-    members = {"extra/README.txt": text.encode(), **stepped, **solved}
-    return members | manifest_files([*experiments, *last], members)
-
-
-def _files(
-    name: str,
-    motion: ReferenceMotion,
-    step: float,
-    tolerance: float,
-    digits: int,
-    runs: Sequence[tuple[str, str, str, Array]],
-) -> tuple[dict[str, bytes], list[ExperimentFiles]]:
-    stem = f"extra/{name}"
-    inputs = {symbol.name: getattr(motion, symbol.name) for symbol in INPUTS}
+    held = ExperimentFiles(
+        runs=RUNS, t=motion.t, step=step, tolerance=_SAME, stem=f"extra/co_simulation/{identifier}"
+    )
+    solved = ExperimentFiles(
+        runs=[("continuous", "model exchange: inputs linear between the rows", "ref")],
+        t=smooth.t,
+        step=0.0,
+        tolerance=_CLOSE,
+        stem=f"extra/model_exchange/{identifier}",
+    )
     members = {
-        f"{stem}_in.csv": _table(motion, inputs, 12),
-        f"{stem}_ref.opt": options(motion.t, step, tolerance),
-        **{f"{stem}_{end}.csv": _table(motion, {"tau": tau}, digits) for *_, end, tau in runs},
+        "extra/README.txt": text.encode(),
+        **experiment_files(
+            held, _inputs(motion), [_columns("tau", tau) for tau in (torque, shown)]
+        ),
+        **experiment_files(solved, _inputs(smooth), [_columns("tau", fine)], digits=8),
     }
-    experiments = [
-        ExperimentFiles(
-            name=run,
-            description=text,
-            t=motion.t,
-            step=step,
-            tolerance=tolerance,
-            stem=stem,
-            results=end,
-        )
-        for run, text, end, _ in runs
-    ]
-    return dict(sorted(members.items())), experiments
+    return members | manifest_files([held, solved], members)
+
+
+def _inputs(motion: ReferenceMotion) -> dict[str, Array]:
+    names = [symbol.name for symbol in INPUTS]
+    parts = [_columns(name, getattr(motion, name)) for name in names]
+    return {name: column for part in parts for name, column in part.items()}
+
+
+def _columns(name: str, rows: Array) -> dict[str, Array]:
+    return {f"{name}[{i}]": column for i, column in enumerate(rows.T, start=1)}
 
 
 def _units(sliding: Sequence[bool]) -> str:
@@ -205,12 +196,3 @@ def _co_simulation(model: FrictionModel) -> tuple[float, ReferenceMotion, Array]
             continue
         return (step, motion, torque) if np.all(np.isfinite(torque)) else None
     return None
-
-
-def _table(motion: ReferenceMotion, values: Mapping[str, Array], digits: int) -> bytes:
-    columns = {
-        f"{name}[{i}]": column
-        for name, rows in values.items()
-        for i, column in enumerate(rows.T, start=1)
-    }
-    return table({"time": motion.t, **columns}, digits)

@@ -6,7 +6,7 @@ calls open, so all known orders are tried.
 
 import csv
 import posixpath
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,8 +14,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from fmu_src.export.description import to_bytes
 from fmu_src.run.archive import MOST_TEXT, Archive
-from fmu_src.run.reference_manifest import FOLDER, MANIFEST, ExperimentFiles, manifest_files
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -24,6 +24,19 @@ from hesr_model.support.text import plain
 if TYPE_CHECKING:
     from fmu_src.run.fmu import FmuInstance
 
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
+EXPERIMENTS = f"{FOLDER}/experiments.xml"
+
+_LAYER = "http://fmi-standard.org/fmi-ls-manifest"
+_ABOUT = {
+    "fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
+    "fmi-ls-version": "1.0.0-alpha.1",
+    "fmi-ls-description": (
+        "Layered Standard providing information on related files included in an FMU."
+    ),
+}
+
 ROWS = 100  # steps of the stimuli
 ORDERS: Mapping[str, str] = {
     "hold": "co-simulation: inputs hold over each step, outputs are read after it",
@@ -31,6 +44,9 @@ ORDERS: Mapping[str, str] = {
     "direct": "inputs of its end are set before a step",
 }
 """Orders of setting inputs, stepping and reading outputs; our files use the first two."""
+
+RUNS = (("hold", ORDERS["hold"], "ref"), ("shown", ORDERS["shown"], "shown"))
+"""Names, orders and ends of the file names of our runs for co-simulation."""
 
 TOLERANCE = 1e-9  # relative to the largest value: differences between platforms
 _TOLERANCE = 1e-3  # of results that name none
@@ -52,6 +68,21 @@ co_simulation/{name}_shown.csv
     The same run for tools that read outputs once the inputs of the next step are set: row k holds
     the outputs after step k with the inputs of row k.
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentFiles:
+    """CSV files STEM_in and STEM_parameters of experiments at times t [s], and their results.
+
+    Each run has a name, a description of its order of calls, and END in STEM_END, its results.
+    """
+
+    runs: Sequence[tuple[str, str, str]]
+    t: Array
+    step: float  # communication step [s]; 0 if a solver chooses it
+    tolerance: float  # relative to the largest value of each output
+    stem: str
+    parameters: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +112,7 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     """Run an FMU and return its folder `extra/`, empty if it cannot be run."""
     from fmu_src.run.fmi import VERSIONS  # slow to import
     from fmu_src.run.fmu import FmuInstance
-    from fmu_src.run.instance import SUFFIX
+    from fmu_src.run.instance import PLATFORM, SUFFIX
 
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")
@@ -97,7 +128,7 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
                 file = home / member
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(content)
-        for order in ("hold", "shown"):
+        for order, *_ in RUNS:
             try:
                 with FmuInstance(Path(name), unpacked=home) as instance:
                     # Those of FMI 2.0 must be continuous.
@@ -114,40 +145,40 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
             if not np.all(np.isfinite(rows)):
                 return {}
             found[order] = dict(zip(outputs, rows.T, strict=True))
-    return _files(name, stimuli, found)
-
-
-def _files(
-    name: str, stimuli: Stimuli, found: Mapping[str, Mapping[str, Array]]
-) -> dict[str, bytes]:
-    from fmu_src.run.instance import PLATFORM
-
-    stem, t = f"extra/co_simulation/{name}", stimuli.t
+    stem = f"extra/co_simulation/{name}"
     text = _README.format(name=name, platform=PLATFORM, step=stimuli.step, tolerance=TOLERANCE)
+    written = ExperimentFiles(
+        runs=RUNS,
+        t=stimuli.t,
+        step=stimuli.step,
+        tolerance=TOLERANCE,
+        stem=stem,
+        parameters=bool(stimuli.parameters),
+    )
     files = {
         "extra/README.txt": text.encode(),
-        f"{stem}_in.csv": table({"time": t, **stimuli.inputs}, 12),
-        f"{stem}_ref.csv": table({"time": t, **found["hold"]}, 14),
-        f"{stem}_ref.opt": options(t, stimuli.step, TOLERANCE),
-        f"{stem}_shown.csv": table({"time": t, **found["shown"]}, 14),
+        **experiment_files(written, stimuli.inputs, found.values()),
     }
     if stimuli.parameters:
-        row = {own: np.array([value]) for own, value in stimuli.parameters.items()}
+        row = {parameter: np.array([value]) for parameter, value in stimuli.parameters.items()}
         files[f"{stem}_parameters.csv"] = table(row, 17)
-    experiments = [
-        ExperimentFiles(
-            name=order,
-            description=ORDERS[order],
-            t=t,
-            step=stimuli.step,
-            tolerance=TOLERANCE,
-            stem=stem,
-            results=results,
-            parameters=bool(stimuli.parameters),
-        )
-        for order, results in (("hold", "ref"), ("shown", "shown"))
-    ]
-    return files | manifest_files(experiments, files)
+    return files | manifest_files([written], files)
+
+
+def experiment_files(
+    own: ExperimentFiles,
+    inputs: Mapping[str, Array],
+    outputs: Iterable[Mapping[str, Array]],
+    digits: int = 14,
+) -> dict[str, bytes]:
+    """Return the files of inputs (N,) and of the outputs (N,) of each run, and the .opt file."""
+    files = {
+        f"{own.stem}_in.csv": table({"time": own.t, **inputs}, 12),
+        f"{own.stem}_ref.opt": _options(own),
+    }
+    for (*_, end), columns in zip(own.runs, outputs, strict=True):
+        files[f"{own.stem}_{end}.csv"] = table({"time": own.t, **columns}, digits)
+    return dict(sorted(files.items()))
 
 
 def table(columns: Mapping[str, Array], digits: int) -> bytes:
@@ -159,13 +190,57 @@ def table(columns: Mapping[str, Array], digits: int) -> bytes:
     return "".join(f"{line}\n" for line in (header, *lines)).encode()
 
 
-def options(t: Array, step: float, tolerance: float) -> bytes:
-    """Return an .opt file of the FMI cross-check; a step [s] of 0 means a solver's."""
-    values = {"StartTime": t[0], "StopTime": t[-1], "StepSize": step}
-    if not step:
-        values["OutputIntervalLength"] = t[1]
-    lines = [f"{name}, {value:.12g}\n" for name, value in (values | {"RelTol": tolerance}).items()]
-    return "".join(lines).encode()
+def _options(own: ExperimentFiles) -> bytes:
+    """Return the .opt file of the FMI cross-check."""
+    values = {"StartTime": own.t[0], "StopTime": own.t[-1], "StepSize": own.step}
+    if not own.step:
+        values["OutputIntervalLength"] = own.t[1]
+    values["RelTol"] = own.tolerance
+    return "".join(f"{name}, {value:.12g}\n" for name, value in values.items()).encode()
+
+
+def manifest_files(
+    experiments: Sequence[ExperimentFiles], members: Iterable[str]
+) -> dict[str, bytes]:
+    """Return the manifest and the experiments file of the `members` of `extra/`."""
+    root = ET.Element("Experiments")
+    for own in experiments:
+        numbers = {"startTime": own.t[0], "stopTime": own.t[-1], "tolerance": own.tolerance}
+        numbers |= {"stepSize": own.step} if own.step else {}
+        texts = {name: f"{value:.12g}" for name, value in numbers.items()}
+        files = {"Stimuli": "in"} | ({"Parameters": "parameters"} if own.parameters else {})
+        for name, description, results in own.runs:
+            about = {"name": name, "description": description} | texts
+            element = ET.SubElement(root, "Experiment", about)
+            for kind, end in (files | {"References": results}).items():
+                source = posixpath.relpath(f"{own.stem}_{end}.csv", FOLDER)
+                ET.SubElement(element, kind, source=source, type="text/csv")
+    played = {f"{own.stem}_in.csv": "stimuli" for own in experiments}
+    played |= {f"{own.stem}_parameters.csv": "parameters of the experiments" for own in experiments}
+    related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
+    for name in members:
+        if not name.endswith(".csv"):
+            related.append(("document", name, "text/plain", "how to use these files"))
+        elif name in played:
+            related.append(("testcase", name, "text/csv", played[name]))
+        else:
+            related.append(("result", name, "text/csv", "reference results"))
+    return {MANIFEST: _manifest(related), EXPERIMENTS: to_bytes(root)}
+
+
+def _manifest(related: Iterable[tuple[str, ...]]) -> bytes:
+    ET.register_namespace("fmi-ls", _LAYER)
+    root = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
+    for role, name, kind, text in related:
+        ET.SubElement(
+            root,
+            "Related",
+            type=kind,
+            source=posixpath.relpath(name, FOLDER),
+            role=role,
+            description=text,
+        )
+    return to_bytes(root)
 
 
 @dataclass(frozen=True)

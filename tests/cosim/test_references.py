@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.run.reference_manifest import (
+from fmu_src.run.reference_results import (
     EXPERIMENTS,
     FOLDER,
     MANIFEST,
     ExperimentFiles,
     manifest_files,
+    verify,
 )
-from fmu_src.run.reference_results import verify
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -41,13 +41,11 @@ def with_results(lag_fmu: Path, tmp_path: Path) -> Callable[..., Path]:
     def make(stimuli: str, results: str, *, name: str = "own", step: float = 0.1) -> Path:
         members = {f"{STEPS}_in.csv": stimuli.encode(), f"{STEPS}_ref.csv": results.encode()}
         own = ExperimentFiles(
-            name=name,
-            description="",
+            runs=[(name, "", "ref")],
             t=np.array([0.0, 0.2]),
             step=step,
             tolerance=1e-9,
             stem=STEPS,
-            results="ref",
         )
         files = members | manifest_files([own], members)
         return repacked(lag_fmu, tmp_path / "Lag.fmu", files)

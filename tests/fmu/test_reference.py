@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from fmu_src import export_fmu
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
-from fmu_src.run.reference_manifest import EXPERIMENTS, MANIFEST
+from fmu_src.run.reference_results import EXPERIMENTS, MANIFEST
 from hesr_model.equations.functions import lowered
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw

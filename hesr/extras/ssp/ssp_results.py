@@ -10,13 +10,14 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from fmu_src.run.archive import Archive
 from fmu_src.run.master import ExchangeScheme
-from fmu_src.run.reference_manifest import ExperimentFiles, manifest_files
 from fmu_src.run.reference_results import (
     ROWS,
+    ExperimentFiles,
     ReferenceExperiment,
     Verified,
     experiments,
     judged,
+    manifest_files,
     table,
 )
 from fmu_src.run.trust import is_ours
@@ -63,19 +64,14 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
     files = {"extra/README.txt": _README.format(step=spec.step, ways=ways).encode()}
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
     files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
-    own = [
-        ExperimentFiles(
-            name=name,
-            description=text,
-            t=t,
-            step=spec.step,
-            tolerance=TOLERANCE,
-            stem=_STEM,
-            results=name,
-        )
-        for name, (_, text) in _SCHEMES.items()
-    ]
-    return files | manifest_files(own, files)
+    own = ExperimentFiles(
+        runs=[(name, text, name) for name, (_, text) in _SCHEMES.items()],
+        t=t,
+        step=spec.step,
+        tolerance=TOLERANCE,
+        stem=_STEM,
+    )
+    return files | manifest_files([own], files)
 
 
 def verify_ssp(path: Path) -> Verified:
