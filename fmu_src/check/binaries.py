@@ -51,39 +51,36 @@ SECONDS = 30.0
 _READER = "fmu_src.check.readers:inspect"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Platform:
-    """Format, machines and suffix of the libraries in a folder under binaries/."""
+    """Format, suffix and machines of the libraries in a folder under binaries/."""
 
     format: str
-    machines: tuple[str, ...]
     suffix: str
+    machines: tuple[str, ...]
 
 
-_LINUX = {"format": "ELF", "suffix": ".so"}
-_WINDOWS = {"format": "PE", "suffix": ".dll"}
-_MACOS = {"format": "Mach-O", "suffix": ".dylib"}
 _TUPLES = {
-    "aarch64-linux": Platform(**_LINUX, machines=("AARCH64",)),
-    "x86_64-linux": Platform(**_LINUX, machines=("X86_64",)),
-    "aarch64-windows": Platform(**_WINDOWS, machines=("ARM64",)),
-    "x86_64-windows": Platform(**_WINDOWS, machines=("AMD64",)),
-    "aarch64-darwin": Platform(**_MACOS, machines=("ARM64",)),
-    "x86_64-darwin": Platform(**_MACOS, machines=("X86_64",)),
+    "aarch64-linux": Platform("ELF", ".so", ("AARCH64",)),
+    "x86_64-linux": Platform("ELF", ".so", ("X86_64",)),
+    "aarch64-windows": Platform("PE", ".dll", ("ARM64",)),
+    "x86_64-windows": Platform("PE", ".dll", ("AMD64",)),
+    "aarch64-darwin": Platform("Mach-O", ".dylib", ("ARM64",)),
+    "x86_64-darwin": Platform("Mach-O", ".dylib", ("X86_64",)),
 }
 PLATFORMS: Mapping[int, Mapping[str, Platform]] = {
     2: {
-        "linux32": Platform(**_LINUX, machines=("I386",)),
+        "linux32": Platform("ELF", ".so", ("I386",)),
         "linux64": _TUPLES["x86_64-linux"],
-        "win32": Platform(**_WINDOWS, machines=("I386",)),
+        "win32": Platform("PE", ".dll", ("I386",)),
         "win64": _TUPLES["x86_64-windows"],
-        "darwin32": Platform(**_MACOS, machines=("X86",)),
-        "darwin64": Platform(**_MACOS, machines=("X86_64", "ARM64")),
+        "darwin32": Platform("Mach-O", ".dylib", ("X86",)),
+        "darwin64": Platform("Mach-O", ".dylib", ("X86_64", "ARM64")),
         **_TUPLES,  # used by importers
     },
     3: {
-        "x86-linux": Platform(**_LINUX, machines=("I386",)),
-        "x86-windows": Platform(**_WINDOWS, machines=("I386",)),
+        "x86-linux": Platform("ELF", ".so", ("I386",)),
+        "x86-windows": Platform("PE", ".dll", ("I386",)),
         **_TUPLES,
     },
 }

@@ -10,10 +10,11 @@ from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
 from fmu_src.run.fmu import FmuInstance
+from fmu_src.run.reference_results import play
 from fmu_src.run.replay import require_finite
 from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
-from hesr_model.friction.inputs import INPUTS
+from hesr_model.friction.inputs import INPUTS, TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.arrays import Array
 
@@ -81,24 +82,8 @@ def judge(fmu: Path) -> FrictionModel:
 
 def run(fmu: Path, motion: ReferenceMotion, setting: str) -> Array:
     """Return the torque (N, n) [N.m] of a friction FMU in one of `SETTINGS`."""
-    rows = np.hstack([getattr(motion, symbol.name) for symbol in INPUTS])
-    joints = range(1, motion.dq.shape[1] + 1)
-    names = [f"{symbol.name}[{i}]" for symbol in INPUTS for i in joints]
-    steps = np.diff(motion.t)
-    slopes = np.diff(rows, axis=0) / steps[:, None]
-    torque = np.empty_like(motion.dq)
+    outputs = [f"{TORQUE}[{i}]" for i in range(1, motion.dq.shape[1] + 1)]
     with FmuInstance(fmu) as component:
-        inputs, outputs = component.buffer(names), component.buffer([f"tau[{i}]" for i in joints])
-        follow = component.slopes(names)
-        inputs.values[:] = rows[0]
-        component.initialise(time=float(motion.t[0]), inputs=inputs)
-        torque[0] = outputs.read()
-        for k, (time, step) in enumerate(zip(motion.t.tolist(), steps.tolist(), strict=False)):
-            inputs.values[:] = rows[k + 1 if setting == "direct" else k]
-            inputs.write()
-            if setting == "linear":
-                follow(slopes[k])
-            component.step(time, step)
-            torque[k + 1] = outputs.read()
+        torque = play(component, setting, outputs, motion.t, motion.columns(), {})
     require_finite(fmu, motion.t, torque)
     return torque

@@ -1,7 +1,7 @@
 """Readers of untrusted files, run in the sandbox so that no file can stall a check."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -91,18 +91,16 @@ def inspect(file: str) -> dict[str, Any]:
 
     lief.logging.disable()
     if lief.is_elf(file):
-        return _answer("ELF", [_elf(lief.ELF.parse(file))])
+        return _answer("ELF", [lief.ELF.parse(file)], _elf)
     if lief.is_pe(file):
-        return _answer("PE", [_pe(lief.PE.parse(file))])
-    if lief.is_macho(file):
-        parts = lief.MachO.parse(file)  # keep it: LIEF's parts do not keep the file alive
-        return _answer("Mach-O", [_mach_o(part) for part in parts or ()])
-    return _answer(None, [])
+        return _answer("PE", [lief.PE.parse(file)], _pe)
+    return _answer("Mach-O", lief.MachO.parse(file) if lief.is_macho(file) else (), _mach_o)
 
 
-def _answer(kind: str | None, parts: list[dict[str, Any] | None]) -> dict[str, Any]:
-    readable = [part for part in parts if part is not None]
-    return {"format": kind if readable else None, "parts": readable}
+def _answer(kind: str, parts: Any, read: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+    # `parts` stays alive here: LIEF's parts do not keep their file alive.
+    found = [read(part) for part in parts or () if part is not None]
+    return {"format": kind if found else None, "parts": found}
 
 
 def _word(value: object) -> str:
@@ -117,9 +115,7 @@ def _imports(names: Iterable[object]) -> list[str]:
     return list(islice((str(n) for n in names if n and "Py" in str(n)), MOST_SYMBOLS))
 
 
-def _elf(elf: Any) -> dict[str, Any] | None:
-    if elf is None:
-        return None
+def _elf(elf: Any) -> dict[str, Any]:
     # The imported symbols of lief lack those without a type.
     symbols = [s for s in elf.dynamic_symbols if _word(s.binding) in ("GLOBAL", "WEAK")]
     return {
@@ -137,9 +133,7 @@ def _elf(elf: Any) -> dict[str, Any] | None:
     }
 
 
-def _pe(pe: Any) -> dict[str, Any] | None:
-    if pe is None:
-        return None
+def _pe(pe: Any) -> dict[str, Any]:
     exports = pe.get_export()
     imports = list(pe.imports) + list(getattr(pe, "delay_imports", ()))
     return {

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmu_src.friction.settings import CONTINUOUS, SHOWN, ReferenceMotion, torques
+from fmu_src.friction.settings import CONTINUOUS, SHOWN, ReferenceMotion, joint_columns, torques
 from fmu_src.run.reference_results import RUNS, ExperimentFiles, experiment_files, manifest_files
 from hesr_model.errors import SimulationError
-from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
@@ -146,21 +145,11 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     members = {
         "extra/README.txt": text.encode(),
         **experiment_files(
-            held, _inputs(motion), [_columns("tau", tau) for tau in (torque, shown)]
+            held, motion.columns(), [joint_columns("tau", tau) for tau in (torque, shown)]
         ),
-        **experiment_files(solved, _inputs(smooth), [_columns("tau", fine)], digits=8),
+        **experiment_files(solved, smooth.columns(), [joint_columns("tau", fine)], digits=8),
     }
     return members | manifest_files([held, solved], members)
-
-
-def _inputs(motion: ReferenceMotion) -> dict[str, Array]:
-    names = [symbol.name for symbol in INPUTS]
-    parts = [_columns(name, getattr(motion, name)) for name in names]
-    return {name: column for part in parts for name, column in part.items()}
-
-
-def _columns(name: str, rows: Array) -> dict[str, Array]:
-    return {f"{name}[{i}]": column for i, column in enumerate(rows.T, start=1)}
 
 
 def _units(sliding: Sequence[bool]) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -32,6 +33,11 @@ CONTINUOUS = "continuous"
 """Not a convention of masters: fine integration of the law with linear inputs between the rows."""
 
 
+def joint_columns(name: str, rows: Array) -> dict[str, Array]:
+    """Return the columns of an array (N, n) by the names of its variables in an FMU."""
+    return {f"{name}[{i}]": column for i, column in enumerate(rows.T, start=1)}
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReferenceMotion:
     """Inputs of all joints: time (N,) [s]; velocity, position and load (N, n) [rad/s, rad, N.m]."""
@@ -44,6 +50,14 @@ class ReferenceMotion:
     def by_joint(self) -> Iterator[tuple[Array, Array, Array]]:
         """Yield (dq, q, tau_load) of each joint, each (N,) [rad/s, rad, N.m]."""
         return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
+
+    def columns(self) -> dict[str, Array]:
+        """Return the inputs (N,) of a friction FMU by name."""
+        return {
+            name: column
+            for symbol in INPUTS
+            for name, column in joint_columns(symbol.name, getattr(self, symbol.name)).items()
+        }
 
     def at_friction(self, coupling: Coupling | None) -> "ReferenceMotion":
         """Return the motion of the friction coordinates."""

@@ -139,7 +139,7 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
                         and v.type == "Real"
                         and (instance.declared or v.variability != "discrete")
                     ]
-                    rows = _play(instance, order, outputs, stimuli.t, **vars(stimuli))
+                    rows = play(instance, order, outputs, stimuli.t, **vars(stimuli))
             except SimulationError:
                 return {}
             if not np.all(np.isfinite(rows)):
@@ -275,13 +275,13 @@ def verify(fmu: Path) -> Verified:
 
         def played(order: str, own: ReferenceExperiment = own) -> Array:
             with FmuInstance(fmu) as instance:
-                return _play(instance, order, own.outputs, own.t, own.inputs, own.parameters)
+                return play(instance, order, own.outputs, own.t, own.inputs, own.parameters)
 
         judged(own, ORDERS, played, found)
     return found
 
 
-def _play(
+def play(
     instance: "FmuInstance",
     order: str,
     outputs: Iterable[str],
@@ -290,9 +290,14 @@ def _play(
     parameters: Mapping[str, float],
     step: float | None = None,
 ) -> Array:
-    """Initialise an FMU, run an experiment, and return its outputs (N, outputs)."""
+    """Initialise an FMU, run an experiment, and return its outputs (N, outputs).
+
+    The order is one of `ORDERS`, or "linear", as "hold" with the slopes of the inputs. Raises
+    SimulationError if the FMU fails.
+    """
     rows = np.column_stack([*inputs.values(), t])[:, :-1]
     into, out = instance.buffer(list(inputs)), instance.buffer(list(outputs))
+    follow = instance.slopes(list(inputs))
     found = np.empty((len(t), out.values.size))
 
     def set_row(k: int) -> None:
@@ -304,6 +309,8 @@ def _play(
     found[0] = out.read()
     for k in range(1, len(t)):
         set_row(k if order == "direct" else k - 1)
+        if order == "linear":
+            follow((rows[k] - rows[k - 1]) / (t[k] - t[k - 1]))
         instance.step(float(t[k - 1]), step or float(t[k] - t[k - 1]))
         if order == "shown":
             set_row(k)
