@@ -8,18 +8,10 @@ from typing import Any
 
 from lxml import etree
 
-from fmu_src.check import (
-    archive,
-    binaries,
-    external,
-    general,
-    rules,
-    sources,
-    structure,
-    variables,
-)
+from fmu_src.check import archive, binaries, external, rules, sources
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription, read_description
+from fmu_src.check.description_rules import RULES, RULES_2, RULES_3, TERMINALS, terminal_problems
 from fmu_src.check.rules import Problem
 from hesr_model.errors import ConfigError
 from hesr_model.findings import SEVERITIES, Finding, errors_first
@@ -30,7 +22,7 @@ from hesr_model.support.typed_files import to_json
 
 _MODEL = "modelDescription.xml"
 _BUILD = "sources/buildDescription.xml"
-_OTHER_XML = (structure.TERMINALS, _BUILD)
+_OTHER_XML = (TERMINALS, _BUILD)
 
 
 @dataclass(frozen=True)
@@ -127,13 +119,12 @@ class _Found:
             self._add_run(plugins.find("hesr.checks", kind)(about, contents, self._folder))
 
     def _check_rules(self, about: ParsedDescription, contents: Contents) -> None:
-        more = variables.RULES_2 if about.fmi == 2 else variables.RULES_3
-        every = (*general.RULES, *variables.RULES, *structure.RULES, *more)
-        self._add(chain.from_iterable(rule(about) for rule in every))
-        if structure.TERMINALS in contents.files:
-            connected, _ = archive.parse(structure.TERMINALS, contents.files[structure.TERMINALS])
+        more = RULES_2 if about.fmi == 2 else RULES_3
+        self._add(chain.from_iterable(rule(about) for rule in (*RULES, *more)))
+        if TERMINALS in contents.files:
+            connected, _ = archive.parse(TERMINALS, contents.files[TERMINALS])
             if connected is not None:
-                self._add(structure.terminal_problems(connected, about, contents))
+                self._add(terminal_problems(connected, about, contents))
         self._add(sources.problems(about, contents))
         self._add(binaries.problems(about, contents, self._folder))
         self.skipped += binaries.skipped(about, contents)

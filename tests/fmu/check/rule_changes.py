@@ -5,7 +5,7 @@ from typing import Any
 from fmu_files import Change, Xml
 from lxml import etree
 
-from fmu_src.check import general, structure, variables
+from fmu_src.check import description_rules
 from fmu_src.check.description import read_description
 
 NUMBER = 99_999  # not the value reference of any variable
@@ -15,7 +15,7 @@ PARAMETER = {"causality": "parameter", "variability": "fixed"}
 
 def sentences(xml: Xml) -> list[str]:
     about = read_description(etree.fromstring(xml.bytes()))
-    rules = (*general.RULES, *variables.RULES, *variables.RULES_2, *structure.RULES)
+    rules = (*description_rules.RULES, *description_rules.RULES_2)
     return [text for rule in rules for _, text in rule(about)]
 
 

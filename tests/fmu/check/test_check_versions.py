@@ -6,7 +6,7 @@ import pytest
 from fmu_files import MODEL, texts, write
 from lxml import etree
 
-from fmu_src.check import general, readers, structure, variables
+from fmu_src.check import description_rules, readers
 from fmu_src.check.description import read_description
 from fmu_src.check.run import check
 
@@ -93,7 +93,7 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
 def test_rules_of_fmi_3_are_checked(old, new, said):
     assert old.encode() in FULL
     about = read_description(etree.fromstring(FULL.replace(old.encode(), new.encode())))
-    rules = (*general.RULES, *variables.RULES, *variables.RULES_3, *structure.RULES)
+    rules = (*description_rules.RULES, *description_rules.RULES_3)
     found = [text for rule in rules for _, text in rule(about)]
     assert any(said in text for text in found) if said else found == []
 
