@@ -7,8 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.friction.embedded_model import embedded_model
-from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
+from fmu_src.friction.reference import (
+    CONTINUOUS,
+    SETTINGS,
+    Error,
+    ReferenceMotion,
+    errors,
+    reference_motion,
+    torques,
+)
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.reference_results import play
 from fmu_src.run.replay import require_finite

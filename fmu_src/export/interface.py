@@ -28,9 +28,9 @@ _ATTRIBUTES: dict[Role, tuple[str, str, str | None]] = {
     "tunable": ("parameter", "tunable", "exact"),
 }
 
-# Structured names of FMI 2.0 without quoted ones, so that no name needs escaping.
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
-_NAME = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
+NAME = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
+"""Structured names (FMI 2.0, 2.2.9) without quoted ones, so that no name needs escaping."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ class Interface:
         seen: set[str] = set()
         for variable in self.variables:
             twice = variable.name in seen
-            if twice or not _NAME.fullmatch(variable.name):
+            if twice or not NAME.fullmatch(variable.name):
                 odd = "used twice" if twice else "not a structured name of FMI"
                 raise ExportError(
                     f"variable name '{variable.name}' is {odd}; expected distinct names of "

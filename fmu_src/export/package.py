@@ -14,7 +14,7 @@ from typing import Literal
 
 from fmu_src.export import description3
 from fmu_src.export.description import Description, to_xml
-from fmu_src.export.interface import Interface, to_c
+from fmu_src.export.interface import NAME, Interface, to_c
 from fmu_src.export.toolchain import Target, build, targets
 from fmu_src.run.reference_results import Stimuli, result_files
 from fmu_src.run.trust import remember
@@ -218,11 +218,6 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
             archive.writestr(entry, content, compresslevel=9 if len(content) < _LARGE else 6)
 
 
-_IDENTIFIER = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
-_PLAIN_NAME = re.compile(rf"{_IDENTIFIER}(\.{_IDENTIFIER})*|der\({_IDENTIFIER}(\.{_IDENTIFIER})*\)")
-"""Structured variable names (FMI 2.0, 2.2.9); FMPy parses all others."""
-
-
 _VALUES = re.compile(rb'(?<!<Dimension )\b(start|guid|instantiationToken)="[^"]*"')
 """Values without influence on the validity of a description."""
 
@@ -235,7 +230,7 @@ def _validated(temporary: Path, path: Path) -> bytes:
     with suppress(ValidationError), zipfile.ZipFile(temporary) as archive:
         found = read_model_description(str(temporary), validate_model_structure=True)
         # FMPy's grammar takes a millisecond per name.
-        plain = all(_PLAIN_NAME.fullmatch(v.name) for v in found.modelVariables)
+        plain = all(NAME.fullmatch(v.name) for v in found.modelVariables)
         if plain and not any("\\" in name for name in archive.namelist()):
             return b"valid"
     if problems := validate_fmu(str(temporary)):

@@ -5,8 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, Error, ReferenceMotion, errors, torques
+from fmu_src.friction.reference import (
+    CONTINUOUS,
+    SETTINGS,
+    UNKNOWN_SPEED,
+    Error,
+    ReferenceMotion,
+    errors,
+    reference_motion,
+    torques,
+)
 from hesr_model.audit.audit import ENCODER, REACH, Audit, audit
 from hesr_model.audit.certificate import Certificate, certify
 from hesr_model.equations.functions import lowered

@@ -12,8 +12,7 @@ import sympy
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface
 from fmu_src.friction.friction_component import DISCRETISATION, exposed
-from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import SETTINGS, Error
+from fmu_src.friction.reference import SETTINGS, Error, reference_motion
 from fmu_src.pages import datasheet
 from fmu_src.pages.datasheet import ModelAudit, figure, spelled
 from fmu_src.pages.html import rendered

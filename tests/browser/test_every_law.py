@@ -12,8 +12,7 @@ from live_page import SAME, alive, error, expected, field, saved, slider
 from registry_models import STUDIED, live_of
 
 from fmu_src import export_fmu
-from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import ReferenceMotion, torques
+from fmu_src.friction.reference import ReferenceMotion, reference_motion, torques
 from fmu_src.pages.live import live_assets, live_section
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.model import FrictionModel

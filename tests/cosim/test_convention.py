@@ -13,8 +13,7 @@ from cosim.report.tables.terminal import Drawn
 from fmu_src import model_file
 from fmu_src.check.convention import measure, run
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
-from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import SETTINGS, torques
+from fmu_src.friction.reference import SETTINGS, reference_motion, torques
 from fmu_src.run.replay import replay
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.errors import HesrError, SimulationError

@@ -11,7 +11,7 @@ from fmu_src import export_fmu
 from fmu_src.arm.native import arm, export_mjcf
 from fmu_src.arm.signals import signals_of
 from fmu_src.export.package import write_fmu
-from fmu_src.friction.settings import ReferenceMotion
+from fmu_src.friction.reference import ReferenceMotion
 from fmu_src.pages.datasheet import costs
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, ExportError, SimulationError

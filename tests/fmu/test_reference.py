@@ -12,8 +12,14 @@ from fmpy.fmi2 import FMU2Model, fmi2Real
 from scipy.integrate import solve_ivp
 
 from fmu_src import export_fmu
-from fmu_src.friction.reference import UNKNOWN_SPEED, reference_files, reference_motion
-from fmu_src.friction.settings import CONTINUOUS, SETTINGS, torques
+from fmu_src.friction.reference import (
+    CONTINUOUS,
+    SETTINGS,
+    UNKNOWN_SPEED,
+    reference_files,
+    reference_motion,
+    torques,
+)
 from fmu_src.run.reference_results import EXPERIMENTS, MANIFEST
 from hesr_model.equations.functions import lowered
 from hesr_model.friction.inputs import INPUTS

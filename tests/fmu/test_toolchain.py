@@ -18,8 +18,8 @@ from c_hosts import LINUX
 from fmpy.validation import _validate_variable_names
 
 from fmu_src import export_fmu
-from fmu_src.export import package
 from fmu_src.export.description import RELEASED, to_xml
+from fmu_src.export.interface import NAME
 from fmu_src.export.toolchain import CFLAGS, TARGETS, build, get_ready, universal
 from fmu_src.friction.reference import reference_motion
 from fmu_src.pages.datasheet import ModelAudit, ranges
@@ -294,7 +294,7 @@ def test_plain_names_follow_the_grammar_of_fmpy(name):
     variable = SimpleNamespace(name=name, sourceline=1)
     of = SimpleNamespace(variableNamingConvention="structured", modelVariables=[variable])
     assert bool(_validate_variable_names(of)) == (name in NO_NAMES)
-    assert bool(package._PLAIN_NAME.fullmatch(name)) == (name in PLAIN)
+    assert bool(NAME.fullmatch(name)) == (name in PLAIN)
 
 
 def test_other_names_are_checked_by_fmpy(table1, tmp_path, monkeypatch, empty_cache):

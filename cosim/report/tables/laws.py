@@ -163,7 +163,7 @@ def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> R
 
 def convention(name: str, found: "Convention") -> ResultTable:
     """Return the error of each input setting of an FMU, by joint."""
-    from fmu_src.friction.settings import SETTINGS
+    from fmu_src.friction.reference import SETTINGS
 
     torque, speed = (unit_of_joints(unit, found.sliding) for unit in ("N.m", "rad/s"))
     rows = []

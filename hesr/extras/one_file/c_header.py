@@ -13,8 +13,7 @@ from fmu_src.equations.header import Joint
 from fmu_src.export.interface import literal
 from fmu_src.export.package import own_source
 from fmu_src.friction.friction_component import joints_of
-from fmu_src.friction.reference import reference_motion
-from fmu_src.friction.settings import ReferenceMotion, torques
+from fmu_src.friction.reference import ReferenceMotion, reference_motion, torques
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
 from hesr_model.errors import ExportError, SimulationError

@@ -31,7 +31,7 @@ from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
 from cosim.workflow.run import over_draws
 from fmu_src.check.convention import Convention
-from fmu_src.friction.settings import Error
+from fmu_src.friction.reference import Error
 from hesr_model.audit.properties import (
     EXPECTATIONS,
     Figure,

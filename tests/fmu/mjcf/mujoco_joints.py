@@ -7,8 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from fmu_src.friction.reference import reference_files
-from fmu_src.friction.settings import ReferenceMotion
+from fmu_src.friction.reference import ReferenceMotion, reference_files
 from hesr_model.friction.model import FrictionModel
 
 ROBOT = """\
