@@ -109,12 +109,8 @@ class KernelRun(ProgramRun):
         None if the factors are ill-conditioned.
         """
         self.begin(numbers)
-        return self.factors(numbers, non_negative, weights, keep=keep)
-
-    def products(self, numbers: Array, weights: Array | None = None) -> Array:
-        """Return the upper triangle (K + 1, K + 1) of products of results and target, last."""
-        self.begin(numbers)
-        return self.multiply(numbers, weights)
+        self.multiply(numbers, weights, keep=keep)
+        return self.factors(non_negative)
 
 
 def _in_doubles(values: Array) -> Array:

@@ -64,10 +64,8 @@ class Graph:
 
     def move(self, memory: Sequence[Element]) -> None:
         """Define states and derivatives by their values after a step."""
-        for i, end in _groups(memory):
-            group = memory[i:end]
-            for k in range(0, len(group), STOPS):
-                self._move_together(group[k : k + STOPS], i + k)
+        for first, end in _groups(memory):
+            self._move_together(memory[first:end], first)
 
     def _move_together(self, group: Sequence[Element], first: int) -> None:
         (element, *_), states = group, [m.state for m in group]
@@ -211,10 +209,12 @@ class Program:
 
 
 def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
+    """Yield first place and end of a relaxation, or of at most `STOPS` independent stops."""
     i = 0
     while i < len(memory):
         end, states = i + 1, {memory[i].state}
-        while end < len(memory) and all(isinstance(memory[k], Stop) for k in (i, end)):
+        most = min(i + STOPS, len(memory))
+        while end < most and all(isinstance(memory[k], Stop) for k in (i, end)):
             states.add(memory[end].state)
             read = sympy.Tuple(*(part for m in memory[i : end + 1] for part in m.parts))
             if states & read.free_symbols:
@@ -226,19 +226,21 @@ def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
 
 def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
     """Return nodes that depend on inputs alone and are results or operands of others."""
-    nodes = graph.nodes
-    fixed = [node.dependence is Dependence.INPUTS and bool(node.operation) for node in nodes]
-    seen, waiting, found = set[int](), list(results), set[int]()
+    fixed = {
+        k
+        for k, node in enumerate(graph.nodes)
+        if node.dependence is Dependence.INPUTS and node.operation
+    }
+    return sorted(fixed & _reached(graph.nodes, results, fixed))
+
+
+def _reached(nodes: Sequence[Node], results: Sequence[int], ends: set[int]) -> set[int]:
+    found, waiting = set[int](), list(results)
     while waiting:
-        k = waiting.pop()
-        if k in seen:
-            continue
-        seen.add(k)
-        if fixed[k]:
+        if (k := waiting.pop()) not in found:
             found.add(k)
-        else:
-            waiting += nodes[k].operands
-    return sorted(found)
+            waiting += () if k in ends else nodes[k].operands
+    return found
 
 
 def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) -> Program:
@@ -281,20 +283,12 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
     done: dict[int, None] = {}
 
     def visit(k: int) -> None:
-        if k in done:
-            return
-        if k not in known:
-            for operand in nodes[k].operands:
+        if k not in done:
+            for operand in () if k in known else nodes[k].operands:
                 visit(operand)
-        done[k] = None
+            done[k] = None
 
-    needed = set[int]()
-    waiting = list(results)
-    while waiting:
-        k = waiting.pop()
-        if k not in needed:
-            needed.add(k)
-            waiting += () if k in known else nodes[k].operands
+    needed = _reached(nodes, results, known)
     moves = sorted(k for k in needed if nodes[k].operation in _MOVES)
     for k in moves:
         # Stops of one group move together, after all operands.

@@ -189,19 +189,19 @@ class ProgramRun:
         own.weights, own.gram, own.out = None, None, self._at["out"]
         self._run(numbers)
 
-    def factors(
-        self, numbers: Array, non_negative: int, weights: Array | None, *, keep: bool
-    ) -> tuple[Array, float] | None:
-        """See `KernelRun.solved`; `keep` also writes the results."""
+    def factors(self, non_negative: int) -> tuple[Array, float] | None:
+        """Return the factors from the last `multiply`; see `KernelRun.solved`."""
         at = self._at
-        self.multiply(numbers, weights, keep=keep)
         determined = library().solve(
             at["gram"], len(self._x), non_negative, at["factors"], at["x"], at["squares"]
         )
         return (self._x.copy(), float(self._squares[0])) if determined else None
 
     def multiply(self, numbers: Array, weights: Array | None, *, keep: bool = False) -> Array:
-        """Return the upper triangle (K + 1, K + 1) of products of results and target."""
+        """Return the upper triangle (K + 1, K + 1) of products of results and target, last.
+
+        `keep` also writes the results.
+        """
         own, at = self._program, self._at
         column = None if weights is None else self._column(weights)
         own.first, own.stop = 0, self._rows

@@ -12,7 +12,7 @@ from hesr_model.fitting.declarative import Described
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.joint_rows import JointRows, first_best, no_worse
 from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
-from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.parfam import calibrate, evolve, family, refine
 from hesr_model.laws.parfam.calibrate import Cell
@@ -40,6 +40,7 @@ class ParFamH(Estimator):
         "linear": list(family.FEATURES),
         "units": [{"g": "tanh", "arguments": list(family.FEATURES)}],
     }
+    form = staticmethod(family.form)
 
     search: Literal["projection", "paper"] = "projection"  # paper: geometric stage 1 and eq. 12
     functions: Sequence[str] = ("tanh", "sin", "exp")  # candidates g; sin includes cos
@@ -69,11 +70,6 @@ class ParFamH(Estimator):
         for option in ("cells", "starts", "candidates"):
             if (count := getattr(self, option)) < 1:
                 raise FitError(f"ParFam option '{option}' is {count}; expected at least 1.")
-
-    @staticmethod
-    def form(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions of a structure of the family."""
-        return family.form(structure)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Run the three stages, with starts and hops drawn from `rng`."""
@@ -152,14 +148,10 @@ class ParFamV(Described):
         "linear": ["1", "dq"],
         "units": [{"g": "tanh", "arguments": ["1", "dq"]}],
     }
+    core = staticmethod(family.form)
 
     functions: Sequence[str] = ("tanh", "sin")  # candidates g
     starts: int = 16  # random ones per g, and as many steep ones, since friction jumps at rest
-
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        return family.form(structure)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the unit's argument for every g; cross-validation selects one."""
@@ -218,6 +210,7 @@ class ParFamHX(Described):
         "units": [],
         "state": "generalised",
     }
+    core = staticmethod(family.form)
 
     def __init__(
         self,
@@ -236,11 +229,6 @@ class ParFamHX(Described):
         self.ripple = ripple  # type: ignore[misc] # an option of this law, a constant in others
         self.start_samples = 5 if initial_state else 0  # type: ignore[misc] # likewise
         self.starts = starts
-
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions without ripple."""
-        return family.form(structure)
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search state, terms, unit and ripple in turn (seeded by `rng`)."""

@@ -199,7 +199,8 @@ class Refinement:
         Levenberg-Marquardt depends on inner products alone, so it takes the same steps with R.
         """
         numbers, factors = self._at(point)
-        products = self.run_of_slopes.products(numbers, self.weights)[:-1, :-1]
+        self.run_of_slopes.begin(numbers)
+        products = self.run_of_slopes.multiply(numbers, self.weights)[:-1, :-1]
         used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
         gram = (products * np.outer(factors, factors))[np.ix_(used, used)]
         if not np.isfinite(gram).all():  # refused as a step
