@@ -14,8 +14,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.fitting.separable import LEAST, SearchSpace
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import predict
-from hesr_model.friction.records import record_start
+from hesr_model.friction.predict import predict, record_start
 from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance_of_fit, pooled
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Integers

@@ -31,9 +31,7 @@ SETTLING = _SPEED**2 * (3 - 2 * _SPEED)  # 0 at rest, where the history is unkno
 _LARGEST = 1e100  # largest allowed coefficient; a product of three stays finite
 
 
-@dataclass(frozen=True, kw_only=True)
-class Coefficient(Quantity):
-    """Constant of a law."""
+Coefficient = Quantity  # constant of a law
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +108,7 @@ class FrictionLaw:
     discretisation : "exact" integrates each relaxation exactly for inputs held over a step;
         "euler" is eq. 10 and requires 0 <= rate * dt < 1.
     start : initial states at rest, zero by default; in motion they are steady (`SETTLING`).
-    start_samples : first torques of a log that can replace the start (`records.record_start`).
+    start_samples : first torques of a log that can replace the start (`predict.record_start`).
     """
 
     name: str

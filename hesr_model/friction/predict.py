@@ -1,6 +1,6 @@
 """Predictions of laws over logs: inputs of sample k act from t[k-1] to t[k], then tau is read."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -15,6 +15,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import COVERAGE, LEVEL, LOWER, NUMBERS, UPPER, band_equations
 from hesr_model.friction.inputs import INPUTS, TORQUE
 from hesr_model.friction.law import FrictionLaw, LawForm
+from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 _PIECE = 2048  # rows run for all joints before the next ones, to stay in the processor's cache
@@ -153,25 +154,28 @@ def _run(
     return run.at(numbers(law), np.array(start, dtype=float) if settled else None, settled=settled)
 
 
-def estimated_start(
-    law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array, tau: Array
-) -> tuple[float, ...]:
+def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     """Return the start of the states that best explains the first `law.start_samples` torques.
 
-    A relaxation is searched within its reachable limits in the log (N,) [s, rad/s, rad, N.m, N.m];
-    stops share one number, their deflection as a share of their bounds. For other memories, or if
-    the parts of a relaxation depend on its state, the law's own start is returned.
+    A relaxation is searched within its reachable limits in the record; stops share one number,
+    their deflection as a share of their bounds. For other memories, or if the parts of a relaxation
+    depend on its state, the law's own start is returned.
     """
-    first = slice(0, law.start_samples)
+    first = record.rows(slice(0, law.start_samples))
 
     def error(start: tuple[float, ...]) -> float:
-        predicted = predict(
-            law, t=t[first], dq=dq[first], q=q[first], tau_load=tau_load[first], start=start
+        return float(np.sum((predict(law, **first.motion, start=start) - first.tau) ** 2))
+
+    def best(
+        start_of: Callable[[float], tuple[float, ...]], low: float, high: float
+    ) -> tuple[float, ...]:
+        found = scipy.optimize.minimize_scalar(
+            lambda x: error(start_of(x)), bounds=(low, high), method="bounded"
         )
-        return float(np.sum((predicted - tau[first]) ** 2))
+        return start_of(float(found.x))
 
     if law.start_samples and law.form.stops:
-        rows = [np.array([u]) for u in (dq[0], q[0], tau_load[0], *law.start)]
+        rows = [np.array([u]) for u in (record.dq[0], record.q[0], record.tau_load[0], *law.start)]
         _, *parts = KernelRun(_reading(law.form), rows, np.zeros(1)).at(numbers(law))[0].tolist()
 
         def deflected(share: float) -> tuple[float, ...]:
@@ -180,33 +184,26 @@ def estimated_start(
                 for m, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
             )
 
-        found = scipy.optimize.minimize_scalar(
-            lambda u: error(deflected(u)), bounds=(-1.0, 1.0), method="bounded"
-        )
-        return deflected(float(found.x))
+        return best(deflected, -1.0, 1.0)
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
     [element] = law.form.memory
     if element.state in sympy.Tuple(*element.parts).free_symbols:
         return law.start
-    rows = [dq, q, tau_load, np.zeros_like(t)]
-    _, b, r = KernelRun(_reading(law.form), rows, np.zeros_like(t)).at(numbers(law)).T
+    still = np.zeros_like(record.t)
+    rows = [record.dq, record.q, record.tau_load, still]
+    _, b, r = KernelRun(_reading(law.form), rows, still).at(numbers(law)).T
     moving = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
     grid = np.linspace(-limit, limit, 41)
-    best = int(np.argmin([error((float(x),)) for x in grid]))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    if low == high:
-        return law.start
-    best_of_all = scipy.optimize.minimize_scalar(
-        lambda x: error((x,)), bounds=(low, high), method="bounded"
-    )
-    return (float(best_of_all.x),)
+    nearest = int(np.argmin([error((float(x),)) for x in grid]))
+    low, high = grid[max(nearest - 1, 0)], grid[min(nearest + 1, len(grid) - 1)]
+    return law.start if low == high else best(lambda x: (x,), low, high)
 
 
 @lru_cache(maxsize=256)
 def _kernel(form: LawForm, *, own: bool) -> Kernel:
-    symbols = tuple(c.symbol for c in form.coefficients)
+    symbols = _symbols(form)
     given, columns = (symbols, INPUTS) if own else ((), (*symbols, *INPUTS))
     states = tuple(m.state for m in form.memory)
     return Kernel(form.memory, given, columns, (form.output, *states), once=True)

@@ -6,16 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import estimated_start, predict
+from hesr_model.friction.predict import predict, record_start
 from hesr_model.friction.thermal import Thermal
 from hesr_model.logs.signals import moving, near_reversals
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Mask
-
-
-def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
-    """Return the initial states of a law for a record, estimated if the law supports that."""
-    return estimated_start(law, **record.motion, tau=record.tau)
 
 
 def predict_record(

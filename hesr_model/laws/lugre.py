@@ -73,6 +73,8 @@ class LuGre(OneForm):
     quick = True
     proposed = True
     paper = 2
+    linear: ClassVar[tuple[str, ...]] = ("F_c", "sigma_1", "sigma_2", "tau_0")
+    searched: ClassVar[Mapping[str, tuple[float, float]]] = {}  # bounds apart from the bristle's
 
     def __init__(self, *, relaxed: bool = False) -> None:
         self._relaxed = {"ratio": STATIC_RATIO_BOUNDS} if relaxed else {}
@@ -84,9 +86,9 @@ class LuGre(OneForm):
         return LawForm(coefficients=COEFFICIENTS, memory=(bristle(),), output=torque())
 
     def space(self) -> SearchSpace:
-        """Search the bristle."""
-        linear = ("F_c", "sigma_1", "sigma_2", "tau_0")
-        return bristle_space(linear, non_negative=3, **self._relaxed)
+        """Search the bristle; all other coefficients are linear, and not negative but tau_0."""
+        own = len(self.linear) - 1
+        return bristle_space(self.linear, non_negative=own, **self.searched, **self._relaxed)
 
 
 @register
@@ -107,10 +109,12 @@ class LuGreLoad(LuGre):
 
     def space(self) -> SearchSpace:
         """Search the bristle; solve for F_c mu, in which the torque is linear."""
-        linear = ("F_c", "sigma_1", "sigma_2", "tau_0", "F_c_mu")
-        plain = bristle_space(linear, non_negative=3, **self._relaxed)
-        product = sympy.Symbol("F_c_mu", real=True)
-        return replace(plain, values=(*plain.values, (MU.name, product / F_C.symbol)))
+        plain, product = super().space(), sympy.Symbol("F_c_mu", real=True)
+        return replace(
+            plain,
+            linear=(*plain.linear, product.name),
+            values=(*plain.values, (MU.name, product / F_C.symbol)),
+        )
 
 
 @register
@@ -143,17 +147,14 @@ class LuGreTextbook(LuGre):
     name = "lugre_textbook"
     title = "LuGre, shear thinning"
     order = 60
+    linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
+    searched: ClassVar[Mapping[str, tuple[float, float]]] = {"v_t": THINNING_BOUNDS}
 
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
         thin = SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol)
         return _with(super().core(structure), thin, SIGMA_T, V_T)
-
-    def space(self) -> SearchSpace:
-        """Search the bristle and the speed of thinning."""
-        linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
-        return bristle_space(linear, 4, v_t=THINNING_BOUNDS, **self._relaxed)
 
 
 @register
@@ -167,6 +168,7 @@ class LuGrePassive(LuGre):
     name = "lugre_passive"
     title = "LuGre, passive"
     order = 70
+    linear = ("F_c", "sigma_1", "s_2", "tau_0")
 
     def __init__(self) -> None:
         super().__init__()
@@ -179,7 +181,3 @@ class LuGrePassive(LuGre):
         swapped = tuple(S_2 if c is SIGMA_2 else c for c in COEFFICIENTS)
         output = plain.output.subs(SIGMA_2.symbol, S_2.symbol + needed)
         return replace(plain, coefficients=swapped, output=output)
-
-    def space(self) -> SearchSpace:
-        """Search the bristle; F_s/F_c is searched, so the rest is linear."""
-        return bristle_space(("F_c", "sigma_1", "s_2", "tau_0"), 3)

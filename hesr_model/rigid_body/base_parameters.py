@@ -14,12 +14,11 @@ _RANDOM_STATES = 300
 _LATER = 1e3  # springs replace no mass: their columns are chosen after those of masses
 
 
-def base_columns(model: Robot) -> tuple[int, ...]:
-    """Return indices of a largest set of independent columns, by pivoted QR at random states."""
-    return _independent(model, ())
+def base_columns(model: Robot, known: Sequence[int] = ()) -> tuple[int, ...]:
+    """Return indices of a largest set of independent columns, by pivoted QR at random states.
 
-
-def _independent(model: Robot, known: Sequence[int]) -> tuple[int, ...]:
+    Columns that are `known` are in none.
+    """
     columns = at_random_states(model)
     columns[:, list(known)] = 0.0
     lengths = np.linalg.norm(columns, axis=0)
@@ -49,7 +48,7 @@ def unknown_columns(model: Robot, *, rotors: bool = False) -> tuple[int, ...]:
     """Return a largest set of independent unknown columns; `rotors` add those behind gears."""
     known = known_columns(model)
     own = range(10 * model.links, model.inertial) if rotors else ()
-    return tuple(sorted({*_independent(model, [*known, *own]), *own} - {*known}))
+    return tuple(sorted({*base_columns(model, [*known, *own]), *own} - {*known}))
 
 
 def dependence(model: Robot, base: tuple[int, ...]) -> Array:

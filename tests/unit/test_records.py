@@ -7,8 +7,8 @@ import pytest
 from joint_data import HX_BRISTLE, HX_PAPER, Path, along, law, path
 
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import predict
-from hesr_model.friction.records import predict_record, record_start
+from hesr_model.friction.predict import predict, record_start
+from hesr_model.friction.records import predict_record
 
 LUGRE = law(
     "lugre", {}, sigma_0=2000.0, sigma_1=10.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1, tau_0=0.3
