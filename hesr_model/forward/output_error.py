@@ -105,7 +105,7 @@ class _Problem:
         with_body: bool,
     ) -> None:
         self._robot, self._body, self._friction = robot, body, friction
-        self._motions, self._logs, self.sets = motions, logs, sets
+        self._logs, self.sets = logs, sets
         self.whole: list[Windows] = []  # logs whose open loop must not become worse
         self._proven = [proven(law) for law in friction.laws]
         self.columns = [k for k in body.base if with_body and body.parameters[k] != 0.0]

@@ -28,6 +28,7 @@ from hesr_model.support.typed_files import from_json, read_json, to_json, write_
 from hesr_model.units import unit_of_joints
 
 MIXED = "recommended"  # name of a model with a law of its own on each joint
+_IF_KNOWN = ("trained", "training_rmse", "left_out_rmse", "thermal")  # parts of each joint
 _MOST_SHOWN = 40  # coefficients of a law up to which notebooks show its equations
 
 
@@ -156,11 +157,11 @@ class FrictionModel:
                 sliding=tuple(bool(j.sliding) for j in joints),
                 coupling=file.coupling,
                 sample_time=file.sample_time,
-                trained=tuple(j.trained for j in joints if j.trained),
-                training_rmse=tuple(j.training_rmse for j in joints if j.training_rmse is not None),
-                left_out_rmse=tuple(j.left_out_rmse for j in joints if j.left_out_rmse is not None),
-                thermal=tuple(j.thermal for j in joints if j.thermal),
                 provenance=file.provenance,
+                **{
+                    n: tuple(x for j in joints if (x := getattr(j, n)) is not None)
+                    for n in _IF_KNOWN
+                },
             )
         except (TypeError, ValueError, AttributeError, KeyError) as error:
             raise ArtifactError(f"{path}: not a friction model ({error}).") from error
@@ -169,14 +170,10 @@ class FrictionModel:
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON data of the model's file."""
-        unknown = (None,) * len(self.joints)
         columns = {
             "joint": self.joints,
             "sliding": [slides or None for slides in self.slides],
-            "trained": self.trained or unknown,
-            "training_rmse": self.training_rmse or unknown,
-            "left_out_rmse": self.left_out_rmse or unknown,
-            "thermal": self.thermal or unknown,
+            **{name: getattr(self, name) or (None,) * len(self.joints) for name in _IF_KNOWN},
         }
         file = ModelFile(
             law=self.law,
@@ -367,6 +364,5 @@ def mixed(models: Sequence[FrictionModel]) -> FrictionModel:
         rows = [getattr(model, part) for model in models]
         return tuple(row[k] for k, row in enumerate(rows)) if all(rows) else ()
 
-    own = ("laws", "trained", "training_rmse", "left_out_rmse", "thermal")
-    changes: dict[str, Any] = {part: of(part) for part in own}
+    changes: dict[str, Any] = {part: of(part) for part in ("laws", *_IF_KNOWN)}
     return replace(models[0], law=MIXED, **changes)

@@ -44,10 +44,10 @@ class ErrorRatio:
     """
 
     value: float
-    low: float | None
-    high: float | None
-    p: float | None
-    detectable: float | None
+    low: float | None = None
+    high: float | None = None
+    p: float | None = None
+    detectable: float | None = None
     others: tuple[float, float] | None = None
 
 
@@ -102,11 +102,8 @@ class LawErrors:
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
         if self.too_short:
-            return {
-                law: ErrorRatio(value=float(value), low=None, high=None, p=None, detectable=None)
-                for law, value in zip(self.laws, values, strict=True)
-                if law != other
-            }
+            rows = zip(self.laws, values, strict=True)
+            return {law: ErrorRatio(value=float(value)) for law, value in rows if law != other}
         errors = np.maximum(self.standard_errors(k), 1e-300)
         factor = calibration(self._comparisons(family), self.degrees)
         p = np.minimum(1.0, factor * two_sided(np.log(values) / errors, self.degrees))

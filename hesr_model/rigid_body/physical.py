@@ -155,21 +155,19 @@ class _Chart:
     """Coordinates of physically consistent parameters: ten per link, one per rotor (r)."""
 
     factors: Array  # (n, 4, 4), upper triangular B
-    rotors: Array  # (r,) inertias in the model file [kg.m2], 0 if unknown
     start: Array  # (10 n + r,) of the model file
     pull: Array  # (10 n + r,) residual per unit and square root of rows
 
     @classmethod
     def of(cls, model: Robot) -> Self:
         nominal, links = model.nominal_parameters[: model.inertial], 10 * model.links
-        factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
+        starts = [_start(link)[::-1, ::-1] for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
         roots = np.sqrt(np.where(known, rotors, 1.0))
         of_rotors = np.where(known, 2 * _PULL / roots, _LEAST_PULL)
         return cls(
-            factors=np.array(factors),
-            rotors=rotors,
+            factors=np.linalg.cholesky(starts)[:, ::-1, ::-1],
             start=np.concatenate([np.zeros(links), roots]),
             pull=np.concatenate([np.full(links, _PULL), of_rotors]),
         )
@@ -211,10 +209,6 @@ def _triangles(x: Array) -> Array:
     u = np.zeros((len(x), 4, 4))
     u[:, *_PLACES] = np.hstack([np.exp(x[:, :4]), x[:, 4:]])
     return u
-
-
-def _upper_factor(matrix: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def _start(link: Array) -> Array:

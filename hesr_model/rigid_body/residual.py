@@ -113,25 +113,21 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
     load = torque if motion.load is None else motion.load
     spread = None if motion.load is not None else rigid_body.torque_spread(model, motion)
     ratios = model.description.gear_ratio or (None,) * model.n
-    coupling = model.description.coupling
+    columns = {"dq": motion.dq, "q": motion.q_raw, "tau_load": load, "dq_causal": motion.dq_causal}
+    known = {name: values for name, values in columns.items() if values is not None}
     return [
         FrictionRecord(
             log=motion.name,
             joint=joint,
             t=motion.t,
-            dq=np.ascontiguousarray(motion.dq[:, k]),
-            q=np.ascontiguousarray(motion.q_raw[:, k]),
-            tau_load=np.ascontiguousarray(load[:, k]),
             tau=motion.tau[:, k] - torque[:, k],
             tau_body=None if motion.load is None else torque[:, k],
             tau_load_spread=None if spread is None else spread[:, k],
             gear_ratio=ratios[k],
             sliding=model.slides[k],
             temperature=None if motion.temperature is None else motion.temperature[:, k],
-            coupling=coupling,
-            dq_causal=None
-            if motion.dq_causal is None
-            else np.ascontiguousarray(motion.dq_causal[:, k]),
+            coupling=model.description.coupling,
+            **{name: np.ascontiguousarray(values[:, k]) for name, values in known.items()},
         )
         for k, joint in enumerate(model.description.joints)
     ]
