@@ -82,7 +82,20 @@ class Described(Estimator):
 
 
 class OneForm(Described):
-    """A law of one form, linear in most coefficients, fitted by differential evolution."""
+    """A law of one form, linear in most coefficients, fitted by differential evolution.
+
+    Attributes
+    ----------
+    expressions : the core, of laws that do not override it.
+    """
+
+    expressions: ClassVar[LawForm]
+
+    @classmethod
+    def core(cls, structure: Mapping[str, Any]) -> LawForm:
+        """Return the law's expressions without ripple; raise ArtifactError for structure data."""
+        no_structure(cls.name, structure)
+        return cls.expressions
 
     @abstractmethod
     def space(self) -> SearchSpace:

@@ -8,7 +8,7 @@ import sympy
 
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
-from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import register
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -22,14 +22,11 @@ DEFLECTION_BOUNDS = (1e-5, 0.1)  # [rad] F_c / sigma_0; wide, since the update i
 RATIO_TEXTBOOK = (1.0, 5.0)  # F_s / F_c: static above Coulomb friction
 STATIC_RATIO_BOUNDS = (0.2, 5.0)  # relaxed: below 1 as in lubricated gears
 
-
-def bristle() -> Relaxation:
-    """Return the bristle state z' = v - sigma_0 |v| z / g(v) (eq. 2)."""
-    f_c, f_s, v_s = F_C.symbol, F_S.symbol, V_S.symbol
-    # Relative to F_c: a common factor of sigma_0, F_c and F_s cancels.
-    level = 1 + (f_s / f_c - 1) * sympy.exp(-((DQ / v_s) ** 2))
-    rate = SIGMA_0.symbol / f_c * absolute(DQ) / level
-    return Relaxation(name="z", unit="rad", drive=DQ, rate=rate)
+# z' = v - sigma_0 |v| z / g(v) (eq. 2), with g relative to F_c: a common factor of sigma_0, F_c and
+# F_s cancels.
+_LEVEL = 1 + (F_S.symbol / F_C.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
+_RATE = SIGMA_0.symbol / F_C.symbol * absolute(DQ) / _LEVEL
+_BRISTLE = Relaxation(name="z", unit="rad", drive=DQ, rate=_RATE)
 
 
 def bristle_space(
@@ -46,17 +43,16 @@ def bristle_space(
     )
 
 
-def torque() -> sympy.Expr:
-    """Return the torque of eq. 1 with an offset."""
-    z, viscous = bristle(), SIGMA_2.symbol * DQ
-    return SIGMA_0.symbol * z.state + SIGMA_1.symbol * z.derivative + viscous + TAU_0.symbol
+_ELASTIC = SIGMA_0.symbol * _BRISTLE.state + SIGMA_1.symbol * _BRISTLE.derivative
+_LUGRE = LawForm(
+    coefficients=(SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0),
+    memory=(_BRISTLE,),
+    output=_ELASTIC + SIGMA_2.symbol * DQ + TAU_0.symbol,
+)  # eq. 1 with an offset
 
 
-COEFFICIENTS = (SIGMA_0, SIGMA_1, SIGMA_2, F_C, F_S, V_S, TAU_0)
-
-
-def _with(form: LawForm, term: sympy.Expr, *own: Coefficient) -> LawForm:
-    return replace(form, coefficients=(*form.coefficients, *own), output=form.output + term)
+def _plus(term: sympy.Expr, *own: Coefficient) -> LawForm:
+    return replace(_LUGRE, coefficients=(*_LUGRE.coefficients, *own), output=_LUGRE.output + term)
 
 
 @register
@@ -73,22 +69,16 @@ class LuGre(OneForm):
     quick = True
     proposed = True
     paper = 2
+    expressions = _LUGRE
     linear: ClassVar[tuple[str, ...]] = ("F_c", "sigma_1", "sigma_2", "tau_0")
     searched: ClassVar[Mapping[str, tuple[float, float]]] = {}  # bounds apart from the bristle's
 
     def __init__(self, *, relaxed: bool = False) -> None:
         self._relaxed = {"ratio": STATIC_RATIO_BOUNDS} if relaxed else {}
 
-    @classmethod
-    def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        no_structure(cls.name, structure)
-        return LawForm(coefficients=COEFFICIENTS, memory=(bristle(),), output=torque())
-
     def space(self) -> SearchSpace:
-        """Search the bristle; all other coefficients are linear, and not negative but tau_0."""
-        own = len(self.linear) - 1
-        return bristle_space(self.linear, non_negative=own, **self.searched, **self._relaxed)
+        """Search the bristle; the rest is linear, and only the last one, tau_0, may be negative."""
+        return bristle_space(self.linear, len(self.linear) - 1, **self.searched, **self._relaxed)
 
 
 @register
@@ -100,12 +90,7 @@ class LuGreLoad(LuGre):
     order = 40
     proposed = True
     adds = ("lugre", "load")
-
-    @classmethod
-    def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        rise = MU.symbol * SIGMA_0.symbol * bristle().state * absolute(TAU_LOAD)
-        return _with(super().core(structure), rise, MU)
+    expressions = _plus(MU.symbol * SIGMA_0.symbol * _BRISTLE.state * absolute(TAU_LOAD), MU)
 
     def space(self) -> SearchSpace:
         """Search the bristle; solve for F_c mu, in which the torque is linear."""
@@ -147,14 +132,9 @@ class LuGreTextbook(LuGre):
     name = "lugre_textbook"
     title = "LuGre, shear thinning"
     order = 60
+    expressions = _plus(SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol), SIGMA_T, V_T)
     linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
     searched: ClassVar[Mapping[str, tuple[float, float]]] = {"v_t": THINNING_BOUNDS}
-
-    @classmethod
-    def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        thin = SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol)
-        return _with(super().core(structure), thin, SIGMA_T, V_T)
 
 
 @register
@@ -168,16 +148,14 @@ class LuGrePassive(LuGre):
     name = "lugre_passive"
     title = "LuGre, passive"
     order = 70
+    expressions = replace(
+        _LUGRE,
+        coefficients=tuple(S_2 if c is SIGMA_2 else c for c in _LUGRE.coefficients),
+        output=_LUGRE.output.subs(
+            SIGMA_2.symbol, S_2.symbol + SIGMA_1.symbol * (F_S.symbol / F_C.symbol - 1)
+        ),
+    )
     linear = ("F_c", "sigma_1", "s_2", "tau_0")
 
     def __init__(self) -> None:
         super().__init__()
-
-    @classmethod
-    def core(cls, structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        plain = super().core(structure)
-        needed = SIGMA_1.symbol * (F_S.symbol / F_C.symbol - 1)
-        swapped = tuple(S_2 if c is SIGMA_2 else c for c in COEFFICIENTS)
-        output = plain.output.subs(SIGMA_2.symbol, S_2.symbol + needed)
-        return replace(plain, coefficients=swapped, output=output)

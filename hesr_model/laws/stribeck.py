@@ -1,12 +1,9 @@
 """Stribeck: Coulomb, static and viscous friction as a function of velocity alone."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import sympy
 
 from hesr_model.equations.functions import sgn
-from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import register
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ
@@ -18,6 +15,7 @@ V_S = Coefficient(name="v_s", unit="rad/s", description="Stribeck velocity")
 SIGMA_2 = Coefficient(name="sigma_2", unit="N.m.s/rad", description="viscous friction")
 TAU_0 = Coefficient(name="tau_0", unit="N.m", description="offset")
 VELOCITY_BOUNDS = (1e-3, 1.0)  # [rad/s]
+_LEVEL = F_C.symbol + (F_S.symbol - F_C.symbol) * sympy.exp(-((DQ / V_S.symbol) ** 2))
 
 
 @register
@@ -34,16 +32,10 @@ class Stribeck(OneForm):
     quick = True
     proposed = True
     paper = 4
-
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        no_structure("stribeck", structure)
-        level = F_C.symbol + (F_S.symbol - F_C.symbol) * sympy.exp(-((DQ / V_S.symbol) ** 2))
-        return LawForm(
-            coefficients=(F_C, F_S, V_S, SIGMA_2, TAU_0),
-            output=level * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
-        )
+    expressions = LawForm(
+        coefficients=(F_C, F_S, V_S, SIGMA_2, TAU_0),
+        output=_LEVEL * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
+    )
 
     def space(self) -> SearchSpace:
         """Search v_s."""
