@@ -75,13 +75,14 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
     for amplitude, row in zip(motions.amplitudes, power, strict=True):
         work, moved = float(row.sum()) * dt, float(np.abs(row).sum()) * dt
         share = work / moved if moved > 0.0 else 0.0
-        rounding = abs(share) < _ROUNDING
+        if abs(share) < _ROUNDING:
+            work = share = 0.0
         yield Cycle(
             amplitude=float(amplitude),
             frequency=motions.frequency,
             tau_load=tau_load,
-            work=0.0 if rounding else work,
-            share=0.0 if rounding else share,
+            work=work,
+            share=share,
         )
 
 
@@ -231,18 +232,12 @@ def _steady(
 
 
 def _negative(v: Array, power: Array) -> tuple[Range, ...]:
-    inside = np.concatenate([[False], power < 0.0, [False]])
-    edges = []
-    for k in np.flatnonzero(inside[1:] != inside[:-1]):
-        if k == 0:
-            edges.append(min(float(v[0]), 0.0))
-        elif k == len(v):
-            edges.append(float(v[-1]))
-        elif v[k - 1] < 0.0 < v[k]:
-            edges.append(0.0)
-        else:
-            back = power[k] / (power[k] - power[k - 1])
-            edges.append(float(v[k] - back * (v[k] - v[k - 1])))
+    v = np.concatenate([[min(v[0], 0.0)], v, v[-1:]])
+    power = np.pad(power, 1)
+    k = np.flatnonzero(np.diff(power < 0.0)) + 1
+    back = power[k] / (power[k] - power[k - 1])
+    crossed = v[k] - back * (v[k] - v[k - 1])
+    edges = np.where((v[k - 1] < 0.0) & (v[k] > 0.0), 0.0, crossed).tolist()
     return tuple(zip(edges[::2], edges[1::2], strict=True))
 
 

@@ -41,11 +41,8 @@ class SearchSpace:
 
     def at_joint(self, *, slides: bool) -> Self:
         """Return the space of a joint, whose lengths in m may be a hundredth of those in rad."""
-
-        def low(name: str, limit: float) -> float:
-            return FINEST * limit if slides and name in _LENGTHS else limit
-
-        return replace(self, bounds=tuple((n, (low(n, a), b)) for n, (a, b) in self.bounds))
+        scales = {name: FINEST if slides and name in _LENGTHS else 1.0 for name in self.names}
+        return replace(self, bounds=tuple((n, (scales[n] * a, b)) for n, (a, b) in self.bounds))
 
 
 FINEST = 0.01  # smallest scale of a sliding joint's lengths
