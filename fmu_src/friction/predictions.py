@@ -8,8 +8,7 @@ import numpy as np
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import first_states
-from hesr_model.friction.records import record_start
+from hesr_model.friction.predict import first_states, record_start
 from hesr_model.rigid_body.residual import FrictionRecord, at_friction
 from hesr_model.support.arrays import Array
 
