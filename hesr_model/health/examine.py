@@ -39,10 +39,10 @@ CHECKS = (
 class Examination:
     """Findings, with model torques and regressions of each part."""
 
-    findings: tuple[Finding, ...]
-    parts: tuple[Motionwise, ...]
-    torques: tuple[Torques, ...]
-    explained: tuple[Explained, ...]
+    findings: tuple[Finding, ...] = ()
+    parts: tuple[Motionwise, ...] = ()
+    torques: tuple[Torques, ...] = ()
+    explained: tuple[Explained, ...] = ()
 
 
 def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -> Examination:

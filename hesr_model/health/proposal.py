@@ -56,8 +56,7 @@ def inspected(
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
     if robot is not None and not paths:
         found, reason = chosen(robot, joints)
-        nothing = Examination(findings=(), parts=(), torques=(), explained=())
-        alone = Proposal(robot=found, reasons={}, logs=(), examination=nothing, first=())
+        alone = Proposal(robot=found, reasons={}, logs=(), examination=Examination(), first=())
         return _with_doubts(alone, {"joints": f"likely: {reason}"} if reason else {})
     stated = None if robot is None or is_model(robot) else description_of(robot)
     table = open_table(paths[0], stated.log if stated else LogFormat())

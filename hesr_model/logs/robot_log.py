@@ -14,7 +14,7 @@ from hesr_model.logs.readers.samples import LogSamples
 from hesr_model.logs.tables import write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, description_of
 from hesr_model.support import frames
-from hesr_model.support.arrays import Array, Integers, some_rows
+from hesr_model.support.arrays import Array, Integers, arrays_of, some_rows
 from hesr_model.support.files import PathArg, path_of, sha256, written_whole
 
 LONGEST_GAP = 10.0  # gap in usual steps; friction states are unknown after it
@@ -175,8 +175,7 @@ class Log:
 
     @property
     def _signals(self) -> dict[str, Array]:
-        found = {name: getattr(self, name) for name in _UNITS}
-        return {name: values for name, values in found.items() if values is not None}
+        return {name: values for name, values in arrays_of(self).items() if name in _UNITS}
 
     @property
     def _columns(self) -> dict[str, Array]:

@@ -10,7 +10,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count, pairwise
+from itertools import count, groupby, pairwise
 
 import numpy as np
 
@@ -55,14 +55,9 @@ class Sample:
 
     def motions(self) -> list[Motion]:
         """Return the kept motions in order; adjacent windows are joined."""
-        groups: list[list[_Window]] = []
-        for window in self._windows:
-            last = groups[-1][-1] if groups else None
-            if last and (last.part, last.number) == (window.part, window.number - 1):
-                groups[-1].append(window)
-            else:
-                groups.append([window])
-        return [joined([w.motion for w in group]) for group in groups]
+        # Successive numbers less their places in the list are equal.
+        groups = groupby(enumerate(self._windows), lambda at: (at[1].part, at[1].number - at[0]))
+        return [joined([window.motion for _, window in group]) for _, group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
         t, n = motion.t, motion.q.shape[1]
