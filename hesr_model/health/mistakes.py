@@ -212,11 +212,8 @@ _MOST = 8  # mistakes searched one after another
 def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
     """Take equally many rows from each log."""
     each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
-    q, v, a, tau = (
-        np.concatenate([getattr(motion, name) for motion in each])
-        for name in ("q", "v", "a", "tau")
-    )
-    return CandidateRows(q=q, v=v, a=a, tau=tau, gravity=np.array(gravity, dtype=float))
+    rows = {k: np.concatenate([getattr(one, k) for one in each]) for k in ("q", "v", "a", "tau")}
+    return CandidateRows(**rows, gravity=np.array(gravity, dtype=float))
 
 
 def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:

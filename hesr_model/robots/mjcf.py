@@ -76,15 +76,9 @@ def _refused(path: Path) -> Iterator[None]:
 
 def compiled_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
-
-    def read() -> Any:
-        spec = engine().MjSpec.from_file(str(path))
-        _strip(spec, path)
-        return spec
-
     try:
         _require_an_end(path)
-        found = _kept(_content(path), read)
+        found = _kept(_content(path), lambda: _stripped(path))
     except ConfigError as error:
         raise RobotError(str(error)) from error
     if "refusal" in found:
@@ -177,9 +171,10 @@ def _parts(element: Element) -> int:
     return 1 + copies * sum(map(_parts, element))
 
 
-def _strip(spec: Any, path: Path) -> None:
-    """Remove everything without effect on rigid-body torques; meshes stay if inertias need them."""
+def _stripped(path: Path) -> Any:
+    """Read what has effects on rigid-body torques, with meshes if inertias need them."""
     mujoco = engine()
+    spec = mujoco.MjSpec.from_file(str(path))
     at_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     parts = [*spec.sensors, *spec.keys, *spec.pairs, *spec.excludes, *spec.tuples, *spec.skins]
     parts += [a for a in spec.actuators if a.trntype not in at_joint]
@@ -200,6 +195,7 @@ def _strip(spec: Any, path: Path) -> None:
     unused = [mesh for mesh in spec.meshes if mesh.name not in meshes]
     for asset in (*unused, *spec.materials, *spec.textures, *spec.hfields):
         spec.delete(asset)
+    return spec
 
 
 def _shaped(spec: Any) -> set[str]:
@@ -260,15 +256,12 @@ def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[st
     links = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
     SubElement(robot, "link", name=links[0])
 
-    def placed(owner: Element, place: Any) -> None:
-        rpy = pin.rpy.matrixToRpy(place.rotation)
-        SubElement(owner, "origin", xyz=_words(place.translation), rpy=_words(rpy))
-
     def joint(name: str, kind: str, ends: tuple[str, str], place: Any) -> tuple[Element, Element]:
         own = SubElement(robot, "joint", name=name, type=kind)
         SubElement(own, "parent", link=ends[0])
         SubElement(own, "child", link=ends[1])
-        placed(own, place)
+        rpy = pin.rpy.matrixToRpy(place.rotation)
+        SubElement(own, "origin", xyz=_words(place.translation), rpy=_words(rpy))
         return own, SubElement(robot, "link", name=ends[1])
 
     for b in range(1, model.nbody):

@@ -63,12 +63,8 @@ class Plugin:
 
 
 def load(group: str) -> Mapping[str, Plugin]:
-    """Import and return the object; raises ConfigError for other packages."""
-    every = [
-        Plugin(name=entry.name, package=package, entry=entry)
-        for package, entry in _entries(tuple(sys.path))
-        if entry.group == group
-    ]
+    """Return the plug-ins of a group by name, HESR's own first; raises ConfigError."""
+    every = [plugin for plugin in _installed(tuple(sys.path)) if plugin.entry.group == group]
     found: dict[str, Plugin] = {}
     for plugin in sorted(every, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)):
         if plugin.own and not _exists(plugin.entry.module):
@@ -82,13 +78,13 @@ def load(group: str) -> Mapping[str, Plugin]:
 
 
 @cache
-def _entries(_path: tuple[str, ...]) -> list[tuple[str, EntryPoint]]:
-    """Return packages and their entry points; only metadata of plug-ins are parsed."""
+def _installed(_path: tuple[str, ...]) -> list[Plugin]:
+    """Return all plug-ins; only their metadata are parsed."""
     found: dict[str, list[EntryPoint]] = {}
     for one in distributions():
         if "[hesr." in (one.read_text("entry_points.txt") or ""):
             found.setdefault(one.name, list(one.entry_points))
-    return [(package, entry) for package, points in found.items() for entry in points]
+    return [Plugin(name=e.name, package=p, entry=e) for p, every in found.items() for e in every]
 
 
 def names(group: str) -> tuple[str, ...]:
