@@ -104,8 +104,8 @@ class LongLog:
             robot_log.require_rate(place, whole.steps.period, whole.steps.mean(longest), robot)
         if whole.steps.values[-1] > longest:
             parts = self._split(self._pieces(), longest)
-            split = (log.split(longest) for log in self.stretches)
-            self.stretches = [max(parts, key=lambda part: len(part.t)) for parts in split]
+            pieces = (log.split(longest) for log in self.stretches)
+            self.stretches = [max(own, key=lambda piece: len(piece.t)) for own in pieces]
         self.stretches = [
             replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
         ]
