@@ -1,6 +1,7 @@
 """Components with previous values, run step by step in Python in the order of `c/equations.c`."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,21 +28,13 @@ class Steps:
         seen = [sympy.Symbol(name, real=True) for name in own]
         remembered = [e.symbol for e in component.remembered]
         before = [previous(e.name) for e in component.remembered]
-        self.settle = _function(
-            (given, states),
-            program.beginning(component),
-            ([program.initial_symbol(m) for m in component.memory],),
-            lanes=lanes,
-        )
-        self.begin = _function(
-            (given, states), program.first_readings(component), (seen, remembered), lanes=lanes
-        )
-        self.step = _function(
-            (given, states, before, (DT,)),
-            program.sampled(component) | {EULER: sympy.Integer(0)},
-            (seen, remembered, [program.moved(m) for m in component.memory]),
-            lanes=lanes,
-        )
+        begun = [program.initial_symbol(m) for m in component.memory]
+        moved = [program.moved(m) for m in component.memory]
+        sampled = program.sampled(component) | {EULER: sympy.Integer(0)}
+        lowered = partial(_function, lanes=lanes)
+        self.settle = lowered((given, states), program.beginning(component), (begun,))
+        self.begin = lowered((given, states), program.first_readings(component), (seen, remembered))
+        self.step = lowered((given, states, before, (DT,)), sampled, (seen, remembered, moved))
 
     def run(
         self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]

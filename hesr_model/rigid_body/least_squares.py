@@ -39,11 +39,6 @@ class Factor:
         (factor,) = scipy.linalg.qr(both, mode="r", check_finite=False)
         return Factor(triangle=np.asarray(factor[: below.shape[1]]), rows=rows)
 
-    @classmethod
-    def of(cls, block: Block) -> "Factor":
-        """Return the factor of a block."""
-        return cls(triangle=np.zeros((0, block.matrix.shape[1] + 1))).with_rows(block)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
@@ -66,7 +61,8 @@ def solve(
     column must not come from the data, which may hardly excite it. If the ridge were due to columns
     that are `loose` (P,), such as harmonics over a small angle, only these have a weaker one.
     """
-    factors = [Factor.of(block) for block in blocks]
+    empty = Factor(triangle=np.zeros((0, len(scale) + 1)))
+    factors = [empty.with_rows(block) for block in blocks]
     return solve_factors(factors, scale=scale, weighted=weighted, loose=loose)
 
 

@@ -163,17 +163,16 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
 def _inherited(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
-    products = [
-        block.matrix.T @ columns / size**2
-        for block, columns, size in zip(blocks, carried, solution.rmse, strict=True)
-    ]
-    spread = _inverse_hessian(blocks, solution) @ np.sum(products, axis=0) * errors
+    spread = _inverse_hessian(blocks, solution) @ _products(blocks, solution, carried) * errors
     return np.asarray(spread @ spread.T)
 
 
 def _inverse_hessian(blocks: Sequence[Block], solution: Solution) -> Array:
-    products = [
-        block.matrix.T @ block.matrix / size**2
-        for block, size in zip(blocks, solution.rmse, strict=True)
-    ]
-    return np.asarray(np.linalg.inv(np.sum(products, axis=0)))
+    own = [block.matrix for block in blocks]
+    return np.asarray(np.linalg.inv(_products(blocks, solution, own)))
+
+
+def _products(blocks: Sequence[Block], solution: Solution, columns: Sequence[Array]) -> Array:
+    parts = zip(blocks, columns, solution.rmse, strict=True)
+    products = [block.matrix.T @ own / size**2 for block, own, size in parts]
+    return np.asarray(np.sum(products, axis=0))

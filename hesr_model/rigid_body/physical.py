@@ -161,13 +161,13 @@ class _Chart:
     @classmethod
     def of(cls, model: Robot) -> Self:
         nominal, links = model.nominal_parameters[: model.inertial], 10 * model.links
-        starts = [_start(link)[::-1, ::-1] for link in nominal[:links].reshape(-1, 10)]
+        factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
         roots = np.sqrt(np.where(known, rotors, 1.0))
         of_rotors = np.where(known, 2 * _PULL / roots, _LEAST_PULL)
         return cls(
-            factors=np.linalg.cholesky(starts)[:, ::-1, ::-1],
+            factors=np.array(factors),
             start=np.concatenate([np.zeros(links), roots]),
             pull=np.concatenate([np.full(links, _PULL), of_rotors]),
         )
@@ -209,6 +209,10 @@ def _triangles(x: Array) -> Array:
     u = np.zeros((len(x), 4, 4))
     u[:, *_PLACES] = np.hstack([np.exp(x[:, :4]), x[:, 4:]])
     return u
+
+
+def _upper_factor(matrix: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def _start(link: Array) -> Array:

@@ -74,26 +74,18 @@ def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     if coupling is None:
         return list(records)
 
-    speeds = ("dq",) if records[0].dq_causal is None else ("dq", "dq_causal")
-    ways = dict.fromkeys((*speeds, "q"), coupling.motion)
-    ways |= dict.fromkeys(("tau_load", "tau"), coupling.torque)
-    moved = {
-        name: way(np.column_stack([getattr(record, name) for record in records]))
-        for name, way in ways.items()
-    }
+    ways = dict.fromkeys(("dq", "dq_causal", "q"), coupling.motion)
+    ways |= dict.fromkeys(("tau_load", "tau", "tau_load_spread"), coupling.torque)
+    moved: dict[str, Array | None] = {}
+    for name, way in ways.items():
+        columns = [getattr(record, name) for record in records]
+        known = all(column is not None for column in columns)
+        moved[name] = way(np.stack(columns, axis=1)) if known else None
 
     def own(k: int) -> dict[str, Any]:
-        return {name: np.ascontiguousarray(columns[:, k]) for name, columns in moved.items()}
+        return {n: None if x is None else np.ascontiguousarray(x[:, k]) for n, x in moved.items()}
 
-    spreads = [record.tau_load_spread for record in records]
-    known = [spread for spread in spreads if spread is not None]
-    spread = coupling.torque(np.stack(known, axis=1)) if len(known) == len(spreads) else None
-    return [
-        replace(
-            r, **own(k), tau_load_spread=None if spread is None else spread[:, k], coupling=None
-        )
-        for k, r in enumerate(records)
-    ]
+    return [replace(record, **own(k), coupling=None) for k, record in enumerate(records)]
 
 
 def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
