@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 from xml.etree import ElementTree as ET
 
@@ -18,47 +17,23 @@ from fmu_src.export.description import (
     to_bytes,
     values,
 )
-from fmu_src.export.interface import ArrayVariable, Interface, Role, scalars
+from fmu_src.export.interface import ArrayVariable, Interface, Role
 
 _INDICATORS = "event_indicator"
-
-
-@dataclass(frozen=True)
-class Arrays:
-    """Variables of an interface in FMI 3.0."""
-
-    table: Interface
-
-    @cached_property
-    def all(self) -> tuple[ArrayVariable, ...]:
-        """Arrays, except for states and members of terminals, which remain scalars."""
-        return tuple(
-            part
-            for array in self.table.arrays
-            for part in (
-                scalars(array.place, array.elements)
-                if array.elements[0].role == "state" or array.name in self.table.connected
-                else (array,)
-            )
-        )
-
-    @cached_property
-    def of(self) -> dict[str, ArrayVariable]:
-        """The array that contains each variable of the interface."""
-        return {v.name: array for array in self.all for v in array.elements}
-
-    def to_c(self) -> str:
-        """Return extents.h: number of elements of the variable that starts at an index, or 0."""
-        extents = ["0"] * len(self.table.variables)
-        for array in self.all:
-            extents[array.place] = str(len(array.elements))
-        return _EXTENTS.format(", ".join(extents))
 
 
 _EXTENTS = """\
 /* Generated: number of elements of the FMI 3.0 variable at an index, 0 within one. */
 static const int extents[VARIABLES] = {{{}}};
 """
+
+
+def to_extents(table: Interface) -> str:
+    """Return extents.h: number of elements of the variable that starts at an index, or 0."""
+    extents = ["0"] * len(table.variables)
+    for array in table.parts:
+        extents[array.place] = str(len(array.elements))
+    return _EXTENTS.format(", ".join(extents))
 
 
 def to_xml3(table: Interface, about: Description, token: str) -> bytes:
@@ -84,10 +59,9 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         if nominal != 1.0:
             element.set("nominal", repr(nominal))
     add_run(root, about)
-    arrays = Arrays(table)
     variables = ET.SubElement(root, "ModelVariables")
-    for array in arrays.all:
-        variables.append(_variable(array, arrays))
+    for array in table.parts:
+        variables.append(_variable(array, table))
     time = {"name": "time", "valueReference": str(len(table.variables))}
     time |= {"causality": "independent", "variability": "continuous"}
     ET.SubElement(variables, "Float64", time, description="simulation time")
@@ -97,7 +71,7 @@ def to_xml3(table: Interface, about: Description, token: str) -> bytes:
         text = "positive while the signs that are held agree with the inputs"
         indicator = ET.SubElement(variables, "Float64", about_signs, description=text)
         ET.SubElement(indicator, "Dimension", start=str(table.indicators))
-    _structure(root, arrays)
+    _structure(root, table)
     return to_bytes(root)
 
 
@@ -106,7 +80,7 @@ def _type_of(unit: str, nominal: float) -> str:
     return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 
 
-def _variable(array: ArrayVariable, arrays: Arrays) -> ET.Element:
+def _variable(array: ArrayVariable, table: Interface) -> ET.Element:
     first = array.elements[0]
     text = first.description if first.enumeration else _description(array)
     attributes = common_attributes(first, array.name, array.place, text)
@@ -117,7 +91,7 @@ def _variable(array: ArrayVariable, arrays: Arrays) -> ET.Element:
     attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     attributes |= values(array.elements)
     if first.derivative_of:
-        attributes["derivative"] = str(arrays.of[first.derivative_of].place)
+        attributes["derivative"] = str(table.part_of[first.derivative_of].place)
     element = ET.Element("Float64", attributes)
     for size in array.shape:
         ET.SubElement(element, "Dimension", start=str(size))
@@ -137,18 +111,17 @@ def _description(array: ArrayVariable) -> str:
     )
 
 
-def _structure(root: ET.Element, arrays: Arrays) -> None:
+def _structure(root: ET.Element, table: Interface) -> None:
     structure = ET.SubElement(root, "ModelStructure")
-    table = arrays.table
-    outputs = [a for a in arrays.all if a.elements[0].role in ("output", "on_demand")]
+    outputs = [a for a in table.parts if a.elements[0].role in ("output", "on_demand")]
     # States of a co-simulation are internal.
     derivatives = table.derivatives if table.model_exchange else ()
-    rates = list(dict.fromkeys(arrays.of[v.name] for v in derivatives))
-    states = [a for a in arrays.all if a.elements[0].role == "state"] if derivatives else []
-    _unknowns(structure, "Output", outputs, arrays, RUNNING)
-    _unknowns(structure, "ContinuousStateDerivative", rates, arrays, RUNNING)
+    rates = list(dict.fromkeys(table.part_of[v.name] for v in derivatives))
+    states = [a for a in table.parts if a.elements[0].role == "state"] if derivatives else []
+    _unknowns(structure, "Output", outputs, table, RUNNING)
+    _unknowns(structure, "ContinuousStateDerivative", rates, table, RUNNING)
     initial = dict.fromkeys((*outputs, *states, *rates))
-    _unknowns(structure, "InitialUnknown", initial, arrays, STARTING, initially=True)
+    _unknowns(structure, "InitialUnknown", initial, table, STARTING, initially=True)
     if table.indicators and table.model_exchange:
         ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
 
@@ -157,16 +130,16 @@ def _unknowns(
     structure: ET.Element,
     kind: str,
     unknowns: Iterable[ArrayVariable],
-    arrays: Arrays,
+    table: Interface,
     known: tuple[Role, ...],
     *,
     initially: bool = False,
 ) -> None:
     for array in unknowns:
         places = {
-            arrays.of[name].place
+            table.part_of[name].place
             for v in array.elements
-            for name in arrays.table.made_of(v, known, initially=initially)
+            for name in table.made_of(v, known, initially=initially)
         }
         about = {"valueReference": str(array.place)}
         ET.SubElement(structure, kind, about, dependencies=" ".join(map(str, sorted(places))))
@@ -213,7 +186,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         ET.SubElement(picture, "Icon", place)
     if terminals:
         parent = ET.SubElement(root, "Terminals")
-        names = [array.name for array in Arrays(table).all]
+        names = [array.name for array in table.parts]
         for terminal in terminals:
             first, _ = next(iter(terminal.members.values()))
             for name in names:

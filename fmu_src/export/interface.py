@@ -134,8 +134,26 @@ class Interface:
             if name and indices == whole and len(whole) == counts[name]:
                 found.append(ArrayVariable(name, shape, places[0], elements))
             else:
-                found += scalars(places[0], elements)
+                found += _scalars(places[0], elements)
         return tuple(found)
+
+    @cached_property
+    def parts(self) -> tuple["ArrayVariable", ...]:
+        """Variables of FMI 3.0: arrays, but scalars of states and of members of terminals."""
+        return tuple(
+            part
+            for array in self.arrays
+            for part in (
+                _scalars(array.place, array.elements)
+                if array.elements[0].role == "state" or array.name in self.connected
+                else (array,)
+            )
+        )
+
+    @cached_property
+    def part_of(self) -> dict[str, "ArrayVariable"]:
+        """The variable of FMI 3.0 that contains each variable."""
+        return {v.name: array for array in self.parts for v in array.elements}
 
     @cached_property
     def derivatives(self) -> tuple[Variable, ...]:
@@ -185,7 +203,7 @@ class ArrayVariable:
     elements: tuple[Variable, ...]
 
 
-def scalars(place: int, elements: Sequence[Variable]) -> list[ArrayVariable]:
+def _scalars(place: int, elements: Sequence[Variable]) -> list[ArrayVariable]:
     """Return consecutive variables from an index as scalars."""
     return [ArrayVariable(v.name, (), i, (v,)) for i, v in enumerate(elements, place)]
 

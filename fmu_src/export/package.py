@@ -158,7 +158,7 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
     includes = "".join(f'#include "{name}"\n' for name in sources if name.endswith(".c"))
     sources["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
     if fmi == 3:
-        sources["extents.h"] = description3.Arrays(table).to_c()
+        sources["extents.h"] = description3.to_extents(table)
     guid = _guid(table, about, sources)
     return guid, sources | {"interface.h": to_c(table, guid, about.step)}
 

@@ -13,13 +13,7 @@ from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import TEMPERATURE
-from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.units import unit_of_joint
-
-
-def thermal_equations(model: FrictionModel) -> tuple[Interface, str]:
-    """Return the variables of the thermal FMU of a model, and its equations.h."""
-    return discrete_equations(model, tuple(map(thermal_component, model.laws, model.thermal)))
 
 
 def discrete_equations(

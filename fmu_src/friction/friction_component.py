@@ -279,17 +279,13 @@ def joints_of(
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
         own = component(law, more, band=band, coupled=model.coupling is not None, events=events)
-        at = place(law, joint)
         stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | (names or {})
         own_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
         found.append(
             Joint(
                 component=own,
                 names=own_names | ({COVERAGE.name: COVERAGE.name} if band else {}),
-                states=at.states,
-                derivatives=at.derivatives,
-                starts=at.starts,
-                parameters=at.parameters,
+                **vars(place(law, joint)),
                 constants=() if exposed(law) else tuple(law.values.values()),
                 slope="" if names else f"{SLOPE.name}[{joint}]",
             )

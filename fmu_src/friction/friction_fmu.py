@@ -13,7 +13,7 @@ from pathlib import Path
 from fmu_src.export import package
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface
-from fmu_src.friction.discrete_fmu import thermal_equations
+from fmu_src.friction.discrete_fmu import discrete_equations
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
@@ -26,6 +26,7 @@ from hesr_model.audit.properties import Properties
 from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.thermal_law import thermal_component
 from hesr_model.robots.description import Owner, statements
 from hesr_model.support import plugins
 from hesr_model.support.progress import Progress, silent
@@ -77,7 +78,8 @@ def export_fmu(
         )
     else:
         about = about_model(model, "friction", "from their motion and temperature")
-        equations = thermal_equations(model)
+        components = tuple(map(thermal_component, model.laws, model.thermal))
+        equations = discrete_equations(model, components)
         require_numbers(model)
         whole = bare_content(model, about, *equations)
     return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)

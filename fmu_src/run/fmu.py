@@ -9,9 +9,9 @@ import numpy as np
 from fmpy.model_description import ModelDescription
 
 from fmu_src.run.archive import Archive
-from fmu_src.run.fmi import VERSIONS
 from fmu_src.run.instance import (
     SUFFIX,
+    VERSIONS,
     WARNING,
     Buffer,
     DiedError,

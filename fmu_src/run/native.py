@@ -11,8 +11,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from fmu_src.run.fmi import VERSIONS
-from fmu_src.run.instance import PLATFORM, Buffer, LocalBuffer
+from fmu_src.run.instance import PLATFORM, VERSIONS, Buffer, LocalBuffer
 from fmu_src.run.master import Layout, Slave
 from hesr_model.errors import ExportError
 from hesr_model.support.arrays import Array

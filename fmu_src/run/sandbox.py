@@ -18,8 +18,15 @@ from typing import Any
 import numpy as np
 
 from fmu_src.run import sandbox_child
-from fmu_src.run.fmi import VERSIONS, Tell
-from fmu_src.run.instance import CallError, DiedError, Failure, LoadError, UnpackedFmu
+from fmu_src.run.instance import (
+    VERSIONS,
+    CallError,
+    DiedError,
+    Failure,
+    LoadError,
+    Tell,
+    UnpackedFmu,
+)
 from fmu_src.run.master import Layout
 from fmu_src.run.native import FUNCTIONS, End, set_times, write_library
 from fmu_src.run.sandbox_rights import warn

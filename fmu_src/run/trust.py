@@ -4,9 +4,7 @@ They are named after hashes of FMUs under the user's key, which others cannot co
 """
 
 import logging
-import os
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 
 from hesr_model.support import cache
@@ -50,10 +48,9 @@ def is_ours(fmu: Path) -> bool:
 
 
 def _forget_some(place: Path) -> None:
-    with os.scandir(place) as entries:
-        if next(islice(entries, _MOST_HASHES, None), None) is None:
-            return
-    oldest = sorted(place.iterdir(), key=lambda file: file.stat().st_mtime)
-    for file in oldest[: _MOST_HASHES // 2]:
+    known = list(place.iterdir())
+    if len(known) <= _MOST_HASHES:
+        return
+    for file in sorted(known, key=lambda file: file.stat().st_mtime)[: _MOST_HASHES // 2]:
         with suppress(FileNotFoundError):  # another process was faster
             file.unlink()
