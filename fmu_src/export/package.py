@@ -11,6 +11,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
+from uuid import UUID
 
 from fmu_src.export import description3
 from fmu_src.export.description import Description, to_xml
@@ -198,8 +199,7 @@ def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> s
     content.update(to_c(table, "", about.step).encode())
     for name, text in sorted(sources.items()):
         content.update(f"\0{name}\0{text}".encode())
-    digest = content.hexdigest()
-    return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+    return f"{{{UUID(bytes=content.digest()[:16])}}}"
 
 
 _LARGE = 1 << 20  # [B]

@@ -228,22 +228,12 @@ def manifest_files(
             related.append(("testcase", name, "text/csv", played[name]))
         else:
             related.append(("result", name, "text/csv", "reference results"))
-    return {MANIFEST: _manifest(related), EXPERIMENTS: to_bytes(root)}
-
-
-def _manifest(related: Iterable[tuple[str, ...]]) -> bytes:
     ET.register_namespace("fmi-ls", _LAYER)
-    root = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
+    manifest = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
     for role, name, kind, text in related:
-        ET.SubElement(
-            root,
-            "Related",
-            type=kind,
-            source=posixpath.relpath(name, FOLDER),
-            role=role,
-            description=text,
-        )
-    return to_bytes(root)
+        about = {"type": kind, "source": posixpath.relpath(name, FOLDER), "role": role}
+        ET.SubElement(manifest, "Related", about, description=text)
+    return {MANIFEST: to_bytes(manifest), EXPERIMENTS: to_bytes(root)}
 
 
 @dataclass(frozen=True)
