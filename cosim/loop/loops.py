@@ -5,13 +5,14 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.loop import closed_loop
-from cosim.loop.closed_loop import Law, Scheme, Setting, system
+from cosim.loop.closed_loop import Compensation, Fmus, Law, Scheme, Setting, StandIn, Tracking
 from cosim.loop.motions import require_within
 from cosim.loop.traces import Trace, Tracked
 from cosim.systems.simulation import Master
@@ -31,7 +32,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256, written_whole
-from hesr_model.support.progress import Progress, Stages, silent
+from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import from_json, read_json, to_text
 
 
@@ -64,50 +65,10 @@ class _Kept:
     trace: Trace | None
 
 
-def track(
-    rows: Sequence[LoopRow],
-    motions: Sequence[LoopMotion],
-    *,
-    duration: float,
-    limits: Array,
-    traced: bool = False,
-    kept: Path | None = None,
-    workers: int | None = None,
-    progress: Progress = silent,
-) -> list[Tracked]:
-    """Run every row along every motion for `duration` [s]; return one result per row.
-
-    A run ends early outside `limits` (n, 2) [rad]. `traced` keeps the first motion's positions.
-    """
-    about = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
-    files = [kept / f"{key}.json" for key in _keys(rows, about)] if kept else []
-    done: dict[int, Tracked] = {}
-    for i, file in enumerate(files):
-        if file.is_file():
-            found = from_json(_Kept, read_json(file), file, "a finished row")
-            done[i] = replace(found.tracked, trace=found.trace)
-    left = [i for i in range(len(rows)) if i not in done]
-    progress(len(done), len(rows))
-    jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
-    try:
-        names = [f"{rows[i].law}, {rows[i].scheme}" for i in left]
-        with parallel.results_of(jobs, workers, names=names) as results:
-            for i, result in zip(left, results, strict=True):
-                done[i] = result
-                if kept:
-                    row = _Kept(tracked=result, trace=result.trace)
-                    with written_whole(files[i]) as temporary:
-                        temporary.write_text(to_text(row), encoding="utf-8")
-                progress(len(done), len(rows))
-    finally:
-        POOL.clear()  # for runs in this process
-    return [done[i] for i in range(len(rows))]
-
-
 def _tracked(
     row: LoopRow, motions: Sequence[LoopMotion], duration: float, limits: Array, traced: bool
 ) -> Tracked:
-    spec = system(row.setting, duration=duration, limits=limits)
+    spec = closed_loop.system(row.setting, duration=duration, limits=limits)
     rmse, last, failures = [], [], []
     trace: Trace | None = None
     with Master(spec, loaded=POOL) as master:
@@ -146,17 +107,17 @@ def _keys(rows: Sequence[LoopRow], about: Sequence[Any]) -> list[str]:
     return keys
 
 
-_COMPENSATIONS: tuple[closed_loop.Compensation, ...] = ("torque_error", "servo_inversion")
+_COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
 _MEASURED: tuple[closed_loop.VelocitySource, ...] = ("measured", "filtered")
 _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has diverged
 
 
-def motions(tracking: closed_loop.Tracking, periods: int = 1) -> list[LoopMotion]:
+def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
     """Return the motions of a study."""
     return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
 
 
-def _fourier(tracking: closed_loop.Tracking, seed: int, periods: int = 1) -> Fourier:
+def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
     return random_fourier(
         seed=seed,
         harmonics=tracking.harmonics,
@@ -167,7 +128,7 @@ def _fourier(tracking: closed_loop.Tracking, seed: int, periods: int = 1) -> Fou
     )
 
 
-def require_reachable(tracking: closed_loop.Tracking, robot: Robot) -> None:
+def require_reachable(tracking: Tracking, robot: Robot) -> None:
     """Raise ConfigError if a motion leaves the limits of the robot."""
     for key, entries in (("peak_velocity", tracking.peak_velocity), ("offset", tracking.offset)):
         if len(entries) != robot.n:
@@ -185,10 +146,10 @@ def require_reachable(tracking: closed_loop.Tracking, robot: Robot) -> None:
 class StudyLoop:
     """Common data of the rows of a study."""
 
-    tracking: closed_loop.Tracking
+    tracking: Tracking
     friction: Mapping[str, Path]  # by law
     oracle: Path  # true friction
-    fmus: closed_loop.Fmus  # FMUs with the identified rigid body
+    fmus: Fmus  # FMUs with the identified rigid body
     true_body: Path
     step: float  # [s]
     limits: Array  # (n, 2) [rad] where a run ends
@@ -196,16 +157,16 @@ class StudyLoop:
     kept: Path | None = None  # finished rows of a resumed study
     progress: Stages = silent
 
-    def setting(self, law: str, scheme: closed_loop.Scheme) -> closed_loop.Setting:
+    def setting(self, law: str, scheme: Scheme) -> Setting:
         """Return the loop of a law in a scheme."""
         fmus = self.fmus
-        if law == closed_loop.StandIn.ORACLE:
+        if law == StandIn.ORACLE:
             fmus = replace(fmus, friction=self.oracle, body=self.true_body)
         elif law in self.friction:
             fmus = replace(fmus, friction=self.friction[law])
-        if law == closed_loop.StandIn.BODY_ONLY:
+        if law == StandIn.BODY_ONLY:
             scheme = replace(scheme, friction_gain=0.0)
-        return closed_loop.Setting(
+        return Setting(
             fmus=fmus, scheme=scheme, gains=self.tracking.gains, step=self.step, noise=self.noise
         )
 
@@ -213,25 +174,14 @@ class StudyLoop:
         """Yield the rows of the tables: every law in every scheme, and no law."""
         outer = self.tracking.Kx
         for Kx in (0.0, outer):
-            yield self.row(
-                closed_loop.StandIn.VELOCITY_ONLY, closed_loop.Scheme(compensation="none", Kx=Kx)
-            )
-        for compensation in _COMPENSATIONS:
-            for Kx in (0.0, outer):
-                scheme = closed_loop.Scheme(compensation=compensation, Kx=Kx)
-                for law in (
-                    closed_loop.StandIn.BODY_ONLY,
-                    *self.friction,
-                    closed_loop.StandIn.ORACLE,
-                ):
-                    yield self.row(law, scheme)
-        for law in self.tracking.sources:
-            for compensation in _COMPENSATIONS:
-                for source in _MEASURED:
-                    scheme = closed_loop.Scheme(compensation=compensation, source=source)
-                    yield self.row(law, scheme)
+            yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
+        for compensation, Kx in product(_COMPENSATIONS, (0.0, outer)):
+            for law in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
+                yield self.row(law, Scheme(compensation=compensation, Kx=Kx))
+        for law, compensation, source in product(self.tracking.sources, _COMPENSATIONS, _MEASURED):
+            yield self.row(law, Scheme(compensation=compensation, source=source))
 
-    def row(self, law: str, scheme: closed_loop.Scheme) -> LoopRow:
+    def row(self, law: str, scheme: Scheme) -> LoopRow:
         """Return one row."""
         return LoopRow(scheme=scheme, law=law, setting=self.setting(law, scheme))
 
@@ -243,17 +193,36 @@ class StudyLoop:
         stage: str,
         *,
         traced: bool = False,
+        workers: int | None = None,
     ) -> list[Tracked]:
-        """Run rows along motions for `duration` [s]; see `track`."""
-        return track(
-            list(rows),
-            motions,
-            duration=duration,
-            limits=self.limits,
-            traced=traced,
-            kept=self.kept,
-            progress=partial(self.progress, stage),
-        )
+        """Run every row along every motion for `duration` [s]; return one result per row.
+
+        A run ends early outside `limits`. `traced` keeps the first motion's positions.
+        """
+        rows, limits, progress = list(rows), self.limits, partial(self.progress, stage)
+        about = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
+        files = [self.kept / f"{key}.json" for key in _keys(rows, about)] if self.kept else []
+        done: dict[int, Tracked] = {}
+        for i, file in enumerate(files):
+            if file.is_file():
+                found = from_json(_Kept, read_json(file), file, "a finished row")
+                done[i] = replace(found.tracked, trace=found.trace)
+        left = [i for i in range(len(rows)) if i not in done]
+        progress(len(done), len(rows))
+        jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
+        try:
+            names = [f"{rows[i].law}, {rows[i].scheme}" for i in left]
+            with parallel.results_of(jobs, workers, names=names) as results:
+                for i, result in zip(left, results, strict=True):
+                    done[i] = result
+                    if files:
+                        row = _Kept(tracked=result, trace=result.trace)
+                        with written_whole(files[i]) as temporary:
+                            temporary.write_text(to_text(row), encoding="utf-8")
+                    progress(len(done), len(rows))
+        finally:
+            POOL.clear()  # for runs in this process
+        return [done[i] for i in range(len(rows))]
 
 
 def build(
@@ -261,14 +230,13 @@ def build(
 ) -> None:
     """Write the FMUs of a loop, without arm and laws, for the true friction `oracle`."""
     step = 1.0 / plant.sample_rate
+    dynamics = partial(inverse_dynamics, robot, step=step)
     contents: dict[str, Callable[[], Content]] = {
         "Trajectory": partial(trajectory, robot.n, step=step),
         "Controller": partial(controller, robot.n, step=step),
         "Velocity": partial(velocity, robot.n, step=step),
-        "InverseDynamics": partial(inverse_dynamics, robot, body.parameters, step=step),
-        "TrueInverseDynamics": partial(
-            inverse_dynamics, robot, robot.nominal_parameters, step=step
-        ),
+        "InverseDynamics": partial(dynamics, body.parameters),
+        "TrueInverseDynamics": partial(dynamics, robot.nominal_parameters),
     }
     jobs = [
         partial(export_bare, oracle, folder / f"{oracle.law}.fmu"),
@@ -286,7 +254,7 @@ def assemble(
     folder: Path,
     robot: Robot,
     *,
-    tracking: closed_loop.Tracking,
+    tracking: Tracking,
     friction: Mapping[str, Path],
     plant: Plant,
     kept: Path | None = None,
@@ -298,7 +266,7 @@ def assemble(
         tracking=tracking,
         friction=friction,
         oracle=folder / "true_friction.fmu",
-        fmus=closed_loop.Fmus(
+        fmus=Fmus(
             arm=folder / closed_loop.ARM,
             trajectory=folder / "Trajectory.fmu",
             body=folder / "InverseDynamics.fmu",
@@ -318,13 +286,13 @@ def assemble(
 def example(
     loop: StudyLoop,
     *,
-    compensation: closed_loop.Compensation = "servo_inversion",
+    compensation: Compensation = "servo_inversion",
     duration: float | None = None,
 ) -> SystemSpec:
     """Return a loop of `duration` [s]: the last of the study's `sources` on its first motion."""
     tracking = loop.tracking
     law = (tracking.sources or tuple(loop.friction))[-1]
-    scheme = closed_loop.Scheme(compensation=compensation, Kx=tracking.Kx)
+    scheme = Scheme(compensation=compensation, Kx=tracking.Kx)
     setting, motion = loop.setting(law, scheme), motions(tracking)[0]
     return closed_loop.system(
         replace(setting, arm={**setting.arm, "q0": motion.q0}),
@@ -336,23 +304,21 @@ def example(
 
 def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked], list[Tracked]]:
     """Run all rows on all motions, and selected ones on a long motion unless `quick`."""
-    tracking = loop.tracking
+    tracking, rows = loop.tracking, loop.rows()
     if quick:  # only rows of the desired velocity without outer loop
-        desired = (row for row in loop.rows() if row.scheme.source == "desired")
-        rows = [row for row in desired if not row.scheme.Kx]
-        return loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True), []
+        rows = (row for row in rows if row.scheme.source == "desired" and not row.scheme.Kx)
+    tracked = loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True)
+    if quick:
+        return tracked, []
     long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
-    return (
-        loop.track(loop.rows(), motions(tracking), tracking.duration, "tracking", traced=True),
-        loop.track(_drifting(loop), long, tracking.drift, "tracking for long"),
-    )
+    return tracked, loop.track(_drifting(loop), long, tracking.drift, "tracking for long")
 
 
 def _drifting(loop: StudyLoop) -> Iterator[LoopRow]:
-    laws: Sequence[str] = (*loop.tracking.sources, closed_loop.StandIn.ORACLE)
-    yield loop.row(closed_loop.StandIn.VELOCITY_ONLY, closed_loop.Scheme(compensation="none"))
-    for law in (closed_loop.StandIn.BODY_ONLY, *laws):
-        yield loop.row(law, closed_loop.Scheme(compensation="torque_error"))
+    laws: Sequence[str] = (*loop.tracking.sources, StandIn.ORACLE)
+    yield loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none"))
+    for law in (StandIn.BODY_ONLY, *laws):
+        yield loop.row(law, Scheme(compensation="torque_error"))
     for law in laws:
-        yield loop.row(law, closed_loop.Scheme(compensation="servo_inversion"))
-        yield loop.row(law, closed_loop.Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))
+        yield loop.row(law, Scheme(compensation="servo_inversion"))
+        yield loop.row(law, Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))

@@ -17,7 +17,6 @@ from cosim.loop.loops import (
     example,
     motions,
     require_reachable,
-    track,
 )
 from cosim.loop.motions import Motions
 from cosim.loop.run import check_masters
@@ -112,7 +111,9 @@ def test_every_law_is_tracked_in_every_scheme(loop: StudyLoop) -> None:
 
 def test_knowing_the_truth_tracks_best(loop: StudyLoop) -> None:
     found = by_name(
-        track(list(loop.rows()), motions(loop.tracking), duration=3.0, limits=WIDE, workers=2)
+        replace(loop, limits=WIDE).track(
+            loop.rows(), motions(loop.tracking), 3.0, "tracking", workers=2
+        )
     )
     assert all(row.rmse.shape == (2, 3) and not row.failures for row in found.values())
     oracle = found["servo_inversion", StandIn.ORACLE].mean
@@ -125,8 +126,7 @@ def test_knowing_the_truth_tracks_best(loop: StudyLoop) -> None:
 def test_the_result_does_not_depend_on_the_number_of_processes(loop: StudyLoop) -> None:
     rows = [loop.row("parfam_h", Scheme(compensation="servo_inversion"))]
     one, two = (
-        track(rows * 2, motions(loop.tracking), duration=1.0, limits=WIDE, workers=n)
-        for n in (1, 2)
+        loop.track(rows * 2, motions(loop.tracking), 1.0, "tracking", workers=n) for n in (1, 2)
     )
     assert list(map(to_json, one)) == list(map(to_json, two))
 
@@ -143,31 +143,33 @@ def test_an_interrupted_study_resumes(
         for law in (StandIn.BODY_ONLY, "parfam_h", StandIn.ORACLE)
     ]
 
-    def interrupt(done: int, _all: int) -> None:
+    def interrupt(_stage: str, done: int, _all: int) -> None:
         if done == 2:
             raise InterruptedForTestError
 
-    settings = {"duration": 1.0, "limits": WIDE, "kept": tmp_path / "kept", "workers": 1}
-    whole = track(rows, motions(loop.tracking), **settings | {"kept": None})
+    run_of = {"motions": motions(loop.tracking), "duration": 1.0, "stage": "tracking", "workers": 1}
+    whole = loop.track(rows, **run_of)
+    loop = replace(loop, kept=tmp_path / "kept")
     with pytest.raises(InterruptedForTestError):
-        track(rows, motions(loop.tracking), progress=interrupt, **settings)
+        replace(loop, progress=interrupt).track(rows, **run_of)
     ran = []
     run = loops._tracked
     monkeypatch.setattr(loops, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
-    again = track(rows, motions(loop.tracking), **settings)
+    again = loop.track(rows, **run_of)
     assert ran == [StandIn.ORACLE]
     assert list(map(to_json, again)) == list(map(to_json, whole))
     # Checkpoints count only for the very same loop.
     gains = rows[0].setting.gains.model_copy(update={"latency": 0.011})
     other = replace(rows[0], setting=replace(rows[0].setting, gains=gains))
-    track([other], motions(loop.tracking), **settings)
+    loop.track([other], **run_of)
     assert ran == [StandIn.ORACLE, StandIn.BODY_ONLY]
 
 
 def test_a_diverging_loop_is_a_result(loop: StudyLoop) -> None:
     row = loop.row("parfam_h", Scheme(compensation="servo_inversion", Kx=-20.0))
     near = np.array([[-1.0, 1.0], [-0.7, 1.3], [-2.9, -0.9]])
-    (found,) = track([row], motions(loop.tracking), duration=3.0, limits=near, workers=1)
+    loop = replace(loop, limits=near)
+    (found,) = loop.track([row], motions(loop.tracking), 3.0, "tracking", workers=1)
     assert np.all(np.isnan(found.mean))
     assert "outside its limits" in found.failures[0]
     assert from_json(Tracked, to_json(found), Path("row.json"), "a row").failures == found.failures
@@ -213,9 +215,7 @@ def test_one_loop_is_written_to_its_own_file(loop: StudyLoop, tmp_path: Path) ->
     error = result.vector("trajectory.q") - result.vector("arm.q_true")
     scheme = Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx)
     row = loop.row("parfam_h", scheme)
-    (tracked,) = track(
-        [row], motions(loop.tracking)[:1], duration=3.0, limits=loop.limits, workers=1
-    )
+    (tracked,) = loop.track([row], motions(loop.tracking)[:1], 3.0, "tracking", workers=1)
     np.testing.assert_array_equal(np.sqrt(np.mean(error**2, axis=0)), tracked.rmse[0])
 
 

@@ -11,6 +11,7 @@ import sys
 import time
 import types
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -21,7 +22,7 @@ import pytest
 from small_study import Hesr, hesr_here
 
 from cosim.loop.closed_loop import Scheme, StandIn
-from cosim.loop.loops import assemble, build, motions, track
+from cosim.loop.loops import assemble, build, motions
 from cosim.loop.traces import TRACES, Tracked, read_traces, write_traces
 from cosim.study.study import Study
 from fmu_src import export_fmu, model_file
@@ -82,10 +83,11 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
         loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")),
         *(loop.row(name, inversion) for name in (StandIn.BODY_ONLY, "parfam_h", StandIn.ORACLE)),
     ]
-    wide = np.tile([-10.0, 10.0], (3, 1))
-    arguments = {"duration": 1.0, "limits": wide, "traced": True, "workers": 1}
-    found = track(rows, motions(settings), kept=folder / "kept", **arguments)
-    again = track(rows, motions(settings), kept=folder / "kept", **arguments)
+    loop = replace(loop, limits=np.tile([-10.0, 10.0], (3, 1)), kept=folder / "kept")
+    found, again = (
+        loop.track(rows, motions(settings), 1.0, "tracking", traced=True, workers=1)
+        for _ in range(2)
+    )
     for one, other in zip(found, again, strict=True):  # checkpoints of an interrupted run
         assert_same(one, other)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in found if t.trace])

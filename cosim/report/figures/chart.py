@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Figure  # also for type hints of pages
 from matplotlib.lines import Line2D
 from matplotlib.typing import LineStyleType
+from numpy.typing import NDArray
 
 from cosim.report.figures.style import INK, SOFT, Stroke, styled
 from hesr_model.support.arrays import Array
@@ -62,10 +64,8 @@ def drawn(chart: Chart, width: float = 9.0) -> Figure:
     size = (width, chart.height * rows + 0.5)
     named = len({line.name for line in chart.lines})
     top = 0.28 + (0.18 * ceil(named / _NAMES) if named > 1 else 0.0)
-    places = placed(size, rows, columns, (0.62, top, 0.42))
     with styled():
-        figure = Figure(figsize=size)
-        axes = figure.subplots(rows, columns, sharex=True, squeeze=False, gridspec_kw=places)
+        figure, axes = grid(size, rows, columns, (0.62, top, 0.42), sharex=True)
         for row, of_row in zip(axes, chart.rows, strict=True):
             for axis, panel in zip(row, of_row, strict=True):
                 _draw(axis, panel, chart.window, most // columns)
@@ -75,19 +75,23 @@ def drawn(chart: Chart, width: float = 9.0) -> Figure:
     return figure
 
 
-def placed(
+def grid(
     size: tuple[float, float],
     rows: int,
     columns: int,
     margins: tuple[float, float, float],
     gaps: tuple[float, float] = (0.66, 0.32),
-) -> dict[str, float]:
-    """Return places of axes from a figure's size, left, top and bottom margin, and gaps [in]."""
+    **more: Any,
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure and its axes (rows, columns), with options of `Figure.subplots`.
+
+    Places follow from the figure's size, left, top and bottom margin, and gaps [in].
+    """
     # Laying out axes by their texts takes as long as drawing them.
     (width, height), (left, top, bottom), (aside, above) = size, margins, gaps
     across = (width - left - _RIGHT - (columns - 1) * aside) / columns
     down = (height - top - bottom - (rows - 1) * above) / rows
-    return {
+    places = {
         "left": left / width,
         "right": 1.0 - _RIGHT / width,
         "top": 1.0 - top / height,
@@ -95,6 +99,8 @@ def placed(
         "wspace": aside / across,
         "hspace": above / down,
     }
+    figure = Figure(figsize=size)
+    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=places, **more)
 
 
 def legend(figure: Figure, lines: Sequence[Line]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.report.figures.chart import Line, legend, placed, plot
+from cosim.report.figures.chart import Line, grid, legend, plot
 from cosim.report.figures.style import INK, SERIES, SOFT, styled
 from hesr_model.motions.excitation import Excitation
 from hesr_model.motions.limits import Limits
@@ -82,12 +82,10 @@ class JointView:
 
 def joints(views: Sequence[JointView]) -> Figure:
     """Draw velocity, friction, and histograms of velocity and load by joint."""
-    height = _ROW * len(views) + 0.75
+    size, widths = (9.0, _ROW * len(views) + 0.75), [1.0, 1.0, 0.6, 0.6]
+    margins, gaps = (0.54, 0.5, 0.3), (0.3, 0.58)
     with styled():
-        figure = Figure(figsize=(9.0, height))
-        places = placed((9.0, height), len(views), 4, (0.54, 0.5, 0.3), (0.3, 0.58))
-        wide = {"width_ratios": [1.0, 1.0, 0.6, 0.6]}
-        axes = figure.subplots(len(views), 4, squeeze=False, gridspec_kw=places | wide)
+        figure, axes = grid(size, len(views), 4, margins, gaps, width_ratios=widths)
         for row, view in zip(axes, views, strict=True):
             for line in view.velocities:
                 plot(row[0], line)

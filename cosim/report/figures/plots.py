@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from cosim.report.figures.chart import Panel, placed, plot, proxy
+from cosim.report.figures.chart import Panel, grid, plot, proxy
 from cosim.report.figures.style import INK, SERIES, SOFT, styled
 from cosim.study.scores import Ratio
 from hesr_model.support.arrays import Array
@@ -27,10 +27,8 @@ _SEEN = 700  # maximum number of measured points of a loop
 def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
     """Draw panels of closed lines over named axes next to each other, with a legend below each."""
     with styled():
-        figure = Figure(figsize=(size := (9.0, 2.95)))
-        places = placed(size, 1, len(panels), (0.66, 0.26, 0.84))
-        axes = figure.subplots(1, len(panels), gridspec_kw=places)
-        for axis, (x, panel) in zip(axes, panels, strict=True):
+        figure, axes = grid((9.0, 2.95), 1, len(panels), (0.66, 0.26, 0.84))
+        for axis, (x, panel) in zip(axes[0], panels, strict=True):
             for line in panel.lines:
                 plot(axis, line)
             axis.set(title=panel.title, xlabel=x, ylabel=panel.y)
@@ -61,11 +59,8 @@ def loops(
     rows = ceil(len(laws) / columns)
     with styled():
         _, height = size = (9.0, 1.75 * rows + 0.55)
-        figure = Figure(figsize=size)
-        places = placed(size, rows, columns, (0.63, 0.25, 0.5), (0.11, 0.26))
-        axes = figure.subplots(
-            rows, columns, sharex=True, sharey=True, squeeze=False, gridspec_kw=places
-        ).ravel()
+        margins, gaps = (0.63, 0.25, 0.5), (0.11, 0.26)
+        figure, axes = grid(size, rows, columns, margins, gaps, sharex=True, sharey=True)
         fastest = float(np.max(np.abs(measured[0])))
         slow = np.abs(measured[0]) <= _REACH * fastest
         reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
@@ -73,12 +68,12 @@ def loops(
         seen, every = (max(1, count // most) for most in (points or _SEEN, points or count + 1))
         low, high = np.quantile(measured[1][near], (0.002, 0.998))
         margin = 0.15 * (high - low)
-        for axis, (title, (dq, tau)) in zip(axes, laws.items(), strict=False):
+        for axis, (title, (dq, tau)) in zip(axes.flat, laws.items(), strict=False):
             axis.plot(*_parts(near, *measured, seen), color=SOFT, linewidth=0.6, alpha=0.7)
             axis.plot(*_parts(near, dq, tau, every), color=SERIES[0], linewidth=1.2)
             axis.set_title(title, fontsize=8.5)
             axis.set(xlim=(-reach, reach), ylim=(low - margin, high + margin))
-        for axis in axes[len(laws) :]:
+        for axis in axes.flat[len(laws) :]:
             axis.set_visible(False)
         figure.supxlabel(x, fontsize=9, y=0.04 / height, va="bottom")
         figure.supylabel(y, fontsize=9, x=0.004, ha="left")
@@ -88,9 +83,8 @@ def loops(
 def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str) -> Figure:
     """Draw a dot with its interval for each law and joint, on a logarithmic axis."""
     with styled():
-        figure = Figure(figsize=(size := (9.0, 0.34 * len(laws) + 1.1)))
         left = 0.2 + _LETTER * max(map(len, laws))
-        axis = figure.subplots(gridspec_kw=placed(size, 1, 1, (left, 0.24, 0.44)))
+        figure, [[axis]] = grid((9.0, 0.34 * len(laws) + 1.1), 1, 1, (left, 0.24, 0.44))
         offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]
