@@ -74,10 +74,10 @@ def _invoke(function: Function, given: dict[str, Any]) -> None:
     json_file = given.pop("json_file", None)
     fail_on, quiet, verbose = (given.pop(name) for name in ("fail_on", "quiet", "verbose"))
     file = None if json_file is None else Path(json_file)
-    with console.command_output(quiet=quiet, verbose=verbose, json_file=file):
-        with console.answer_file(file) as wanted:
+    with console.command_output(quiet=quiet, verbose=verbose, json_file=file) as output:
+        with console.answer_file(file, output) as wanted:
             listing = given.pop("listing", False) and _module(function)["listing"]
-            answer = listing() if listing else _answer(function, given)
+            answer = listing() if listing else _answer(function, given, hidden=quiet or verbose)
             if wanted:
                 from hesr_model.support.typed_files import write_json
 
@@ -99,10 +99,10 @@ def _module(function: Function) -> dict[str, Any]:
     return vars(sys.modules[function.__module__])
 
 
-def _answer(function: Function, given: dict[str, Any]) -> "Answer":
+def _answer(function: Function, given: dict[str, Any], *, hidden: bool) -> "Answer":
     from cosim.workflow.answer import Answer
 
-    with console.shown_progress() as progress:
+    with console.shown_progress(hidden=hidden) as progress:
         taken = inspect.signature(function).parameters
         more = {"progress": progress} if "progress" in taken else {}
         try:

@@ -11,8 +11,6 @@ import time
 import unicodedata
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, TextIO
 
@@ -148,37 +146,28 @@ _PACKAGES = ("hesr_model", "fmu_src", "cosim", "hesr")
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Output:
-    """Requested verbosity."""
-
-    quiet: bool = False
-    verbose: bool = False
-    answer: TextIO | None = None
-
-
-_USUAL = _Output()
-_output: ContextVar[_Output] = ContextVar("_output", default=_USUAL)
-
-
 class _Ended(KeyboardInterrupt):
     """Request to end from another program (SIGTERM)."""
 
 
 @contextmanager
-def command_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iterator[None]:
-    """Run a block at the requested verbosity: errors only, or everything on standard error."""
+def command_output(
+    *, quiet: bool, verbose: bool, json_file: Path | None
+) -> Iterator[TextIO | None]:
+    """Run a block at the requested verbosity: errors only, or everything on standard error.
+
+    Yield the standard output for an answer in JSON, None for errors only.
+    """
     if quiet and verbose:
         raise ConfigError("--quiet and --verbose are contradictory; give one of them.")
     with ExitStack() as cleanup:
-        token = _output.set(_Output(quiet=quiet, verbose=verbose, answer=sys.stdout))
-        cleanup.callback(_output.reset, token)
+        answer = None if quiet else sys.stdout
         cleanup.enter_context(_logging(quiet=quiet, verbose=verbose))
         if quiet or json_file == _STANDARD_OUTPUT:
             nowhere = cleanup.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
             cleanup.enter_context(redirect_stdout(nowhere))
         try:
-            yield
+            yield answer
         except HesrError:
             _log.debug("Origin of the error:", exc_info=True)
             raise
@@ -274,10 +263,9 @@ def _raise_in_main_thread(number: int) -> None:
 
 
 @contextmanager
-def shown_progress() -> Iterator[Stages]:
+def shown_progress(*, hidden: bool) -> Iterator[Stages]:
     """Show progress, times and current work on a terminal, from the first report on."""
-    wanted = _output.get()
-    hidden = wanted.quiet or wanted.verbose or not sys.stderr.isatty()
+    hidden = hidden or not sys.stderr.isatty()
     with ExitStack() as shown:
         bars: list[Stages] = []
 
@@ -332,16 +320,16 @@ def _progress_bar() -> Iterator[Stages]:
 
 
 @contextmanager
-def answer_file(json_file: Path | None) -> Iterator[Path | None]:
-    """Yield the file for the JSON answer, if one is requested."""
+def answer_file(json_file: Path | None, output: TextIO | None) -> Iterator[Path | None]:
+    """Yield the file for the JSON answer, if one is requested; `output` is that of ``-``."""
     if json_file is None:
         yield None
     elif json_file == _STANDARD_OUTPUT:
         with scratch_folder() as folder:
             file = Path(folder) / "answer.json"
             yield file
-            if not _output.get().quiet:
-                click.echo(file.read_text(encoding="utf-8"), nl=False, file=_output.get().answer)
+            if output:
+                click.echo(file.read_text(encoding="utf-8"), nl=False, file=output)
     else:
         with written_whole(json_file) as temporary:
             yield temporary

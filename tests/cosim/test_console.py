@@ -8,6 +8,7 @@ import sys
 import time
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
+from typing import TextIO
 
 import click
 import pytest
@@ -31,8 +32,8 @@ from hesr_model.support.typed_files import write_json
 Capture = pytest.CaptureFixture[str]
 
 
-def answer(json_file: Path, data: dict[str, int]) -> None:
-    with answer_file(json_file) as file:
+def answer(json_file: Path, data: dict[str, int], output: TextIO | None = None) -> None:
+    with answer_file(json_file, output) as file:
         assert file is not None
         write_json(file, data)
 
@@ -74,15 +75,15 @@ def test_quiet_and_verbose_exclude_each_other() -> None:
 
 @pytest.mark.parametrize("quiet", [False, True])
 def test_json_is_the_only_standard_output(quiet: bool, capsys: Capture) -> None:
-    with command_output(quiet=quiet, verbose=False, json_file=Path("-")):
+    with command_output(quiet=quiet, verbose=False, json_file=Path("-")) as output:
         click.echo("summary")
-        answer(Path("-"), {"a": 1})
+        answer(Path("-"), {"a": 1}, output)
     assert capsys.readouterr().out == ("" if quiet else '{\n  "a": 1\n}\n')
 
 
 def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> None:
     def fail(file: Path) -> None:
-        with answer_file(file) as wanted:
+        with answer_file(file, sys.stdout) as wanted:
             assert wanted
             wanted.write_text("half")
             raise KeyError
@@ -92,7 +93,7 @@ def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> Non
             fail(file)
     assert capsys.readouterr().out == ""
     assert list(tmp_path.iterdir()) == []
-    with answer_file(None) as wanted:
+    with answer_file(None, None) as wanted:
         assert wanted is None
     answer(tmp_path / "b.json", {"b": 2})
     assert (tmp_path / "b.json").read_text() == '{\n  "b": 2\n}\n'
@@ -102,7 +103,7 @@ def test_progress_is_logged_with_verbose(capsys: Capture) -> None:
     for verbose in (True, False):
         with (
             command_output(quiet=False, verbose=verbose, json_file=None),
-            shown_progress() as progress,
+            shown_progress(hidden=verbose) as progress,
         ):
             for done in (0, 1):
                 progress("fitting", done, 2)
