@@ -1,7 +1,7 @@
 """Scores of friction predictions."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import Any
 
@@ -13,7 +13,14 @@ from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel, band_around
 from hesr_model.friction.records import BandScore, Score, score, score_band, time_band
-from hesr_model.inference.comparison import LEAST_SECONDS, SIGNIFICANCE, LawErrors, holm, law_errors
+from hesr_model.inference.comparison import (
+    LEAST_SECONDS,
+    SIGNIFICANCE,
+    ErrorRatio,
+    LawErrors,
+    holm,
+    law_errors,
+)
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.frames import html_table, pandas_frame
@@ -36,34 +43,11 @@ RECORDED = 1.1  # ratio of errors that a recommended test would find
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ratio:
-    """RMSE of a law over that of its reference, and 95 % interval; None for short logs."""
-
-    value: float
-    low: float | None
-    high: float | None
-    p: float | None = None  # adjusted by Holm and `calibration`; None in earlier versions
-    others: tuple[float, float] | None = None  # interval for other logs of this kind
-
-    @property
-    def verdict(self) -> str:
-        """Comparison with the reference: "better", "worse" or "alike"."""
-        if self.p is not None:
-            sure = self.p < SIGNIFICANCE
-        else:  # short logs; rule of earlier versions
-            low, high = self.low, self.high
-            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
-        if not sure:
-            return "alike"
-        return "better" if self.value < 1.0 else "worse"
-
-
-@dataclass(frozen=True, kw_only=True)
 class Ratios:
     """Ratios of each other law to its reference, one per joint."""
 
     reference: str  # fallback
-    laws: Mapping[str, tuple[Ratio, ...]]
+    laws: Mapping[str, tuple[ErrorRatio, ...]]  # p adjusted by Holm
     references: Mapping[str, str] = field(default_factory=dict)  # in earlier versions
     by_joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # references of laws
 
@@ -184,7 +168,7 @@ def compare(
     ]
     ratios = [_ratios(*pair) for pair in zip(tables, references, strict=True)]
     others = [law for law in scores if any(law in of_joint for of_joint in ratios)]
-    itself = Ratio(value=1.0, low=1.0, high=1.0, p=1.0)
+    itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
     against = [_against_best(table, ranked) for table in tables if ranked]
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
@@ -224,17 +208,12 @@ def _table(
     return law_errors(errors, [float(np.median(np.diff(r.t))) for r in of_joint], ranked)
 
 
-def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, Ratio]:
+def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
     others = [law for law in table.laws if references[law] != law]
     against = {reference: table.ratios(reference) for reference in set(references.values())}
     found = {law: against[references[law]][law] for law in others}
     adjusted = holm({law: one.p for law, one in found.items() if one.p is not None})
-    return {
-        law: Ratio(
-            value=one.value, low=one.low, high=one.high, p=adjusted.get(law), others=one.others
-        )
-        for law, one in found.items()
-    }
+    return {law: replace(one, p=adjusted.get(law), detectable=None) for law, one in found.items()}
 
 
 def _against_best(

@@ -8,9 +8,10 @@ Lazarus, Lewis and Stock 2021) and from the differences between logs.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
+from pydantic import Field
 from scipy.optimize import brentq
 from scipy.special import chdtri, stdtr, stdtrit
 
@@ -44,11 +45,23 @@ class ErrorRatio:
     """
 
     value: float
-    low: float | None = None
-    high: float | None = None
-    p: float | None = None
-    detectable: float | None = None
+    low: float | None
+    high: float | None
+    p: float | None = None  # also in earlier results
     others: tuple[float, float] | None = None
+    detectable: Annotated[float | None, Field(exclude=True)] = None  # not in JSON
+
+    @property
+    def verdict(self) -> str:
+        """Comparison of the laws: "better", "worse" or "alike"."""
+        if self.p is not None:
+            sure = self.p < SIGNIFICANCE
+        else:  # short logs; rule of earlier versions
+            low, high = self.low, self.high
+            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
+        if not sure:
+            return "alike"
+        return "better" if self.value < 1.0 else "worse"
 
 
 @dataclass(frozen=True)
@@ -102,8 +115,11 @@ class LawErrors:
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
         if self.too_short:
-            rows = zip(self.laws, values, strict=True)
-            return {law: ErrorRatio(value=float(value)) for law, value in rows if law != other}
+            return {
+                law: ErrorRatio(value=float(value), low=None, high=None)
+                for law, value in zip(self.laws, values, strict=True)
+                if law != other
+            }
         errors = np.maximum(self.standard_errors(k), 1e-300)
         factor = calibration(self._comparisons(family), self.degrees)
         p = np.minimum(1.0, factor * two_sided(np.log(values) / errors, self.degrees))

@@ -14,7 +14,7 @@ from cosim.report.markup import table as page
 from cosim.report.tables import laws, loop, scores
 from cosim.report.tables.table import ResultTable, TableRow, number
 from cosim.report.tables.terminal import Drawn
-from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
+from cosim.study.scores import Comparison, LawScores, Ratios
 from hesr_model.audit.properties import (
     EXPECTATIONS,
     Figure,
@@ -23,6 +23,7 @@ from hesr_model.audit.properties import (
     PropertyResult,
 )
 from hesr_model.friction.records import BandScore
+from hesr_model.inference.comparison import ErrorRatio
 
 LONG = "a variant of the extended law without ripple and without an estimated start"
 LAWS = ("lugre", "lugre_load_ripple", "parfam_hx", LONG, "anamewithoutanyblanks" * 3)
@@ -55,7 +56,7 @@ def comparison(joints: int) -> Comparison:
         ratios=Ratios(
             reference="lugre",
             laws={
-                law: tuple(Ratio(value=r / 11.0, low=r / 13.0, high=r / 7.0) for r in errors())
+                law: tuple(ErrorRatio(value=r / 11.0, low=r / 13.0, high=r / 7.0) for r in errors())
                 for law in LAWS[1:]
             },
         ),

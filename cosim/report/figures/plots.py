@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cosim.report.figures.chart import Panel, grid, plot, proxy
 from cosim.report.figures.style import INK, SERIES, SOFT, styled
-from cosim.study.scores import Ratio
+from hesr_model.inference.comparison import ErrorRatio
 from hesr_model.support.arrays import Array
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -80,7 +80,7 @@ def loops(
     return figure
 
 
-def ratios(laws: Mapping[str, Sequence[Ratio]], joints: Sequence[str], *, x: str) -> Figure:
+def ratios(laws: Mapping[str, Sequence[ErrorRatio]], joints: Sequence[str], *, x: str) -> Figure:
     """Draw a dot with its interval for each law and joint, on a logarithmic axis."""
     with styled():
         left = 0.2 + _LETTER * max(map(len, laws))

@@ -15,9 +15,10 @@ from cosim.report.tables import table
 from cosim.report.tables.laws import most_passed
 from cosim.report.tables.scores import leading, ratio_notes
 from cosim.study.results import read_findings
-from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Ratio
+from cosim.study.scores import MEASURED_START, ORACLE, Comparison
 from hesr_model.audit.properties import EXPECTATIONS
 from hesr_model.fitting.estimator import papers_law
+from hesr_model.inference.comparison import ErrorRatio
 
 _FEW = 3  # maximum number of joints whose figures are listed
 _FINDINGS = 2  # number of findings in the first layer
@@ -78,10 +79,10 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
 
 def _reference(
     scores: Comparison, laws: Sequence[str]
-) -> tuple[Sequence[str], Sequence[Ratio], str] | None:
+) -> tuple[Sequence[str], Sequence[ErrorRatio], str] | None:
     found, joints = scores.ratios, list(enumerate(laws))
     if any(law in found.laws for law in laws):
-        itself = Ratio(value=1.0, low=1.0, high=1.0, p=1.0)
+        itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
         known = [law in found.laws for law in laws]
         references = [found.of(law, k) if known[k] else law for k, law in joints]
         ratios = [found.laws[law][k] if known[k] else itself for k, law in joints]
@@ -97,7 +98,7 @@ def _reference(
         return None
     rival = min(rivals, key=lambda other: fmean(ratio.value for ratio in found.laws[other]))
     inverse = [
-        Ratio(
+        ErrorRatio(
             value=1.0 / ratio.value,
             low=ratio.high and 1.0 / ratio.high,
             high=ratio.low and 1.0 / ratio.low,

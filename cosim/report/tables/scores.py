@@ -7,11 +7,11 @@ from statistics import geometric_mean
 
 from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, joints, row_of, title
 from cosim.study.position_errors import PositionErrors
-from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, Ratio
+from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors
 from cosim.study.verdict import percent_above, separation
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
-from hesr_model.inference.comparison import CALIBRATION
+from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
 from hesr_model.units import unit_of_joints
 
 MEASURES = {
@@ -261,7 +261,7 @@ def _fitted(per_log: Sequence[str] | None) -> str:
     return f"; not blind: {' and '.join(per_log)} of each log were fitted to it"
 
 
-def ratio_notes(ratio: Ratio) -> tuple[str, ...]:
+def ratio_notes(ratio: ErrorRatio) -> tuple[str, ...]:
     """Return a ratio, its interval, and that for other logs if known."""
     if ratio.low is None or ratio.high is None:
         return f"{ratio.value:.2f}", "too short"

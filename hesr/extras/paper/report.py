@@ -20,11 +20,11 @@ from cosim.report.tables.table import (
     row_of,
     title,
 )
-from cosim.study.scores import Ratio
 from fmu_src.pages.html import code_templates
 from hesr.extras.paper import measures
 from hesr.extras.paper.evidence import LUGRE, TWIN, Claim, Evidence, Limit, Number
 from hesr_model.errors import ArgumentError
+from hesr_model.inference.comparison import ErrorRatio
 from hesr_model.support.files import written_together
 from hesr_model.support.typed_files import from_json, read_json
 
@@ -150,7 +150,7 @@ def _errors(result: PaperResult, truth: str, words: str) -> ResultTable:
         ratios = result.ratios[truth].get(law, {})
         for label, value in result.rmse[truth][law].items():
             r = ratios.get(label)
-            found = r and ratio_notes(Ratio(value=r.value, low=r.low, high=r.high))
+            found = r and ratio_notes(ErrorRatio(value=r.value, low=r.low, high=r.high))
             yield fixed(value.value, 2, notes=found or ())
 
     return ResultTable(

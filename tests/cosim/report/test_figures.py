@@ -35,7 +35,7 @@ from cosim.report.figures.style import (
     write_svg,
 )
 from cosim.report.figures.zoom import unpacked, zoom_data
-from cosim.study.scores import Ratio
+from hesr_model.inference.comparison import ErrorRatio as Ratio
 from hesr_model.motions.excitation import Excitation
 from hesr_model.motions.limits import Limits
 from hesr_model.motions.trajectories import Fourier
@@ -147,8 +147,14 @@ def test_loops_of_friction(recorded) -> None:
 
 def test_ratios_with_intervals(recorded) -> None:
     narrow = {
-        "a": [Ratio(value=1.1, low=0.9, high=1.2), Ratio(value=0.95, low=None, high=None)],
-        "b": [Ratio(value=0.8, low=0.75, high=0.85), Ratio(value=1.0, low=0.9, high=None)],
+        "a": [
+            Ratio(value=1.1, low=0.9, high=1.2),
+            Ratio(value=0.95, low=None, high=None),
+        ],
+        "b": [
+            Ratio(value=0.8, low=0.75, high=0.85),
+            Ratio(value=1.0, low=0.9, high=None),
+        ],
     }
     wide = {"a": [Ratio(value=2.0 * k + 0.3, low=0.2 * k + 0.1, high=9.0) for k in range(7)]}
     one = {"a": [Ratio(value=1.5, low=1.2, high=1.9)]}

@@ -28,7 +28,7 @@ from cosim.report.tables.table import (
 from cosim.report.tables.terminal import Drawn
 from cosim.study.position_errors import PositionErrors
 from cosim.study.results import Seeds, SeedScores, Spread
-from cosim.study.scores import Comparison, LawScores, Ratio, Ratios
+from cosim.study.scores import Comparison, LawScores, Ratios
 from cosim.workflow.run import over_draws
 from fmu_src.check.convention import Convention
 from fmu_src.friction.reference import Error
@@ -41,6 +41,7 @@ from hesr_model.audit.properties import (
 )
 from hesr_model.friction.records import BandScore
 from hesr_model.friction.trained_range import Excess
+from hesr_model.inference.comparison import ErrorRatio
 from hesr_model.rigid_body.elasticity import ElasticGear
 
 Recorded = Callable[[Iterable[ResultTable]], None]
@@ -67,8 +68,8 @@ def law(*rmse: float, moving: float | None = 0.5) -> LawScores:
     )
 
 
-def ratio(value: float) -> Ratio:
-    return Ratio(value=value, low=0.9 * value, high=1.1 * value, p=0.01)
+def ratio(value: float) -> ErrorRatio:
+    return ErrorRatio(value=value, low=0.9 * value, high=1.1 * value, p=0.01)
 
 
 COMPARISON = Comparison(
@@ -84,7 +85,7 @@ COMPARISON = Comparison(
     ratios=Ratios(
         reference="lugre",
         laws={
-            "parfam_h": (ratio(0.9), Ratio(value=1.2, low=None, high=None)),
+            "parfam_h": (ratio(0.9), ErrorRatio(value=1.2, low=None, high=None)),
             "stribeck": (ratio(2.0), ratio(1.25)),
         },
         by_joint={"parfam_h": ("lugre", "stribeck"), "stribeck": ("lugre", "lugre")},
