@@ -3,7 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu_src import BUILT_IN, model_file
+from hesr_model.audit.properties import Subject
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.findings import Finding, log_findings
 from hesr_model.friction.model import FrictionModel
@@ -146,8 +147,6 @@ def checked_logs(
     """
     longs = _long_logs(listed(logs), robot) if in_pieces else []
     logs = [part for log in longs for part in log.stretches] or logs
-    if robot is not None:
-        robot = model_of(robot) if not isinstance(robot, str | PathLike) else robot
     known = model_of(robot) if robot is not None else None
     read = logs_of(logs, known, partial(progress, "reading logs"))
     model = known or robot_of(None, read)
@@ -225,45 +224,36 @@ def model_given(model: LawArg) -> FrictionModel:
     return FrictionModel.read(model_file(str(path_of(model, "a friction model"))))
 
 
-@dataclass(frozen=True)
-class NamedLaw:
-    """Law under a unique name: `fmu` is None for a model, `model` is None for a foreign FMU."""
-
-    name: str
-    model: FrictionModel | None
-    fmu: Path | None
-
-
-def laws_of(laws: Laws) -> list[NamedLaw]:
+def laws_of(laws: Laws) -> list[Subject]:
     """Return models, FMUs and built-in names as laws, each with a unique name."""
     if isinstance(laws, Mapping):
-        return [NamedLaw(str(name), *_law(law)) for name, law in laws.items()]
+        return [replace(_law(law), name=str(name)) for name, law in laws.items()]
     several = listed(laws)
     read = [_law(law) for law in several]
     paths = [law.law if isinstance(law, FrictionModel) else str(law) for law in several]
     stems = [path if path in BUILT_IN else Path(path).stem for path in paths]
     by_law = [
-        model.law if model and not fmu and path not in BUILT_IN else stem
-        for path, stem, (model, fmu) in zip(paths, stems, read, strict=True)
+        one.model.law if one.model and not one.fmu and path not in BUILT_IN else stem
+        for path, stem, one in zip(paths, stems, read, strict=True)
     ]
     names = telling_apart([by_law, stems, paths], "given")
-    return [NamedLaw(name, *law) for name, law in zip(names, read, strict=True)]
+    return [replace(one, name=name) for name, one in zip(names, read, strict=True)]
 
 
-def _law(law: LawArg) -> tuple[FrictionModel | None, Path | None]:
+def _law(law: LawArg) -> Subject:
     if isinstance(law, FrictionModel):
-        return law, None
+        return Subject(name="", model=law)
     path = path_of(law, "a law")
     if (suffix := path.suffix.lower()) == ".fmu":
         from fmu_src.friction.embedded_model import embedded_model
 
-        return embedded_model(path), path
+        return Subject(name="", model=embedded_model(path), fmu=path)
     if str(path) not in BUILT_IN and suffix != ".json":
         raise ConfigError(
             f"'{path}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
             f"{', '.join(BUILT_IN)}."
         )
-    return model_given(path), None
+    return Subject(name="", model=model_given(path))
 
 
 def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:

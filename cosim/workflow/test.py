@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
     from cosim.study.scores import Comparison
-    from cosim.workflow.arguments import BodyArg, Laws, LogArg, NamedLaw, PerJoint, RobotArg
+    from cosim.workflow.arguments import BodyArg, Laws, LogArg, PerJoint, RobotArg
     from fmu_src.friction.predictions import Records
     from fmu_src.pages.datasheet import ModelAudit
-    from hesr_model.audit.properties import Properties
+    from hesr_model.audit.properties import Properties, Subject
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
@@ -34,7 +34,7 @@ class LawReport(Answer):
     """Result of `hesr.test` by law; `scores` and `positions` [rad, m] are None if not predicted."""
 
     format = "hesr-law-report-1"
-    laws: Sequence[NamedLaw]
+    laws: Sequence[Subject]
     scores: Comparison | None = None
     positions: PositionErrors | None = None
     records: Records = ()
@@ -327,14 +327,12 @@ def _checked(
 ) -> LawReport:
     """Add the physics checks, each law in a process of its own."""
     from cosim.workflow.arguments import listed
-    from hesr_model.audit.properties import Subject, write_properties
+    from hesr_model.audit.properties import write_properties
     from hesr_model.support import plugins
     from hesr_model.support.files import written_whole
 
     values = None if inertia is None else tuple(listed(inertia))
-    subjects = [
-        Subject(name=law.name, model=law.model, fmu=law.fmu, inertia=values) for law in report.laws
-    ]
+    subjects = [replace(law, inertia=values) for law in report.laws]
     with ExitStack() as cleanup:
         # Check that the file can be written before the run.
         file = cleanup.enter_context(written_whole(output)) if output else None
@@ -366,7 +364,7 @@ def _failed(found: Properties) -> str:
     return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
 
 
-def _leaving(law: NamedLaw, records: Records) -> list[str]:
+def _leaving(law: Subject, records: Records) -> list[str]:
     """Return which inputs leave the trained range of a law in the logs."""
     from cosim.report.tables.laws import leaving
     from hesr_model.friction.trained_range import outside

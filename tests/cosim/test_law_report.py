@@ -9,8 +9,8 @@ from joint_data import law
 
 import hesr
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.arguments import NamedLaw
 from cosim.workflow.test import LawReport, _leaving, _scores_lines
+from hesr_model.audit.properties import Subject
 from hesr_model.errors import ArgumentError, ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
@@ -52,12 +52,12 @@ def test_inputs_beyond_the_trained_range_are_told() -> None:
         [FrictionRecord(log="a", joint=joint, t=t, dq=dq, q=t, tau_load=zero, tau=dq)]
         for joint in ("j1", "j2", "j3")
     ]
-    own = NamedLaw("own", stribeck(WIDE, SLOW, WIDE), None)
+    own = Subject(name="own", model=stribeck(WIDE, SLOW, WIDE))
     (told,) = _leaving(own, records)
     assert told.startswith("j2: dq leaves the trained range in ")
     assert "\n" not in told
     for other in (stribeck(WIDE, WIDE, WIDE), stribeck()):
-        assert _leaving(NamedLaw("other", other, None), records) == []
+        assert _leaving(Subject(name="other", model=other), records) == []
     assert _leaving(own, records[:2]) == []
 
 
