@@ -23,7 +23,7 @@ from fmu_src.run.variables import Value
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import words
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.tables import write_table
+from hesr_model.logs.tables import numbered, write_table
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder, written_whole
@@ -154,9 +154,8 @@ def excite(
     for one in recordings(motions, plant, seed=seed, fmu=fmu):
         paths[one.log.name] = path = folder / f"{one.log.name}.csv"
         one.log.write(path)
-        columns = {f"tau_f{k}": f for k, f in enumerate(one.truth.tau_f_true.T, start=1)}
         with written_whole(truth_of(path)) as temporary:
-            write_table(temporary, {"t": one.log.t} | columns)
+            write_table(temporary, {"t": one.log.t} | numbered(tau_f=one.truth.tau_f_true))
         worst = np.abs(one.truth.q - one.desired).max() * 1e3
         _log.info("%s: %d samples, at most %.0f mrad off", path, len(one.log.t), worst)
     return paths

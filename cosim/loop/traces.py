@@ -14,7 +14,7 @@ from cosim.systems.system import SystemSpec, write_system
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.findings import Finding
 from hesr_model.logs.readers.arrays import load_arrays
-from hesr_model.logs.tables import arrow, write_table
+from hesr_model.logs.tables import arrow, numbered, write_table
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_written_whole, models_folder, written_whole
@@ -143,10 +143,11 @@ def write_traces(path: Path, runs: Sequence[tuple[Scheme, str, Trace]]) -> None:
         "scheme": np.repeat([scheme.name for scheme, _, _ in runs], rows),
         "law": np.repeat([law for _, law, _ in runs], rows),
         "t": np.concatenate([trace.t for _, _, trace in runs]),
+        **numbered(
+            q_d=np.concatenate([trace.q_d for _, _, trace in runs]),
+            q=np.concatenate([trace.q for _, _, trace in runs]),
+        ),
     }
-    for name in ("q_d", "q"):
-        of_joints = np.concatenate([getattr(trace, name) for _, _, trace in runs]).T
-        columns |= {f"{name}{k}": column for k, column in enumerate(of_joints, start=1)}
     with written_whole(path) as temporary:
         write_table(temporary, columns)
 

@@ -11,7 +11,7 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.logs.readers.formats import format_of
 from hesr_model.logs.readers.samples import LogSamples
-from hesr_model.logs.tables import write_table
+from hesr_model.logs.tables import numbered, write_table
 from hesr_model.robots.robot import RobotDescription, RobotLike, description_of
 from hesr_model.support import frames
 from hesr_model.support.arrays import Array, Integers, arrays_of, some_rows
@@ -179,10 +179,7 @@ class Log:
 
     @property
     def _columns(self) -> dict[str, Array]:
-        columns = {"t": self.t}
-        for name, values in self._signals.items():
-            columns |= {f"{name}{k}": column for k, column in enumerate(values.T, start=1)}
-        return columns
+        return {"t": self.t} | numbered(**self._signals)
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` of ``q1.., dq1.., tau1..`` (SI) over ``t`` [s].

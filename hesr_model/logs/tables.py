@@ -53,6 +53,11 @@ def require_content(path: Path) -> None:
         raise LogError(f"{path}: is empty; a log needs a header and rows of data.")
 
 
+def numbered(**signals: Array) -> dict[str, Array]:
+    """Return columns (N,) of signals (N, n) by name, ``q1, q2..`` of `q`."""
+    return {f"{s}{k}": x for s, values in signals.items() for k, x in enumerate(values.T, start=1)}
+
+
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
     """Write columns (N,) as CSV, Parquet or ``.npz``, with all digits."""
     if path.suffix == ".npz":
