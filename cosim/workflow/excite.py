@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args, overload
 
 from cosim.workflow.answer import Answer, Written
+from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.loop.design import ExcitationDesign
+    from pathlib import Path
+
+    from hesr_model.motions.excitation import Excitation
     from hesr_model.support.files import PathArg
 
-
 Purpose = Literal["body", "friction", "test", "all"]
+
+_COMPARED = 200
+_TABLES = (".csv", ".parquet", ".pq")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExcitationDesign:
+    """A designed excitation and its files."""
+
+    excitation: Excitation
+    random_condition: float  # median condition of W_b over 200 random motions
+    forward: Path
+    backward: Path  # time-reversed
+    picture: Path
 
 
 @overload
@@ -99,18 +116,17 @@ def excite(
     >>> hesr.excite("robot.toml", output="motion.csv").forward.name
     'motion.csv'
     """
-    from cosim.loop.design import design
     from cosim.workflow.arguments import require_choice
-    from hesr_model.support.files import path_of
+    from hesr_model.support.files import path_of, written_together
 
     require_choice("purpose", purpose, get_args(Purpose))
-    path = path_of(output, "a motion")
+    path, file = path_of(output, "a motion"), path_of(robot, "a robot")
     chosen = None if settings is None else path_of(settings, "a file of settings")
     if purpose != "body" or time is not None or after is not None or format:
         from hesr_model.support.plugins import find
 
         planned: Answer = find("hesr.motions", "plan")(
-            path_of(robot, "a robot"),
+            file,
             path,
             purpose=purpose,
             time=time,
@@ -120,8 +136,44 @@ def excite(
             progress=progress,
         )
         return planned
-    stages = partial(progress, "designing the motion")
-    return design(path_of(robot, "a robot"), path, chosen, progress=stages)
+    if path.suffix.lower() not in _TABLES:
+        raise ConfigError(
+            f"{path}: the motion is written as a table; the suffix must be one of "
+            f"{', '.join(_TABLES)}."
+        )
+    import numpy as np
+    from threadpoolctl import threadpool_limits
+
+    from cosim.report.figures.motions import excitation
+    from hesr_model.logs.tables import numbered, write_table
+    from hesr_model.motions.excitation import ExcitationSettings, condition, design, random_motions
+    from hesr_model.rigid_body.base_parameters import base_columns
+    from hesr_model.robots.robot import Robot, RobotDescription
+
+    model = Robot(RobotDescription.read(file))
+    limits = ExcitationSettings.read(chosen) if chosen else ExcitationSettings()
+    try:
+        found = design(model, limits, progress=partial(progress, "designing the motion"))
+    except HesrError as error:
+        raise type(error)(f"{chosen or file}: {error}") from error
+    base = base_columns(model)
+    with threadpool_limits(1):  # threads cost more than they save
+        random = random_motions(model, limits, _COMPARED, limits.seed)
+        conditions = [condition(model, base, motion) for motion in random]
+    backward, picture = path.with_stem(f"{path.stem}_reversed"), path.with_suffix(".png")
+    t, q, dq, ddq = found.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
+    with written_together(path) as new:
+        write_table(new(path), {"t": t} | numbered(q=q, dq=dq, ddq=ddq))
+        back = numbered(q=q[::-1], dq=-dq[::-1], ddq=ddq[::-1])
+        write_table(new(backward), {"t": t} | back)
+        excitation(new(picture), found, model.description.joints)
+    return ExcitationDesign(
+        excitation=found,
+        random_condition=float(np.median(conditions)),
+        forward=path,
+        backward=backward,
+        picture=picture,
+    )
 
 
 def answer(found: ExcitationDesign, _: PathArg | None) -> Answer:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.loop.design import design
 from cosim.loop.excite import loaded_arm, record
 from cosim.report.figures.motions import excitation
+from cosim.workflow.excite import excite
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.logs.tables import read_table
@@ -41,7 +41,7 @@ def designed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
     settings = folder / "excitation.toml"
     settings.write_text(SETTINGS)
-    return design(ROBOT, folder / "out" / "motion.csv", settings)
+    return excite(ROBOT, output=folder / "out" / "motion.csv", settings=settings)
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_picture_is_reproducible(designed, tmp_path):
 def test_parquet_is_supported(tmp_path):
     settings = tmp_path / "quick.toml"
     settings.write_text(QUICK + SLOW)
-    found = design(ROBOT, tmp_path / "motion.parquet", settings)
+    found = excite(ROBOT, output=tmp_path / "motion.parquet", settings=settings)
     assert found.backward == tmp_path / "motion_reversed.parquet"
     assert len(read(found.forward)[1]) == len(found.excitation.setpoints()[0])
 
@@ -143,7 +143,7 @@ def test_random_motions_respect_the_limits_of_the_twin(model):
 def test_suffixes_other_than_those_of_tables_are_refused(tmp_path):
     message = r"motion\.txt: the motion is written as a table; the suffix must be one of \.csv, "
     with pytest.raises(ConfigError, match=message):
-        design(ROBOT, tmp_path / "motion.txt")
+        excite(ROBOT, output=tmp_path / "motion.txt")
 
 
 @pytest.mark.parametrize(
@@ -162,6 +162,6 @@ def test_refused_limits_are_reported_with_their_file(tmp_path, text, kind, sente
     settings = tmp_path / "excitation.toml"
     settings.write_text(f"{QUICK}[limits]\n{text}\n")
     with pytest.raises(kind) as caught:
-        design(ROBOT, tmp_path / "motion.csv", settings)
+        excite(ROBOT, output=tmp_path / "motion.csv", settings=settings)
     assert str(caught.value).startswith(f"{settings}: {sentence}")
     assert not (tmp_path / "motion.csv").exists()
