@@ -1,10 +1,10 @@
 """Position errors of laws as simulators: measured torque in, position out."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 
@@ -39,20 +39,19 @@ def simulate_tests(
     models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out."""
-    windows: dict[str, list[simulation.Windows]] = {}
-    logs: dict[str, list[simulation.Windows]] = {}
+    cut: dict[str, list[simulation.Windows]] = {}  # windows of all `LENGTHS`, then whole logs
     for test, records in tests.items():
         of_joints = by_joint(records)
         try:
-            windows[test] = [simulation.windows_of(of_joints, length) for length in LENGTHS]
+            cut[test] = [simulation.windows_of(of_joints, length) for length in LENGTHS]
         except SimulationError as error:
             _warn(error)
             continue
         # Whole logs only without gravity: an upright arm diverges with any friction.
         if simulation.weightless(of_joints, robot, body):
-            logs[test] = list(map(simulation.whole, of_joints))
-    cut = [w for of_test in (*windows.values(), *logs.values()) for w in of_test]
-    jobs = [partial(_errors, model, cut, robot, body) for model in models.values()]
+            cut[test] += map(simulation.whole, of_joints)
+    every = list(chain.from_iterable(cut.values()))
+    jobs = [partial(_errors, model, every, robot, body) for model in models.values()]
     with parallel.results_of(jobs, names=list(models)) as results:
         of_laws = list(results)
     parts = {}
@@ -61,21 +60,17 @@ def simulate_tests(
             _warn(errors)
             return {}
         parts[law] = iter(errors)
-    of_windows = {
-        test: {law: tuple(islice(part, len(LENGTHS))) for law, part in parts.items()}
-        for test in windows
-    }
-    of_logs = {
-        test: {law: _over_all(part, of_test) for law, part in parts.items()}
-        for test, of_test in logs.items()
-    }
-    joints = tuple(robot.description.joints)
-    return {
-        test: PositionErrors(
-            joints=joints, lengths=LENGTHS, windows=errors, open_loop=of_logs.get(test, {})
+    joints, kinds, found = tuple(robot.description.joints), len(LENGTHS), {}
+    for test, of_test in cut.items():
+        own = {law: tuple(islice(part, len(of_test))) for law, part in parts.items()}
+        logs = of_test[kinds:]
+        found[test] = PositionErrors(
+            joints=joints,
+            lengths=LENGTHS,
+            windows={law: errors[:kinds] for law, errors in own.items()},
+            open_loop={law: _over_all(errors[kinds:], logs) for law, errors in own.items() if logs},
         )
-        for test, errors in of_windows.items()
-    }
+    return found
 
 
 def _warn(reason: SimulationError) -> None:
@@ -101,11 +96,11 @@ def _errors(
     return [found[i] for i in range(len(cut))]
 
 
-def _over_all(errors: Iterator[_Errors], logs: Sequence[simulation.Windows]) -> _Errors:
+def _over_all(errors: Sequence[_Errors], logs: Sequence[simulation.Windows]) -> _Errors:
     rows = [log.t.shape[1] for log in logs]
     return tuple(
         None
         if None in of_joint
         else float(np.sqrt(np.average(np.square(np.array(of_joint, dtype=float)), weights=rows)))
-        for of_joint in zip(*islice(errors, len(logs)), strict=True)
+        for of_joint in zip(*errors, strict=True)
     )
