@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any, Self
@@ -105,6 +105,7 @@ class System:
 _REPORT_EVERY = 200  # steps between reports of progress
 
 
+@dataclass(eq=False)
 class Master:
     """A loaded and checked system; a context manager that frees all FMUs.
 
@@ -113,31 +114,28 @@ class Master:
     (see `Wiring`).
     """
 
-    def __init__(
-        self,
-        spec: SystemSpec,
-        path: Path = Path("system"),
-        *,
-        native: bool = True,
-        isolate: bool = False,
-        loaded: FmuPool | None = None,
-        scheme: ExchangeScheme | None = None,
-    ) -> None:
-        self.spec, self._path, self._native, self._loaded = spec, path, native, loaded
-        self._isolate = isolate
-        self._scheme = scheme or ExchangeScheme(order=spec.order)
+    spec: SystemSpec
+    path: Path = Path("system")  # for messages
+    _: KW_ONLY
+    native: bool = True
+    isolate: bool = False
+    loaded: FmuPool | None = None
+    scheme: ExchangeScheme | None = None  # default: that of `spec`
+
+    def __post_init__(self) -> None:
+        self._scheme = self.scheme or ExchangeScheme(order=self.spec.order)
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "Master":
         with ExitStack() as cleanup:
-            lend = self._loaded.lend if self._loaded else FmuInstance
-            sandbox = None if self._isolate else cleanup.enter_context(SystemSandbox(SECONDS))
+            lend = self.loaded.lend if self.loaded else FmuInstance
+            sandbox = None if self.isolate else cleanup.enter_context(SystemSandbox(SECONDS))
             self._slaves = {
                 c.name: cleanup.enter_context(lend(c.fmu, name=c.name, system=sandbox))
                 for c in self.spec.components
             }
             variables = {name: slave.variables for name, slave in self._slaves.items()}
-            self._wiring = Wiring(self.spec, variables, self._path)
+            self._wiring = Wiring(self.spec, variables, self.path)
             self._build()
             self._cleanup = cleanup.pop_all()
         return self
@@ -189,7 +187,7 @@ class Master:
             high=high,
         )
         layout = self._layout
-        native = native_stepper(layout) or sandbox_stepper(layout) if self._native else None
+        native = native_stepper(layout) or sandbox_stepper(layout) if self.native else None
         self._stepper: PythonStepper | NativeStepper | SandboxStepper
         self._stepper = native or PythonStepper(layout)
 
