@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
+
+if TYPE_CHECKING:
+    from cosim.study.results import Scored
 
 _SECONDS = 2.0  # [s] length of the runs that compare the masters
 _AGREEMENT = 1e-9  # allowed difference, relative to the largest value
@@ -57,24 +61,22 @@ def on_plant(spec: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
 
 
 def run_loop(
+    run: "Scored",
     tracking: Tracking,
     plant: Plant,
     signals: SignalTable,
-    robot: Robot,
-    body: RigidBody,
     folder: Path,
-    *,
-    friction: Mapping[str, Path],
-    models: Mapping[str, FrictionModel],
-    quick: bool = False,
     kept: Path | None,
     progress: Stages,
+    *,
+    quick: bool,
 ) -> LoopOutcome:
     """Build the FMUs of a loop in ``folder/fmus``, next to Arm.fmu, and run it.
 
     Writes one loop with the arm and one with the generated plant, and the positions along the first
     motion as `TRACES`. A `quick` run has few rows, see `run_tracking`, and no robustness.
     """
+    robot, body = run.robot, run.rigid_body
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
@@ -83,9 +85,9 @@ def run_loop(
     )
     build(fmus, robot, body, plant, oracle=truth)
     loop = assemble(
-        fmus, robot, tracking=tracking, friction=friction, plant=plant, kept=kept, progress=progress
+        fmus, robot, tracking=tracking, friction=run.fmus, plant=plant, kept=kept, progress=progress
     )
-    findings = write_loops(loop, robot, body, models, folder)
+    findings = write_loops(loop, robot, body, run.models, folder)
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, quick=quick)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in tables if t.trace])

@@ -1,19 +1,19 @@
 """Run of a study, from logs to a verdict."""
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
-from cosim.study.scores import Comparison, Errors, records_of
-from cosim.study.steps import Job
+from cosim.study.scores import Errors, records_of
+from cosim.study.steps import Job, of_each
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
 from fmu_src.export.toolchain import get_ready, targets
@@ -27,29 +27,21 @@ from hesr_model.findings import log_findings
 from hesr_model.fitting.estimator import laws_with
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
 from hesr_model.health.examine import check_body, check_laws, checked
-from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.cache import USED, since
 from hesr_model.support.files import folder_written_whole, models_folder, newest, provenance
-from hesr_model.support.progress import Progress, Stages, counted, silent
+from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json, write_json
-
-Returned = TypeVar("Returned")
 
 _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")  # preloaded by the workers
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Results of a run."""
+class Outcome(Scored):
+    """Results of a run: those up to the scores, with final laws and FMUs, and the verdict."""
 
-    rigid_body: RigidBody
-    comparisons: Mapping[str, Comparison]
-    models: Mapping[str, FrictionModel]
-    fmus: Mapping[str, Path]
-    left_out: Mapping[str, str]  # reasons by law
     properties: Mapping[str, Properties]  # empty for a quick run
     verdict: Verdict
     following: Following = field(default_factory=Following)
@@ -94,7 +86,7 @@ def run_study(
             found = {} if quick else job.properties(run, folder)
             # Last: the FMUs document the physics checks.
             body = PageBody.of(run.robot, run.rigid_body)
-            audits = _of_each(
+            audits = of_each(
                 models,
                 partial(_documented, run.fmus, found, platforms=platforms, body=body),
                 partial(job.progress, "documenting FMUs"),
@@ -118,12 +110,9 @@ def run_study(
             _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
         shutil.rmtree(kept, ignore_errors=True)
+    fmus = {law: output / "fmus" / f"{law}.fmu" for law in made}
     return Outcome(
-        rigid_body=run.rigid_body,
-        comparisons=run.comparisons,
-        models=made,
-        fmus={law: output / "fmus" / f"{law}.fmu" for law in made},
-        left_out=run.left_out,
+        **vars(replace(run, models=made, fmus=fmus)),
         properties=found,
         verdict=words,
         loop=loop,
@@ -192,14 +181,15 @@ def score_study(
     }
     models, left_out = job.fit_all(records, source)
     models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
-    refinements = job.simulators(logs, model, rigid_body, models)
+    every = study.refinement is not None and not study.refinement.law
+    refinements = job.refine(logs, model, rigid_body, models) if every else {}
     models |= {law: one.friction for law, one in refinements.items()}
     findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
     for law, fitted in models.items():
         fitted.write(folder / "laws" / f"{law}.json")
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
-    _of_each(
+    of_each(
         models,
         lambda law, fitted: export_bare(fitted, fmus[law], platforms=platforms),
         partial(job.progress, "building FMUs"),
@@ -260,17 +250,6 @@ def recommended(
     checks = combined(MIXED, found, words.laws)
     export_fmu(model, folder / words.fmu, properties=checks, audit=audit, **more)
     return {MIXED: model}
-
-
-def _of_each(
-    models: Mapping[str, FrictionModel],
-    do: Callable[[str, FrictionModel], Returned],
-    progress: Progress,
-) -> dict[str, Returned]:
-    jobs = [partial(do, law, fitted) for law, fitted in models.items()]
-    costs = [fitted.size for fitted in models.values()]
-    with parallel.results_of(jobs, None, costs, list(models)) as done:
-        return {law: next(done) for law in counted(list(models), progress)}
 
 
 def unfinished(output: Path) -> Path:

@@ -8,7 +8,7 @@ from functools import cached_property, partial
 from inspect import signature
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -45,13 +45,27 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel, plugins
 from hesr_model.support.arrays import Array
-from hesr_model.support.progress import Stages, counted
+from hesr_model.support.progress import Progress, Stages, counted
 from hesr_model.support.typed_files import to_json, write_json
 
 if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties
 
+Returned = TypeVar("Returned")
+
 _log = logging.getLogger(__name__)
+
+
+def of_each(
+    models: Mapping[str, FrictionModel],
+    do: Callable[[str, FrictionModel], Returned],
+    progress: Progress,
+) -> dict[str, Returned]:
+    """Return the results of a function of each law and model, called in processes."""
+    jobs = [partial(do, law, fitted) for law, fitted in models.items()]
+    costs = [fitted.size for fitted in models.values()]
+    with parallel.results_of(jobs, None, costs, list(models)) as done:
+        return {law: next(done) for law in counted(list(models), progress)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +202,7 @@ class Job:
         write_properties(folder / "properties.json", found)
         return found
 
-    def closed_loop(self, run: Scored, folder: Path, *, quick: bool = False) -> LoopOutcome | None:
+    def closed_loop(self, run: Scored, folder: Path, *, quick: bool) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None
@@ -198,17 +212,7 @@ class Job:
         plant, signals = twin_plant(self.study.twin, self.path, folder)
         assert signals is not None  # `Study` requires them with `tracking`
         outcome = run_loop(
-            self.study.tracking,
-            plant,
-            signals,
-            run.robot,
-            run.rigid_body,
-            folder,
-            friction=run.fmus,
-            models=run.models,
-            quick=quick,
-            kept=self.kept,
-            progress=self.progress,
+            run, self.study.tracking, plant, signals, folder, self.kept, self.progress, quick=quick
         )
         write_json(folder / "closed_loop.json", to_json(outcome))
         if outcome.findings:
@@ -287,24 +291,9 @@ class Job:
     ) -> dict[str, Refined]:
         """Refine laws by output error on the training logs."""
         motions = smoothed([logs[name] for name in self.study.logs.training], model)
-        own = partial(refine, model, body, motions=motions, with_body=with_body)
-        jobs = [partial(own, friction, seed=self.study.seed) for friction in models.values()]
-        costs = [friction.size for friction in models.values()]
-        with parallel.results_of(jobs, None, costs, list(models)) as done:
-            progress = partial(self.progress, "refining by output error")
-            return {law: next(done) for law in counted(list(models), progress)}
-
-    def simulators(
-        self,
-        logs: Mapping[str, Log],
-        model: Robot,
-        body: RigidBody,
-        models: Mapping[str, FrictionModel],
-    ) -> dict[str, Refined]:
-        """Refine every law by output error if the study does; else return nothing."""
-        if self.study.refinement is None or self.study.refinement.law:
-            return {}
-        return self.refine(logs, model, body, models)
+        seed, progress = self.study.seed, partial(self.progress, "refining by output error")
+        own = partial(refine, model, body, motions=motions, with_body=with_body, seed=seed)
+        return of_each(models, lambda _, friction: own(friction), progress)
 
     def fit(
         self,

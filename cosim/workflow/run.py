@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from cosim.workflow.answer import Answer, Written, shortened
+from cosim.workflow.answer import Answer, Written, finding_lines, shortened
 from hesr_model.support.progress import Interrupted, Stages, silent
 
 if TYPE_CHECKING:
@@ -19,6 +18,12 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.support.files import PathArg
 
+_REUSED = {
+    "laws of joints": "laws/*.json",
+    "finished rows of the closed loop": "*.json",
+    "tested laws": "properties/*.json",
+}
+"""Files of an interrupted run that the next one reuses."""
 _CACHED = {"binaries": "compiled libraries", "functions": "C functions", "valid": "checks of FMUs"}
 
 
@@ -79,7 +84,7 @@ class RunResult(Answer):
             shown += [properties(outcome.properties), legend(sliding)]
         shown.append("Scores come from running these FMUs in FMPy:")
         shown += [f"  {fmu}" for fmu in outcome.fmus.values()]
-        shown += [f"{f.severity}: {f.sentence} [{f.check}]" for f in self.findings]
+        shown += finding_lines(self.findings)
         reused = [
             f"{found} of {asked} {_CACHED[kind]}"
             for kind, (found, asked) in outcome.cached.items()
@@ -223,31 +228,20 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "seeds.json", to_json(spread))
         return spread
-    with _going_on(unfinished(folder)):
+    try:
         outcome = run_study(
             path, folder, platforms=platform, quick=quick, accepted=accept, progress=progress
         )
-    return RunResult(folder=folder, outcome=outcome, findings=read_findings(folder))
-
-
-@contextmanager
-def _going_on(kept: Path) -> Iterator[None]:
-    """On an interrupt, count the finished parts that the next run reuses."""
-    try:
-        yield
     except KeyboardInterrupt as interrupt:
-        found = {
-            "laws of joints": "laws/*.json",
-            "finished rows of the closed loop": "*.json",
-            "tested laws": "properties/*.json",
-        }
-        counts = {what: len(list(kept.glob(pattern))) for what, pattern in found.items()}
+        kept = unfinished(folder)
+        counts = {what: len(list(kept.glob(pattern))) for what, pattern in _REUSED.items()}
         finished = [f"{count} {what}" for what, count in counts.items() if count]
         if not finished:
             raise
         raise Interrupted(
             f"{', '.join(finished)} are kept in {kept}: repeat the command to continue", interrupt
         ) from interrupt
+    return RunResult(folder=folder, outcome=outcome, findings=read_findings(folder))
 
 
 def answer(spread: Seeds, _: PathArg | None) -> Answer:

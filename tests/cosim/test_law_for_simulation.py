@@ -75,7 +75,7 @@ def axis(request: pytest.FixtureRequest, tmp_path: Path) -> Axis:
     body, _ = job.rigid_body(logs, robot)
     records = {name: [friction_records(log, robot, body)] for name, log in logs.items()}
     models, _ = job.fit_all(records, {})
-    refined = job.simulators(logs, robot, body, models)
+    refined = job.refine(logs, robot, body, models)
     chosen = ForSimulation.of(refined)
     assert chosen is not None
     tests = {"unseen": records_of(job.study.logs.test["unseen"], records)}
