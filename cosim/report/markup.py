@@ -84,9 +84,8 @@ class Pictures:
     ) -> Markup:
         """Return the HTML of a figure in SVG; a template's call block is its caption."""
         texts: dict[str, Any] = {"caption": caption or caller().strip(), "alt": alt}
-        zoom = key in self.zooms
-        texts |= {"number": _NUMBER, "small": small}
-        return render("figure.html.j2", key=key, svg=svg, zoom=zoom, **texts)
+        texts |= {"number": _NUMBER, "small": small, "zoom": key in self.zooms}
+        return render("figure.html.j2", key=key, svg=svg, **texts)
 
 
 @dataclass

@@ -1,6 +1,7 @@
 """Torque on unseen motions (Table II, Fig. 4 and 5), friction loops, and the closed loop."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -119,14 +120,12 @@ def _chart(
         unit = results.unit("N.m", k - 1)
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
         predicted = {law: torques[f"{law}.tau_f{k}"] for law in laws}
+        errors = {law: moving_rms(t, tau - measured) for law, tau in predicted.items()}
+        moving = _lines(t, errors, styles)
         friction = (
             *(band(results, results.best, k, torques) if results.best in laws else ()),
             Line(name="measured", x=t, y=measured, stroke=MEASURED),
-            *(Line(name=title(a), x=t, y=tau, stroke=styles[a]) for a, tau in predicted.items()),
-        )
-        moving = tuple(
-            Line(name=title(law), x=t, y=moving_rms(t, tau - measured), stroke=styles[law])
-            for law, tau in predicted.items()
+            *_lines(t, predicted, styles),
         )
         heading, y = f"{short}: {name}", f"friction [{unit}]"
         rows.append(
@@ -136,6 +135,10 @@ def _chart(
             )
         )
     return Chart(x="t [s]", rows=tuple(rows), height=1.5, window=window)
+
+
+def _lines(t: Array, laws: Mapping[str, Array], styles: Mapping[str, Stroke]) -> tuple[Line, ...]:
+    return tuple(Line(name=title(a), x=t, y=y, stroke=styles[a]) for a, y in laws.items())
 
 
 def moving_rms(t: Array, error: Array) -> Array:
@@ -245,24 +248,16 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
         return None
     styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
     first = next(iter(paths.values()))
-    rows = []
+    whole = {law: path for law, path in paths.items() if len(path.t) == len(first.t)}
+    drawn, rows = partial(_lines, first.t, styles=styles), []
     for k, short in enumerate(results.joints):
         desired = Line(name="desired", x=first.t, y=first.q_d[:, k], stroke=DESIRED)
-        position, error = (
-            tuple(
-                Line(name=title(law), x=first.t, y=values[law][:, k], stroke=styles[law])
-                for law, path in paths.items()
-                if len(path.t) == len(first.t)
-            )
-            for values in (
-                {law: path.q for law, path in paths.items()},
-                {law: 1e3 * np.abs(path.q - path.q_d) for law, path in paths.items()},
-            )
-        )
+        position = {law: path.q[:, k] for law, path in whole.items()}
+        error = {law: 1e3 * np.abs(path.q - path.q_d)[:, k] for law, path in whole.items()}
         rows.append(
             (
-                Panel(title=short, y="q [rad]", lines=(*position, desired)),
-                Panel(title="", y="|error| [mrad]", lines=error),
+                Panel(title=short, y="q [rad]", lines=(*drawn(position), desired)),
+                Panel(title="", y="|error| [mrad]", lines=drawn(error)),
             )
         )
     return Chart(x="t [s]", rows=tuple(rows), height=1.4)
