@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hesr_model.errors import ConfigError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg
+from hesr_model.support.text import parse_toml, read_text
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from hesr_model.findings import Finding
-    from hesr_model.support.files import PathArg
 
 
 @dataclass(frozen=True)
@@ -27,16 +29,13 @@ class PluginJob:
 
 def find_job(path: Path, verb: str) -> PluginJob | None:
     """Return the job of a TOML file, None for other files; refuse a file of another command."""
-    from hesr_model.support.plugins import load
-    from hesr_model.support.text import parse_toml, read_text
-
     if path.suffix.lower() != ".toml":
         return None
     try:
         keys = parse_toml(read_text(path))
     except (OSError, ValueError):  # reported by the reader of the verb's own files
         return None
-    for name, plugin in load("hesr.jobs").items():
+    for name, plugin in plugins.load("hesr.jobs").items():
         job: PluginJob = plugin.load()
         if job.key not in keys:
             continue

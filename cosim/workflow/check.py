@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shortened
 from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, counted, silent
 
 if TYPE_CHECKING:
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from fmu_src.check.convention import Convention
     from fmu_src.check.run import Report
     from hesr_model.findings import Finding
-    from hesr_model.support.files import PathArg
 
 KINDS = ("static", "references", "convention")  # kinds of HESR's own checks
 
@@ -137,8 +138,6 @@ def check(
     from fmu_src.check.convention import judge, measure
     from fmu_src.check.run import check as check_fmu
     from fmu_src.run.archive import opened
-    from hesr_model.support import plugins
-    from hesr_model.support.files import path_of
 
     plugged = plugins.names("hesr.checks")
     for one in kind:
@@ -184,7 +183,6 @@ def _with_references(report: Report) -> Report:
     """Return a report extended by the comparison with the reference results in the file."""
     from fmu_src.check.rules import findings, with_rule
     from fmu_src.run.reference_results import verify
-    from hesr_model.support import plugins
 
     system = report.path.suffix.lower() == ".ssp"
     run = plugins.find("hesr.systems", "ssp-references") if system else verify

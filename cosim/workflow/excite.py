@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Literal, get_args, overload
 
 from cosim.workflow.answer import Answer, Written
 from hesr_model.errors import ConfigError, HesrError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, path_of, written_together
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from hesr_model.motions.excitation import Excitation
-    from hesr_model.support.files import PathArg
 
 Purpose = Literal["body", "friction", "test", "all"]
 
@@ -117,15 +118,12 @@ def excite(
     'motion.csv'
     """
     from cosim.workflow.arguments import require_choice
-    from hesr_model.support.files import path_of, written_together
 
     require_choice("purpose", purpose, get_args(Purpose))
     path, file = path_of(output, "a motion"), path_of(robot, "a robot")
     chosen = None if settings is None else path_of(settings, "a file of settings")
     if purpose != "body" or time is not None or after is not None or format:
-        from hesr_model.support.plugins import find
-
-        planned: Answer = find("hesr.motions", "plan")(
+        planned: Answer = plugins.find("hesr.motions", "plan")(
             file,
             path,
             purpose=purpose,

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
 
 from cosim.workflow.answer import Answer, Written, written_files
 from hesr_model.errors import ArgumentError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, path_of, scratch_folder
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.workflow.arguments import BodyArg, LawArg, PerJoint, RobotArg
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.support.files import PathArg
 
 Fmi = Literal[2, 3]
 Ssp = Literal["1.0", "2.0"]
@@ -176,8 +177,6 @@ def export(
     >>> hesr.export("uf850-table1", "Table1.h", format="c").name
     'Table1.h'
     """
-    from hesr_model.support.files import path_of
-
     path = path_of(output, "an output")
     for option, choices in (("fmi", Fmi), ("ssp", Ssp)):
         if options.get(option) is not None:
@@ -242,7 +241,6 @@ def _write_loop(
     from cosim.loop.traces import copy_loops
     from cosim.study.run import run_study
     from cosim.study.study import Study
-    from hesr_model.support.files import scratch_folder
 
     _refuse_others(given, (), "other formats than loop")
     if platform is not None:
@@ -266,7 +264,6 @@ def _write_system(
 ) -> None:
     """Write a system of FMUs as an SSP or as one FMU."""
     from cosim.systems.system import opened_system
-    from hesr_model.support import plugins
 
     _refuse_others(given, _OF_SYSTEMS, "friction laws, not for a system")
     if platform is not None:
@@ -305,7 +302,6 @@ def _write_law(
             return
     from cosim.workflow import arguments
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.support import plugins
 
     formats = plugins.load("hesr.exports")
     arguments.require_choice("format", format, formats)
@@ -382,7 +378,6 @@ def _completed(
         raise ArgumentError("'format' drive needs 'inertia', the inertia of the rotors in kg.m2.")
     if done.get("properties"):
         from hesr_model.audit.properties import Subject
-        from hesr_model.support import plugins
 
         subject, battery = Subject(name=model.law, model=model), plugins.find(*_BATTERY)
         [done["properties"]] = battery([subject], progress=partial(progress, "testing the law"))
@@ -411,8 +406,6 @@ def _refuse_option(option: str, format: str, formats: Mapping[str, Any]) -> None
 
 def further_options() -> list[inspect.Parameter]:
     """Return the options of all formats: those of `ExportOptions`, and those of plug-ins."""
-    from hesr_model.support import plugins
-
     listed = {k: v.__forward_arg__ for k, v in ExportOptions.__annotations__.items()}
     for format_ in plugins.load("hesr.exports").values():
         if not format_.own:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
 from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, newest, path_of, provenance
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from hesr_model.audit.certificate import Certificate
     from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
-    from hesr_model.support.files import PathArg
 
 
 def laws() -> Mapping[str, type[Estimator]]:
@@ -116,11 +117,9 @@ def fit(
     from hesr_model.fitting.fit import fit_models
     from hesr_model.friction.model import FrictionModel
     from hesr_model.health.examine import check_laws, check_owner
-    from hesr_model.support.files import path_of
-    from hesr_model.support.plugins import load
     from hesr_model.support.typed_files import to_json
 
-    refinements = load("hesr.refinements")
+    refinements = plugins.load("hesr.refinements")
     for name in add:
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
@@ -192,7 +191,6 @@ def _provenance(
     read: CheckedLogs, rigid_body: BodyArg | None, seed: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.support.files import newest, provenance
     from hesr_model.support.typed_files import to_json
 
     logs = list(dict.fromkeys(log.path for log in read.logs if log.path))
@@ -214,14 +212,13 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     """Return the answer of a fitted law: equations, errors and passivity of each joint."""
     from fmu_src.pages import datasheet
     from hesr_model.robots.description import statements
-    from hesr_model.support.plugins import names
 
     joints = ", ".join(model.joints)
     lines = [f"{model.law} for {joints}.", *statements(model.provenance), *_equations(model)]
     if model.trained:
         certificates = datasheet.certificates(model, model.trained)
         lines.append(f"Passivity: {passivity(model.joints, certificates)}.")
-    for name in ("adaptation", *names("hesr.refinements")):
+    for name in ("adaptation", *plugins.names("hesr.refinements")):
         lines += model.provenance.get(name, ())
     return Written(
         format="hesr-friction-model-1",

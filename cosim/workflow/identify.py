@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
 from hesr_model.errors import ArgumentError
+from hesr_model.support.files import PathArg, path_of, provenance
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.workflow.arguments import BodyArg, LawArg, LogArg, Logs, RobotArg
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.support.files import PathArg
 
 Method = Literal["stacked", "paper"]
 
@@ -94,7 +94,6 @@ def identify(
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
-    from hesr_model.support.files import path_of, provenance
     from hesr_model.support.typed_files import to_json
 
     arguments.require_choice("method", method, get_args(Method))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shortened
 from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.support.files import PathArg, path_of, written_together
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.health.proposal import Proposal
     from hesr_model.rigid_body.torque_constants import Constant
-    from hesr_model.support.files import PathArg
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -171,7 +171,6 @@ def inspect(
     from hesr_model.health.joints import with_joints
     from hesr_model.health.proposal import inspected, with_constants
     from hesr_model.logs.robot_log import Log
-    from hesr_model.support.files import path_of
 
     if write and not robot:
         raise ArgumentError("'write' needs 'robot': a robot file names the robot's model.")
@@ -216,7 +215,6 @@ def _write(
 ) -> tuple[list[Path], str]:
     """Write what is requested; return the paths, and the reason if the study fails in a dry run."""
     from hesr_model.health.proposal import robot_file
-    from hesr_model.support.files import path_of, written_together
 
     page, robot, plan = (
         None if file is None else path_of(file, "an output") for file in (output, write, study)

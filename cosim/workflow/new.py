@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
 from hesr_model.errors import ArgumentError
+from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.text import few
 
 if TYPE_CHECKING:
     from cosim.study.starter import NewProject
     from cosim.workflow.arguments import PerJoint
-    from hesr_model.support.files import PathArg
 
 
 BenchKind = Literal["rotary", "sliding"]
@@ -96,7 +96,6 @@ def new(
     """
     from cosim.study.starter import Bench, start, start_bench, start_twin
     from cosim.workflow.arguments import joint_names, per_joint
-    from hesr_model.support.files import path_of
 
     place, names = path_of(folder, "a folder"), tuple(joint_names(joints))
     numbers = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 from cosim.workflow.answer import Answer, Written
 from hesr_model.errors import ArgumentError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.workflow.arguments import ResultArgs
-    from hesr_model.support.files import PathArg
 
 
 def report(
@@ -78,8 +79,6 @@ def report(
     """
     from cosim.report.page import write_report
     from cosim.workflow.arguments import paths_of
-    from hesr_model.support import plugins
-    from hesr_model.support.files import path_of
 
     folders = paths_of(results, "a folder")
     path = None if output is None else path_of(output, "a page")

@@ -8,7 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from cosim.workflow.answer import Answer, Written, finding_lines, shortened
+from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shortened
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, models_folder, path_of
 from hesr_model.support.progress import Interrupted, Stages, silent
 
 if TYPE_CHECKING:
@@ -16,7 +18,6 @@ if TYPE_CHECKING:
     from cosim.study.results import Seeds
     from cosim.study.run import Outcome
     from hesr_model.findings import Finding
-    from hesr_model.support.files import PathArg
 
 _REUSED = {
     "laws of joints": "laws/*.json",
@@ -205,10 +206,7 @@ def run(
     from cosim.study.results import read_findings
     from cosim.study.run import run_study, unfinished
     from cosim.study.study import Study
-    from cosim.workflow.answer import find_job
     from hesr_model.fitting.estimator import laws_with
-    from hesr_model.support import plugins
-    from hesr_model.support.files import models_folder, path_of
     from hesr_model.support.typed_files import to_json, write_json
 
     path = path_of(study or models_folder() / "studies" / "default.toml", "a study")

@@ -7,14 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, Written, written_files
+from cosim.workflow.answer import Answer, Written, find_job, written_files
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
+from hesr_model.support.files import PathArg, path_of, written_whole
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.text import parse_toml
 
 if TYPE_CHECKING:
     from cosim.systems.signals import Signals
-    from hesr_model.support.files import PathArg
 
 
 def simulate(
@@ -96,9 +96,7 @@ def simulate(
     """
     from cosim.systems.simulation import Master
     from cosim.systems.system import opened_system
-    from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import remember_trust
-    from hesr_model.support.files import path_of, written_whole
 
     path = path_of(system, "a system")
     file = None if output is None else path_of(output, "an output")
@@ -169,7 +167,6 @@ def _single(
     from cosim.systems.signals import Signals
     from fmu_src.run.single import simulate_single
     from hesr_model.logs.tables import read_table
-    from hesr_model.support.files import path_of
 
     inputs = {}
     if table is not None:

@@ -10,9 +10,11 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, find_job, shortened
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
+from hesr_model.support import plugins
+from hesr_model.support.files import PathArg, path_of, written_whole
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties, Subject
     from hesr_model.findings import Finding
-    from hesr_model.support.files import PathArg
 
 KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
@@ -203,10 +204,7 @@ def test(
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False
     """
-    from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import laws_of, listed, remember_trust, require_choice
-    from hesr_model.support import plugins
-    from hesr_model.support.files import path_of
 
     logs = listed(on)
     file = None if output is None else path_of(output, "an output")
@@ -328,8 +326,6 @@ def _checked(
     """Add the physics checks, each law in a process of its own."""
     from cosim.workflow.arguments import listed
     from hesr_model.audit.properties import write_properties
-    from hesr_model.support import plugins
-    from hesr_model.support.files import written_whole
 
     values = None if inertia is None else tuple(listed(inertia))
     subjects = [replace(law, inertia=values) for law in report.laws]

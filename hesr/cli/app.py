@@ -12,6 +12,7 @@ import click
 from hesr.cli import console
 from hesr.cli.derive import Function, command
 from hesr_model.errors import ArgumentError, ConfigError
+from hesr_model.support import plugins
 
 if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
@@ -39,9 +40,7 @@ class _Verbs(click.Group):
     """Verbs in the order of work."""
 
     def list_commands(self, _: click.Context) -> list[str]:
-        from hesr_model.support.plugins import names
-
-        return [*_VERBS, *names("hesr.commands")]
+        return [*_VERBS, *plugins.names("hesr.commands")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in console.MOVED:
@@ -57,9 +56,7 @@ def workflow(verb: str) -> Function:
     if verb in _VERBS:
         found: Function = getattr(import_module(f"cosim.workflow.{verb}"), verb)
         return found
-    from hesr_model.support.plugins import load
-
-    plugin: Function = load("hesr.commands")[verb].load()
+    plugin: Function = plugins.load("hesr.commands")[verb].load()
     return plugin
 
 

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args, get_origin
 import click
 
 from hesr_model.errors import ConfigError
+from hesr_model.support import plugins
 from hesr_model.support.text import parse_toml
 
 Function = Callable[..., Any]
@@ -235,9 +236,7 @@ def _completion(source: str) -> Callable[[Any, Any, str], list[str]]:
 
             names: Sequence[str] = (*TARGETS, "all")
         else:
-            from hesr_model.support.plugins import names as registered
-
-            names = registered(source)
+            names = plugins.names(source)
         return [name for name in names if name.startswith(typed)]
 
     return complete
