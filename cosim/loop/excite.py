@@ -139,19 +139,14 @@ class Recording:
 
 
 def excite(
-    motions: Motions,
-    plant: Plant,
-    folder: Path,
-    *,
-    seed: int | None = None,
-    fmu: Path | None = None,
+    motions: Motions, plant: Plant, folder: Path, *, fmu: Path | None = None
 ) -> dict[str, Path]:
     """Run the arm along every motion; return the CSV files of the logs by name.
 
-    The true friction is written next to each log. Noise seed and FMU default to those of `plant`.
+    The true friction is written next to each log. The FMU is by default that of `plant`.
     """
     paths = {}
-    for one in recordings(motions, plant, seed=seed, fmu=fmu):
+    for one in recordings(motions, plant, fmu=fmu):
         paths[one.log.name] = path = folder / f"{one.log.name}.csv"
         one.log.write(path)
         with written_whole(truth_of(path)) as temporary:
@@ -161,14 +156,11 @@ def excite(
     return paths
 
 
-def recordings(
-    motions: Motions, plant: Plant, *, seed: int | None = None, fmu: Path | None = None
-) -> Iterator[Recording]:
+def recordings(motions: Motions, plant: Plant, *, fmu: Path | None = None) -> Iterator[Recording]:
     """Run the arm along every motion; see `excite`."""
-    noise_seed = plant.noise.seed if seed is None else seed
     with loaded_arm(plant, fmu=fmu) as arm:
         for motion in motions.motions:
-            yield from recorded(arm, motion, noise_seed)
+            yield from recorded(arm, motion, plant.noise.seed)
 
 
 def recorded(arm: TwinArm, motion: MotionSpec, seed: int) -> Iterator[Recording]:
