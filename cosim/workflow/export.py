@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
@@ -188,108 +189,96 @@ def export(
     if ("robot" in given) != ("rigid_body" in given) and not alone:
         raise ArgumentError("'robot' and 'rigid_body' must be given together.")
     suffix = Path(source).suffix.lower() if isinstance(source, str | Path) else ""
-    building = partial(progress, f"building {path.name}")
+    request = _Request(path, format, platform, given, progress)
     if format == "loop":
-        _write_loop(Path(str(source)), path, platform, given, progress)
+        _write_loop(Path(str(source)), request)
     elif suffix in (".xml", ".urdf"):
-        _write_arm(Path(str(source)), path, format or "fmu", platform, given, building)
+        _write_arm(Path(str(source)), request)
     elif suffix in (".toml", ".ssp"):
-        _write_system(Path(str(source)), path, format, platform, given)
+        _write_system(Path(str(source)), request)
     else:
-        _write_law(source, path, format or "fmu", platform, given, progress)
+        _write_law(source, request)
     return path
 
 
-def _write_arm(
-    model: Path,
-    output: Path,
-    format: str,  # noqa: A002  # the option's name
-    platform: Sequence[str] | None,
-    given: Mapping[str, Any],
-    progress: Any,
-) -> None:
+@dataclass(frozen=True)
+class _Request:
+    """Arguments of `export`; `given` are its further options that are set."""
+
+    output: Path
+    format: str | None
+    platform: Sequence[str] | None
+    given: Mapping[str, Any]
+    progress: Stages
+
+
+def _write_arm(model: Path, to: _Request) -> None:
     """Write the arm of an MJCF or URDF."""
     from fmu_src.arm.native import export_mjcf
     from fmu_src.arm.python_arm.export import export_python_arm
 
-    _refuse_others(given, _OF_ARMS, "friction laws, not for a robot")
-    signals = Path(given["signals"]) if "signals" in given else None
-    if format == "python-arm":
-        if platform is not None:
+    _refuse_others(to.given, _OF_ARMS, "friction laws, not for a robot")
+    signals, format_ = to.given.get("signals"), to.format or "fmu"
+    signals = None if signals is None else Path(signals)
+    if format_ == "python-arm":
+        if to.platform is not None:
             raise ArgumentError("'platform' is for native FMUs, not python-arm.")
         if model.suffix.lower() == ".urdf":
             raise ArgumentError("'format' is python-arm, which needs an MJCF; omit it for a URDF.")
-        export_python_arm(model, signals, output)
-    elif format == "fmu":
-        platforms = platform or ("linux64",)
-        export_mjcf(model, output, table=signals, platforms=platforms, progress=progress)
+        export_python_arm(model, signals, to.output)
+    elif format_ == "fmu":
+        platforms = to.platform or ("linux64",)
+        progress = partial(to.progress, f"building {to.output.name}")
+        export_mjcf(model, to.output, table=signals, platforms=platforms, progress=progress)
     else:
         raise ArgumentError(
-            f"'format' is {format}, which is for friction laws; a robot becomes an FMU (fmu, "
+            f"'format' is {format_}, which is for friction laws; a robot becomes an FMU (fmu, "
             "python-arm)."
         )
 
 
-def _write_loop(
-    source: Path,
-    output: Path,
-    platform: Sequence[str] | None,
-    given: Mapping[str, Any],
-    progress: Stages,
-) -> None:
+def _write_loop(source: Path, to: _Request) -> None:
     """Write the closed loop of results, or of a study, which is run first."""
     from cosim.loop.traces import copy_loops
     from cosim.study.run import run_study
     from cosim.study.study import Study
 
-    _refuse_others(given, (), "other formats than loop")
-    if platform is not None:
+    _refuse_others(to.given, (), "other formats than loop")
+    if to.platform is not None:
         raise ArgumentError("'platform' is for single FMUs; a loop is built for linux64.")
     if source.is_dir():
-        copy_loops(source, output)
+        copy_loops(source, to.output)
         return
     if Study.read(source).tracking is None:
         raise ArgumentError(f"{source}: has no [tracking], which a loop needs; add it, and [twin].")
     with scratch_folder() as folder:
-        run_study(source, folder / "results", quick=True, progress=progress)
-        copy_loops(folder / "results", output)
+        run_study(source, folder / "results", quick=True, progress=to.progress)
+        copy_loops(folder / "results", to.output)
 
 
-def _write_system(
-    system: Path,
-    output: Path,
-    format: str | None,  # noqa: A002  # the option's name
-    platform: Sequence[str] | None,
-    given: Mapping[str, Any],
-) -> None:
+def _write_system(system: Path, to: _Request) -> None:
     """Write a system of FMUs as an SSP or as one FMU."""
     from cosim.systems.system import opened_system
 
-    _refuse_others(given, _OF_SYSTEMS, "friction laws, not for a system")
-    if platform is not None:
+    _refuse_others(to.given, _OF_SYSTEMS, "friction laws, not for a system")
+    if to.platform is not None:
         raise ArgumentError("'platform' is for FMUs; a system contains built ones.")
-    kind = format or ("fmu" if output.suffix.lower() == ".fmu" else "ssp")
+    kind = to.format or ("fmu" if to.output.suffix.lower() == ".fmu" else "ssp")
     if kind not in ("fmu", "ssp"):
         raise ArgumentError(f"'format' is {kind}; a system becomes an SSP (ssp) or an FMU (fmu).")
-    if kind == "fmu" and "ssp" in given:
+    if kind == "fmu" and "ssp" in to.given:
         raise ArgumentError("'ssp' is the version of a file in .ssp; the output is an FMU.")
     with opened_system(system) as spec:
-        if note := plugins.find("hesr.systems", kind)(spec, system, output, **given):
+        if note := plugins.find("hesr.systems", kind)(spec, system, to.output, **to.given):
             _log.warning("%s", note)
 
 
-def _write_law(
-    law: LawArg,
-    output: Path,
-    format: str,  # noqa: A002  # the option's name
-    platform: Sequence[str] | None,
-    given: dict[str, Any],
-    progress: Stages,
-) -> None:
+def _write_law(law: LawArg, to: _Request) -> None:
     """Write a friction law, or copy the cached FMU of the same file."""
     from fmu_src import model_file
     from fmu_src.export.cache import copied, exported
 
+    output, format_, given = to.output, to.format or "fmu", dict(to.given)
     plain = all(isinstance(value, str | int | float) for value in given.values())
     if (
         isinstance(law, str | Path)
@@ -297,38 +286,38 @@ def _write_law(
         and not ({"robot", "rigid_body", "band"} & given.keys())
     ):
         # Options that are kept were accepted; nothing slow is imported to copy.
-        known = {**given, "platforms": list(platform or ("linux64",))}
-        if copied(model_file(str(law)), {**known, "format": format, "body": None}, output):
+        known = {**given, "platforms": list(to.platform or ("linux64",))}
+        if copied(model_file(str(law)), {**known, "format": format_, "body": None}, output):
             return
     from cosim.workflow import arguments
     from hesr_model.friction.model import FrictionModel
 
     formats = plugins.load("hesr.exports")
-    arguments.require_choice("format", format, formats)
+    arguments.require_choice("format", format_, formats)
     _refuse_others({k: v for k, v in given.items() if k in _OF_ARMS}, (), "an MJCF (.xml)")
     _refuse_others({k: v for k, v in given.items() if k in _OF_SYSTEMS}, (), "a system")
-    writer = formats[format].load()
+    writer = formats[format_].load()
     taken = inspect.signature(writer).parameters
-    if platform is not None or "platforms" in taken:
-        given["platforms"] = list(platform or ("linux64",))
-    if format == "drive" and "rigid_body" in given and "robot" not in given:
+    if to.platform is not None or "platforms" in taken:
+        given["platforms"] = list(to.platform or ("linux64",))
+    if format_ == "drive" and "rigid_body" in given and "robot" not in given:
         given = _motors(given.pop("rigid_body")) | given
     for option in given:
         name = {"robot": "body", "rigid_body": "body"}.get(option, option)
-        if name not in taken and not (name == "platforms" and platform is None):
-            _refuse_option(option, format, formats)
-    if format in _OF_ROBOTS and "robot" not in given:
-        raise ArgumentError(f"'format' {format} needs 'robot', the robot of the law.")
+        if name not in taken and not (name == "platforms" and to.platform is None):
+            _refuse_option(option, format_, formats)
+    if format_ in _OF_ROBOTS and "robot" not in given:
+        raise ArgumentError(f"'format' {format_} needs 'robot', the robot of the law.")
     if "body" in taken and "robot" in given:
         own = {"plant": arguments.possible_body, "observer": arguments.plant_body}
-        body_of = own.get(format, arguments.page_body)
+        body_of = own.get(format_, arguments.page_body)
         given["body"] = body_of(given.pop("robot"), given.pop("rigid_body", None))
     if "progress" in taken:
-        given["progress"] = partial(progress, f"building {output.name}")
+        given["progress"] = partial(to.progress, f"building {output.name}")
 
     def write() -> None:
         model = arguments.model_given(law)
-        written = writer(model, output, **_completed(format, given, model, progress))
+        written = writer(model, output, **_completed(format_, given, model, to.progress))
         for line in getattr(written, "lines", list)():
             _log.warning("%s", line)
 
@@ -336,7 +325,7 @@ def _write_law(
     if "platforms" in taken and not isinstance(law, FrictionModel) and fixed:
         body = given.get("body")
         known = {k: v for k, v in given.items() if k not in ("progress", "body")}
-        known |= {"format": format, "body": body and body.key}
+        known |= {"format": format_, "body": body and body.key}
         exported(model_file(str(law)), known, output, write)
     else:
         write()
@@ -362,10 +351,7 @@ def _motors(body: BodyArg) -> dict[str, Any]:
 
 
 def _completed(
-    format: str,  # noqa: A002  # the option's name
-    given: Mapping[str, Any],
-    model: FrictionModel,
-    progress: Stages,
+    format_: str, given: Mapping[str, Any], model: FrictionModel, progress: Stages
 ) -> dict[str, Any]:
     """Return the options of a format for a model: one value per joint, physics checks run."""
     from cosim.workflow.arguments import per_joint
@@ -374,7 +360,7 @@ def _completed(
     for name in _PER_JOINT:
         if name in done:
             done[name] = per_joint(name, done[name], len(model.joints))
-    if format == "drive" and "inertia" not in done:
+    if format_ == "drive" and "inertia" not in done:
         raise ArgumentError("'format' drive needs 'inertia', the inertia of the rotors in kg.m2.")
     if done.get("properties"):
         from hesr_model.audit.properties import Subject
@@ -390,7 +376,7 @@ def _refuse_others(given: Mapping[str, Any], allowed: Sequence[str], kind: str) 
             raise ArgumentError(f"'{option}' is for {kind}.")
 
 
-def _refuse_option(option: str, format: str, formats: Mapping[str, Any]) -> None:  # noqa: A002  # the option's name
+def _refuse_option(option: str, format_: str, formats: Mapping[str, Any]) -> None:
     """Refuse options of other formats, which would have no effect."""
     name = {"robot": "body", "rigid_body": "body"}.get(option, option)
     taking = [
@@ -400,16 +386,16 @@ def _refuse_option(option: str, format: str, formats: Mapping[str, Any]) -> None
     if not taking:
         raise ArgumentError(f"'{shown}' is not an option of any format.")
     raise ArgumentError(
-        f"'{shown}' needs 'format' {' or '.join(taking)}, but the format is '{format}'."
+        f"'{shown}' needs 'format' {' or '.join(taking)}, but the format is '{format_}'."
     )
 
 
 def further_options() -> list[inspect.Parameter]:
     """Return the options of all formats: those of `ExportOptions`, and those of plug-ins."""
     listed = {k: v.__forward_arg__ for k, v in ExportOptions.__annotations__.items()}
-    for format_ in plugins.load("hesr.exports").values():
-        if not format_.own:
-            own = inspect.signature(format_.load()).parameters.values()
+    for plugin in plugins.load("hesr.exports").values():
+        if not plugin.own:
+            own = inspect.signature(plugin.load()).parameters.values()
             listed |= {
                 one.name: one.annotation
                 for one in own
