@@ -129,7 +129,7 @@ class FrictionRegressor:
         else:
             values, names = numbers(X)
             measured = torques(y, len(values))
-            moved = motion(values, names)
+            moved = self._motion(values, names)
             load = moved.load if self.target == "torque" else 0.0
             name, records = "table", [moved.records(measured - load)]
             for known in ("robot_", "rigid_body_"):
@@ -247,6 +247,9 @@ class FrictionRegressor:
             input_tags=InputTags(),
         )
 
+    def _motion(self, values: Array, names: Sequence[str]) -> MotionTable:
+        return motion(values, names)
+
     def _table(self, X: Any) -> MotionTable:
         values, names = numbers(X)
         expected = getattr(self, "n_features_in_", values.shape[1])
@@ -255,7 +258,7 @@ class FrictionRegressor:
                 f"X has {values.shape[1]} features, but {type(self).__name__} is expecting "
                 f"{expected} features as input."
             )
-        moved = motion(values, names)
+        moved = self._motion(values, names)
         joints = len(self._fitted().joints)
         if moved.dq.shape[1] != joints:
             raise TableError(
