@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.study.sample_logs import RATE, mark_samples, sample_logs
 from cosim.study.study import Study
+from fmu_src.pages.html import code_templates
 from hesr_model.errors import ArgumentError, ConfigError, RobotError
 from hesr_model.findings import Finding
 from hesr_model.health.proposal import robot_text
@@ -19,7 +20,7 @@ from hesr_model.robots.mjcf import with_includes
 from hesr_model.robots.model_file import arm, driven_joints, joints_of, load, locked
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
-from hesr_model.support.text import few
+from hesr_model.support.text import few, toml
 
 _FILES = ("robot.toml", "study.toml", "README.txt")
 
@@ -56,9 +57,9 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         mjcf = model.suffix.lower() == ".xml"
         content = with_includes(model) if mjcf else model.read_bytes()
         (temporary / model.name).write_bytes(content)
-        texts = environment()
         for file in _FILES:
-            text = texts.get_template(f"{file}.j2").render(
+            text = _template(file).render(
+                toml=toml,
                 name=name,
                 study=name,
                 folder=folder.as_posix(),
@@ -66,7 +67,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                 joints=used,
                 resting=rest,
                 unused=few([joint.name for joint in others]),
-                names=", ".join(json.dumps(joint.name, ensure_ascii=False) for joint in used),
+                names=", ".join(toml(joint.name) for joint in used),
                 springs=", ".join(json.dumps(own.name) for own in used if own.name in springs),
                 ratios=", ".join(["100.0"] * len(used)),
                 matrix=[
@@ -119,16 +120,8 @@ def project_name(folder: Path) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "_", folder.resolve().name).lstrip("_-") or "study"
 
 
-def environment() -> jinja2.Environment:
-    """Return the templates of new projects."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(models_folder() / "new"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    environment.filters["toml"] = lambda text: json.dumps(text, ensure_ascii=False)
-    return environment
+def _template(file: str) -> jinja2.Template:
+    return code_templates(models_folder() / "new").get_template(f"{file}.j2")
 
 
 _GRAVITY = 9.81  # [m/s2]
@@ -176,14 +169,10 @@ class Bench:
 
     def urdf(self) -> str:
         """Return a model with one link per joint."""
-        return (
-            environment()
-            .get_template("bench.urdf.j2")
-            .render(
-                joints=[self._body(k) for k in range(len(self.joints))],
-                type="continuous" if self.kind == "rotary" else "prismatic",
-                axis=_AXES[self.kind][self.hangs],
-            )
+        return _template("bench.urdf").render(
+            joints=[self._body(k) for k in range(len(self.joints))],
+            type="continuous" if self.kind == "rotary" else "prismatic",
+            axis=_AXES[self.kind][self.hangs],
         )
 
     def _body(self, k: int) -> Mapping[str, Any]:
