@@ -139,14 +139,9 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
         try:
             python = export_python_arm(plant.model, signals, folder / ARM)
         except ConfigError as error:
-            return [
-                Finding(
-                    check="masters",
-                    severity="advice",
-                    found="the Python and the native master were not compared",
-                    remedy=str(error).rstrip("."),
-                )
-            ]
+            found = "the Python and the native master were not compared"
+            remedy = str(error).rstrip(".")
+            return [Finding(check="masters", severity="advice", found=found, remedy=remedy)]
         # The arm is a PythonFMU under a PD controller, in the third run a native FMU.
         for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
             own = replace(loop, fmus=replace(loop.fmus, arm=arm))
