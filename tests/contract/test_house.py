@@ -13,12 +13,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # machines, 510 for following errors, and 530 for plants in model exchange, long logs and numbers
 # that are written into binaries.
 BUDGET = {
-    "hesr_model": 22_436,
+    "hesr_model": 22_454,
     "fmu_src": 19_560,
-    "cosim": 11_188,
-    "hesr": 797,
+    "cosim": 10_977,
+    "hesr": 781,
     "hesr.extras": 13_514,
-    "all": 67_495,
+    "all": 67_286,
 }
 
 TEMPLATES = 3_837  # lines of templates, styles and scripts, without those of project folders
