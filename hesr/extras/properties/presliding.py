@@ -58,20 +58,42 @@ def memory(
     if len(parts) > 3:
         innermost = parts[3][-1] - parts[1][-1]
     on = branch(1.0, _BRANCH[_TURNS + 1 :] - _BRANCH[_TURNS])
-    inner, path = np.concatenate(parts), np.concatenate(way)
-    return [
-        _remembered(
-            loop[:, j],
-            inner[:, j],
-            on[:, j],
-            path,
-            float(scale.deflection[j]),
-            states[j],
-            innermost=float(innermost[j]),
-            loaded=float(loaded[j]),
+    inner, into = np.concatenate(parts), 2.0 * _TURN - 1.0 - np.concatenate(way)
+    found = []
+    for j, amplitude in enumerate(scale.deflection.tolist()):
+        outer = loop[-len(_BRANCH) :, j]
+        height = max(float(np.ptp(loop[:, j])), _LITTLE)
+        miss = max(abs(float(inner[-1, j] - inner[0, j])), abs(float(innermost[j]))) / height
+        onwards = float(np.max(np.abs(on[:, j] - outer[-len(on) :]))) / height
+        depth = float(np.ptp(inner[:, j])) / max(height, float(loaded[j]))
+        wrong = []
+        if depth > INNER:
+            wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): no memory.")
+        if max(miss, onwards) > CLOSED:
+            wrong.append(
+                f"The inner loop misses its start by {miss:.1%} of the outer height, the branch "
+                f"after it by up to {onwards:.1%}."
+            )
+        if wrong and states[j] == 1:
+            wrong.append("One first-order state cannot have non-local memory.")
+        if wrong and states[j] == 0:
+            wrong.append("A law without a state has no memory.")
+        # A loop as high as the outer one has no memory.
+        closes = None if depth > INNER else miss
+        curves = (
+            curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
+            curve("inner", 1e3 * amplitude * into, inner[:, j]),
         )
-        for j in range(bench.joints)
-    ]
+        found.append(
+            judged(
+                ("miss of the closed inner loop, of the height", closes, "1"),
+                ("largest difference after it, of the height", onwards, "1"),
+                ("height of the inner loop, of the outer", depth, "1"),
+                wrong=wrong,
+                plot=plot("position", "torque", *curves),
+            )
+        )
+    return found
 
 
 def _branch(
@@ -136,55 +158,5 @@ def _slid(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
             "torque",
             curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
             curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
-        ),
-    )
-
-
-def _remembered(
-    loop: Array,
-    inner: Array,
-    on: Array,
-    way: Array,
-    amplitude: float,
-    states: int | None,
-    *,
-    innermost: float,
-    loaded: float,
-) -> PropertyResult:
-    """Judge inner loops and the branch `on` after them by the outer loop.
-
-    `way` (K,) has the positions of `inner` (K,), in amplitudes below the turning point; `innermost`
-    is the gap of the innermost loop, `loaded` the height at the largest load [N.m].
-    """
-    height = max(float(np.ptp(loop)), _LITTLE)
-    outer = loop[-len(_BRANCH) :]
-    miss = max(abs(float(inner[-1] - inner[0])), abs(innermost)) / height
-    onwards = float(np.max(np.abs(on - outer[-len(on) :]))) / height
-    depth = float(np.ptp(inner)) / max(height, loaded)
-    wrong = []
-    if depth > INNER:
-        wrong.append(f"The inner loop is as high as the outer one ({depth:.0%}): no memory.")
-    if max(miss, onwards) > CLOSED:
-        wrong.append(
-            f"The inner loop misses its start by {miss:.1%} of the outer height, the branch after "
-            f"it by up to {onwards:.1%}."
-        )
-    if wrong and states == 1:
-        wrong.append("One first-order state cannot have non-local memory.")
-    if wrong and states == 0:
-        wrong.append("A law without a state has no memory.")
-    into = 2.0 * _TURN - 1.0 - way
-    # A loop as high as the outer one has no memory.
-    closes = None if depth > INNER else miss
-    return judged(
-        ("miss of the closed inner loop, of the height", closes, "1"),
-        ("largest difference after it, of the height", onwards, "1"),
-        ("height of the inner loop, of the outer", depth, "1"),
-        wrong=wrong,
-        plot=plot(
-            "position",
-            "torque",
-            curve("outer", 1e3 * amplitude * (2.0 * _BRANCH - 1.0), outer),
-            curve("inner", 1e3 * amplitude * into, inner),
         ),
     )
