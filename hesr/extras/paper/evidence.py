@@ -17,7 +17,6 @@ from cosim.loop.traces import Tracked
 from cosim.study.scores import LogRecords, predict_models, records_of, within
 from cosim.study.steps import Job
 from cosim.study.study import Study, Twin
-from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from fmu_src.friction.friction_fmu import export_bare
 from hesr_model.fitting.fit import fit_models
@@ -138,8 +137,18 @@ def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evi
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
     build(folder, robot, body, plant, oracle=truth)
-    friction = {law: fitted[law] for law in study.tracking.sources}
-    tracked = _tracked(study, robot, plant, friction, folder, progress)
+    tracking, tracked = study.tracking, {}
+    fmus = {law: export_bare(fitted[law], folder / f"{law}.fmu") for law in tracking.sources}
+    for name, change in study.controllers.items():
+        changed = tracking.model_copy(update={"gains": tracking.gains.model_copy(update=change)})
+        loop = assemble(
+            folder, robot, tracking=changed, friction=fmus, plant=plant, progress=progress
+        )
+        own = Scheme(compensation="torque_error")
+        rows = [loop.row(law, own) for law in (StandIn.BODY_ONLY, *fmus)]
+        rows.append(loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")))
+        ran = loop.track(rows, motions(changed), changed.duration, f"tracking, {name}", traced=True)
+        tracked[name] = {row.law: row for row in ran}
     return Evidence(study, robot, body, made, records, cases, tracked)
 
 
@@ -177,27 +186,3 @@ def _cases(
             torques[band.name] = {law: part for law, (_, part) in parts.items()}
             tests[band.name] = next(iter(parts.values()))[0]
         yield name, Case(models=models, training=rows, tests=tests, torques=torques)
-
-
-def _tracked(
-    study: PaperStudy,
-    robot: Robot,
-    plant: Plant,
-    models: Mapping[str, FrictionModel],
-    folder: Path,
-    progress: Stages,
-) -> dict[str, dict[str, Tracked]]:
-    fmus = {law: folder / f"{law}.fmu" for law in models}
-    for law, fmu in fmus.items():
-        export_bare(models[law], fmu)
-    tracking, found, own = study.tracking, {}, Scheme(compensation="torque_error")
-    for name, change in study.controllers.items():
-        changed = tracking.model_copy(update={"gains": tracking.gains.model_copy(update=change)})
-        loop = assemble(
-            folder, robot, tracking=changed, friction=fmus, plant=plant, progress=progress
-        )
-        rows = [loop.row(law, own) for law in (StandIn.BODY_ONLY, *fmus)]
-        rows.append(loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")))
-        ran = loop.track(rows, motions(changed), changed.duration, f"tracking, {name}", traced=True)
-        found[name] = {row.law: row for row in ran}
-    return found
