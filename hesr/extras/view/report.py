@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -165,13 +166,8 @@ def _gl() -> Any:
         if not found:
             raise ConfigError("videos need libEGL or libOSMesa (Debian: libegl1, libosmesa6).")
         wanted = found[0]
-    if wanted == "egl":
-        from mujoco.egl import GLContext
-    elif wanted == "osmesa":
-        from mujoco.osmesa import GLContext
-    else:
-        from mujoco.gl_context import GLContext
-    return GLContext
+    module = wanted if wanted in _BACKENDS else "gl_context"
+    return import_module(f"mujoco.{module}").GLContext
 
 
 def _encoder() -> str:
