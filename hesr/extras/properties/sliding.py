@@ -49,14 +49,34 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Propert
     ends = [bench.start(load=scale.load, dq=dq, unmoved=True) for dq in (either, -either)]
     slopes = (ends[0] - ends[1]) / (2.0 * _SMALL)  # at rest with fixed states; a jump is huge
     driven = ~stops & scale.drives
+    dq = slide(max(STEP, LEAST))[: int(0.2 / STEP)]
+    t = STEP * np.arange(len(dq), dtype=float)
     found = []
     for joint in range(bench.joints):
         first = next((dt for dt in bad if bad[dt][joint]), None)
         largest = _refined(slide, joint, list(bad), first)
         slope = float(slopes[joint])
         predicted = 2.0 * float(inertia[joint]) / slope if slope > 0.0 else None
-        shown = slide(max(STEP, LEAST))[:, joint]
-        found.append(_judged(bool(driven[joint]), largest, predicted, slope, shown))
+        measured = figures(
+            ("largest step without chatter", None if driven[joint] else largest, "s"),
+            ("2 J / slope at rest", predicted, "s"),
+            ("slope at rest", slope, "N.m.s/rad"),
+        )
+        shown = curve("at 1 ms", t, np.nan_to_num(dq[:, joint]), most=200)
+        drawn = plot("time", "velocity", shown)
+        verdict: PropertyVerdict = "fail"
+        if driven[joint]:
+            verdict = "not applicable"
+            reason = "The joint does not stop at any step: the law drives it."
+        elif largest is None:
+            reason = f"It chatters even at the smallest step tried, {1e3 * LEAST:g} ms."
+        elif largest < STEP:
+            reason = "Coupled explicitly at 1 ms it chatters."
+        else:
+            verdict = "pass"
+            reason = "No chatter up to the largest step tried." if largest == MOST else ""
+        result = PropertyResult(verdict=verdict, figures=measured, reason=reason, plot=drawn)
+        found.append(result)
     return found
 
 
@@ -105,31 +125,6 @@ def _refined(
         else:
             low = middle
     return low
-
-
-def _judged(
-    driven: bool, largest: float | None, predicted: float | None, slope: float, shown: Array
-) -> PropertyResult:
-    measured = figures(
-        ("largest step without chatter", None if driven else largest, "s"),
-        ("2 J / slope at rest", predicted, "s"),
-        ("slope at rest", slope, "N.m.s/rad"),
-    )
-    end = min(len(shown), int(0.2 / STEP))
-    t = STEP * np.arange(end, dtype=float)
-    drawn = plot("time", "velocity", curve("at 1 ms", t, np.nan_to_num(shown[:end]), most=200))
-    verdict: PropertyVerdict = "fail"
-    if driven:
-        verdict = "not applicable"
-        reason = "The joint does not stop at any step: the law drives it."
-    elif largest is None:
-        reason = f"It chatters even at the smallest step tried, {1e3 * LEAST:g} ms."
-    elif largest < STEP:
-        reason = "Coupled explicitly at 1 ms it chatters."
-    else:
-        verdict = "pass"
-        reason = "No chatter up to the largest step tried." if largest == MOST else ""
-    return PropertyResult(verdict=verdict, figures=measured, reason=reason, plot=drawn)
 
 
 _SLOWEST, _FASTEST = 0.01, 0.11  # one-way motion, in trained speeds
