@@ -97,17 +97,13 @@ class _Problem:
 
     def _normal_equations(self, point: Array, shrinkage: Array) -> tuple[Array, Array]:
         bias, gains, theta = self.split(point)
-        rows, hidden = len(self.y), self.hidden
-        jacobian = np.empty((rows, len(point)), order="F")
-        jacobian[:, 0] = 1.0
-        value = np.tanh(self.x @ theta, out=jacobian[:, 1 : 1 + hidden])
-        residual = value @ gains + (bias - self.y)
+        value = np.tanh(self.x @ theta)
         slope = (1.0 - value**2) * gains
-        for i in range(4):
-            first = 1 + (i + 1) * hidden
-            np.multiply(slope, self.x[:, i, None], out=jacobian[:, first : first + hidden])
-        gram = jacobian.T @ jacobian / rows + np.diag(shrinkage)
-        return gram, jacobian.T @ residual / rows + shrinkage * point
+        of_theta = [slope * column[:, None] for column in self.x.T]
+        jacobian = np.asfortranarray(np.column_stack([np.ones(len(value)), value, *of_theta]))
+        residual = jacobian[:, 1 : 1 + self.hidden] @ gains + (bias - self.y)
+        gram = jacobian.T @ jacobian / len(value) + np.diag(shrinkage)
+        return gram, jacobian.T @ residual / len(value) + shrinkage * point
 
 
 MAX_HIDDEN = 16  # largest hidden layer
