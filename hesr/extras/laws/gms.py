@@ -13,13 +13,10 @@ a sliding element is at the bound b. Here x_i = clip(x_i + v dt / w_i, -b, b) at
 the switch generates energy in motions so small that s(v) rises while an element slides.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import sympy
 
 from hesr_model.equations.memory import Relaxation, Stop
-from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import register
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ
@@ -51,6 +48,8 @@ _STOPS = tuple(
     for i, w in enumerate(_WIDTHS, start=1)
 )
 
+_TORQUE = sum(f.symbol * x.state for f, x in zip(_FORCES, _STOPS, strict=True))
+
 
 @register
 class Gms(OneForm):
@@ -61,17 +60,11 @@ class Gms(OneForm):
     order = 260
     classic = True
     everyday = False
-
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        no_structure("gms", structure)
-        torque = sum(f.symbol * x.state for f, x in zip(_FORCES, _STOPS, strict=True))
-        return LawForm(
-            coefficients=(*_FORCES, SIGMA_2, TAU_0, RATIO, V_S, ATTRACTION),
-            memory=(_BELOW, *_STOPS),
-            output=torque + SIGMA_2.symbol * DQ + TAU_0.symbol,
-        )
+    expressions = LawForm(
+        coefficients=(*_FORCES, SIGMA_2, TAU_0, RATIO, V_S, ATTRACTION),
+        memory=(_BELOW, *_STOPS),
+        output=_TORQUE + SIGMA_2.symbol * DQ + TAU_0.symbol,
+    )
 
     def space(self) -> SearchSpace:
         """Search F_s / F_c, v_s and C; all others are linear."""

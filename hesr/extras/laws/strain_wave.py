@@ -1,11 +1,12 @@
 """Strain-wave laws: gear meshing with friction proportional to the load."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from hesr_model.equations.functions import absolute, positive, sgn
 from hesr_model.equations.memory import Relaxation
-from hesr_model.fitting.declarative import OneForm, no_structure
+from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import register
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -17,6 +18,7 @@ MU_DIF = Coefficient(name="mu_dif", unit="1", description="friction per load, dr
 X_0 = Coefficient(name="x_0", unit="rad", description="sliding deflection")
 
 DEFLECTION_BOUNDS = (1e-5, 0.1)  # bounds of the sliding deflection [rad]
+_MESH = Relaxation(name="z", unit="1", drive=DQ / X_0.symbol, rate=absolute(DQ) / X_0.symbol)
 
 
 @register
@@ -32,22 +34,15 @@ class StrainWave(OneForm):
     title = "Strain wave"
     order = 140
     classic = True
-
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        no_structure("strain_wave", structure)
-        mesh = Relaxation(name="z", unit="1", drive=DQ / X_0.symbol, rate=absolute(DQ) / X_0.symbol)
-        z = mesh.state
-        return LawForm(
-            coefficients=(X_0, MU_AVG, MU_DIF, F_C, SIGMA_2, TAU_0),
-            memory=(mesh,),
-            output=MU_AVG.symbol * absolute(TAU_LOAD) * z
-            + MU_DIF.symbol * TAU_LOAD * z**2
-            + F_C.symbol * z
-            + SIGMA_2.symbol * DQ
-            + TAU_0.symbol,
-        )
+    expressions = LawForm(
+        coefficients=(X_0, MU_AVG, MU_DIF, F_C, SIGMA_2, TAU_0),
+        memory=(_MESH,),
+        output=MU_AVG.symbol * absolute(TAU_LOAD) * _MESH.state
+        + MU_DIF.symbol * TAU_LOAD * _MESH.state**2
+        + F_C.symbol * _MESH.state
+        + SIGMA_2.symbol * DQ
+        + TAU_0.symbol,
+    )
 
     def space(self) -> SearchSpace:
         """Search the deflection; all others are linear."""
@@ -63,6 +58,9 @@ RISE_D, RISE_B = (
     Coefficient(name=name, unit="1/(N.m)", description=f"relative rise per load, {which} motor")
     for name, which in (("rise_d", "driving"), ("rise_b", "driven"))
 )
+_AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
+_BOUND = 1 + RISE_D.symbol * _AHEAD + RISE_B.symbol * _BACK
+_BOUND_MESH = replace(_MESH, rate=absolute(DQ) / (X_0.symbol * _BOUND))
 
 
 @register
@@ -79,21 +77,11 @@ class StrainWaveBound(OneForm):
     everyday = False
     limited = True
     typical: ClassVar[Mapping[str, Any]] = {"limited": True}
-
-    @staticmethod
-    def core(structure: Mapping[str, Any]) -> LawForm:
-        """Return the expressions."""
-        no_structure("strain_wave_bound", structure)
-        ahead, back = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
-        bound = 1 + RISE_D.symbol * ahead + RISE_B.symbol * back
-        mesh = Relaxation(
-            name="z", unit="1", drive=DQ / X_0.symbol, rate=absolute(DQ) / (X_0.symbol * bound)
-        )
-        return LawForm(
-            coefficients=(X_0, RISE_D, RISE_B, F_C, SIGMA_2, TAU_0),
-            memory=(mesh,),
-            output=F_C.symbol * mesh.state + SIGMA_2.symbol * DQ + TAU_0.symbol,
-        )
+    expressions = LawForm(
+        coefficients=(X_0, RISE_D, RISE_B, F_C, SIGMA_2, TAU_0),
+        memory=(_BOUND_MESH,),
+        output=F_C.symbol * _BOUND_MESH.state + SIGMA_2.symbol * DQ + TAU_0.symbol,
+    )
 
     def space(self) -> SearchSpace:
         """Search the deflection and both rises; all others are linear."""
