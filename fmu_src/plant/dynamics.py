@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu_src.export.interface import literal
 from fmu_src.plant.expressions import Expression, Expressions
@@ -18,7 +19,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 _EXACT = 5e-12  # deviation of a direction cosine from 0 or 1 that is the rounding of an angle
-_TENSOR = ((0, 1, 3), (1, 2, 4), (3, 4, 5))  # of xx, xy, yy, xz, yz, zz
+_TENSOR = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])  # of xx, xy, yy, xz, yz, zz
+_ENTRIES = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # rows and columns of these
 _MASS, _FIRST, _INERTIA = 0, slice(1, 4), slice(4, 10)
 
 
@@ -62,11 +64,10 @@ def moved(parameters: Array, rotation: Array, translation: Array) -> Array:
     """Return a body's ten parameters in another frame, given the pose of its own there."""
     m, t = parameters[_MASS], translation
     h = rotation @ parameters[_FIRST]
-    inertia = rotation @ parameters[_INERTIA][np.array(_TENSOR)] @ rotation.T
+    inertia = rotation @ parameters[_INERTIA][_TENSOR] @ rotation.T
     inertia = inertia + (2.0 * h @ t + m * t @ t) * np.eye(3)
     inertia -= np.outer(h, t) + np.outer(t, h) + m * np.outer(t, t)
-    rows = (inertia[0, 0], inertia[0, 1], inertia[1, 1], inertia[0, 2], inertia[1, 2])
-    return np.array([m, *(h + m * t), *rows, inertia[2, 2]])
+    return np.array([m, *(h + m * t), *inertia[_ENTRIES]])
 
 
 def _carried(link: _Link) -> Array:
@@ -99,52 +100,35 @@ def table(robot: Robot) -> Array:
     return np.where(np.abs(whole) < 1e-15, 0.0, whole)
 
 
-Vector = list[Expression]
+Vector = NDArray[np.object_]  # of expressions
 
 
 def _sum(graph: Expressions, terms: Iterable[Expression]) -> Expression:
     return sum(terms, graph.constant(0.0))
 
 
-def _times(matrix: Array | list[Vector], a: Vector) -> Vector:
-    return [_sum(a[0].graph, (x * f for x, f in zip(a, row, strict=True))) for row in matrix]
-
-
-def _plus(a: Vector, b: Vector) -> Vector:
-    return [x + y for x, y in zip(a, b, strict=True)]
-
-
-def _scaled(a: Vector, factor: Expression | float) -> Vector:
-    return [x * factor for x in a]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return [a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-
-
-def _rows(tensor: Vector) -> list[Vector]:
-    return [[tensor[k] for k in row] for row in _TENSOR]
-
-
-def _spin(w: Vector, turn: Vector) -> list[Vector]:
+def _spin(w: Vector, turn: Vector) -> Vector:
     """Return the matrix of turn x + w x (w x ..)."""
     (x, y, z), (p, q, r) = w, turn
-    return [
-        [-(y * y + z * z), x * y - r, x * z + q],
-        [x * y + r, -(x * x + z * z), y * z - p],
-        [x * z - q, y * z + p, -(x * x + y * y)],
-    ]
+    return np.array(
+        [
+            [-(y * y + z * z), x * y - r, x * z + q],
+            [x * y + r, -(x * x + z * z), y * z - p],
+            [x * z - q, y * z + p, -(x * x + y * y)],
+        ]
+    )
 
 
 def _gyro(inertia: Vector, w: Vector, turn: Vector) -> Vector:
     """Return inertia turn + w x (inertia w), with the products of `_spin`."""
     (x, y, z), (p, q, r), (xx, xy, yy, xz, yz, zz) = w, turn, inertia
     (_, s01, s02), (s10, _, s12), (s20, s21, _) = _spin(w, turn)
-    return [
+    whole = (
         xx * p + (zz - yy) * (y * z) - xy * s20 + xz * s10 + yz * (y * y - z * z),
         yy * q + (xx - zz) * (x * z) + xy * s21 - yz * s01 + xz * (z * z - x * x),
         zz * r + (yy - xx) * (x * y) - xz * s12 + yz * s02 + xy * (x * x - y * y),
-    ]
+    )
+    return np.array(whole)
 
 
 class _Joint:
@@ -155,21 +139,22 @@ class _Joint:
         one, zero = graph.constant(1.0), graph.constant(0.0)
         self.cosine = one if link.prismatic else graph.name(f"cosine[{number}]")
         self.sine = zero if link.prismatic else graph.name(f"sine[{number}]")
-        arm = [graph.constant(float(x)) for x in link.translation]
+        self.arm = np.array([graph.constant(float(x)) for x in link.translation])
         if link.prismatic:
-            arm = _plus(arm, _times(link.rotation, [zero, zero, q]))
-        self.arm = arm
+            self.arm = self.arm + link.rotation @ np.array([zero, zero, q])
 
     def up(self, a: Vector) -> Vector:
         """Turn a vector to the parent's frame."""
         c, s = self.cosine, self.sine
-        return _times(self.link.rotation, [c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]])
+        x, y, z = a
+        turned: Vector = self.link.rotation @ np.array([c * x - s * y, s * x + c * y, z])
+        return turned
 
     def down(self, a: Vector) -> Vector:
         """Turn a vector from the parent's frame."""
         c, s = self.cosine, self.sine
-        x, y, z = _times(self.link.rotation.T, a)
-        return [c * x + s * y, c * y - s * x, z]
+        x, y, z = self.link.rotation.T @ a
+        return np.array([c * x + s * y, c * y - s * x, z])
 
     def tensor_up(self, t: Vector) -> Vector:
         """Turn a symmetric tensor to the parent's frame."""
@@ -178,9 +163,9 @@ class _Joint:
         x2 = c * c * xx - 2.0 * (c * s) * xy + s * s * yy
         turned = [x2, c * s * (xx - yy) + (c * c - s * s) * xy, xx + yy - x2]
         turned += [c * xz - s * yz, s * xz + c * yz, zz]
-        half = [_times(self.link.rotation, row) for row in _rows(turned)]
-        whole = [_times(self.link.rotation, [row[j] for row in half]) for j in range(3)]
-        return [whole[i][j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+        half = np.array(turned)[_TENSOR] @ self.link.rotation.T
+        whole: Vector = half.T @ self.link.rotation.T
+        return whole[_ENTRIES]
 
 
 class _Arm:
@@ -195,10 +180,8 @@ class _Arm:
         self.slopes = slopes @ self.mixing
         used = np.any(table(robot) != 0.0, axis=1)
         zero = self.graph.constant(0.0)
-        self.parameters = [
-            [self.graph.name(f"p[{10 * i + k}]") if used[10 * i + k] else zero for k in range(10)]
-            for i in range(len(self.links))
-        ]
+        own = [self.graph.name(f"p[{k}]") if some else zero for k, some in enumerate(used)]
+        self.parameters = np.array(own).reshape(-1, 10)
         self.joints = [
             _Joint(link, i, self.graph, self.followed("q", i)) for i, link in enumerate(self.links)
         ]
@@ -228,45 +211,45 @@ class _Arm:
     def torques(self, *, accelerated: bool = False) -> list[Expression]:
         """Return the torques on all coordinates, without rotors, by Newton and Euler."""
         graph = self.graph
-        zeros = [graph.constant(0.0)] * 3
-        base = (zeros, zeros, [-graph.name(f"gravity[{k}]") for k in range(3)])
+        zero = graph.constant(0.0)
+        zeros = np.full(3, zero)
+        base = (zeros, zeros, np.array([-graph.name(f"gravity[{k}]") for k in range(3)]))
         states: list[tuple[Vector, Vector, Vector]] = []
         forces, moments = [], []
         for i, joint in enumerate(self.joints):
             w, turn, a = states[joint.link.parent] if joint.link.parent >= 0 else base
-            carried = _times(_spin(w, turn), joint.arm)
-            w, turn, a = joint.down(w), joint.down(turn), joint.down(_plus(a, carried))
+            carried = _spin(w, turn) @ joint.arm
+            w, turn, a = joint.down(w), joint.down(turn), joint.down(a + carried)
             dq = self.followed("dq", i)
-            ddq = self.followed("ddq", i) if accelerated else zeros[0]
-            across = [w[1] * dq, -(w[0] * dq), zeros[0]]  # w x z dq
+            ddq = np.array([zero, zero, self.followed("ddq", i) if accelerated else zero])
+            across = np.array([w[1] * dq, -(w[0] * dq), zero])  # w x z dq
             if joint.link.prismatic:
-                a = _plus(_plus(a, _scaled(across, 2.0)), [*zeros[:2], ddq])
+                a = a + across * 2.0 + ddq
             else:
-                turn = _plus(_plus(turn, across), [*zeros[:2], ddq])
-                w = [w[0], w[1], w[2] + dq]
+                turn = turn + across + ddq
+                w = np.array([w[0], w[1], w[2] + dq])
             states.append((w, turn, a))
             m, h, inertia = self._body(i)
-            forces.append(_plus(_scaled(a, m), _times(_spin(w, turn), h)))
-            moments.append(_plus(_gyro(inertia, w, turn), _cross(h, a)))
-        links = _plus(self._collected(forces, moments), self.spring_torques())
+            forces.append(a * m + _spin(w, turn) @ h)
+            moments.append(_gyro(inertia, w, turn) + np.cross(h, a))
+        links = self._collected(forces, moments) + self.spring_torques()
         return [self.on_joints(links, j) for j in range(self.robot.n)]
 
-    def _collected(self, forces: list[Vector], moments: list[Vector]) -> list[Expression]:
+    def _collected(self, forces: list[Vector], moments: list[Vector]) -> Vector:
         torques = []
         for joint in reversed(self.joints):
             force, moment = forces.pop(), moments.pop()
             torques.append(force[2] if joint.link.prismatic else moment[2])
             if (parent := joint.link.parent) >= 0:
                 up = joint.up(force)
-                forces[parent] = _plus(forces[parent], up)
-                moment = _plus(joint.up(moment), _cross(joint.arm, up))
-                moments[parent] = _plus(moments[parent], moment)
-        return torques[::-1]
+                forces[parent] = forces[parent] + up
+                moments[parent] = moments[parent] + (joint.up(moment) + np.cross(joint.arm, up))
+        return np.array(torques[::-1])
 
-    def spring_torques(self) -> list[Expression]:
+    def spring_torques(self) -> Vector:
         """Return the torques of springs and balancers on all links' joints."""
         names = [joint.name for joint in self.robot.tree]
-        found = [self.graph.constant(0.0)] * len(names)
+        found = np.full(len(names), self.graph.constant(0.0))
         for number, term in enumerate(self.robot.springs):
             link = names.index(self.robot.joints[term.joint])
             c, s = self.joints[link].cosine, self.joints[link].sine
@@ -288,15 +271,15 @@ class _Arm:
         for i in reversed(range(count)):
             m, h, inertia = bodies[i]
             link = self.links[i]
-            force = [zero, zero, m] if link.prismatic else [-h[1], h[0], zero]
-            moment = [h[1], -h[0], zero] if link.prismatic else [inertia[k] for k in (3, 4, 5)]
+            force = np.array([zero, zero, m] if link.prismatic else [-h[1], h[0], zero])
+            moment = np.array([h[1], -h[0], zero]) if link.prismatic else inertia[3:]
             at = i
             while at >= 0:
                 value = force[2] if self.links[at].prismatic else moment[2]
                 whole[i][at] = whole[at][i] = value
                 joint = self.joints[at]
                 force = joint.up(force)
-                moment = _plus(joint.up(moment), _cross(joint.arm, force))
+                moment = joint.up(moment) + np.cross(joint.arm, force)
                 at = self.links[at].parent
             if link.parent >= 0:
                 bodies[link.parent] = self._joined(bodies[link.parent], bodies[i], self.joints[i])
@@ -305,12 +288,12 @@ class _Arm:
     def _joined(self, body: Any, child: Any, joint: _Joint) -> tuple[Expression, Vector, Vector]:
         (m, h, inertia), (own, first, tensor) = body, child
         t, first = joint.arm, joint.up(first)
-        half = _plus(first, _scaled(t, own * 0.5))  # of both terms with t
-        inner = 2.0 * _sum(self.graph, (x * y for x, y in zip(half, t, strict=True)))
-        pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+        half = first + t * (own * 0.5)  # of both terms with t
+        inner = 2.0 * (half @ t)
+        pairs = zip(*_ENTRIES, strict=True)
         shift = [(inner if i == j else 0.0) - (half[i] * t[j] + t[i] * half[j]) for i, j in pairs]
-        moved_up = _plus(joint.tensor_up(tensor), shift)
-        return m + own, _plus(h, _plus(first, _scaled(t, own))), _plus(inertia, moved_up)
+        moved_up = joint.tensor_up(tensor) + shift
+        return m + own, h + (first + t * own), inertia + moved_up
 
 
 def change_header(robot: Robot) -> str:
@@ -389,12 +372,13 @@ def jacobian_header(robot: Robot) -> str:
     zero, one = arm.graph.constant(0.0), arm.graph.constant(1.0)
     columns = [[zero] * 6 for _ in arm.links]
     at = _last(robot)
-    tip = [zero] * 3  # in the frame of link `at`
+    tip = np.full(3, zero)  # in the frame of link `at`
     while at >= 0:
-        joint, axis = arm.joints[at], [zero, zero, one]
+        joint, axis = arm.joints[at], np.array([zero, zero, one])
         slides = joint.link.prismatic
-        linear, angular = (axis, [zero] * 3) if slides else ([-tip[1], tip[0], zero], axis)
-        tip, above = _plus(joint.arm, joint.up(tip)), at
+        linear = axis if slides else np.array([-tip[1], tip[0], zero])
+        angular = np.full(3, zero) if slides else axis
+        tip, above = joint.arm + joint.up(tip), at
         while above >= 0:
             linear, angular = arm.joints[above].up(linear), arm.joints[above].up(angular)
             above = arm.links[above].parent
@@ -421,11 +405,12 @@ def tool_header(robot: Robot, place: int | None) -> str:
     arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
     at = _last(robot)
-    origin = [zero] * 3
-    axes = [[arm.graph.constant(x) for x in row] for row in _aligned(robot.tree)[1][at].tolist()]
+    origin = np.full(3, zero)
+    turn = _aligned(robot.tree)[1][at]
+    axes = [np.array([arm.graph.constant(x) for x in row]) for row in turn.tolist()]
     while at >= 0:
         joint = arm.joints[at]
-        origin, axes = _plus(joint.arm, joint.up(origin)), [joint.up(axis) for axis in axes]
+        origin, axes = joint.arm + joint.up(origin), [joint.up(axis) for axis in axes]
         at = joint.link.parent
     pose = enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place)
     stores = {f"v[{k}]": value for k, value in pose}
