@@ -15,15 +15,11 @@
 #define PUBLIC __attribute__((visibility("default")))
 #endif
 
-typedef fmi2Status SetReal(fmi2Component, const fmi2ValueReference *, size_t, const fmi2Real *);
-typedef fmi2Status GetReal(fmi2Component, const fmi2ValueReference *, size_t, fmi2Real *);
-typedef fmi2Status DoStep(fmi2Component, fmi2Real, fmi2Real, fmi2Boolean);
-
 typedef struct {
     fmi2Component component;
-    SetReal *set;
-    GetReal *get;
-    DoStep *step;
+    __typeof__(&fmi2SetReal) set;
+    __typeof__(&fmi2GetReal) get;
+    __typeof__(&fmi2DoStep) step;
     int64_t every; /* its step, in communication steps */
     int64_t inputs, outputs;
     const fmi2ValueReference *input_references, *output_references;
@@ -99,50 +95,35 @@ static bool read_outputs(System *s, int64_t i) {
     return is_good(s->status);
 }
 
-static End gauss_seidel(System *s, int64_t k) {
-    for (int64_t i = 0; i < s->count; i++) {
+static bool gauss_seidel(System *s, int64_t k) {
+    bool good = true;
+    for (int64_t i = 0; good && i < s->count; i++) {
         if ((k + 1) % s->stations[i].every == 0) {
-            if (!set_inputs(s, i)) {
-                return SET_FAILED;
-            }
-            if (!do_step(s, i, k)) {
-                return STEP_FAILED;
-            }
-            if (!read_outputs(s, i)) {
-                return GET_FAILED;
-            }
+            good = set_inputs(s, i) && do_step(s, i, k) && read_outputs(s, i);
         }
     }
-    return DONE;
+    return good;
 }
 
-static End jacobi(System *s, int64_t k) {
-    for (int64_t i = 0; i < s->count; i++) {
-        if (k % s->stations[i].every == 0 && !set_inputs(s, i)) {
-            return SET_FAILED;
-        }
+static bool jacobi(System *s, int64_t k) {
+    bool good = true;
+    for (int64_t i = 0; good && i < s->count; i++) {
+        good = k % s->stations[i].every != 0 || set_inputs(s, i);
     }
-    for (int64_t i = 0; i < s->count; i++) {
-        if ((k + 1) % s->stations[i].every == 0 && !do_step(s, i, k)) {
-            return STEP_FAILED;
-        }
+    for (int64_t i = 0; good && i < s->count; i++) {
+        good = (k + 1) % s->stations[i].every != 0 || do_step(s, i, k);
     }
-    for (int64_t i = 0; i < s->count; i++) {
-        if ((k + 1) % s->stations[i].every == 0 && !read_outputs(s, i)) {
-            return GET_FAILED;
-        }
+    for (int64_t i = 0; good && i < s->count; i++) {
+        good = (k + 1) % s->stations[i].every != 0 || read_outputs(s, i);
     }
-    return DONE;
+    return good;
 }
 
 PUBLIC int advance(System *s, int64_t stop) {
     while (s->progress->done < stop) {
         const int64_t k = s->progress->done;
-        if (k > 0) {
-            const End end = s->jacobi ? jacobi(s, k - 1) : gauss_seidel(s, k - 1);
-            if (end != DONE) {
-                return end;
-            }
+        if (k > 0 && !(s->jacobi ? jacobi : gauss_seidel)(s, k - 1)) {
+            return (int)s->progress->call;
         }
         for (int64_t i = 0; i < s->size; i++) {
             if (!isfinite(s->values[i])) {
