@@ -2,7 +2,7 @@
 #include "fmi2_instance.h"
 
 FMI2_STATUS(fmi2EnterEventMode)(fmi2Component c) {
-    ENTER(entered(c, MAY_ENTER_EVENT, "fmi2EnterEventMode"));
+    ENTER(entered(c, AT_EVENT | CONTINUOUS, "fmi2EnterEventMode"));
     instance->memory.mode = AT_EVENT;
     return fmi2OK;
 }
@@ -43,7 +43,7 @@ FMI2_STATUS(fmi2CompletedIntegratorStep)
 }
 
 FMI2_STATUS(fmi2SetTime)(fmi2Component c, fmi2Real time) {
-    ENTER(entered(c, MAY_SET_TIME, "fmi2SetTime"));
+    ENTER(entered(c, AT_EVENT | CONTINUOUS, "fmi2SetTime"));
     if (!isfinite(time)) {
         return FAIL(instance, "fmi2SetTime: the time is %g.", time);
     }

@@ -27,26 +27,18 @@ enum {
 /* Functions of one interface type only, because both share some states. */
 enum { ONLY_MODEL_EXCHANGE = 128, ONLY_CO_SIMULATION = 256 };
 
-/* States where the standard allows each group of functions. */
+/* States where the standard allows groups of functions. */
 enum {
     RUNNING = INITIALISING | STEPPING | AT_EVENT | CONTINUOUS,
-    MAY_SET_UP = INSTANTIATED,
-    MAY_ENTER_INITIALISATION = INSTANTIATED,
-    MAY_EXIT_INITIALISATION = INITIALISING,
     MAY_GET = RUNNING | TERMINATED | FAILED,
     MAY_SET = RUNNING | INSTANTIATED,
-    MAY_STEP = STEPPING,
     MAY_SET_SLOPES = INSTANTIATED | INITIALISING | STEPPING | ONLY_CO_SIMULATION,
     MAY_GET_SLOPES = MAY_GET | ONLY_CO_SIMULATION,
     MAY_GET_STATUS = STEPPING | TERMINATED | FAILED | ONLY_CO_SIMULATION,
     MAY_CANCEL = ANY | ONLY_CO_SIMULATION,
     MAY_GET_CONTINUOUS = MAY_GET | ONLY_MODEL_EXCHANGE,
     MAY_GET_NOMINALS = MAY_GET_CONTINUOUS | INSTANTIATED,
-    MAY_SET_TIME = AT_EVENT | CONTINUOUS,
-    MAY_ENTER_EVENT = AT_EVENT | CONTINUOUS,
     MAY_TERMINATE = STEPPING | AT_EVENT | CONTINUOUS,
-    MAY_DEBUG = ANY,
-    MAY_COPY_STATE = ANY,
 };
 
 /* Model exchange takes inputs within this fraction of their units for zero, more than the solver's

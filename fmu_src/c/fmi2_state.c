@@ -69,7 +69,7 @@ SELDOM static bool is_possible(const Memory *memory, Message *why) {
 }
 
 FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
-    ENTER(entered_with(c, MAY_COPY_STATE, "fmi2GetFMUstate", state));
+    ENTER(entered_with(c, ANY, "fmi2GetFMUstate", state));
     Saved *saved = *state ? *state : calloc(1, sizeof *saved);
     if (!saved) {
         return complain(instance, "fmi2GetFMUstate: out of memory.");
@@ -84,7 +84,7 @@ FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
 FMI2_STATUS(fmi2SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
     static const char function[] = "fmi2SetFMUstate";
     const Saved *saved = state;
-    ENTER(entered_with(c, MAY_COPY_STATE, function, state));
+    ENTER(entered_with(c, ANY, function, state));
     if (saved->memory.type != instance->memory.type) {
         return complain(instance, "%s: the state is one of the FMU's other type.", function);
     }
@@ -93,7 +93,7 @@ FMI2_STATUS(fmi2SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
 }
 
 FMI2_STATUS(fmi2FreeFMUstate)(fmi2Component c, fmi2FMUstate *state) {
-    if (!entered(c, MAY_COPY_STATE, "fmi2FreeFMUstate")) {
+    if (!entered(c, ANY, "fmi2FreeFMUstate")) {
         return fmi2Error;
     }
     if (state) {
@@ -105,7 +105,7 @@ FMI2_STATUS(fmi2FreeFMUstate)(fmi2Component c, fmi2FMUstate *state) {
 
 FMI2_STATUS(fmi2SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, size_t *size) {
     static const char function[] = "fmi2SerializedFMUstateSize";
-    if (!entered_with(c, MAY_COPY_STATE, function, state && size ? size : NULL)) {
+    if (!entered_with(c, ANY, function, state && size ? size : NULL)) {
         return fmi2Error;
     }
     *size = sizeof(Saved);
@@ -115,7 +115,7 @@ FMI2_STATUS(fmi2SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, siz
 FMI2_STATUS(fmi2SerializeFMUstate)
 (fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
     static const char function[] = "fmi2SerializeFMUstate";
-    ENTER(entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL));
+    ENTER(entered_with(c, ANY, function, state ? bytes : NULL));
     if (size < sizeof(Saved)) {
         return complain(instance, "%s: %lu bytes for a state of %lu.", function,
                         (unsigned long)size, (unsigned long)sizeof(Saved));
@@ -145,7 +145,7 @@ FMI2_STATUS(fmi2DeSerializeFMUstate)
     static const char function[] = "fmi2DeSerializeFMUstate";
     Message why;
     char guid[sizeof numbers.guid];
-    ENTER(entered_with(c, MAY_COPY_STATE, function, state ? bytes : NULL));
+    ENTER(entered_with(c, ANY, function, state ? bytes : NULL));
     copy_guid(guid);
     if (size != sizeof(Saved) || memcmp(bytes, guid, sizeof guid) != 0) {
         return complain(instance, "%s: the %lu bytes are not a state of this model.", function,

@@ -76,7 +76,7 @@ FMI2_STATUS(fmi2DoStep)
 (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_set_state_before) {
     Message why;
     (void)no_set_state_before;
-    ENTER(entered(c, MAY_STEP, "fmi2DoStep"));
+    ENTER(entered(c, STEPPING, "fmi2DoStep"));
     Memory *memory = &instance->memory;
     if (!isfinite(time) || !isfinite(step) || !(step > 0.0)) {
         return FAIL(instance, "fmi2DoStep: the step is %g s from time %g s; it must be positive.",
