@@ -7,10 +7,31 @@
 #ifndef COUPLING_H
 #define COUPLING_H
 
+#include "component.h"
 #include "equations.h"
 
 /* Inputs of a joint that a coupling mixes: velocity, position and load torque. */
 enum { LOAD = 2, MIXED = 3 };
+
+static inline const double *parameters_of(const double *v, const Joint *joint) {
+    return joint->constants ? joint->constants : &v[joint->first_parameter];
+}
+
+/* Whether an explicit Euler step is short enough for the rates of a joint's states at a speed, a
+ * variable and its value. */
+static inline bool is_stable(const Joint *joint, const double *rate, double step, int speed,
+                             double value, Message *why) {
+    for (int j = 0; j < joint->states; j++) {
+        if (!(rate[j] * step < 1.0)) {
+            return deny(why,
+                        "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
+                        "step or the exact discretisation.",
+                        variables[joint->first_state + j].name, rate[j] * step,
+                        variables[speed].name, value);
+        }
+    }
+    return true;
+}
 
 static inline double share_of(bool torque, int i, int m) {
     return torque ? backward[i][m] : forward[i][m];

@@ -38,16 +38,7 @@ static bool can_relax(const Step *step, int i, const Motion *from, const Trial *
     double u[MAX_INPUTS], rate[MAX_STATES];
     see(step, from->q + step->h * at->v, at->v, u);
     step->joint->rates(step->k, u, from->x, rate);
-    for (int j = 0; j < step->joint->states; j++) {
-        if (!(rate[j] * step->h < 1.0)) {
-            return deny(why,
-                        "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
-                        "step or the exact discretisation.",
-                        variables[step->joint->first_state + j].name, rate[j] * step->h,
-                        variables[DQ + i].name, at->v);
-        }
-    }
-    return true;
+    return is_stable(step->joint, rate, step->h, DQ + i, at->v, why);
 }
 
 static bool advance(const Step *step, int i, Motion *motion, Message *why) {

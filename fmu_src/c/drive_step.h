@@ -11,7 +11,7 @@ static Step step_of(const Component *component, int i, double h, double time) {
     const double *v = component->v;
     Step step = {
         .joint = joint,
-        .k = joint->constants ? joint->constants : &v[joint->first_parameter],
+        .k = parameters_of(v, joint),
         .inertia = v[INERTIA + i],
         .gear = 1.0 / v[RATIO + i],
         .stiffness = v[STIFFNESS + i],

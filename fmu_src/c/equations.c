@@ -41,16 +41,12 @@ typedef struct {
     double u[MAX_INPUTS];
 } Place;
 
-static const double *parameters_of(const Component *component, int i) {
-    return joints[i].constants ? joints[i].constants : &component->v[joints[i].first_parameter];
-}
-
 static Place place_of(const Component *component, int i) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
     Place at = {
         .joint = joint,
-        .k = parameters_of(component, i),
+        .k = parameters_of(component->v, &joints[i]),
         .s = &component->own[HELD + joint->first_switch],
     };
     for (int j = 0; j < joint->inputs; j++) {
@@ -59,29 +55,18 @@ static Place place_of(const Component *component, int i) {
     return at;
 }
 
-static double *signs_of(Component *component, int i) {
-    return &component->own[HELD + joints[i].first_switch];
-}
+/* Functions that return where numbers of joint i start. */
+#define PLACE_OF(name, place)                                                                      \
+    static double *name(Component *component, int i) {                                             \
+        return &component->place;                                                                  \
+    }
 
-static double *inputs_before(Component *component, int i) {
-    return &component->own[USED + i * MAX_INPUTS];
-}
-
-static double *states_of(Component *component, int i) {
-    return &component->v[joints[i].first_state];
-}
-
-static double *previous_of(Component *component, int i) {
-    return &component->own[PREVIOUS + i * MAX_REMEMBERED];
-}
-
-static double *invariants_of(Component *component, int i) {
-    return &component->own[INVARIANTS + i * MAX_INVARIANTS];
-}
-
-static double *latest_of(Component *component, int i) {
-    return &component->own[LATEST + i * MAX_REMEMBERED];
-}
+PLACE_OF(states_of, v[joints[i].first_state])
+PLACE_OF(signs_of, own[HELD + joints[i].first_switch])
+PLACE_OF(inputs_before, own[USED + i * MAX_INPUTS])
+PLACE_OF(previous_of, own[PREVIOUS + i * MAX_REMEMBERED])
+PLACE_OF(latest_of, own[LATEST + i * MAX_REMEMBERED])
+PLACE_OF(invariants_of, own[INVARIANTS + i * MAX_INVARIANTS])
 
 static bool begins_steady(const Component *component, const Joint *joint) {
     return joint->states > 0 && START_MODE >= 0 && component->v[START_MODE] == STEADY;
@@ -142,21 +127,13 @@ static bool component_initialise(Component *component, void *workspace, Message 
     return true;
 }
 
-/* Explicit Euler steps must be short to be stable; the message names the offending speed. */
 static bool can_relax(const Component *component, double step, Message *why) {
     for (int i = 0; i < JOINTS; i++) {
         const Place at = place_of(component, i);
         double rate[MAX_STATES];
         at.joint->rates(at.k, at.u, &component->v[at.joint->first_state], rate);
-        for (int j = 0; j < at.joint->states; j++) {
-            if (!(rate[j] * step < 1.0)) {
-                return deny(
-                    why,
-                    "%s: Euler needs rate * step < 1 but found %g at %s = %g; take a smaller "
-                    "step or the exact discretisation.",
-                    variables[at.joint->first_state + j].name, rate[j] * step,
-                    variables[at.joint->input[0]].name, at.u[0]);
-            }
+        if (!is_stable(at.joint, rate, step, at.joint->input[0], at.u[0], why)) {
+            return false;
         }
     }
     return true;
@@ -168,7 +145,7 @@ SELDOM static void update_invariants(Component *component, double step, double e
     bool finite = true;
     for (int i = 0; i < JOINTS; i++) {
         if (joints[i].invariants) {
-            joints[i].invariants(parameters_of(component, i), step, euler,
+            joints[i].invariants(parameters_of(component->v, &joints[i]), step, euler,
                                  invariants_of(component, i));
         }
     }
@@ -183,7 +160,7 @@ SELDOM static void update_invariants(Component *component, double step, double e
 QUICK void put_sample(Component *component, int i, double step, double *y) {
     double r[MAX_REMEMBERED + 1], *x = states_of(component, i);
     if (HOLDS || SAMPLED) {
-        joints[i].read(parameters_of(component, i), inputs_before(component, i),
+        joints[i].read(parameters_of(component->v, &joints[i]), inputs_before(component, i),
                        signs_of(component, i), x, previous_of(component, i), step,
                        x + joints[i].states, y, r);
     }
@@ -200,8 +177,9 @@ QUICK void put_sample(Component *component, int i, double step, double *y) {
     }
 #else
 #define ADVANCE(i, step_of)                                                                        \
-    step_of(parameters_of(component, i), u, signs_of(component, i), previous_of(component, i),     \
-            invariants_of(component, i), step, euler, x, y, latest_of(component, i));
+    step_of(parameters_of(component->v, &joints[i]), u, signs_of(component, i),                    \
+            previous_of(component, i), invariants_of(component, i), step, euler, x, y,             \
+            latest_of(component, i));
 #endif
 
 /* Step of joint i, with its functions known to the compiler. */
@@ -329,7 +307,7 @@ QUICK bool hold(Component *component, int i, double rest, const double *z, Messa
     if (joints[i].switches_of_joint > 0) {                                                         \
         double u[MAX_INPUTS], z[MAX_SWITCHES];                                                     \
         gather;                                                                                    \
-        switches_of(parameters_of(component, i), u, z);                                            \
+        switches_of(parameters_of(component->v, &joints[i]), u, z);                                \
         changed |= hold(component, i, rest, z, what);                                              \
     }
 

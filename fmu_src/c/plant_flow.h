@@ -62,7 +62,7 @@ static void adopt(Component *component) {
         for (int j = 0; j < joint->inputs; j++) {
             u[j] = v[joint->input[j]];
         }
-        joint->prepare(joint->constants ? joint->constants : &v[joint->first_parameter], u, c);
+        joint->prepare(parameters_of(v, joint), u, c);
         for (int j = 0; j < PREPARED; j++) {
             own[LAW + j * LANES + l] = c[j];
         }

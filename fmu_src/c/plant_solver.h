@@ -110,7 +110,7 @@ static void open_axis(const Solver *solver, int i, Step *step, Motion *from) {
     const double *v = solver->component->v;
     const bool stops = alone(i);
     step->joint = joint;
-    step->k = joint->constants ? joint->constants : &v[joint->first_parameter];
+    step->k = parameters_of(v, joint);
     step->gear = 1.0;
     step->stiffness = stops ? v[STIFFNESS + i] : 0.0;
     step->damping = stops ? v[DAMPING + i] : 0.0;
