@@ -1,15 +1,17 @@
 """Results of a fleet, its robots and their joints, their tables, and all as one Parquet file."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of
+from cosim.workflow.answer import Answer, shortened
 from hesr.extras.fleet.deviation import ENOUGH, Trend
 from hesr_model.findings import Finding
 from hesr_model.logs.tables import arrow
+from hesr_model.support.typed_files import to_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,10 +92,11 @@ class Change:
     points_to: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Fleet:
-    """Result of a fleet."""
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FleetResult(Answer):
+    """Result of a fleet; unused logs are errors."""
 
+    format = "hesr-fleet-1"
     name: str
     robots: tuple[RobotResult, ...]
     z: Mapping[tuple[str, str, str], Mapping[str, float]]  # by (robot, law, joint) and name
@@ -102,17 +105,57 @@ class Fleet:
     fmus: Mapping[tuple[str, str, str], Path]  # by (type, law, structure)
     folder: Path
     reused: int  # robots that were complete before
+    findings: Sequence[Finding] = ()
+    files: Sequence[Path] = ()
 
     @property
     def broken(self) -> Iterator[RobotResult]:
         """Robots with omitted logs or laws."""
         return (robot for robot in self.robots if robot.sentences)
 
+    def summary(self) -> str:
+        """Return the largest deviations and changes."""
+        deviating = {one.robot for one in self.deviants}
+        worse = [one for one in self.changes if one.worse]
+        lines = [
+            f"{len(self.robots)} robots: {len(deviating)} deviate from their type, "
+            f"{len({one.robot for one in worse})} got worse."
+        ]
+        if self.reused:
+            lines.append(f"Complete before: {self.reused} robots.")
+        lines += [
+            f"{one.robot}, {one.joint or 'rigid body'}: {one.name} is {one.value:.3g}, its type "
+            f"has {one.median:.3g} (z = {one.z:.1f})"
+            for one in self.deviants[:5]
+        ]
+        lines += [
+            f"{one.robot}, {one.joint}: {one.kind} changed by {100 * one.change:+.0f} % of "
+            f"friction; likely cause: {one.points_to}"
+            for one in worse[:5]
+        ]
+        lines += [finding.sentence for finding in self.findings[:5]]
+        return shortened(lines, self.files)
+
+    def tables(self) -> Sequence[ResultTable | str]:
+        """Return the tables."""
+        return list(all_tables(self))
+
+    def result(self) -> Any:
+        """Return deviations, changes and unusable logs."""
+        return {
+            "folder": str(self.folder),
+            "robots": len(self.robots),
+            "reused": self.reused,
+            "deviants": [to_json(one) for one in self.deviants],
+            "changes": [to_json(one) for one in self.changes],
+            "not_used": {one.robot: one.sentences for one in self.broken},
+        }
+
 
 _MOST = 30  # maximum rows per table; the Parquet file is complete
 
 
-def all_tables(fleet: Fleet) -> Iterator[ResultTable]:
+def all_tables(fleet: FleetResult) -> Iterator[ResultTable]:
     """Yield the non-empty tables."""
     yield types(fleet)
     for table in (deviants(fleet), changes(fleet), broken(fleet)):
@@ -120,7 +163,7 @@ def all_tables(fleet: Fleet) -> Iterator[ResultTable]:
             yield table
 
 
-def types(fleet: Fleet) -> ResultTable:
+def types(fleet: FleetResult) -> ResultTable:
     """Return the counts by type."""
     type_of = {robot.robot: robot.type for robot in fleet.robots}
     columns = [
@@ -140,7 +183,7 @@ def types(fleet: Fleet) -> ResultTable:
     )
 
 
-def deviants(fleet: Fleet) -> ResultTable:
+def deviants(fleet: FleetResult) -> ResultTable:
     """Return the deviating numbers."""
     rows = []
     for d in fleet.deviants[:_MOST]:
@@ -157,7 +200,7 @@ def deviants(fleet: Fleet) -> ResultTable:
     )
 
 
-def changes(fleet: Fleet) -> ResultTable:
+def changes(fleet: FleetResult) -> ResultTable:
     """Return the changes, worse ones first."""
     rows = []
     for c in fleet.changes[:_MOST]:
@@ -173,7 +216,7 @@ def changes(fleet: Fleet) -> ResultTable:
     )
 
 
-def broken(fleet: Fleet) -> ResultTable:
+def broken(fleet: FleetResult) -> ResultTable:
     """Return omissions with their reasons."""
     rows = [row_of(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
     return ResultTable(caption="Not used", head=("robot", "why"), rows=rows, numeric=False)
@@ -198,7 +241,7 @@ _NUMBERS = ("logs", "rows")
 _TRENDS = ("level", "offset", "error")
 
 
-def write_table(path: Path, fleet: Fleet) -> None:
+def write_table(path: Path, fleet: FleetResult) -> None:
     """Write the file; a rigid body has no joint, a failed robot no law."""
     pa = arrow()
     text, number = pa.string(), pa.float64()
@@ -219,7 +262,7 @@ def write_table(path: Path, fleet: Fleet) -> None:
     pa.parquet.write_table(table, path, compression="zstd")
 
 
-def _rows(fleet: Fleet) -> Iterator[dict[str, Any]]:
+def _rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
     deviating = {(d.robot, d.law, d.joint) for d in fleet.deviants}
     changes: dict[tuple[str, str, str], list[str]] = {}
     for change in fleet.changes:

@@ -19,7 +19,7 @@ from hesr.extras.fleet.result import (
     BODY,
     Change,
     Deviant,
-    Fleet,
+    FleetResult,
     JointResult,
     RobotResult,
     all_tables,
@@ -28,6 +28,7 @@ from hesr.extras.fleet.result import (
 from hesr.extras.fleet.robot import look_at, read_result
 from hesr.extras.fleet.study import FleetStudy, members
 from hesr.extras.sweep.work import taken
+from hesr_model.findings import Finding
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
 from hesr_model.friction.model import FrictionModel
@@ -137,7 +138,7 @@ ROBOTS, TYPES = "robots", "types"  # folders of the robots, one each, and of the
 
 def run_fleet(
     path: Path, output: Path, *, workers: int | None = None, progress: Stages = silent
-) -> Fleet:
+) -> FleetResult:
     """Process incomplete robots, compare all, and write the results; 1 worker is this process."""
     study = FleetStudy.read(path)
     for law in study.laws:
@@ -155,7 +156,7 @@ def run_fleet(
             reused = sum(next(done_before) for _ in counted(jobs, partial(progress, study.name)))
         results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
         z, deviants = compared(results, study.level)
-        found = Fleet(
+        found = FleetResult(
             name=study.name,
             robots=results,
             z=z,
@@ -164,6 +165,12 @@ def run_fleet(
             fmus=write_types(study, results, output, progress) if study.fmu else {},
             folder=output,
             reused=reused,
+            findings=[
+                Finding(check="logs", where=one.robot, found=one.sentences[0])
+                for one in results
+                if one.sentences
+            ],
+            files=(output / PAGE, output / TABLE),
         )
         with written_together(output / PAGE) as file:
             write_table(file(output / TABLE), found)
@@ -171,7 +178,7 @@ def run_fleet(
     return found
 
 
-def _write_page(fleet: Fleet, path: Path) -> None:
+def _write_page(fleet: FleetResult, path: Path) -> None:
     rows = sum(robot.rows for robot in fleet.robots)
     logs = sum(robot.logs for robot in fleet.robots)
     text = (

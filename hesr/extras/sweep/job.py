@@ -1,20 +1,17 @@
 """Job of `hesr simulate SWEEP.toml`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from cosim.report.tables.table import ResultTable
 from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
-from cosim.workflow.answer import Answer, PluginJob, Written, shortened
-from hesr.extras.sweep import tables
-from hesr.extras.sweep.plan import Plan, SweepRuns, planned, sensitivities
+from cosim.workflow.answer import Answer, PluginJob, Written
+from hesr.extras.sweep.plan import Plan, planned, sensitivities
 from hesr.extras.sweep.study import SweepStudy
+from hesr.extras.sweep.tables import SweepResult
 from hesr.extras.sweep.work import ABOUT, RUNS, RunOutputs, Store, release, run_rows, taken
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
@@ -30,7 +27,7 @@ def run_sweep(
     workers: int | None = None,
     cluster: str | None = None,
     progress: Stages = silent,
-) -> SweepRuns:
+) -> SweepResult:
     """Do all missing runs of a sweep file, and write the page; 1 worker is this process."""
     try:
         plan = planned(path)
@@ -47,7 +44,6 @@ def run_sweep(
                     progress(plan.study.name, done, count)
             table = store.read(plan.firsts)
             found = sensitivities(table.outputs, plan.study)
-            swept = SweepRuns(plan=plan, table=table, sensitivities=found, reused=reused)
             if all(table.failures):
                 raise SimulationError(
                     f"{path}: all {len(table.failures)} runs failed, the first because "
@@ -55,7 +51,15 @@ def run_sweep(
                 )
             from hesr.extras.sweep.page import write_page  # slow import
 
-            write_page(swept, output / PAGE, path)
+            swept = SweepResult(
+                plan=plan,
+                table=table,
+                sensitivities=found,
+                reused=reused,
+                path=path,
+                files=(output / PAGE, output / RUNS),
+            )
+            write_page(swept, output / PAGE)
     finally:
         release()
     return swept
@@ -109,48 +113,10 @@ def _run(
         from hesr.extras.sweep.cluster import require_encryption
 
         require_encryption(cluster, insecure=insecure)
-    runs = run_sweep(path, folder, workers=workers, cluster=cluster, progress=progress)
-    return SweepResult(**vars(runs), path=path, files=(folder / PAGE, folder / RUNS))
+    return run_sweep(path, folder, workers=workers, cluster=cluster, progress=progress)
 
 
 JOB = PluginJob("simulate", "outputs", _run)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SweepResult(Answer, SweepRuns):
-    """Result of a sweep file."""
-
-    format = "hesr-sweep-1"
-    path: Path
-    files: Sequence[Path] = ()
-
-    def summary(self) -> str:
-        """Return the numbers of runs and failures, and the worst runs."""
-        failures = self.table.failures
-        lines = [f"{len(failures)} runs, {sum(map(bool, failures))} failed."]
-        if self.reused:
-            lines.append(f"Complete before: {self.reused} runs.")
-        for k, one in enumerate(self.plan.study.outputs):
-            command = tables.replay_command(self.path, self.worst(k)[0])
-            lines.append(f"Worst run by {one.name}: {command}")
-        return shortened(lines, self.files)
-
-    def tables(self) -> Sequence[ResultTable | str]:
-        """Return distributions and sensitivities."""
-        return [tables.outputs(self), *tables.sensitivities(self)]
-
-    def result(self) -> Any:
-        """Return worst runs and sensitivities by output."""
-        return {
-            "runs": len(self.table.failures),
-            "reused": self.reused,
-            "failed": sum(map(bool, self.table.failures)),
-            "worst": {o.name: self.worst(k) for k, o in enumerate(self.plan.study.outputs)},
-            "sensitivities": {
-                one.output: {"first": one.first.tolist(), "total": one.total.tolist()}
-                for one in self.sensitivities
-            },
-        }
 
 
 def _replay(path: Path, run: int, file: Path) -> Written:

@@ -16,7 +16,7 @@ from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.study import MOST_RUNS, Correlated, SweepInput, SweepStudy
-from hesr.extras.sweep.work import RunTable, Task, VariedVariable
+from hesr.extras.sweep.work import Task, VariedVariable
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
@@ -158,22 +158,6 @@ class Plan:
         """Return the description of the results."""
         study = self.study.model_dump(mode="json", exclude={"system"})
         return {"key": self.task.key, "runs": len(self.values), "study": study}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SweepRuns:
-    """Runs of a sweep, `reused` of them from before; sensitivities only for ``"sobol"``."""
-
-    plan: Plan
-    table: RunTable
-    sensitivities: list[Sensitivity]
-    reused: int
-
-    def worst(self, output: int, most: int = 5) -> list[int]:
-        """Return runs with the largest magnitudes of an output, failed ones first."""
-        values = np.abs(self.table.outputs[:, output])
-        order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
-        return [int(run) for run in order[:most]]
 
 
 def planned(path: Path) -> Plan:
