@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from math import exp, fsum, log
 from pathlib import Path
 from statistics import geometric_mean
 
@@ -139,7 +138,7 @@ def _prediction(results: Results) -> str:
     text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
     if not (ratios := scores.ratios.laws.get(best, ())):
         return f"{text}."
-    mean = exp(fsum(log(ratio.value) for ratio in ratios) / len(ratios))
+    mean = geometric_mean(ratio.value for ratio in ratios)
     return f"{text}; its error is {mean:.2f} times that of its reference (geometric mean)."
 
 

@@ -89,33 +89,29 @@ def _members(fmu: Path, description: Any) -> dict[str, bytes]:
     """Return the files of an FMU, with a library built from its sources if it has no binary."""
     with Archive(fmu) as archive:
         found = {name: archive.read(name) for name in archive.names}
-    sources = [
-        name
-        for configuration in description.buildConfigurations
-        if configuration.modelIdentifier == description.coSimulation.modelIdentifier
-        for of_set in configuration.sourceFileSets
-        for name in map(normpath, of_set.sourceFiles)
-        if f"sources/{name}" in found
-    ]
-    if sources and not any(name.startswith("binaries/linux64/") for name in found):
-        library = f"{description.coSimulation.modelIdentifier}.so"
-        found[f"binaries/linux64/{library}"] = _built(found, sources, library)
+        sources = [
+            name
+            for configuration in description.buildConfigurations
+            if configuration.modelIdentifier == description.coSimulation.modelIdentifier
+            for of_set in configuration.sourceFileSets
+            for name in map(normpath, of_set.sourceFiles)
+            if f"sources/{name}" in found
+        ]
+        if sources and not any(name.startswith("binaries/linux64/") for name in found):
+            library = f"{description.coSimulation.modelIdentifier}.so"
+            with scratch_folder() as folder:
+                archive.unpack(folder, lambda name: name.startswith("sources/"))
+                _build(folder / "sources", sources, folder / library)
+                found[f"binaries/linux64/{library}"] = (folder / library).read_bytes()
     return found
 
 
-def _built(files: Mapping[str, bytes], sources: Sequence[str], library: str) -> bytes:
-    with scratch_folder() as folder:
-        for name in (name for name in files if name.startswith("sources/")):
-            path = Path(folder, name)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(files[name])
-        first, *others = (str(Path(folder, "sources", name)) for name in sources)
-        headers = Path(str(distribution("fmpy").locate_file("fmpy/c-code")))
-        includes = (f"-I{Path(folder, 'sources')}", f"-isystem{headers}")
-        flags = ("-target", *TARGETS["linux64"].triples, "-w", "-O2", "-fPIC", "-shared")
-        last = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", *others, "-lm")
-        compile_c(Path(first), (*flags, *includes), Path(folder, library), last)
-        return Path(folder, library).read_bytes()
+def _build(folder: Path, sources: Sequence[str], library: Path) -> None:
+    first, *others = (folder / name for name in sources)
+    headers = distribution("fmpy").locate_file("fmpy/c-code")
+    flags = ("-target", *TARGETS["linux64"].triples, "-w", "-O2", "-fPIC", "-shared")
+    last = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", *map(str, others), "-lm")
+    compile_c(first, (*flags, f"-I{folder}", f"-isystem{headers}"), library, last)
 
 
 def _runtimes(

@@ -123,7 +123,7 @@ NAMESPACES = {
     "xmlns:ssv": f"{_STANDARD}ParameterValues",
 }
 
-_DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
+UNIT_DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
 
 
 def text_of(kind: str, value: float | str) -> str:
@@ -146,10 +146,26 @@ def add_units(
         said = {
             key: repr(float(value)) if key in ("factor", "offset") else str(int(value))
             for key, value in zip(SI, base, strict=True)
-            if float(value) != _DEFAULTS[key]
+            if float(value) != UNIT_DEFAULTS[key]
         }
         unit = ET.SubElement(definitions, f"{prefix}Unit", name=name)
         ET.SubElement(unit, f"{prefix}BaseUnit", said)
+
+
+def parameter_set(
+    values: Iterable[tuple[str, str, Mapping[str, str]]],
+    units: Mapping[str, UnitExponents],
+    about: Mapping[str, str],
+) -> ET.Element:
+    """Return `ssv:ParameterSet` of name, type and attributes of values; `about` is on its root."""
+    namespaces = {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")}
+    root = ET.Element("ssv:ParameterSet", namespaces | about)
+    parameters = ET.SubElement(root, "ssv:Parameters")
+    for name, kind, said in values:
+        parameter = ET.SubElement(parameters, "ssv:Parameter", name=name)
+        ET.SubElement(parameter, f"ssv:{kind}", said)
+    add_units(root, "ssv:Units", units)
+    return root
 
 
 def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponents]:
@@ -158,7 +174,7 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
     for node in nodes:
         name, base = node.get("name", ""), node.find("{*}BaseUnit")
         said = {} if base is None else base.attrib
-        numbers = dict(_DEFAULTS)
+        numbers = dict(UNIT_DEFAULTS)
         for key in (key for key in SI if key in said):
             try:
                 numbers[key] = float(said[key])

@@ -17,8 +17,7 @@ from xml.etree import ElementTree as ET
 from fmu_src.export.description import si_exponents, to_bytes
 from fmu_src.friction.friction_component import exposed, place, scales
 from fmu_src.friction.validity import require_numbers
-from fmu_src.run.variables import SI
-from hesr.extras.ssp.contents import NAMESPACES, add_units
+from hesr.extras.ssp.contents import UNIT_DEFAULTS, parameter_set
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
@@ -42,28 +41,16 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
 
 def to_ssv(model: FrictionModel) -> bytes:
     """Return the text of the parameter set."""
-    root = ET.Element(
-        "ssv:ParameterSet",
-        {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")} | {"xmlns:hesr": COVARIANCE},
-        version="1.0",
-        name=f"{model.law} of {model.robot}",
-        generationTool=f"HESR {installed('hesr')}",
-    )
-    parameters = ET.SubElement(root, "ssv:Parameters")
-    units = []
-    for name, value, unit in _values(model):
-        parameter = ET.SubElement(parameters, "ssv:Parameter", name=name)
-        ET.SubElement(parameter, "ssv:Real", value=repr(float(value)), unit=unit)
-        units.append(unit)
-    bases = {unit: si_exponents(unit) for unit in dict.fromkeys(units)}
-    add_units(
-        root,
-        "ssv:Units",
-        {
-            unit: tuple(base.get(key, 1.0 if key == "factor" else 0.0) for key in SI)
-            for unit, base in bases.items()
-        },
-    )
+    about = {
+        "xmlns:hesr": COVARIANCE,
+        "version": "1.0",
+        "name": f"{model.law} of {model.robot}",
+        "generationTool": f"HESR {installed('hesr')}",
+    }
+    found = _values(model)
+    values = ((name, "Real", {"value": repr(float(x)), "unit": unit}) for name, x, unit in found)
+    units = {unit: tuple((UNIT_DEFAULTS | si_exponents(unit)).values()) for *_, unit in found}
+    root = parameter_set(values, units, about)
     if joints := _covariances(model):
         annotations = ET.SubElement(root, "ssv:Annotations")
         annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)

@@ -20,6 +20,7 @@ from hesr.extras.ssp.contents import (
     UnitExponents,
     Version,
     add_units,
+    parameter_set,
     read_contents,
     text_of,
 )
@@ -44,7 +45,12 @@ def export_ssp(spec: SystemSpec, path: Path, output: Path, *, ssp: Version = "1.
     """Write the system of a file as an SSP; return a sentence on missing parts, if any."""
     contents = read_contents(spec, path)
     write_ssp(contents, output, version=ssp)
-    return left_out(contents)
+    # Engines refuse connectors of unconnected inputs, parameters and local variables.
+    used = set(contents.used)
+    observed = [".".join(e) for e in contents.wiring.observed if e not in used]
+    parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
+    parts += [f"has no limits of {listed(spec.limits)}"] if spec.limits else []
+    return f"The SSP {', and '.join(parts)}." if parts else None
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
@@ -64,18 +70,6 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
     with written_whole(path) as temporary:
         zip_members(temporary, members, contents.created)
     return path
-
-
-def left_out(contents: SystemContents) -> str | None:
-    """Return a sentence on missing parts of a system's SSP, if any.
-
-    Engines refuse connectors of unconnected inputs, parameters and local variables.
-    """
-    used = set(contents.used)
-    observed = [".".join(e) for e in contents.wiring.observed if e not in used]
-    parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
-    parts += [f"has no limits of {listed(contents.spec.limits)}"] if contents.spec.limits else []
-    return f"The SSP {', and '.join(parts)}." if parts else None
 
 
 def resource(component: str, suffix: str) -> str:
@@ -169,19 +163,15 @@ def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
     """Return the start values of a component as a parameter set."""
     start = contents.wiring.start[component]
     units = contents.units((component, variable) for variable in start)
-    root = ET.Element(
-        "ssv:ParameterSet",
-        {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")},
-        version=version,
-        name=PARAMETER_SET,
-        generationTool=f"HESR {installed('hesr')}",
-        generationDateAndTime=contents.created,
-    )
-    parameters = ET.SubElement(root, "ssv:Parameters")
+    about = {
+        "version": version,
+        "name": PARAMETER_SET,
+        "generationTool": f"HESR {installed('hesr')}",
+        "generationDateAndTime": contents.created,
+    }
+    values = []
     for variable, value in start.items():
         kind = contents.type_of((component, variable))
         said = {"value": text_of(kind, value)} | contents.unit((component, variable), units)
-        parameter = ET.SubElement(parameters, "ssv:Parameter", name=variable)
-        ET.SubElement(parameter, f"ssv:{kind}", said)
-    add_units(root, "ssv:Units", units)
-    return to_bytes(root)
+        values.append((variable, kind, said))
+    return to_bytes(parameter_set(values, units, about))
