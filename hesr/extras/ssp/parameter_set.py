@@ -34,13 +34,6 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
     if path.suffix != ".ssv":
         raise ExportError(f"{path}: a parameter set of SSP must end in .ssv.")
     require_numbers(model)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(to_ssv(model))
-    return path
-
-
-def to_ssv(model: FrictionModel) -> bytes:
-    """Return the text of the parameter set."""
     about = {
         "xmlns:hesr": COVARIANCE,
         "version": "1.0",
@@ -55,7 +48,9 @@ def to_ssv(model: FrictionModel) -> bytes:
         annotations = ET.SubElement(root, "ssv:Annotations")
         annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)
         ET.SubElement(annotation, "hesr:Covariance").extend(joints)
-    return to_bytes(root)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(to_bytes(root))
+    return path
 
 
 def _values(model: FrictionModel) -> list[tuple[str, float, str]]:

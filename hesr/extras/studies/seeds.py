@@ -12,7 +12,7 @@ from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
 from cosim.study import scores
 from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, by_joint
-from cosim.study.study import Study, Twin
+from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
@@ -154,20 +154,16 @@ def under_truths(
     The twin's bristles favour bristle laws.
     """
     twin = study.twin
-    return {
-        truth: _under(study, twin.model_copy(update={"truth": truth}), path, laws)
-        for truth in counted(twin.truths if twin else (), progress, str)
-        if twin
-    }
-
-
-def _under(study: Study, twin: Twin, path: Path, laws: Sequence[str]) -> Errors:
-    with scratch_folder() as folder:
-        plant, signals = twin_plant(twin, path, folder)
-        arm = export_twin(plant, folder, signals)
-        found = list(recordings(Motions.read(twin.motions), plant, fmu=arm))
+    assert twin is not None
+    errors: dict[str, Errors] = {}
     fit = partial(fit_models, seed=study.seed, left_out=lambda *_: None)
-    return {
-        test: {law: rmse for law, rmse in of_test.items() if not law.endswith(MEASURED_START)}
-        for test, of_test in errors_on(study, found, laws, fit).items()
-    }
+    for truth in counted(twin.truths, progress, str):
+        with scratch_folder() as folder:
+            plant, signals = twin_plant(twin.model_copy(update={"truth": truth}), path, folder)
+            arm = export_twin(plant, folder, signals)
+            found = list(recordings(Motions.read(twin.motions), plant, fmu=arm))
+        errors[truth] = {
+            test: {law: rmse for law, rmse in of_test.items() if not law.endswith(MEASURED_START)}
+            for test, of_test in errors_on(study, found, laws, fit).items()
+        }
+    return errors
