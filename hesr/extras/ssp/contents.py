@@ -153,9 +153,9 @@ def add_units(
 
 
 def parameter_set(
-    values: Iterable[tuple[str, str, Mapping[str, str]]],
+    values: Iterable[tuple[str, str, dict[str, str]]],
     units: Mapping[str, UnitExponents],
-    about: Mapping[str, str],
+    about: dict[str, str],
 ) -> ET.Element:
     """Return `ssv:ParameterSet` of name, type and attributes of values; `about` is on its root."""
     namespaces = {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")}
