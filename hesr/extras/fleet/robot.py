@@ -37,7 +37,6 @@ from hesr_model.support.files import sha256
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
 RESULT, RESULT_FORMAT = "result.json", "hesr-fleet-robot-1"
-BODY_FILE = f"{BODY}.json"
 
 _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 
@@ -101,8 +100,7 @@ class _Day:
 class _Robot:
     def __init__(self, member: Member, study: FleetStudy, key: str) -> None:
         self._member, self._study, self._key = member, study, key
-        self._description = RobotDescription.read(member.kind.robot)
-        self._model = Robot(self._description)
+        self._model = Robot(RobotDescription.read(member.kind.robot))
         self._where = f"robot '{member.name}'"
         self._refused: dict[str, str] = {}
         self._findings: list[Finding] = []
@@ -138,7 +136,7 @@ class _Robot:
             model.write(folder / f"{law}.json")
             if all(map(exposed, model.laws)):
                 export_ssv(model, folder / f"{law}.ssv")
-        replace(body, provenance=source).write(folder / BODY_FILE)
+        replace(body, provenance=source).write(folder / f"{BODY}.json")
         return RobotResult(
             key=self._key,
             robot=member.name,
@@ -163,12 +161,12 @@ class _Robot:
         return stream, sample.motions()
 
     def _motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
-        cutoff = self._description.log.filter_cutoff
+        cutoff = self._model.description.log.filter_cutoff
         for name, path in self._member.logs:
             if name in self._refused:
                 continue
             try:
-                log = replace(Log.read(path, self._description), name=name)
+                log = replace(Log.read(path, self._model.description), name=name)
                 if check:
                     self._check(log)
                 parts = [smooth(part, cutoff) for part in log.parts()]
@@ -181,7 +179,7 @@ class _Robot:
 
     def _check(self, log: Log) -> None:
         accept = self._member.kind.accept
-        found = examine([log], self._description, self._model).findings
+        found = examine([log], self._model.description, self._model).findings
         if wrong := [f for f in found if f.severity == "error" and f.check not in accept]:
             raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
         self._findings = merged([*self._findings, *found])

@@ -43,7 +43,6 @@ from hesr_model.support.progress import Stages, counted, silent
 Key = tuple[str, str, str, str]  # robot, law, joint, and name of a number
 _KINDS = {"level": "drift", "offset": "shift", "error": "error"}
 _POINTS_TO = POINTS_TO | {"error": "play, damage, or a sensor: no friction law explains it"}
-_ERROR = "rmse"
 
 
 def compared(
@@ -82,7 +81,7 @@ def _numbers(one: JointResult) -> Iterator[tuple[str, float]]:
     if len(one.values) <= MOST_COEFFICIENTS or one.law == BODY:  # except coefficients of networks
         yield from one.values.items()
     if one.law != BODY:
-        yield _ERROR, one.rmse
+        yield "rmse", one.rmse
 
 
 def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[Change]:

@@ -261,11 +261,10 @@ def _events(run: _Run) -> None:
 def _sizes(run: _Run, _scenario: str) -> None:
     _events(run)
     size = run.plan["states"] + 1
-    try:
+    run.found["taken"] = False
+    with suppress(RefusedError):
         run.fmu.ask("setContinuousStates", (ctypes.c_double * size)(), size)
         run.found["taken"] = True
-    except RefusedError:
-        run.found["taken"] = False
 
 
 _EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _sizes}

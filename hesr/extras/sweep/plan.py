@@ -21,8 +21,6 @@ from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 
-_CONFIDENCE = 0.95
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
@@ -51,7 +49,7 @@ def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
             [np.arange(study.runs)],
             lambda chosen, of=blocks: _shares(of[:, chosen]),
             vectorized=False,
-            confidence_level=_CONFIDENCE,
+            confidence_level=0.95,
             n_resamples=499,
             rng=np.random.default_rng(study.seed),
         )

@@ -1,6 +1,5 @@
 """Runs of a system whose FMUs stay loaded between runs, and their results by chunk."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -189,7 +188,7 @@ def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Ite
         cleanup.callback((folder / f".{what}-lock").unlink, missing_ok=True)
         cleanup.callback(lock.release)
         if not (folder / file).is_file():
-            write_json(folder / file, json.loads(json.dumps(about)))
+            write_json(folder / file, about)
         elif read_json(folder / file).get("key") != about["key"]:
             raise ConfigError(
                 f"{folder}: holds results of another {what}; give another folder or remove it."
