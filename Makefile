@@ -12,6 +12,7 @@
 # make pipelines  check workflows, container and citation
 # make mutate     put small faults into the sources and count those that tests notice;
 #                 MUTATE='cli --number 5 --seed 7' chooses area, number and seed
+# make jax        install JAX, which `make docs` and the tests of exported models use
 # make docs       build the documentation as a site in site/, strictly, notebooks executed
 # make dist       build and check the wheel and the source archive in dist/
 # make interop    install other FMI engines in .tools and compare them with ours
@@ -39,7 +40,7 @@ FITS := tests/numbers $(patsubst %,tests/unit/test_%.py, \
   parfam_velocity per_log refinement ripple separable strain_wave stribeck)
 
 .PHONY: run test test-all contract hard hard-files kernels durations soak mutate messages lint format docs \
-  pipelines dist interop benchmark clean
+  pipelines dist interop benchmark jax clean
 
 run: $(VENV)/installed
 	$(BIN)/hesr run
@@ -102,10 +103,9 @@ format: $(VENV)/installed
 	$(BIN)/ruff format .
 	$(BIN)/clang-format -i $(C_FILES)
 
-docs: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet 'jax>=0.4.30'  # of one notebook; no extra has it
+docs: jax
 	$(BIN)/sphinx-build -q -W --keep-going -c docs/site . site
-	$(BIN)/pytest tests/browser/test_docs_site.py
+	$(BIN)/pytest tests/browser/test_docs_site.py tests/docs/test_tutorial.py
 
 interop: $(VENV)/installed
 	.ci/interop .tools/interop
@@ -113,6 +113,9 @@ interop: $(VENV)/installed
 
 benchmark: $(VENV)/installed
 	$(BIN)/pytest tests/benchmarks --timeout 0 --benchmark-columns=min,median,max,rounds
+
+jax: $(VENV)/installed  # of one notebook and exported models; no extra has it
+	$(BIN)/python -m pip install --quiet 'jax>=0.4.30'
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -c "import sys; sys.exit('HESR needs Python 3.11 or newer.' if sys.version_info < (3, 11) else 0)"

@@ -1,6 +1,7 @@
 """Speed of the files for PyTorch and JAX with 10^5 joints on a CPU."""
 
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,10 +13,7 @@ from hesr_model.fitting.estimator import registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
-PYTHON = {
-    "torch": Path("/usr/bin/python3"),
-    "jax": Path(__file__).parents[2] / ".tools/jax/bin/python",
-}
+PYTHON = {"torch": Path("/usr/bin/python3"), "jax": Path(sys.executable)}
 EXPORT = {"torch": export_torch, "jax": export_jax}
 STEPS = 1000
 RUN = {

@@ -2,6 +2,8 @@
 
 import re
 import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,6 @@ pytestmark = pytest.mark.ci
 
 HERE = Path(__file__).parent
 DEBIAN = Path("/usr/bin/python3")
-JAX = Path(__file__).parents[3] / ".tools/jax/bin/python"
 EXPORT = {"torch": export_torch, "jax": export_jax}
 ROWS, SLOPES = 200, 40
 
@@ -43,9 +44,9 @@ def python(library: str) -> Path:
     """The Python interpreter that has the library."""
     if library == "torch" and not _runs(DEBIAN, "-c", "import torch"):
         pytest.skip("Debian's python3-torch is not installed")
-    if library == "jax" and not JAX.exists():
-        pytest.skip("JAX is not there: run `.ci/jax .tools/jax` first")
-    return DEBIAN if library == "torch" else JAX
+    if library == "jax" and find_spec("jax") is None:
+        pytest.skip("JAX is not installed: run `make jax` first")
+    return DEBIAN if library == "torch" else Path(sys.executable)
 
 
 def run(python: Path, library: str, model, folder: Path, rows, count: int = SLOPES):
