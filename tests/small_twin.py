@@ -1,4 +1,7 @@
-"""Short motions of the digital twin and gains of its closed loop, as TOML."""
+"""Short motions of the digital twin and gains of its closed loop, as TOML, and how to run them."""
+
+ALONE = "import os; os.cpu_count = lambda: 1; from hesr.cli import main; main()"
+"""The command line without worker processes, which import all again."""
 
 
 def fourier(name: str, seed: int, harmonics: int, period: float, peaks: str) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from documents import ROOT, block
 from plugin_packages import lay_package
-from small_twin import GAINS, MOTIONS
+from small_twin import ALONE, GAINS, MOTIONS
 
 from fmu_src.check.run import check
 from hesr_model.support.files import models_folder
@@ -239,8 +239,8 @@ def study(tmp_path: Path) -> Path:
 
 def ran(study: Path, text: str) -> subprocess.CompletedProcess[str]:
     study.write_text(text, encoding="utf-8")
-    main = ("-c", "from hesr.cli import main; main()")
-    return run(study.parent / "site", *main, "run", study.name, "-o", "results", cwd=study.parent)
+    site = study.parent / "site"
+    return run(site, "-c", ALONE, "run", study.name, "-o", "results", cwd=study.parent)
 
 
 @pytest.mark.ci

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_twin import MOTIONS
+from small_twin import ALONE, MOTIONS
 
 from hesr_model.fitting.estimator import laws_of_paper, registry
 from hesr_model.support import plugins
@@ -104,7 +104,7 @@ def python(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedPro
 
 
 def hesr(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return python(site, "-c", "from hesr.cli import main; main()", *arguments, cwd=cwd)
+    return python(site, "-c", ALONE, *arguments, cwd=cwd)
 
 
 def core_laws() -> list[str]:

@@ -7,7 +7,8 @@ import fakes as stand_ins
 import pytest
 from closed_loop import Bench, write_fmus
 from small_fmus import lag
-from small_study import ALONE, Run
+from small_study import Run
+from small_twin import ALONE
 
 from cosim.systems.system import SystemSpec
 from hesr_model.friction.model import FrictionModel

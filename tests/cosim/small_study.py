@@ -38,7 +38,6 @@ unseen = ["trial"]
 """
 
 MAIN = "from hesr.cli import main; main()"
-ALONE = f"import os; os.cpu_count = lambda: 1; {MAIN}"  # no workers, which import all again
 
 
 def uf850(name: str) -> Path:
