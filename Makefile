@@ -120,8 +120,9 @@ jax: $(VENV)/installed  # of one notebook and exported models; no extra has it
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -c "import sys; sys.exit('HESR needs Python 3.11 or newer.' if sys.version_info < (3, 11) else 0)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[dev,docs]'
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable '.[dev,docs]' \
+	  || $(BIN)/python -m pip install --quiet --editable '.[dev,docs]'  # with the settings of pip
 	touch $@
 
 clean:
