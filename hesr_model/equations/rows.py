@@ -148,10 +148,8 @@ class ProgramRun:
         self.starts, self.gram = part["start"].reshape(states, len(firsts)), part["gram"]
         self._given, self._numbers = part["given"], own.numbers
         self._x, self._squares = part["x"], part["squares"]
-        self._at, self._held = (
-            at,
-            (own, used, firsts, target, part),
-        )  # keep alive: C uses their addresses
+        self._at = at
+        self._held = (own, used, firsts, target, part)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
             **{name: at[name] for name in sizes if name in _ADDRESSES},

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -10,7 +10,6 @@ from typing import Annotated, Any, Self, TypeVar
 import numpy as np
 import pydantic
 from pydantic import BaseModel, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
-from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.arrays import Array
@@ -20,6 +19,12 @@ from hesr_model.support.text import parse_json, parse_toml, read_text, require_p
 _MOST_SHOWN = 200  # characters
 
 
+class _UnknownKeyError(ValueError):
+    def __init__(self, key: str, known: Iterable[str]) -> None:
+        super().__init__("it is unknown")
+        self.key, self.known = key, ", ".join(sorted(known))
+
+
 class Config(BaseModel):
     """Base of every schema: immutable, without unknown keys, infinities and NaN."""
 
@@ -27,16 +32,11 @@ class Config(BaseModel):
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _name_known_keys(cls, data: Any) -> Any:
-        """Add the allowed keys to pydantic's error about an unknown one."""
+    def _require_known_keys(cls, data: Any) -> Any:
+        """Refuse an unknown key before pydantic does, which does not tell the known ones."""
         for key in data if isinstance(data, dict) else ():
             if key not in cls.model_fields:
-                about = {"known": ", ".join(sorted(cls.model_fields))}
-                kind = PydanticCustomError(
-                    "extra_forbidden", "Extra inputs are not permitted", about
-                )
-                details = InitErrorDetails(type=kind, loc=(key,), input=data[key])
-                raise ValidationError.from_exception_data(cls.__name__, [details])
+                raise _UnknownKeyError(key, cls.model_fields)
         return data
 
     @classmethod
@@ -82,10 +82,12 @@ PrintableName = Annotated[str, pydantic.AfterValidator(require_printable)]  # as
 
 def _refusal(path: Path, error: ValidationError) -> str:
     problems = error.errors()
-    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        return f"{path}: unknown key '{key}'; allowed here: {first['ctx']['known']}."
+    for problem in problems:
+        if isinstance(unknown := problem.get("ctx", {}).get("error"), _UnknownKeyError):
+            key = ".".join(map(str, (*problem["loc"], unknown.key)))
+            return f"{path}: unknown key '{key}'; allowed here: {unknown.known}."
+    first = problems[0]
+    key = ".".join(map(str, first["loc"]))
     if first["type"] == "missing":
         return f"{path}: key '{key}' is missing."
     reason = first["msg"].removeprefix("Value error, ")
