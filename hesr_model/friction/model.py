@@ -75,12 +75,10 @@ class FrictionModel:
         return sum(len(law.values) for law in self.laws)
 
     def __post_init__(self) -> None:
-        def require(condition: object, otherwise: str) -> None:
-            if not condition:
-                raise ArtifactError(f"friction model '{self.law}': {otherwise}.")
-
-        n = len(self.joints)
-        require(0 < n == len(self.laws), f"{len(self.laws)} laws for {n} joints")
+        if not self.joints or len(self.joints) != len(self.laws):
+            raise ArtifactError(
+                f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
+            )
         for name in self.joints:
             try:
                 require_printable(name)
@@ -93,15 +91,24 @@ class FrictionModel:
             (self.left_out_rmse, "errors on left-out logs for"),
             (self.thermal, "thermal models for"),
         ):
-            require(len(found) in (0, n), f"{len(found)} {what} {n} joints")
-        alone = not (self.thermal and self.coupling)
-        require(alone, "a thermal model does not support coupled joints")
-        coupled = len(self.coupling.matrix) if self.coupling else n
-        require(coupled == n, f"a coupling of {coupled} joints for {n} joints")
-        require(
-            0.0 < self.sample_time < inf,
-            f"sample time is {self.sample_time} s; expected a positive number",
-        )
+            if found and len(found) != len(self.joints):
+                raise ArtifactError(
+                    f"friction model '{self.law}': {len(found)} {what} {len(self.joints)} joints."
+                )
+        if self.thermal and self.coupling:
+            raise ArtifactError(
+                f"friction model '{self.law}': a thermal model does not support coupled joints."
+            )
+        if self.coupling and len(self.coupling.matrix) != len(self.joints):
+            raise ArtifactError(
+                f"friction model '{self.law}': a coupling of {len(self.coupling.matrix)} joints "
+                f"for {len(self.joints)} joints."
+            )
+        if not 0.0 < self.sample_time < inf:
+            raise ArtifactError(
+                f"friction model '{self.law}': sample time is {self.sample_time} s; expected a "
+                "positive number."
+            )
         if not any(self.sliding):
             object.__setattr__(self, "sliding", ())
         # Here, so that units always match the joints.
