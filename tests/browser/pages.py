@@ -17,7 +17,7 @@ from fmu_src import export_fmu
 from hesr.extras.adaptive.monitor import watch
 from hesr.extras.adaptive.page import write_monitor
 from hesr.extras.leaderboard.board_file import CLASSES, KINDS, Interval
-from hesr.extras.leaderboard.leaderboard import LeaderboardResult, ScoredLog, ScoredRobot, Standing
+from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredLog, ScoredRobot, Standing
 from hesr.extras.leaderboard.tables import write_page
 from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
@@ -147,7 +147,7 @@ def arena(folder: Path) -> Path:
         name="day", robot="seven", sha256="0" * 64, source="measured", licence="CC0-1.0"
     )
     write_page(
-        LeaderboardResult(
+        Leaderboard(
             arena="seven",
             warm_up=1.0,
             block=1.0,

@@ -24,7 +24,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.predictions import predict_model
 from hesr.extras.leaderboard.board_file import BoardFile, Judge, read_grounds
-from hesr.extras.leaderboard.leaderboard import Entry, LeaderboardResult, run_leaderboard, tried
+from hesr.extras.leaderboard.leaderboard import Entry, Leaderboard, run_leaderboard, tried
 from hesr.extras.leaderboard.tables import write_page
 from hesr_model.errors import ConfigError, HesrError, SimulationError
 from hesr_model.fitting.fit import fit
@@ -90,7 +90,7 @@ def entries(laid: Path, table1_fmu: Path) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def board(laid: Path, entries: list[Path]) -> LeaderboardResult:
+def board(laid: Path, entries: list[Path]) -> Leaderboard:
     rules = BoardFile.read(laid / "board.toml")
     named = [Entry(name=fmu.stem, fmu=fmu, robot="uf850") for fmu in entries]
     return run_leaderboard(rules, named, workers=1)
@@ -118,7 +118,7 @@ def changed(laid: Path, to: Path, *changes: tuple[str, str]) -> Path:
     return to / "board.toml"
 
 
-def test_entries_are_classed_by_their_inputs(board: LeaderboardResult) -> None:
+def test_entries_are_classed_by_their_inputs(board: Leaderboard) -> None:
     found = {s.name: (s.group, s.inputs, s.law, s.foreign) for s in board.standings}
     assert found == {
         "stribeck": ("v", ("dq",), "stribeck", False),
@@ -129,7 +129,7 @@ def test_entries_are_classed_by_their_inputs(board: LeaderboardResult) -> None:
     assert all(s.step and s.step > 0.0 for s in board.standings)
 
 
-def test_errors_are_those_of_an_evaluation(board: LeaderboardResult, laid: Path) -> None:
+def test_errors_are_those_of_an_evaluation(board: Leaderboard, laid: Path) -> None:
     (ground,) = read_grounds(BoardFile.read(laid / "board.toml")).values()
     columns = ("t", "dq", "q", "tau_load", "tau")
     late = [
@@ -153,7 +153,7 @@ def test_errors_are_those_of_an_evaluation(board: LeaderboardResult, laid: Path)
     np.testing.assert_allclose(found.relative["all"].value, relative, rtol=1e-9)
 
 
-def test_intervals_contain_their_values(board: LeaderboardResult) -> None:
+def test_intervals_contain_their_values(board: Leaderboard) -> None:
     first, second, alone = board.standings
     assert first.ratio is None
     assert alone.ratio is None
@@ -310,7 +310,7 @@ def test_an_entry_with_non_finite_output_is_refused(laid: Path, tmp_path: Path) 
     assert not (tmp_path / "board.html").exists()
 
 
-def test_the_page_is_reproducible(board: LeaderboardResult, tmp_path: Path) -> None:
+def test_the_page_is_reproducible(board: Leaderboard, tmp_path: Path) -> None:
     for name in ("a.html", "b.html"):
         write_page(board, tmp_path / name)
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()

@@ -2,15 +2,13 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.report.tables.table import ResultTable
-from cosim.workflow.answer import Answer, shortened
 from cosim.workflow.arguments import telling_apart
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.run.fmu import FmuInstance
@@ -27,8 +25,8 @@ from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.progress import Progress, counted, silent
-from hesr_model.support.typed_files import to_json
 
+FORMAT = "hesr-arena-1"
 _OPTIONAL = ("q", "tau_load")
 
 
@@ -135,11 +133,10 @@ class Standing:
     foreign: bool  # in a process of its own, which takes longer
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class LeaderboardResult(Answer):
+@dataclass(frozen=True, kw_only=True)
+class Leaderboard:
     """Standings by robot and class, the smallest error first."""
 
-    format = "hesr-arena-1"
     arena: str
     warm_up: float
     block: float
@@ -147,27 +144,6 @@ class LeaderboardResult(Answer):
     robots: tuple[ScoredRobot, ...]
     logs: tuple[ScoredLog, ...]
     standings: tuple[Standing, ...]
-    files: Sequence[Path] = ()
-
-    def summary(self) -> str:
-        """Return the leaders of each class."""
-        lines = [
-            f"{one.robot}, inputs {one.group}: {one.name} leads"
-            for one in self.standings
-            if one.leads
-        ]
-        return shortened(lines, self.files)
-
-    def tables(self) -> Sequence[ResultTable | str]:
-        """Return the standings."""
-        from hesr.extras.leaderboard.tables import standings
-
-        return list(standings(self))
-
-    def result(self) -> Any:
-        """Return the leaderboard."""
-        found = to_json(replace(self, files=()))
-        return {key: value for key, value in found.items() if key != "files"}
 
 
 def entries_of(given: Sequence[str], rules: board_file.BoardFile) -> list[Entry]:
@@ -195,7 +171,7 @@ def run_leaderboard(
     *,
     workers: int | None = None,
     progress: Progress = silent,
-) -> LeaderboardResult:
+) -> Leaderboard:
     """Score entries in separate processes; `workers` changes measured times only."""
     if not entries:
         raise ConfigError("the leaderboard has no entries; give at least one FMU.")
@@ -212,7 +188,7 @@ def run_leaderboard(
     for one in done:
         groups.setdefault((one.entry.robot, _group(rules, one)), []).append(one)
     order = [(robot.name, name) for robot in rules.robots for name in rules.classes]
-    return LeaderboardResult(
+    return Leaderboard(
         arena=rules.name,
         warm_up=rules.warm_up,
         block=rules.block,

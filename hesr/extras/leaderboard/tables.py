@@ -11,11 +11,11 @@ from cosim.report.markup import Section, details, joined, paragraph, write_secti
 from cosim.report.tables import table
 from cosim.report.tables.laws import legend, properties
 from hesr.extras.leaderboard.board_file import Interval, Kind
-from hesr.extras.leaderboard.leaderboard import LeaderboardResult, ScoredRobot, Standing
+from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredRobot, Standing
 from hesr_model.units import unit_of_joints
 
 
-def write_page(board: LeaderboardResult, path: Path) -> None:
+def write_page(board: Leaderboard, path: Path) -> None:
     """Write the page."""
     sections = [Section(key="standings", title="Standings", html=_standings(board))]
     if found := {s.name: s.properties for s in board.standings if s.properties is not None}:
@@ -28,7 +28,7 @@ def write_page(board: LeaderboardResult, path: Path) -> None:
     write_sections(
         path,
         title=f"HESR leaderboard: {board.arena}",
-        heading=f"LeaderboardResult ‘{board.arena}’",
+        heading=f"Leaderboard ‘{board.arena}’",
         summary=paragraph(
             f"{count} friction {'FMUs' if count != 1 else 'FMU'} on {measured} "
             f"{'logs' if measured != 1 else 'log'}. An entry is any FMU with the connectors of a "
@@ -38,7 +38,7 @@ def write_page(board: LeaderboardResult, path: Path) -> None:
     )
 
 
-def _standings(board: LeaderboardResult) -> Markup:
+def _standings(board: Leaderboard) -> Markup:
     parts = []
     entered = [r for r in board.robots if any(s.robot == r.name for s in board.standings)]
     for robot, whole in zip(entered, standings(board), strict=True):
@@ -48,7 +48,7 @@ def _standings(board: LeaderboardResult) -> Markup:
     return joined(*parts)
 
 
-def _rules(board: LeaderboardResult) -> Markup:
+def _rules(board: Leaderboard) -> Markup:
     classes = "; ".join(f"{name}: {', '.join(may)}" for name, may in board.classes.items())
     return paragraph(
         f"The first {board.warm_up:g} s of each log are replayed but not scored. Errors are "
@@ -62,7 +62,7 @@ def _rules(board: LeaderboardResult) -> Markup:
 _HEADS = {"all": "all rows", "moving": "moving", "reversals": "reversals", "rests": "rests"}
 
 
-def standings(board: LeaderboardResult) -> Iterator[table.ResultTable]:
+def standings(board: Leaderboard) -> Iterator[table.ResultTable]:
     """Yield the standings of each robot."""
     for robot in board.robots:
         of_robot = [s for s in board.standings if s.robot == robot.name]
@@ -104,7 +104,7 @@ def standings(board: LeaderboardResult) -> Iterator[table.ResultTable]:
         )
 
 
-def by_joint(board: LeaderboardResult, robot: ScoredRobot, kind: Kind) -> table.ResultTable:
+def by_joint(board: Leaderboard, robot: ScoredRobot, kind: Kind) -> table.ResultTable:
     """Return the RMSE by joint on rows of one kind."""
     of_robot = [s for s in board.standings if s.robot == robot.name]
     values = [s.joints[kind] for s in of_robot]
@@ -124,7 +124,7 @@ def by_joint(board: LeaderboardResult, robot: ScoredRobot, kind: Kind) -> table.
     )
 
 
-def logs(board: LeaderboardResult) -> table.ResultTable:
+def logs(board: Leaderboard) -> table.ResultTable:
     """Return the logs."""
     rows = [table.row_of(x.name, x.robot, x.sha256, x.source, x.licence) for x in board.logs]
     head = ("log", "robot", "SHA-256", "from", "licence")
