@@ -23,7 +23,7 @@ from cosim.workflow.answer import Written
 from hesr.extras.view.stage import HEIGHT, WIDTH, Shown, Stage, ViewOptions, choose
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, Stages, counted, silent
+from hesr_model.support.progress import Progress, Stages, counted, deferred, silent
 
 
 def show_arm(
@@ -64,19 +64,21 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
 
     stage = Stage(shown, choice)
     before = set(threading.enumerate())
-    try:
-        window = viewer.launch_passive(
-            stage.model, stage.data, show_left_ui=False, show_right_ui=False
-        )
-    except RuntimeError as error:  # macOS needs MuJoCo's own interpreter
-        raise ConfigError(
-            f"the viewer cannot open ({str(error).rstrip('.')}); write a video (-o FILE.mp4)."
-        ) from error
     with ExitStack() as cleanup:
-        # Python must not end before its drawing thread has noticed the end.
-        for thread in set(threading.enumerate()) - before:
-            cleanup.callback(thread.join, _PATIENCE)
-        cleanup.enter_context(window)
+        with deferred():  # an interrupt while it opens would end Python before its drawing thread
+            try:
+                window = viewer.launch_passive(
+                    stage.model, stage.data, show_left_ui=False, show_right_ui=False
+                )
+            except RuntimeError as error:  # macOS needs MuJoCo's own interpreter
+                raise ConfigError(
+                    f"the viewer cannot open ({str(error).rstrip('.')}); write a video "
+                    "(-o FILE.mp4)."
+                ) from error
+            # Python must not end before that thread has noticed the end.
+            for thread in set(threading.enumerate()) - before:
+                cleanup.callback(thread.join, _PATIENCE)
+            cleanup.enter_context(window)
         camera = window.cam
         camera.lookat, camera.distance = stage.camera.lookat, stage.camera.distance
         camera.azimuth, camera.elevation = stage.camera.azimuth, stage.camera.elevation
