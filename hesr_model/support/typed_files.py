@@ -33,7 +33,7 @@ class Config(BaseModel):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _require_known_keys(cls, data: Any) -> Any:
-        """Refuse an unknown key before pydantic does, which does not tell the known ones."""
+        """Refuse an unknown key before pydantic does, which does not name the known ones."""
         for key in data if isinstance(data, dict) else ():
             if key not in cls.model_fields:
                 raise _UnknownKeyError(key, cls.model_fields)
