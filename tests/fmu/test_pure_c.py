@@ -116,10 +116,11 @@ enum { MAX_INPUTS = 4, MAX_STATES = 1, MAX_OUTPUTS = 1 };
 static const double forward[1][1] = {{1.0}}, backward[1][1] = {{1.0}};
 enum { INERTIA, RATIO, STIFFNESS, DAMPING, TAU_MOTOR, TAU_LOAD, Q_LINK, DQ_LINK, DISCRETISATION,
        FIRST, VARIABLES, SLOPES = DQ_LINK + 1 };
+static const struct { const char *name; } variables[VARIABLES] = {{"inertia"}};
 typedef struct { double v[VARIABLES], slope[SLOPES]; } Component;
 typedef struct {
     const double *constants;
-    int first_parameter, inputs, input[MAX_INPUTS];
+    int first_parameter, first_state, states, inputs, input[MAX_INPUTS];
     void (*attempt)(const double *k, const double *u, const double *x, double h, double euler,
                     const double *du, double *after, double *torque, double *slope);
     int outputs, output[MAX_OUTPUTS];
@@ -132,7 +133,7 @@ static void attempt_of(const double *k, const double *u, const double *x, double
     slope[0] = 2.0 * after[0] * h * k[0] * (1.0 + euler) * du[0] + du[0] * u[1] + u[0] * du[1];
 }
 static const double constants[] = {50.0};
-static const Joint joints[] = {{CONSTANT ? constants : 0, FIRST, 4, {0, 0, TAU_LOAD, Q_LINK},
+static const Joint joints[] = {{CONSTANT ? constants : 0, FIRST, 0, 1, 4, {0, 0, TAU_LOAD, Q_LINK},
                                 attempt_of, 1, {0}}};
 #endif
 """
