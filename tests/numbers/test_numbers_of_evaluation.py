@@ -12,7 +12,7 @@ from hesr_model.fitting import separable
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction import predict as evaluate
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import estimated_start, predict, predict_joints, states_over
+from hesr_model.friction.predict import predict, predict_joints, record_start, states_over
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.stops import estimator
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -74,9 +74,8 @@ def test_an_estimated_start(name: str, unchanged: Unchanged) -> None:
     for share in (-0.8, 0.3):
         start = tuple(share * x for x in ((0.02,) if name == "lugre" else (1.0, 0.0, 0.5, 1.0)))
         record = along(of, path(4, seconds=3.0), start=start[: len(of.form.memory)])
-        rows = {n: getattr(record, n) for n in ("t", "dq", "q", "tau_load", "tau")}
         for samples in (0, 1, 5):
-            found[f"{share} {samples}"] = estimated_start(sampled(of, samples), **rows)
+            found[f"{share} {samples}"] = record_start(sampled(of, samples), record)
     unchanged(found, rtol=1e-3, atol=1e-5)
 
 

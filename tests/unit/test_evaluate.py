@@ -16,7 +16,8 @@ from hesr_model.equations.recurrence import recurrence
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.predict import estimated_start, predict
+from hesr_model.friction.predict import predict, record_start
+from hesr_model.rigid_body.residual import FrictionRecord
 
 A, B, C, D = (Coefficient(name=n, unit="1", description=n) for n in "abcd")
 a, b, c, d = (k.symbol for k in (A, B, C, D))
@@ -378,31 +379,35 @@ def started(
     return law, {"t": t, "dq": dq, "q": 0.0 * t, "tau_load": 0.0 * t, "tau": tau}
 
 
+def record(**log: np.ndarray) -> FrictionRecord:
+    return FrictionRecord(log="made", joint="j1", **log)
+
+
 @pytest.mark.parametrize("start", [-0.95, -0.31, 0.0, 0.62, 0.99])
 def test_the_start_is_estimated_from_the_first_torques(start: float) -> None:
     law, log = started(start, 5)
-    assert estimated_start(law, **log)[0] == pytest.approx(start, abs=1e-4)
+    assert record_start(law, record(**log))[0] == pytest.approx(start, abs=1e-4)
 
 
 def test_only_the_first_samples_count() -> None:
     law, log = started(0.4, 5)
     log["tau"][5:] += 7.0
-    assert estimated_start(law, **log)[0] == pytest.approx(0.4, abs=1e-4)
+    assert record_start(law, record(**log))[0] == pytest.approx(0.4, abs=1e-4)
     log["tau"][4] += 7.0
-    assert estimated_start(law, **log)[0] > 0.9
+    assert record_start(law, record(**log))[0] > 0.9
 
 
 def test_a_start_is_a_reachable_state() -> None:
     """|h| <= tanh(5 * 3) bounds the search, whatever the torque."""
     law, log = started(2.5, 5)
-    assert estimated_start(law, **log)[0] == pytest.approx(1.0, abs=1e-3)
+    assert record_start(law, record(**log))[0] == pytest.approx(1.0, abs=1e-3)
     log["dq"] = 0.1 * np.sin(9.0 * log["t"])
-    assert estimated_start(law, **log)[0] == pytest.approx(np.tanh(0.5), abs=1e-3)
+    assert record_start(law, record(**log))[0] == pytest.approx(np.tanh(0.5), abs=1e-3)
 
 
 def test_laws_without_estimation_keep_their_start() -> None:
     law, log = started(0.4, 0)
-    assert estimated_start(law, **log) == law.start == (0.0,)
+    assert record_start(law, record(**log)) == law.start == (0.0,)
     law, log = started(0.4, 5)
     log["dq"] *= 0.0  # nothing drives the state, so its reach is zero
-    assert estimated_start(law, **log) == (0.0,)
+    assert record_start(law, record(**log)) == (0.0,)
