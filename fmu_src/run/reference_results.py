@@ -111,11 +111,7 @@ def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Arr
 def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, bytes]:
     """Run an FMU and return its folder `extra/`, empty if it cannot be run."""
     from fmu_src.run.fmu import FmuInstance
-    from fmu_src.run.instance import (
-        PLATFORM,
-        SUFFIX,
-        VERSIONS,  # slow to import
-    )
+    from fmu_src.run.instance import PLATFORM, SUFFIX, VERSIONS  # slow to import
 
     root = ET.fromstring(members["modelDescription.xml"])
     kind = root.find("CoSimulation")

@@ -5,6 +5,7 @@ import platform
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -139,8 +140,15 @@ class ProgramRun:
             "places": own.registers,
             "columns": count + 4,
         }
-        part = {name: np.zeros(size) for name, size in sizes.items()}
-        at, out = {name: _address(array) for name, array in part.items()}, _address(self.found)
+        # One allocation, because each look-up of an address is slow.
+        starts = list(accumulate(sizes.values(), initial=0))
+        room = np.zeros(starts[-1])
+        part = {
+            name: room[start : start + size]
+            for (name, size), start in zip(sizes.items(), starts, strict=False)
+        }
+        base, out = _address(room), _address(self.found)
+        at = {name: base + 8 * start for name, start in zip(sizes, starts, strict=False)}
         part["given"][:] = own.given
         part["inputs"].view(np.int64)[:] = [_address(a) for a in used]
         part["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in used]
@@ -148,8 +156,7 @@ class ProgramRun:
         self.starts, self.gram = part["start"].reshape(states, len(firsts)), part["gram"]
         self._given, self._numbers = part["given"], own.numbers
         self._x, self._squares = part["x"], part["squares"]
-        self._at = at
-        self._held = (own, used, firsts, target, part)  # keep alive: C uses their addresses
+        self._at, self._held = at, (own, used, firsts, target)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
             **{name: at[name] for name in sizes if name in _ADDRESSES},

@@ -8,10 +8,10 @@ from hesr_model.audit.properties import FALLS, HELD, PASSIVE, WEAKENING, Propert
 from hesr_model.support.arrays import Array
 
 AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: pre-sliding, half the level, sliding
-FREQUENCY = 1.0  # [Hz] of the torque; the load has twice as much
+_TORQUE_FREQUENCY = 1.0  # [Hz] of the torque; the load has twice as much
 PHASES = (0.5 * np.pi, 1.5 * np.pi)  # load phase [rad]
 _INNER_STEP = 4e-3  # [s] communication and inner step: rows contain all work
-_ROWS = round(1.0 / (FREQUENCY * _INNER_STEP))  # per cycle
+_ROWS = round(1.0 / (_TORQUE_FREQUENCY * _INNER_STEP))  # per cycle
 _CYCLES, _MEASURED = 10, 4
 _SPRING = 20.0  # stretch at the friction level, in deflections
 
