@@ -13,12 +13,12 @@ from sources import LAYERS, MODULES, ROOT, layer, tree
 # machines, 510 for following errors, and 530 for plants in model exchange, long logs and numbers
 # that are written into binaries.
 BUDGET = {
-    "hesr_model": 22_461,
-    "fmu_src": 19_508,
+    "hesr_model": 22_468,
+    "fmu_src": 19_504,
     "cosim": 10_977,
     "hesr": 781,
     "hesr.extras": 13_405,
-    "all": 67_132,
+    "all": 67_135,
 }
 
 TEMPLATES = 3_837  # lines of templates, styles and scripts, without those of project folders
