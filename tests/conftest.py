@@ -33,9 +33,27 @@ TESTS = Path(__file__).parent
 CI_FOLDERS = ("browser", "fuzz", "interop", "real")
 """Folders of tests run only by `make test-all`."""
 
+NIGHTLY_GROUPS = (
+    "browser",
+    "hostile",
+    "interop",
+    "laws",
+    "mutants",
+    "sanitizers",
+    "site",
+    "soak",
+    "studies",
+)
+"""Groups of nightly tests, of which `make nightly` can run one at a time."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--record-cpu", type=Path, help="file for the CPU seconds of all tests")
+    parser.addoption(
+        "--nightly",
+        choices=("all", *NIGHTLY_GROUPS),
+        help="run the nightly tests of this group, and no others",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -69,11 +87,43 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     slow = slow_tests(TESTS / "durations.toml")
     for item in items:
         if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS or item.nodeid in slow:
             item.add_marker(pytest.mark.ci)
+    _select_nightly(config, items)
+
+
+def _select_nightly(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect nightly tests, or all tests outside the nightly group that was asked for."""
+    wanted_group = config.getoption("--nightly")
+    if wanted_group is None and "nightly" in config.option.markexpr:
+        return
+    selected: list[pytest.Item] = []
+    deselected: list[pytest.Item] = []
+    for item in items:
+        groups = _nightly_groups(item)
+        if wanted_group is None:
+            is_wanted = not groups
+        elif wanted_group == "all":
+            is_wanted = bool(groups)
+        else:
+            is_wanted = wanted_group in groups
+        (selected if is_wanted else deselected).append(item)
+    config.hook.pytest_deselected(items=deselected)
+    items[:] = selected
+
+
+def _nightly_groups(item: pytest.Item) -> set[str]:
+    """Return the nightly groups of a test; none if the test belongs to every gate."""
+    groups = set()
+    for mark in item.iter_markers("nightly"):
+        if len(mark.args) != 1 or mark.args[0] not in NIGHTLY_GROUPS:
+            known = ", ".join(NIGHTLY_GROUPS)
+            raise pytest.UsageError(f"{item.nodeid}: nightly takes one group of {known}")
+        groups.add(mark.args[0])
+    return groups
 
 
 ARM_MJCF = """
