@@ -1,6 +1,6 @@
 """Fixed-step master of a system of FMUs, and systems read from their files."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import KW_ONLY, dataclass
 from functools import partial, reduce
@@ -10,11 +10,13 @@ from weakref import finalize
 
 import numpy as np
 
+from cosim.systems.sampled_inputs import SampledInputs
 from cosim.systems.signals import Signals
 from cosim.systems.system import SystemSpec, Value, opened_system
 from cosim.systems.wiring import Wiring
 from fmu_src.arm.clock import untimed
 from fmu_src.run.fmu import SECONDS, FmuInstance, FmuPool, mixed_buffer, numbered_text
+from fmu_src.run.instance import Buffer
 from fmu_src.run.master import (
     Convert,
     Element,
@@ -121,6 +123,10 @@ class Master:
     isolate: bool = False
     loaded: FmuPool | None = None
     scheme: ExchangeScheme | None = None  # default: that of `spec`
+    source: SampledInputs | None = None  # gives inputs; it is a component of the system
+    times: Array | None = None  # (steps + 1,) [s] communication points that are not evenly spaced
+    exchange: bool = False  # whether FMUs for model exchange alone get a solver
+    single: bool = False  # whether signals are named as in their only FMU
 
     def __post_init__(self) -> None:
         self._scheme = self.scheme or ExchangeScheme(order=self.spec.order)
@@ -128,13 +134,15 @@ class Master:
 
     def __enter__(self) -> "Master":
         with ExitStack() as cleanup:
-            lend = self.loaded.lend if self.loaded else FmuInstance
+            lend = self.loaded.lend if self.loaded else partial(FmuInstance, exchange=self.exchange)
             sandbox = None if self.isolate else cleanup.enter_context(SystemSandbox(SECONDS))
             self._slaves = {
                 c.name: cleanup.enter_context(lend(c.fmu, name=c.name, system=sandbox))
                 for c in self.spec.components
             }
             variables = {name: slave.variables for name, slave in self._slaves.items()}
+            if self.source:
+                variables[self.source.name] = self.source.variables
             self._wiring = Wiring(self.spec, variables, self.path)
             self._build()
             self._cleanup = cleanup.pop_all()
@@ -146,7 +154,7 @@ class Master:
     def _build(self) -> None:
         wiring = self._wiring
         wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
-        order = list(self._slaves)
+        order = [*self._slaves, *([self.source.name] if self.source else [])]
         names = sorted(dict.fromkeys(wanted), key=lambda element: order.index(element[0]))
         place = {element: i for i, element in enumerate(names)}
         values = np.zeros(len(place))
@@ -172,6 +180,8 @@ class Master:
                     ],
                 )
             )
+        if self.source:
+            stations.append(self._source_station(self.source, names, values))
         low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
         self._layout = Layout(
             stations=tuple(stations),
@@ -185,11 +195,32 @@ class Master:
             limited=np.array([place[e] for e, _ in wiring.limited], dtype=np.intp),
             low=low,
             high=high,
+            times=self.times,
         )
         layout = self._layout
         native = native_stepper(layout) or sandbox_stepper(layout) if self.native else None
         self._stepper: PythonStepper | NativeStepper | SandboxStepper
         self._stepper = native or PythonStepper(layout)
+
+    def _source_station(
+        self, source: SampledInputs, names: Sequence[Element], values: Array
+    ) -> Station:
+        """Return the last station, so that the FMUs step with the inputs of a step's beginning."""
+        places = [i for i, (name, _) in enumerate(names) if name == source.name]
+        part = values[places[0] : places[-1] + 1] if places else values[:0]
+        return Station(
+            slave=source,
+            every=1,
+            inputs=source.buffer([], np.zeros(0)),
+            sources=np.array([], dtype=np.intp),
+            outputs=source.buffer([names[i][1] for i in places], part),
+            begin=self.spec.begin,
+        )
+
+    def _buffer(self, name: str, variables: Sequence[str]) -> Buffer:
+        if self.source and name == self.source.name:
+            return self.source.buffer(variables, np.zeros(len(variables)))
+        return mixed_buffer(self._slaves[name], variables)
 
     def _conversion(self, into: Element) -> Convert | None:
         steps = self.spec.conversions.get(".".join(into), ())
@@ -202,7 +233,7 @@ class Master:
             if element in sources or element in feeding:
                 name, variable = element
                 yield Link(
-                    buffer=mixed_buffer(self._slaves[name], [variable]),
+                    buffer=self._buffer(name, [variable]),
                     place=place[sources.get(element, element)],
                     is_input=element in sources,
                     convert=self._conversion(element),
@@ -232,19 +263,28 @@ class Master:
         done = stepper.done
         if not (finite := np.isfinite(self._layout.values)).all():
             # a NaN may make another component fail
-            ended = self.spec.begin + done * step
+            ended = self._layout.time(min(done, steps))
             failure = self._layout.not_finite(int(np.argmin(finite)), ended)
         progress(steps, steps)
         signals = {
-            ".".join(e): self._typed(e, kept[:done, i]) for i, e in enumerate(self._wiring.observed)
+            self._signal_name(e): self._typed(e, kept[:done, i])
+            for i, e in enumerate(self._wiring.observed)
         }
-        t = self.spec.begin + step * np.arange(done, dtype=float)
+        if self.times is None:
+            t = self.spec.begin + step * np.arange(done, dtype=float)
+        else:
+            t = self.times[:done]
         return Signals(t=t, signals=signals, failure=failure)
+
+    def _signal_name(self, element: Element) -> str:
+        return element[1] if self.single else ".".join(element)
 
     def _typed(self, element: Element, values: Array) -> Array:
         if (kind := self._slaves[element[0]].variables[element[1]].type) == "String":
             return np.array([numbered_text(value) for value in values])
-        return values if kind == "Real" else values.astype(bool if kind == "Boolean" else np.int64)
+        if kind in ("Real", "Float32"):
+            return values
+        return values.astype(bool if kind == "Boolean" else np.int64)
 
     def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
         """Raise ConfigError, naming `path`, if start values do not fit the system."""
@@ -270,6 +310,8 @@ class Master:
 
     def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
         self._layout.values[:] = 0.0
+        if self.source:
+            self.source.begin(self._slaves)
         for name, slave in self._slaves.items():
             if slave.used:
                 slave.reset()

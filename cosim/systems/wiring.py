@@ -12,7 +12,8 @@ from fmu_src.run.variables import Variables, suggestion
 from hesr_model.errors import ConfigError, SimulationError
 
 _FITTING: Mapping[str, tuple[str, ...]] = {
-    "Real": ("Real", "Integer", "Boolean"),
+    "Real": ("Real", "Float32", "Integer", "Boolean"),
+    "Float32": ("Float32",),
     "Integer": ("Integer", "Enumeration", "Boolean"),
     "Enumeration": ("Integer", "Enumeration"),
     "Boolean": ("Boolean",),
@@ -33,7 +34,8 @@ class Wiring:
         self.sources: dict[Element, Element] = {}
         for target, source in spec.connections.items():
             self._connect(target, source, f"connection '{target}' = '{source}'")
-        self.start = {c.name: self._start(c.name, c.start) for c in spec.components}
+        starts = {c.name: c.start for c in spec.components}
+        self.start = {name: self._start(name, starts.get(name, {})) for name in slaves}
         observed = (self.elements(s, f"observed '{s}'") for s in spec.observe)
         self.observed = list(dict.fromkeys(chain.from_iterable(observed)))
         self.limited: list[tuple[Element, Bounds]] = []

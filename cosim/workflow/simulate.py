@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 from cosim.workflow.answer import Answer, Written, find_job, written_files
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import PathArg, path_of, written_whole
-from hesr_model.support.progress import Stages, silent
+from hesr_model.support.progress import Progress, Stages, silent
 from hesr_model.support.text import parse_toml
 
 if TYPE_CHECKING:
     from cosim.systems.signals import Signals
+    from cosim.systems.simulation import Master
+    from hesr_model.support.arrays import Array
 
 
 def simulate(
@@ -112,8 +115,20 @@ def simulate(
     if file is not None:
         _require_table(file)
     times = {"start": start, "stop": stop, "step": step}
+    stages = partial(progress, path.stem)
     if path.suffix.lower() == ".fmu":
-        return _single(path, file, times, values_of(path, set), input)
+        from cosim.systems.single import opened_single
+
+        remember_trust([path], trust=trust)
+        single = partial(
+            opened_single,
+            path,
+            times=times,
+            values=values_of(path, set),
+            inputs=_read_inputs(input),
+            isolate=isolate,
+        )
+        return _run(single, file, stages)
     options: dict[str, Any] = {"input": input}
     if path.suffix.lower() != ".ssp":
         options |= times | {"set": set or None}
@@ -123,23 +138,40 @@ def simulate(
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
-        stages = partial(progress, spec.name)
-        if file is None:
-            with Master(spec, path, isolate=isolate) as master:
-                return master.run(stages).require_success()
-        # Check that the file can be written before the run.
-        with written_whole(file) as temporary:
-            with Master(spec, path, isolate=isolate) as master:
-                result = master.run(stages)
-            if not len(result.t):
-                result.require_success()
-            result.write(temporary)
+        system_master = partial(Master, spec, path, isolate=isolate)
+        return _run(system_master, file, partial(progress, spec.name))
+
+
+def _run(
+    open_master: Callable[[], AbstractContextManager[Master]], file: Path | None, stages: Progress
+) -> Signals:
+    """Run a system once and write its signals; results until a failure are written as well."""
+    if file is None:
+        with open_master() as master:
+            return master.run(stages).require_success()
+    # Check that the file can be written before the run.
+    with written_whole(file) as temporary:
+        with open_master() as master:
+            result = master.run(stages)
+        if not len(result.t):
+            result.require_success()
+        result.write(temporary)
     if result.failure:
         raise SimulationError(
             f"{str(result.failure).rstrip('.')}; the results so far, {len(result.t)} samples to "
             f"t = {result.end:.9g} s, are kept in {file}."
         )
     return result
+
+
+def _read_inputs(path: PathArg | None) -> dict[str, Array]:
+    """Return the columns of a table of inputs."""
+    from hesr_model.logs.tables import read_table
+
+    if path is None:
+        return {}
+    table = read_table(path_of(path, "an input"))
+    return dict(zip(table.names, table.numbers(table.names).T, strict=True))
 
 
 def values_of(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
@@ -153,29 +185,6 @@ def values_of(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
             found[name] = parse_toml(f"value={text}")["value"]
         except ValueError:
             found[name] = text
-    return found
-
-
-def _single(
-    fmu: Path,
-    output: Path | None,
-    times: Mapping[str, float | None],
-    values: Mapping[str, Any],
-    table: PathArg | None,
-) -> Signals:
-    """Run one FMU, always in the sandbox."""
-    from cosim.systems.signals import Signals
-    from fmu_src.run.single import simulate_single
-    from hesr_model.logs.tables import read_table
-
-    inputs = {}
-    if table is not None:
-        read = read_table(path_of(table, "an input"))
-        inputs = dict(zip(read.names, read.numbers(read.names).T, strict=True))
-    t, columns = simulate_single(fmu, **times, values=values, inputs=inputs)
-    found = Signals(t=t, signals=columns)
-    if output is not None:
-        found.write(output)
     return found
 
 

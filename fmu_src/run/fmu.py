@@ -19,6 +19,7 @@ from fmu_src.run.instance import (
     LoadError,
     UnpackedFmu,
 )
+from fmu_src.run.loader import load_instance
 from fmu_src.run.trust import is_known
 from fmu_src.run.variables import Declared, Variables, description_in, description_of
 from hesr_model.errors import ArtifactError, SimulationError
@@ -36,7 +37,8 @@ class FmuInstance:
     """A co-simulation slave; a context manager that frees instance and files on every exit.
 
     Trusted FMUs run in this process, others in a sandbox with `seconds` [s] for each call, or in
-    that of a system; `unpacked` is the folder of a trusted one. Methods raise SimulationError.
+    that of a system; `unpacked` is the folder of a trusted one. With `exchange`, an FMU for model
+    exchange alone becomes a slave with a solver. Methods raise SimulationError.
     """
 
     description: ModelDescription
@@ -51,8 +53,10 @@ class FmuInstance:
         seconds: float = SECONDS,
         unpacked: Path | None = None,
         system: "SystemSandbox | None" = None,
+        exchange: bool = False,
     ) -> None:
         self.fmu = fmu
+        self._exchange = exchange
         self.name = name or fmu.stem
         self.time = 0.0  # time reached, or start of the step that failed [s]
         self.messages: list[str] = []
@@ -71,7 +75,7 @@ class FmuInstance:
                 self.description, self.declared = description_of(folder, self.fmu)
             else:
                 folder, sandbox = self._unpack(cleanup)
-            self.variables = Variables(self.fmu, self.description)
+            self.variables = Variables(self.fmu, self.description, self.declared)
             self._instance = self._loaded(folder, sandbox)
             cleanup.push(self._free)
             self._cleanup = cleanup.pop_all()
@@ -103,9 +107,12 @@ class FmuInstance:
     def _loaded(self, folder: Path, sandbox: "Sandbox | None") -> "Instance | SandboxedInstance":
         about = self.description
         fmi = {"2.0": 2, "3.0": 3}.get(about.fmiVersion)
-        if fmi is None or about.coSimulation is None:
+        kind = about.coSimulation
+        if kind is None and self._exchange:
+            kind = about.modelExchange
+        if fmi is None or kind is None:
             raise SimulationError(f"{self.fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation.")
-        identifier = about.coSimulation.modelIdentifier
+        identifier = kind.modelIdentifier
         library = f"{VERSIONS[fmi].folder}{identifier}{SUFFIX}"
         if not (folder / library).is_file():
             raise SimulationError(
@@ -118,10 +125,11 @@ class FmuInstance:
             name=self.name,
             fmi=fmi,
             variables=self.declared,
+            **(_solver_options(about) if about.coSimulation is None else {}),
         )
         try:
             if sandbox is None:
-                return Instance(unpacked, self._log, self._failure)
+                return load_instance(unpacked, self._log, self._failure)
             from fmu_src.run.sandbox import SandboxedInstance
 
             return SandboxedInstance(unpacked, self._log, self._failure, sandbox)
@@ -198,13 +206,13 @@ class FmuInstance:
             chosen = [values[name] for name in names]
             if kind == "Real":
                 buffer = self.buffer(names)
-                buffer.values[:] = chosen
+                buffer.values[:] = [float(value) for value in chosen]
                 buffer.write()
             else:
-                own = kind if kind in ("Boolean", "String") else "Integer"
-                given = chosen if own == "String" else [int(value) for value in chosen]
+                setter = _setter(kind)
+                to_value = {"String": str, "Float32": float}.get(setter, int)
                 references = self.variables.references(names, kind)
-                self._instance.set(own, references, given)
+                self._instance.set(setter, references, [to_value(value) for value in chosen])
 
     def get(self, names: Iterable[str]) -> Array:
         """Return Real variables (n,) in their units."""
@@ -222,6 +230,21 @@ class FmuInstance:
             self._instance.set_slopes(references, slopes.tolist())
 
         return set_slopes
+
+
+def _solver_options(about: ModelDescription) -> dict[str, Any]:
+    """Return the fields of `UnpackedFmu` that the solver of a model needs."""
+    exchange = about.modelExchange
+    experiment = about.defaultExperiment
+    options: dict[str, Any] = {
+        "exchange": True,
+        "states": int(about.numberOfContinuousStates or 0),
+        "indicators": int(about.numberOfEventIndicators or 0),
+        "completes_steps": bool(exchange.needsCompletedIntegratorStep),
+    }
+    if experiment is not None and experiment.tolerance is not None:
+        options["tolerance"] = float(experiment.tolerance)
+    return options
 
 
 _TEXTS: list[str] = []
@@ -246,19 +269,41 @@ def mixed_buffer(slave: FmuInstance, names: Sequence[str], values: Array | None 
     return MixedBuffer(slave, names, np.zeros(len(names)) if values is None else values)
 
 
+def _setter(kind: str) -> str:
+    """Return the type under which `Instance` sets and gets a type of variable but Real."""
+    return kind if kind in ("Boolean", "String", "Float32") else "Integer"
+
+
+def _require_exact(slave: FmuInstance, names: Sequence[str], values: Iterable[float]) -> None:
+    """Raise SimulationError for an integer that its floating-point number would change."""
+    for name, value in zip(names, values, strict=True):
+        if abs(value) > _LARGEST_EXACT:
+            raise SimulationError(
+                f"{slave.fmu.name} ('{slave.name}') at t = {slave.time:.9g} s: '{name}' is "
+                f"{value:.0f}; integers of a run are at most 2^53 in magnitude."
+            )
+
+
+_LARGEST_EXACT = 2**53
+_FROM_NUMBER: Mapping[str, Callable[[Any], Any]] = {"String": numbered_text, "Float32": float}
+"""Value of a number in a `MixedBuffer`, by type; others are integers."""
+
+
 class MixedBuffer:
     """Values (n,) of variables of any type as numbers; texts are numbered."""
 
     def __init__(self, slave: FmuInstance, names: Sequence[str], values: Array) -> None:
-        self.values, self._instance = values, slave._instance
+        self.values = values
+        self._slave, self._instance = slave, slave._instance
+        self._names = list(names)
         self._groups = []
         kinds = [slave.variables[name].type for name in names]
         for kind in dict.fromkeys(kinds):
             places = [i for i, own in enumerate(kinds) if own == kind]
             chosen = [names[i] for i in places]
             real = slave.buffer(chosen) if kind == "Real" else None
-            own = kind if kind in ("Boolean", "String") else "Integer"
-            self._groups.append((places, own, slave.variables.references(chosen, kind), real))
+            references = slave.variables.references(chosen, kind)
+            self._groups.append((places, _setter(kind), references, real))
 
     def write(self) -> None:
         """Set the variables."""
@@ -268,14 +313,18 @@ class MixedBuffer:
                 real.values[:] = given
                 real.write()
             else:
-                read = numbered_text if kind == "String" else int
-                self._instance.set(kind, references, [read(value) for value in given])
+                to_value = _FROM_NUMBER.get(kind, int)
+                self._instance.set(kind, references, [to_value(value) for value in given])
 
     def read(self) -> Array:
         """Read and return the variables."""
         for places, kind, references, real in self._groups:
             found = real.read() if real else self._instance.get(kind, references)
-            self.values[places] = list(map(text_number, found)) if kind == "String" else found
+            if kind == "String":
+                found = list(map(text_number, found))
+            elif kind == "Integer":
+                _require_exact(self._slave, [self._names[i] for i in places], found)
+            self.values[places] = found
         return self.values
 
 

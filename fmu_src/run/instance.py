@@ -18,6 +18,7 @@ from hesr_model.support.arrays import Array
 PLATFORM: str = fmpy.platform  # in FMI 2.0
 SUFFIX: str = fmpy.sharedLibraryExtension
 WARNING = 1  # highest status of a call that has succeeded; OK is 0
+_DISCARD = 2
 _FATAL, _STATUSES = 4, range(6)  # after other values, and 4, an instance must not be called
 
 Call = Callable[..., None]  # calls a function by name with arguments after the instance
@@ -55,8 +56,16 @@ class UnpackedFmu:
     fmi: int = 2  # major version
     variables: Sequence[Declared] = ()  # of FMI 3.0
     exchange: bool = False  # model exchange instead of co-simulation
+    states: int = 0
+    indicators: int = 0  # numbers of continuous states and event indicators
+    completes_steps: bool = False  # whether it asks for completed steps of the integrator
+    tolerance: float = 1e-5  # relative, of the solver
 
     to_json = asdict
+
+
+_TO_C: Mapping[str, Callable[[Any], Any]] = {"String": str.encode, "Float32": float}
+"""Python value of a variable for ctypes, by type; others are integers."""
 
 
 class Buffer(Protocol):
@@ -111,6 +120,14 @@ class _Fmi2:
 
     def enter(self, call: Call, _time: float, _stop: float | None) -> None:
         call(self.functions["enter_initialisation"])
+
+    def why_discarded(self, slave: Any) -> str:
+        """Return why the simulation must end after a discarded step, or ""."""
+        try:
+            ended = slave.getBooleanStatus(fmi2.fmi2Terminated)
+        except Exception:  # FMPy raises bare exceptions; tools may lack the function
+            return ""
+        return "fmi2DoStep requested termination" if ended else ""
 
     def kind(self, kind: str, _declared: str | None) -> tuple[str, Any]:
         """Return suffix of the functions and C type for a type of variable."""
@@ -188,6 +205,8 @@ class Instance:
     Raises LoadError if the binary cannot be loaded, and `failure` of a CallError if a call fails.
     """
 
+    has_solver = False  # whether `step` is more than a call of the FMU
+
     def __init__(
         self, fmu: UnpackedFmu, tell: Tell, failure: Failure = lambda error: error
     ) -> None:
@@ -235,7 +254,11 @@ class Instance:
     def fail(self, function: str, status: int) -> NoReturn:
         """Raise the error of a function that returned a status."""
         self._usable = status in _STATUSES and status != _FATAL
-        raise self._failure(CallError(function, status))
+        error = CallError(function, status)
+        if function == "fmi2DoStep" and status == _DISCARD:
+            ended = self.fmi.why_discarded(self.slave)
+            error = CallError(ended) if ended else error
+        raise self._failure(error)
 
     def setup(self, time: float, stop: float | None) -> None:
         """Announce start and end of the experiment [s]."""
@@ -256,21 +279,21 @@ class Instance:
         self.held.update({array: list(starts) for array, starts in self._starts.items()})
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set variables of type Boolean, Integer or String."""
+        """Set variables of any type but Real, whose elements are "Float64"."""
         for reference, value in zip(references, values, strict=True):
             array, position = element_of(reference)
             held = self.held.get(array, [value])
             held[position] = value
             name, own = self.fmi.kind(kind, self._types.get(array))
-            shown = [v.encode() if kind == "String" else int(v) for v in held]
+            shown = [_TO_C.get(kind, int)(v) for v in held]
             function = self.fmi.functions["set"] + name
             pointer = (own * len(held))(*shown)
-            if kind != "String" and list(pointer) != shown:
+            if kind not in _TO_C and list(pointer) != shown:
                 raise self._failure(CallError(f"{value} does not fit the type {name}"))
             self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(held)))
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
-        """Return variables of type Boolean, Integer or String."""
+        """Return variables of any type but Real."""
         found = []
         for reference in references:
             array, position = element_of(reference)

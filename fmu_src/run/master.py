@@ -115,6 +115,11 @@ class Layout:
     limited: Places
     low: Array
     high: Array
+    times: Array | None = None  # communication points [s] that are not evenly spaced
+
+    def time(self, k: int) -> float:
+        """Return communication point k [s]."""
+        return self.begin + k * self.step if self.times is None else float(self.times[k])
 
     def propagate(self, time: float) -> None:
         """Set inputs along direct feedthrough [s]; raise SimulationError if one is not finite."""
@@ -168,7 +173,7 @@ class PythonStepper:
         for k in range(self.done, stop):
             if k > 0:
                 self._step(k - 1)
-            time = layout.begin + k * layout.step
+            time = layout.time(k)
             shown = self._shown(time)
             if shown.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
                 layout.values[:] = shown
@@ -197,21 +202,28 @@ class PythonStepper:
         values[:] = passed_on
         return shown
 
+    def _step_station(self, station: Station, k: int) -> None:
+        times = self._layout.times
+        if times is None:
+            station.step(k, self._layout.step)
+        else:
+            station.slave.step(float(times[k]), float(times[k + 1] - times[k]))
+
     def _gauss_seidel(self, k: int) -> None:
-        values, step = self._layout.values, self._layout.step
+        values = self._layout.values
         for station in self._layout.stations:
             if (k + 1) % station.every == 0:
                 station.set_inputs(values)
-                station.step(k, step)
+                self._step_station(station, k)
                 station.read_outputs()
 
     def _jacobi(self, k: int) -> None:
-        values, step = self._layout.values, self._layout.step
+        values = self._layout.values
         for station in self._layout.stations:
             if k % station.every == 0:
                 station.set_inputs(values)
         ending = [s for s in self._layout.stations if (k + 1) % s.every == 0]
         for station in ending:
-            station.step(k, step)
+            self._step_station(station, k)
         for station in ending:
             station.read_outputs()

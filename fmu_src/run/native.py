@@ -71,7 +71,8 @@ def native_stepper(
 ) -> "NativeStepper | None":
     """Return the steps in C; None for foreign FMUs or refreshed outputs, or without compiler."""
     converting = any(station.conversions for station in layout.stations)
-    if layout.scheme.refreshed != "none" or layout.begin or converting:
+    uneven = layout.times is not None
+    if layout.scheme.refreshed != "none" or layout.begin or converting or uneven:
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
     own = [buffer for buffer in buffers if _is_native(buffer)]
@@ -82,7 +83,9 @@ def native_stepper(
 
 
 def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
-    return isinstance(buffer, LocalBuffer) and buffer.instance.fmi is VERSIONS[2]
+    if not isinstance(buffer, LocalBuffer):
+        return False
+    return buffer.instance.fmi is VERSIONS[2] and not buffer.instance.has_solver
 
 
 class NativeStepper:

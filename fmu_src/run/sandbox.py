@@ -292,10 +292,12 @@ class SandboxedInstance:
         self.sandbox.kill()
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
-        """Return variables of type Boolean, Integer or String."""
+        """Return variables of any type but Real."""
         found: list[Any] = list(self._do("get", kind, references) or ())
-        wanted = {"String": {str}}.get(kind, {int, bool})
-        if {type(value) for value in found} - wanted or len(found) != len(references):
+        kinds: dict[str, set[type]] = {"String": {str}, "Float32": {float}}
+        if {type(value) for value in found} - kinds.get(kind, {int, bool}) or len(found) != len(
+            references
+        ):
             raise self.failure(self.sandbox.died(NONSENSE), self._functions["get"] + kind)
         return found
 
@@ -337,7 +339,8 @@ class SandboxedInstance:
                 self.sandbox.tells[who](int(status), str(text))
             self._know(ahead, answer["ahead"])
             result = None if unloadable or failed else answer["results"][len(calls) - 1]
-            self._know(arguments if method == "read" else (), [result])
+            if method == "read" and not failed:
+                self._know(arguments, [result])
         except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
             raise self.sandbox.died(NONSENSE) from error
         if unloadable is not None:
@@ -381,7 +384,8 @@ def sandbox_stepper(layout: Layout) -> "SandboxStepper | None":
         for buffer in (station.inputs, station.outputs)
         if isinstance(buffer, _SandboxedBuffer) and not station.conversions
     ]
-    if layout.scheme.refreshed != "none" or len(own) != 2 * len(layout.stations):
+    uneven = layout.times is not None
+    if layout.scheme.refreshed != "none" or uneven or len(own) != 2 * len(layout.stations):
         return None
     alone = len({id(buffer.instance.sandbox) for buffer in own}) == 1
     return SandboxStepper(layout, own[::2], own[1::2]) if alone else None

@@ -116,9 +116,10 @@ class _Host:
         struct.pack_into("=q", self._shared, HEAD - 8, position)
 
     def _load(self, fmu: dict[str, Any]) -> None:
-        from fmu_src.run.instance import Instance, UnpackedFmu
+        from fmu_src.run.instance import UnpackedFmu
+        from fmu_src.run.loader import load_instance
 
-        self._instances.append(Instance(UnpackedFmu(**fmu), partial(self._tell, self._who)))
+        self._instances.append(load_instance(UnpackedFmu(**fmu), partial(self._tell, self._who)))
 
     def _buffer(self, references: Sequence[int]) -> None:
         self._buffers.append(self._instances[self._who].buffer(references))

@@ -5,6 +5,7 @@ reference is the value reference of the array with the position of the element a
 """
 
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from difflib import SequenceMatcher
@@ -35,12 +36,19 @@ _IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]{0,199}")
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 _CHOICE = re.compile(r"\b(\d+) = (\w+)")
 
+_LONGEST_VALUE = 40  # characters of a value in a message
 _CLOSE = 0.6  # similarity of names that are suggested
 _POSITION = 32  # lowest bit of an element's position in a reference
 _MOST_ELEMENTS = 100_000
-_TYPES = {"Float64": "Real", "Enumeration": "Integer"} | {
-    f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
+_BITS = (8, 16, 32, 64)
+_RANGES: dict[str, tuple[int, int]] = {
+    **{f"Int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in _BITS},
+    **{f"UInt{bits}": (0, 2**bits - 1) for bits in _BITS},
 }
+"""Lowest and highest value by integer type of FMI 3.0; Integer of FMI 2.0 is Int32."""
+_TYPES = {"Float64": "Real", "Enumeration": "Integer"} | dict.fromkeys(_RANGES, "Integer")
+_LARGEST = {"Real": sys.float_info.max, "Float32": float(np.finfo(np.float32).max)}
+_BOOLEANS = {"true": 1, "false": 0}
 
 
 def model_description(fmu: Path) -> ModelDescription:
@@ -175,11 +183,21 @@ def suggestion(name: str, known: Iterable[str], most: int) -> str:
     return f"did you mean {', '.join(others)} or {last}?" if others else f"did you mean {last}?"
 
 
-class Variables:
-    """Variables of an FMU by name; methods raise SimulationError."""
+def _items(variable: Any) -> dict[str, int]:
+    """Return the values of an enumeration by name."""
+    declared = variable.declaredType
+    if declared is None:
+        return {}
+    items: Sequence[Any] = declared.items or ()
+    return {item.name: int(item.value) for item in items}
 
-    def __init__(self, fmu: Path, description: Any) -> None:
+
+class Variables:
+    """Variables of an FMU by name; `declared` are those of FMI 3.0. Raises SimulationError."""
+
+    def __init__(self, fmu: Path, description: Any, declared: Iterable[Declared] = ()) -> None:
         self._fmu, self._description = fmu, description
+        self._types = {reference: kind for reference, _, kind, _ in declared}
         self._by_name = {v.name: v for v in description.modelVariables}
         self._units = {unit.name: unit.baseUnit for unit in description.unitDefinitions or ()}
 
@@ -265,30 +283,64 @@ class Variables:
             found |= {e: self._checked(e, p) for e, p in zip(elements, parts, strict=True)}
         return found
 
-    def _checked(self, name: str, value: float | str) -> float | str:
+    def _checked(self, name: str, value: Any) -> float | str:
+        """Return the value of a variable; raise SimulationError unless it has it exactly."""
         variable = self[name]
-        if variable.type == "String":
-            fits = isinstance(value, str)
-        elif isinstance(value, str):
+        kind = variable.type
+        if kind in ("Binary", "Clock"):
+            raise SimulationError(f"{self._fmu}: '{name}' is a {kind}, which has no start value.")
+        if kind == "String" and isinstance(value, str):
+            return value
+        if isinstance(value, str):
             return self._choice(name, value)
-        elif variable.type == "Boolean" or isinstance(value, bool):
-            fits = variable.type == "Boolean" and value in (0, 1)
-        else:
-            fits = variable.type == "Real" or float(value).is_integer()
-        if not fits:
-            raise SimulationError(
-                f"{self._fmu}: '{name}' is of type {variable.type}; it cannot be {value!r}."
-            )
-        return value
+        if kind == "String" or not isinstance(value, bool | int | float | np.number):
+            raise self._misfit(name, value)
+        if kind == "Boolean":
+            if value not in (0, 1):
+                raise self._misfit(name, value, "true or false")
+            return bool(value)
+        if isinstance(value, bool | np.bool_):
+            raise self._misfit(name, value)
+        if kind in _LARGEST:
+            largest = _LARGEST[kind]
+            if not -largest <= value <= largest:  # a NaN included
+                raise self._misfit(name, value, f"a finite number up to {largest:.4g} in magnitude")
+            return float(value)
+        return self._integer(name, float(value) if isinstance(value, np.floating) else value)
+
+    def _integer(self, name: str, value: Any) -> int:
+        """Return the value of an Integer or Enumeration; the range is that of its type."""
+        variable = self[name]
+        declared = self._declared_type(variable)
+        if declared == "Enumeration":
+            items = _items(variable)
+            if items and value not in items.values():
+                choices = ", ".join(f"{number} = {item}" for item, number in items.items())
+                raise self._misfit(name, value, f"one of {choices}")
+        lowest, highest = _RANGES.get(declared, _RANGES["Int32"])
+        if not lowest <= value <= highest or value != int(value):
+            raise self._misfit(name, value, f"an integer from {lowest} to {highest}")
+        return int(value)
+
+    def _declared_type(self, variable: Any) -> str:
+        """Return the type of a variable in its description, such as UInt8."""
+        array, _ = element_of(variable.valueReference)
+        return self._types.get(array, str(variable.type))
+
+    def _misfit(self, name: str, value: Any, expected: str = "") -> SimulationError:
+        variable = self[name]
+        kind = self._declared_type(variable)
+        shown = plain(repr(value), _LONGEST_VALUE)
+        end = f"; it must be {expected}." if expected else "."
+        return SimulationError(
+            f"{self._fmu}: '{name}' is of type {kind}; it cannot be {shown}{end}"
+        )
 
     def _choice(self, name: str, value: str) -> int:
         """Return the value of a choice; an Integer may be described as "1 = fourier, 2 = sine"."""
         variable = self[name]
-        declared = variable.declaredType
-        items = {
-            item.name: int(item.value) for item in (declared.items if declared else None) or ()
-        }
-        if variable.type == "Integer":
+        items = _BOOLEANS if variable.type == "Boolean" else _items(variable)
+        if variable.type == "Integer" and not items:
             items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
         if value not in items:
             known = f"it must be one of {', '.join(items)}" if items else "it has no choices"

@@ -1,4 +1,4 @@
-"""`hesr simulate X.fmu`: FMUs of other tools by themselves, always in the sandbox."""
+"""`hesr simulate X.fmu`: an FMU as a system of one component."""
 
 import csv
 import re
@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hostile import archived, infected
 from pythonfmu.builder import FmuBuilder
 from small_fmus import lag
 from small_study import Hesr, hesr_here
 
 import hesr
+from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError, SimulationError
@@ -102,10 +104,198 @@ def test_times_are_those_of_the_file(lag_fmu: Path, tmp_path: Path) -> None:
     assert (found.t[0], found.end) == (1.0, 3.0)
 
 
-def test_fmus_run_in_the_sandbox_alone(lag_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmu_src.run.single.SECONDS", 0.01)
-    with pytest.raises(SimulationError, match=r"its simulation gave no answer within 0\.01 s"):
-        hesr.simulate(lag_fmu)
+def test_calls_have_the_timeout_of_systems(
+    lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    foreign = edited(lag_fmu, tmp_path / "F.fmu", ("A first-order lag", "A foreign lag"))
+    monkeypatch.setattr("cosim.systems.simulation.SECONDS", 0.01)
+    with pytest.raises(SimulationError, match=r"gave no answer within 0\.01 s and was ended"):
+        hesr.simulate(foreign)
+
+
+@pytest.fixture(scope="session")
+def hostile_lag(lag_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return infected(lag_fmu, tmp_path_factory.mktemp("hostile") / "Lag.fmu")
+
+
+@pytest.mark.parametrize("status", [-77, -1, 2, 3, 4, 6])
+@pytest.mark.parametrize("call", ["fmi2GetReal", "fmi2DoStep"])
+def test_statuses_that_are_no_success_end_the_command(
+    call: str, status: int, hostile_lag: Path, run: Hesr, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DEED", f"{call} status {status}")
+    answer = run("simulate", hostile_lag, "--stop", "1", "--step", "0.1")
+    assert answer.code == 2
+    assert f"{call} failed with status {status} " in " ".join(answer.err.split())
+
+
+def test_outputs_that_are_not_finite_end_the_command(
+    hostile_lag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DEED", "fmi2GetReal nan")
+    with pytest.raises(SimulationError, match=r"fmu\.y is not a finite number"):
+        hesr.simulate(hostile_lag, stop=1.0, step=0.1)
+
+
+ENDS_EARLY = {
+    2: {
+        "fmi2_step.c": (
+            ("*value = fmi2False;", "*value = fmi2True;"),
+            (r"\(fmi2DoStep\)[^;{]*\{", r"\g<0> if (time > 0.25) { return fmi2Discard; }"),
+        )
+    },
+    3: {
+        "fmi3_step.c": (
+            ("*last = component->time;", "*last = component->time; *terminate = time > 0.25;"),
+        )
+    },
+}
+"""Changes of C sources by which the step that begins at 0.3 s ends the simulation."""
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_fmu_that_ends_its_run_early_says_so(fmi: Any, tmp_path: Path, run: Hesr) -> None:
+    whole = lag(tmp_path, fmi)
+    with zipfile.ZipFile(whole) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    folder = tmp_path / "sources"
+    folder.mkdir()
+    for name, content in members.items():
+        if name.startswith("sources/"):
+            (folder / Path(name).name).write_bytes(content)
+    for name, changes in ENDS_EARLY[fmi].items():
+        text = (folder / name).read_text(encoding="utf-8")
+        for pattern, to in changes:
+            text, count = re.subn(pattern if "\\(" in pattern else re.escape(pattern), to, text)
+            assert count
+        (folder / name).write_text(text, encoding="utf-8")
+    library = next(n for n in members if n.startswith("binaries/") and n.endswith(".so"))
+    members[library] = build(folder / "all.c", "lag", TARGETS["linux64"])
+    early = archived(members, tmp_path / "Early.fmu")
+    output = tmp_path / "out.csv"
+    answer = run("simulate", early, "--stop", "1", "--step", "0.1", "-o", output)
+    said = " ".join(answer.err.split())
+    assert answer.code == 2
+    assert f"at t = 0.3 s: fmi{fmi}DoStep requested termination; the results so far" in said
+    assert len(output.read_text(encoding="utf-8").splitlines()) == 5  # heading, 0 to 0.3 s
+
+
+INTEGERS = {
+    "Int8": (-128, 127),
+    "UInt8": (0, 255),
+    "Int16": (-32768, 32767),
+    "UInt16": (0, 65535),
+    "Int32": (-(2**31), 2**31 - 1),
+    "UInt32": (0, 2**32 - 1),
+    "Int64": (-(2**63), 2**63 - 1),
+    "UInt64": (0, 2**64 - 1),
+}
+TYPED_3 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="L" instantiationToken="1">
+<CoSimulation modelIdentifier="L"/>
+<TypeDefinitions><EnumerationType name="Mode"><Item name="slow" value="1"/>
+<Item name="fast" value="3"/></EnumerationType></TypeDefinitions><ModelVariables>
+<Float64 name="Float64" valueReference="1" causality="input" start="0"/>
+<Float32 name="Float32" valueReference="2" causality="input" start="0"/>
+<Boolean name="Boolean" valueReference="3" causality="input" start="false"/>
+<String name="String" valueReference="4" causality="input"><Start value=""/></String>
+<Enumeration name="Enumeration" valueReference="5" causality="input" declaredType="Mode" start="1"/>
+<Float64 name="vector" valueReference="6" causality="input" start="0 0"><Dimension start="2"/>
+</Float64><Clock name="Clock" valueReference="7" causality="input" intervalVariability="triggered"/>
+INTEGERS</ModelVariables><ModelStructure/></fmiModelDescription>""".replace(
+    "INTEGERS",
+    "".join(
+        f'<{kind} name="{kind}" valueReference="{i}" causality="input" start="0"/>'
+        for i, kind in enumerate(INTEGERS, start=8)
+    ),
+)
+
+
+@pytest.fixture(scope="session")
+def typed_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU of FMI 3.0 with an input of every type, and no binary."""
+    path = tmp_path_factory.mktemp("typed") / "Typed3.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", TYPED_3)
+    return path
+
+
+WRONG = [
+    *((f"{kind}={value}", f"an integer from {low} to {high}.")
+      for kind, (low, high) in INTEGERS.items() for value in (low - 1, high + 1)),
+    *((f"{kind}={value}", "it must be an integer from") for kind in INTEGERS
+      for value in ("1.5", "nan", "inf", "-inf", "1e300")),
+    *((f"{kind}={value}", "it must be a finite number up to") for kind in ("Float64", "Float32")
+      for value in ("nan", "inf", "-inf")),
+    ("Float32=1e39", "a finite number up to 3.403e+38 in magnitude."),
+    ("Float64=true", "'Float64' is of type Float64; it cannot be True."),
+    ("Int8=false", "'Int8' is of type Int8; it cannot be False."),
+    *((f"Boolean={value}", "it must be true or false.") for value in ("2", "-1", "0.5", "nan")),
+    ("Boolean=yes", "'Boolean' cannot be 'yes'; it must be one of true, false."),
+    ("Enumeration=2", "it must be one of 1 = slow, 3 = fast."),
+    ("Enumeration=turbo", "it must be one of slow, fast."),
+    ("String=5", "'String' is of type String; it cannot be 5."),
+    ("vector=[1]", "'vector' has 2 elements; 1 values are given."),
+    ("vector=[1,2,3]", "'vector' has 2 elements; 3 values are given."),
+    ("vector=[1,nan]", "'vector[2]' is of type Float64; it cannot be nan"),
+    ("vector=[[1,2],[3,4]]", "'vector[1]' is of type Float64; it cannot be [1, 2]."),
+    ("Float64={a=1}", "'Float64' is of type Float64; it cannot be {'a': 1}."),
+    ("Float64=2020-01-01", "it cannot be datetime.date(2020, 1, 1)."),
+    ("Clock=1", "'Clock' is a Clock, which has no start value."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("pair", "sentence"), WRONG, ids=[pair[:30] for pair, _ in WRONG])
+def test_values_that_a_type_lacks_are_refused(pair: str, sentence: str, typed_3: Path) -> None:
+    with pytest.raises(SimulationError, match=re.escape(sentence)) as caught:
+        hesr.simulate(typed_3, set=[pair])
+    assert f"'{pair.partition('=')[0]}" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", INTEGERS)
+def test_values_at_the_ends_of_a_type_are_taken(kind: str, typed_3: Path) -> None:
+    for value in INTEGERS[kind]:
+        with pytest.raises(SimulationError, match="has no binary for this platform"):
+            hesr.simulate(typed_3, set=[f"{kind}={value}"])
+
+
+@pytest.mark.parametrize("attribute", ["startTime", "stopTime", "stepSize"])
+@pytest.mark.parametrize("text", ["INF", "-INF", "NaN", "soon"])
+def test_times_of_a_file_that_are_not_finite_are_refused(
+    text: str, attribute: str, lag_fmu: Path, tmp_path: Path
+) -> None:
+    own = (r"<DefaultExperiment.*?/>", f'<DefaultExperiment {attribute}="{text}"/>')
+    with pytest.raises(ConfigError, match=f"its {attribute} is '{text}'; give --"):
+        hesr.simulate(edited(lag_fmu, tmp_path / "F.fmu", own))
+
+
+@pytest.mark.parametrize("text", ["-1", "0", "-1e300"])
+def test_ends_before_the_start_are_refused(text: str, lag_fmu: Path, tmp_path: Path) -> None:
+    own = (r"<DefaultExperiment.*?/>", f'<DefaultExperiment stopTime="{text}"/>')
+    with pytest.raises(ConfigError, match=r"s, not after the start, 0 s\."):
+        hesr.simulate(edited(lag_fmu, tmp_path / "F.fmu", own))
+
+
+def test_inputs_off_the_grid_have_their_own_rows(typed_fmu: Path, tmp_path: Path) -> None:
+    table = tmp_path / "in.csv"
+    table.write_text("time,r,i\n0,0,1\n0.4,1,1\n0.4,3,2\n1,3,2\n", encoding="utf-8")
+    found = hesr.simulate(typed_fmu, start=0.0, stop=0.9, step=0.25, input=table)
+    np.testing.assert_allclose(found.t, [0.0, 0.25, 0.4, 0.5, 0.75, 0.9])
+    # Of two samples at 0.4 s the step that begins there takes the last.
+    np.testing.assert_allclose(found.signals["ro"], [0.0, 0.0, 0.625, 3.0, 3.0, 3.0])
+    assert found.signals["io"].tolist() == [0, 1, 1, 2, 2, 2]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_models_follow_inputs_between_rows(fmi: Any, tmp_path: Path) -> None:
+    """u = t gives x = t - T + (x_0 + T) exp(-t / T)."""
+    only = (r"<CoSimulation [^>]*(/>|>.*?</CoSimulation>)", "")
+    model = edited(lag(tmp_path, fmi), tmp_path / "Model.fmu", only)
+    table = tmp_path / "in.csv"
+    table.write_text("time,u\n0,0\n1,1\n", encoding="utf-8")
+    found = hesr.simulate(model, stop=1.0, step=0.25, input=table)
+    expected = found.t - 0.5 + 0.75 * np.exp(-found.t / 0.5)
+    np.testing.assert_allclose(found.signals["y"], expected, rtol=1e-3)
 
 
 FMI_1 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -157,5 +347,5 @@ def test_wrong_options_are_refused(
 
 
 def test_failures_are_reported_by_one_sentence(lag_fmu: Path) -> None:
-    with pytest.raises(SimulationError, match=r"failed with '"):
+    with pytest.raises(SimulationError, match=r"at t = 0\.3 s: The step passes 0\.35 s, where"):
         hesr.simulate(lag_fmu, stop=1.0, step=0.1, set=["refused=0.35"])

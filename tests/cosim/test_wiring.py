@@ -170,9 +170,9 @@ def test_algebraic_loops_are_refused():
         ({"Kp": [1.0, 2.0]}, "controller.fmu: 'Kp' has 1 element; 2 values are given."),
         ({"mode": "quick"}, "'mode' cannot be 'quick'; it must be one of slow, fast."),
         ({"Kp": "slow"}, "'Kp' cannot be 'slow'; it has no choices."),
-        ({"count": 1.5}, "'count' is of type Integer; it cannot be 1.5."),
+        ({"count": 1.5}, "'count' is of type Integer; it cannot be 1.5; it must be an integer"),
         ({"Kp": True}, "'Kp' is of type Real; it cannot be True."),
-        ({"on": 2}, "'on' is of type Boolean; it cannot be 2."),
+        ({"on": 2}, "'on' is of type Boolean; it cannot be 2; it must be true or false."),
         ({"file": 2}, "'file' is of type String; it cannot be 2."),
     ],
 )
