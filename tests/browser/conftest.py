@@ -1,23 +1,15 @@
 """Pages in a headless Chromium, opened from files, without a network."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from browser_pages import start_chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
-
-# The first one has no windows, which take more than half of the others' time.
-NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-# Without its sandbox Chromium also runs as root; the other options stop its network requests.
-SWITCHES = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
 
 OpenPage = Callable[..., "Page"]
 
@@ -25,14 +17,8 @@ OpenPage = Callable[..., "Page"]
 # Module scope: no other test can run an event loop during its life.
 @pytest.fixture(scope="module")
 def chromium() -> Iterator["Browser"]:
-    program = next(filter(None, map(shutil.which, NAMES)), None)
-    if program is None:
-        pytest.skip(f"none of {', '.join(NAMES)} is installed")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=program, args=list(SWITCHES))
+    with start_chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture

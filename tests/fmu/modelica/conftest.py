@@ -1,6 +1,5 @@
 """Exported packages and the compilers that read them."""
 
-import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -8,26 +7,19 @@ from typing import Any
 
 import pytest
 from modelica_laws import EVERY, shapes
+from modelica_truth import open_compilers
 from test_model_exchange import parfam_hx
 
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
-COMPILERS = Path(__file__).parents[3] / ".tools/modelica"
-
 
 @pytest.fixture(scope="session")
 def compilers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], ModuleType]]:
     """Import a compiler with its cache in a temporary folder."""
-    if not (COMPILERS / "version").exists():
-        pytest.skip(
-            "the Modelica compilers are not there: run `.ci/modelica .tools/modelica` first"
-        )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.syspath_prepend(str(COMPILERS))
-        yield importlib.import_module
+    with open_compilers(tmp_path_factory.mktemp("cache")) as import_compiler:
+        yield import_compiler
 
 
 @pytest.fixture(scope="session")

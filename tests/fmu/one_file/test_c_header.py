@@ -27,88 +27,10 @@ QEMU = shutil.which("qemu-aarch64")
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")  # from Debian's libc6-arm64-cross
 M7_COMPILER, M7_MACHINE = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
 
-LIBRARY = """
-#include "law.h"
-#define EXPORT __attribute__((visibility("default")))
-EXPORT size_t size(void) { return sizeof(law_state); }
-EXPORT void init(law_state *s) { law_init(s); }
-EXPORT void begin(law_state *s, const double *dq, const double *q, const double *load) {
-    law_begin(s, dq, q, load); }
-EXPORT bool step(law_state *s, const double *dq, const double *q, const double *load, double dt,
-                 double *tau) { return law_step(s, dq, q, load, dt, tau); }
-EXPORT size_t batch(law_state *s, size_t n, const double *dq, const double *q, const double *load,
-                    double dt, double *tau) { return law_batch(s, n, dq, q, load, dt, tau); }
-EXPORT size_t states(void) { return LAW_STATES; }
-"""
-SIDE_BY_SIDE = """
-EXPORT size_t side_by_side(size_t n, double *x, const double *dq, const double *q,
-                           const double *load, double dt, double *tau) {
-    return law_side_by_side(law_coefficients, n, x, dq, q, load, dt, tau); }
-"""
-
-
-class Law:
-    """A header compiled for this machine."""
-
-    def __init__(self, model: FrictionModel, folder: Path) -> None:
-        export_c(model, folder / "law.h")
-        euler = any(law.discretisation == "euler" for law in model.laws)
-        (folder / "law.c").write_text(LIBRARY + ("" if euler else SIDE_BY_SIDE), encoding="utf-8")
-        file = folder / "law.so"
-        file.write_bytes(build(folder / "law.c", "law", TARGETS["linux64"]))
-        self._library = ctypes.CDLL(str(file))
-        self._library.size.restype = self._library.batch.restype = c_size_t
-        self._library.step.restype = c_bool
-        self.joints = len(model.joints)
-
-    def state(self, robots: int = 1):
-        size = self._library.size()
-        state = (ctypes.c_char * (size * robots))()
-        for i in range(robots):
-            self._library.init(ctypes.byref(state, i * size))
-        return state
-
-    def begin(self, state, dq, q, load) -> None:
-        self._library.begin(state, *map(_pointer, (dq, q, load)))
-
-    def step(self, state, dq, q, load, dt: float) -> np.ndarray | None:
-        tau = np.full(self.joints, np.nan)
-        moved = self._library.step(
-            state, *map(_pointer, (dq, q, load)), c_double(dt), _pointer(tau)
-        )
-        return tau if moved else None
-
-    def batch(self, state, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
-        tau = np.full(dq.shape, np.nan)
-        rows = map(_pointer, (dq, q, load))
-        count = self._library.batch(state, c_size_t(len(dq)), *rows, c_double(dt), _pointer(tau))
-        return count, tau
-
-    def side_by_side(self, x, dq, q, load, dt: float) -> tuple[int, np.ndarray]:
-        """Step robots stored in columns; x changes."""
-        tau = np.full(dq.shape, np.nan)
-        function = self._library.side_by_side
-        function.restype = c_size_t
-        rows = [np.ascontiguousarray(row) for row in (dq, q, load)]
-        count = function(
-            c_size_t(dq.shape[1]), _pointer(x), *map(_pointer, rows), c_double(dt), _pointer(tau)
-        )
-        return count, tau
-
-    def start(self, robots: int) -> np.ndarray:
-        """Initial states of robots (states, robots)."""
-        state = bytes(self.state())[-8 * max(self._library.states(), 1) :]
-        x = np.frombuffer(state)[: self._library.states(), None]
-        return np.ascontiguousarray(np.repeat(x, robots, axis=1))
-
-
-def _pointer(values: np.ndarray):
-    return np.ascontiguousarray(values).ctypes.data_as(POINTER(c_double))
-
 
 @pytest.fixture(scope="module")
-def every(every_model, tmp_path_factory) -> Law:
-    return Law(every_model, tmp_path_factory.mktemp("header"))
+def every(every_model, tmp_path_factory) -> CompiledHeader:
+    return CompiledHeader(every_model, tmp_path_factory.mktemp("header"))
 
 
 def test_every_law_is_bitwise_equal_to_the_fmu(every, every_model, every_fmu) -> None:
@@ -174,14 +96,14 @@ def test_the_start_in_motion_equals_that_of_the_fmu(every, every_fmu) -> None:
 
 
 def test_euler_steps_of_table_1_match(table1, table1_fmu, tmp_path) -> None:
-    law, rows = Law(table1, tmp_path), inputs(3)
+    law, rows = CompiledHeader(table1, tmp_path), inputs(3)
     state = law.state()
     found = np.array([law.step(state, *row, STEP) for row in zip(*rows, strict=True)])
     np.testing.assert_array_equal(found, torques_of(table1_fmu, rows))
 
 
 def test_an_impossible_step_changes_nothing(table1, tmp_path) -> None:
-    law, rows = Law(table1, tmp_path), np.full((3, 3), 0.3)
+    law, rows = CompiledHeader(table1, tmp_path), np.full((3, 3), 0.3)
     state = law.state()
     law.step(state, *rows, STEP)
     before = bytes(state)

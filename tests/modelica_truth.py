@@ -1,16 +1,24 @@
-"""A law on one reference motion in continuous time by SciPy, from SymPy and from the FMU.
+"""A law on one reference motion in continuous time by SciPy, from SymPy, the FMU and Modelica.
 
 Laws jump or have kinks at reversals, so both are integrated in two pieces.
 """
 
 import ctypes
+import importlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from hesr_model.equations.functions import lowered
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.predict import first_states
+
+COMPILERS = Path(__file__).parents[1] / ".tools/modelica"
 
 SPEED, OMEGA, PHASE = 0.5, 2.0 * np.pi, 0.35
 REVERSAL = (np.pi / 2 - PHASE) / OMEGA
@@ -120,6 +128,29 @@ def fmu_torque(fmu, joint, law):
             found += fmu.get(c, f"tau[{joint}]")
         x = rows[-1]
     return np.array(found)
+
+
+@contextmanager
+def open_compilers(cache: Path) -> Iterator[Callable[[str], ModuleType]]:
+    """Give a function that imports a compiler of Modelica, with its cache in a folder."""
+    if not (COMPILERS / "version").exists():
+        pytest.skip(
+            "the Modelica compilers are not there: run `.ci/modelica .tools/modelica` first"
+        )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(cache))
+        patch.syspath_prepend(str(COMPILERS))
+        yield importlib.import_module
+
+
+def simulate(rumoca, model, times):
+    """Results of a compiled model by name at `times`; events add further rows."""
+    exact = rumoca.SimConfig(rtol=1e-13, atol=1e-16, solver="rk-like")
+    result = model.simulate((0.0, float(times[-1])), dt=float(times[1]), config=exact)
+    t = np.array(result.time)
+    rows = [int(np.argmin(np.abs(t - instant))) for instant in times]
+    assert np.abs(t[rows] - times).max() < 1e-9
+    return {name: np.array(result[name])[rows] for name in result.names}
 
 
 def relative(found, expected):
