@@ -4,6 +4,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
+import pytest
+from _pytest.mark.structures import ParameterSet
 
 from fmu_src.export.package import translation_unit
 from fmu_src.friction.friction_fmu import _component
@@ -26,6 +28,28 @@ def everyday() -> dict[str, type[Estimator]]:
     """Laws of the registry in everyday tests."""
     laws = registry().items()
     return {name: law for name, law in laws if law.everyday or name in _ONE_OF_EACH_KIND}
+
+
+SAMPLES = ("stribeck", "lugre_load_ripple", "parfam_s_load", "rbfnn_h")
+"""One law of each form: without memory, with relaxations, load and position, with stops, and with
+coefficients as constants. Tests that are slow for each law run others once a night."""
+
+
+def is_of_this_project(law: str) -> bool:
+    """Return whether a law is not that of another package."""
+    return registry()[law].__module__.split(".")[0] in ("hesr", "hesr_model")
+
+
+def sampled(laws: Iterable[str]) -> list[ParameterSet]:
+    """Return laws as parameters of a slow test: samples for the gate, the others for the night.
+
+    Laws of other packages are in the gate of those who install them.
+    """
+    nightly = pytest.mark.nightly("laws")
+    return [
+        pytest.param(law, marks=nightly if is_of_this_project(law) and law not in SAMPLES else ())
+        for law in laws
+    ]
 
 
 def models_of_registry(laws: Iterable[str] | None = None) -> Iterator[FrictionModel]:

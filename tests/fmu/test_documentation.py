@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from registry_models import everyday
+from registry_models import SAMPLES
 
 from fmu_src import export_fmu
 from fmu_src.export.description import Description
@@ -117,9 +117,14 @@ def without_scope(cells: list[tuple[str, str, str]]) -> list[tuple[str, str, str
 
 
 @pytest.mark.ci
-def test_pages_of_registered_laws_are_complete(fitted: dict[str, FrictionModel]) -> None:
-    assert set(fitted) == set(everyday())
-    for name, model in fitted.items():
+@pytest.mark.parametrize(
+    "names", [SAMPLES, pytest.param((), marks=pytest.mark.nightly("laws"))], ids=["some", "all"]
+)
+def test_pages_of_registered_laws_are_complete(
+    names: tuple[str, ...], fitted: dict[str, FrictionModel]
+) -> None:
+    for name in names or fitted:
+        model = fitted[name]
         text = page_of(model)
         page = check(text)
         law = model.laws[0]
@@ -134,10 +139,11 @@ def test_pages_of_registered_laws_are_complete(fitted: dict[str, FrictionModel])
 
 
 def test_pages_of_hand_written_laws_are_complete(
-    law: FrictionLaw, make_model: Callable[..., FrictionModel]
+    every_law: dict[str, FrictionLaw], make_model: Callable[..., FrictionModel]
 ) -> None:
-    page = check(page_of(make_model(law, law)))
-    assert page.text.count("As plain text") == 2
+    laws = [law for name, law in every_law.items() if not name.startswith("fitted_")]
+    page = check(page_of(make_model(*laws)))
+    assert page.text.count("As plain text") == len(laws)
 
 
 def test_every_joint_has_its_equation(table1: FrictionModel) -> None:

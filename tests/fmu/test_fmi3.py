@@ -40,7 +40,10 @@ BLOCKS: dict[str, Callable[..., Content]] = {
 }
 
 
-@pytest.fixture(scope="module", params=["Table I", "laws", "registry", *BLOCKS, "body"])
+REGISTRY = pytest.param("registry", marks=pytest.mark.nightly("laws"))
+
+
+@pytest.fixture(scope="module", params=["Table I", "laws", REGISTRY, *BLOCKS, "body"])
 def pair(request, table1, make_model, make_law, tmp_path_factory) -> tuple[Path, Path]:
     """The FMU of a component in FMI 2.0 and in 3.0; one has every law of the registry."""
     folder = tmp_path_factory.mktemp("fmi3")

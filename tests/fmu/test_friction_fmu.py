@@ -41,12 +41,6 @@ def test_laws_of_different_forms_share_an_fmu(make_law, make_model, make_motion,
     assert_equals_python(model, export_bare(model, tmp_path / "F.fmu"), make_motion(6))
 
 
-def test_every_registered_law_matches_python(fitted, make_model, make_motion, tmp_path):
-    model = make_model(*fitted.values())
-    fmu = export_bare(model, tmp_path / "F.fmu")
-    assert_equals_python(model, fmu, make_motion(len(fitted)))
-
-
 def test_table_1_matches_the_equations_of_the_paper(table1, table1_fmu):
     t = 0.005 * np.arange(1600)
     v = 1.2 * np.sin(2 * np.pi * 0.25 * t)

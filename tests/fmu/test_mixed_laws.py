@@ -64,7 +64,7 @@ def test_its_file_is_read_back_with_the_same_bytes(model: FrictionModel, tmp_pat
     assert second.read_bytes() == first.read_bytes()
 
 
-@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.ci)])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.nightly("laws"))])
 def test_its_torque_is_that_of_an_fmu_of_each_law(
     fmi: int, models, model: FrictionModel, tmp_path: Path, make_motion: Callable
 ) -> None:
@@ -80,7 +80,7 @@ def test_its_torque_is_that_of_an_fmu_of_each_law(
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.nightly("laws"))])
 def test_its_fmu_passes_all_checks_and_its_page_names_the_law_of_each_joint(
     fmi: int, model: FrictionModel, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Friction laws as plug-ins of MuJoCo: the FMU's torques, states, threads and versions."""
+"""Friction laws as plug-ins of MuJoCo: states, threads, rest and versions."""
 
 import copy
 import subprocess
@@ -10,12 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import rollout
-from registry_models import models_of_registry
+from registry_models import SAMPLES, models_of_registry
 
-from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.pages.friction_page import holding_torque
-from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
 from hesr.extras.mujoco_plugin import plugin_library
 from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
 from hesr_model.errors import ExportError
@@ -57,81 +54,22 @@ def plugins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("plugins")
 
 
-def differences(model: FrictionModel, folder: Path, count: int) -> np.ndarray:
-    """Return the largest difference of each torque over random steps, relative to the largest."""
-    plugin = plugin_of(model, f"random_{model.law}", folder)
-    m, rng = scene(plugin, model.joints, apart=True), np.random.default_rng(7)
-    joints = len(model.joints)
-    d = mujoco.MjData(m)
-    # Speeds of all sizes, reversals and rests.
-    dq = rng.normal(size=(count, joints)) * 10.0 ** rng.uniform(-5.0, 0.5, (count, 1))
-    dq[rng.random(count) < 0.05] = 0.0
-    q = np.cumsum(dq, axis=0) * STEP
-    torque, load = np.empty_like(dq), np.empty_like(dq)
-    for k in range(count):
-        d.qpos[:], d.qvel[:] = q[k], dq[k]
-        mujoco.mj_step(m, d)
-        torque[k], load[k] = -d.qfrc_passive, d.qfrc_bias
-    names = [f"{name}[{i}]" for name in ("dq", "q", "tau_load") for i in range(1, joints + 1)]
-    with FmuInstance(export_bare(model, folder / f"{model.law}.fmu")) as fmu:
-        inputs = fmu.buffer(names)
-        outputs = fmu.buffer([f"tau[{i}]" for i in range(1, joints + 1)])
-        fmu.initialise(start={"start_mode": 2.0})
-        rows = np.hstack([dq, q, load])
-        known = through(fmu, inputs, outputs, STEP * np.arange(count), np.full(count, STEP), rows)
-    assert np.ptp(known, axis=0).min() > 0.0
-    return np.asarray(np.abs(torque - known).max(axis=0) / np.abs(known).max(axis=0))
-
-
-def test_torques_are_those_of_the_fmu(
-    registry_models: dict[str, FrictionModel], plugins: Path
-) -> None:
-    for law in ("stribeck", "lugre_load_ripple", "parfam_s_load"):
-        assert differences(registry_models[law], plugins, 5000).max() <= 1e-12
-
-
-@pytest.fixture(scope="module")
-def every_law() -> list[FrictionModel]:
-    """Models with one joint for each registered law, one of each discretisation."""
-    laws = {model.law: model.laws[0] for model in models_of_registry(registry())}
-    assert laws.keys() == registry().keys()
-    kinds = {
-        name: law.discretisation if law.form.relaxations else "exact" for name, law in laws.items()
-    }
-    found = []
-    for kind in sorted(set(kinds.values())):
-        names = tuple(name for name in laws if kinds[name] == kind)
-        own = tuple(laws[name] for name in names)
-        found.append(
-            FrictionModel(
-                law=f"every_{kind}", robot="bench", joints=names, laws=own, sample_time=STEP
-            )
-        )
-    return found
-
-
-@pytest.mark.parametrize(
-    "steps",
-    [
-        pytest.param(5_000, marks=pytest.mark.ci),
-        pytest.param(1_000_000, marks=pytest.mark.soak),
-    ],
-)
-def test_torques_of_every_law_are_those_of_the_fmu(
-    every_law: list[FrictionModel], plugins: Path, steps: int
-) -> None:
-    for model in every_law:
-        found = dict(zip(model.joints, differences(model, plugins, steps), strict=True))
-        assert max(found.values()) <= 1e-12, found
-
-
 @pytest.mark.ci
+@pytest.mark.parametrize(
+    "names", [SAMPLES, pytest.param((), marks=pytest.mark.nightly("laws"))], ids=["some", "all"]
+)
 def test_states_of_every_law_are_restored_and_equal_in_threads(
-    every_law: list[FrictionModel], plugins: Path
+    names: tuple[str, ...], plugins: Path
 ) -> None:
-    for model in every_law:
-        plugin = plugin_of(model, f"random_{model.law}", plugins)
-        m = scene(plugin, model.joints, apart=True)
+    """Laws of one discretisation are joints of one plug-in."""
+    names = names or tuple(registry())
+    laws = dict(zip(names, (m.laws[0] for m in models_of_registry(names)), strict=True))
+    for kind in sorted({law.discretisation for law in laws.values()}):
+        own = {name: law for name, law in laws.items() if law.discretisation == kind}
+        model = FrictionModel(
+            law=kind, robot="bench", joints=(*own,), laws=(*own.values(),), sample_time=STEP
+        )
+        m = scene(plugin_of(model, f"{kind}_{len(names)}", plugins), model.joints, apart=True)
         restored(m, [1.0, -0.5, 0.3])
         in_threads(m)
 

@@ -79,15 +79,18 @@ def test_motion_has_defaults_without_a_training_range(table1: FrictionModel) -> 
 
 
 @pytest.mark.parametrize("discretisation", ["exact", "euler"])
+@pytest.mark.parametrize("name", ["lugre", "gaussians", "elements"])
 def test_the_fmu_reproduces_the_reference_in_co_simulation(
-    law: FrictionLaw,
+    name: str,
     discretisation: str,
+    make_law: Callable[[str], FrictionLaw],
     make_model: Callable[..., FrictionModel],
     tmp_path: Path,
 ) -> None:
     # Without a training range the speed is too high for Euler at the sample time.
     trained = (TRAINED,) if discretisation == "exact" else ()
-    model = make_model(replace(law, discretisation=discretisation), trained=trained)
+    law = replace(make_law(name), discretisation=discretisation)
+    model = make_model(law, trained=trained)
     files = reference_files(model, NAME)
     stem = f"extra/co_simulation/{NAME}"
     chosen = options(files, f"{stem}_ref.opt")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
+from registry_models import SAMPLES
 from small_study import Run
 
 from hesr.extras.properties.battery import Subject, run_battery
@@ -20,10 +21,13 @@ from hesr_model.support.files import models_folder
 pytestmark = pytest.mark.ci
 
 
+@pytest.mark.parametrize(
+    "names", [SAMPLES, pytest.param((), marks=pytest.mark.nightly("laws"))], ids=["some", "all"]
+)
 def test_every_law_of_the_registry_is_checked(
-    tmp_path: Path, registry_models: dict[str, FrictionModel]
+    names: tuple[str, ...], tmp_path: Path, registry_models: dict[str, FrictionModel]
 ) -> None:
-    models = registry_models
+    models = {law: registry_models[law] for law in names or registry_models}
     subjects = [Subject(name=law, model=model, inertia=(0.5,)) for law, model in models.items()]
     found = dict(zip(models, run_battery(subjects), strict=True))
     for law, of_law in found.items():

@@ -13,9 +13,12 @@ from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 LIBRARY = Path(__file__).parent / "library"
 """Folder of the replacement for the Modelica Standard Library."""
 
-EVERY = (*STUDIED, "ripple", "gaussians", "start", "shapes")
-"""Names of the joints' laws: all of the registry, one with ripple in the joint angle, one with 90
-coefficients, one with a non-zero start, one with expressions that are easily misprinted."""
+ADDED = ("ripple", "gaussians", "start", "shapes")
+"""One law with ripple in the joint angle, one with 90 coefficients, one with a non-zero start, one
+with expressions that are easily misprinted."""
+
+EVERY = (*STUDIED, *ADDED)
+"""Names of the joints' laws: all of the registry, and those above."""
 
 STOPS = ("parfam_s", "parfam_s_load", "parfam_s_v")
 """Laws with stops, whose event-free form is stiff."""

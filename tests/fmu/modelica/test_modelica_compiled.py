@@ -6,11 +6,12 @@ if MODELICAPATH, as used by Modelica tools, names a folder that has it.
 """
 
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from modelica_laws import EVERY, LIBRARY, STOPS
+from modelica_laws import ADDED, EVERY, LIBRARY, STOPS
 from modelica_truth import (
     MODELICA,
     TIMES,
@@ -19,10 +20,10 @@ from modelica_truth import (
     integrated,
     python_torque,
     relative,
+    simulate,
 )
 
 from fmu_src.friction.friction_fmu import export_bare
-from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.equations.functions import sgn
 from hesr_model.friction.inputs import TAU_LOAD
 
@@ -35,9 +36,19 @@ def joint(request):
     return EVERY.index(request.param) + 1
 
 
-def in_motion(*laws):
+GATE = ("stribeck", "lugre_load_ripple", "rbfnn_h", *ADDED)
+"""Laws of different forms; tests of the others run at night."""
+
+
+def in_motion(*laws, gate=GATE):
     """Stops are stiff: nine digits take solvers minutes for half a second."""
-    names = [pytest.param(name, marks=pytest.mark.soak if name in STOPS else ()) for name in laws]
+
+    def mark(name):
+        if name in STOPS:
+            return pytest.mark.soak
+        return () if name in gate else pytest.mark.nightly("laws")
+
+    names = [pytest.param(name, marks=mark(name)) for name in laws]
     return pytest.mark.parametrize("joint", names, indirect=True)
 
 
@@ -86,16 +97,7 @@ def coupled(package, rumoca, library):
 
 @pytest.fixture(scope="session")
 def simulated(rumoca):
-    def run(model, times):
-        """Results by name at `times`; events add further rows."""
-        exact = rumoca.SimConfig(rtol=1e-13, atol=1e-16, solver="rk-like")
-        result = model.simulate((0.0, float(times[-1])), dt=float(times[1]), config=exact)
-        t = np.array(result.time)
-        rows = [int(np.argmin(np.abs(t - instant))) for instant in times]
-        assert np.abs(t[rows] - times).max() < 1e-9
-        return {name: np.array(result[name])[rows] for name in result.names}
-
-    return run
+    return partial(simulate, rumoca)
 
 
 @pytest.fixture(scope="session")
@@ -118,24 +120,14 @@ def test_blocks_compile_without_any_library(joint, law, block):
     assert {c.name: c.unit for c in law.form.coefficients}.items() <= units.items()
 
 
-@in_motion(*EVERY)
+@in_motion(*ADDED)
 def test_modelica_fmu_and_python_agree(joint, law, package, rumoca, simulated, fmu):
+    """For forms that no law of the registry has; contract/test_lowerings.py tests those."""
     text = package.read_text(encoding="utf-8") + MODELICA.format(block=f"Every.Joint{joint}")
     model = rumoca.Session().loads(text, model="Reference")
     expected = python_torque(law)
     assert relative(simulated(model, TIMES)["law.tau"], expected) <= 1e-9
     assert relative(fmu_torque(fmu, joint, law), expected) <= 1e-9
-
-
-def test_the_published_laws_agree(table1, table1_fmu, rumoca, simulated, load, tmp_path):
-    path = export_modelica(table1, tmp_path / "Table1.mo")
-    fmu = load(table1_fmu)
-    for joint, law in enumerate(table1.laws, start=1):
-        text = path.read_text(encoding="utf-8") + MODELICA.format(block=f"Table1.Joint{joint}")
-        found = simulated(rumoca.Session().loads(text, model="Reference"), TIMES)["law.tau"]
-        expected = python_torque(law)
-        assert relative(found, expected) <= 1e-9
-        assert relative(fmu_torque(fmu, joint, law), expected) <= 1e-9
 
 
 @in_motion(*BEARINGS)
@@ -225,7 +217,10 @@ def test_rumoca_reports_no_problem(package, rumoca):
     assert rumoca.validate(str(package)) == []
 
 
-def test_a_second_parser_reads_the_package(package, compilers):
+@pytest.mark.parametrize(
+    "names", [GATE, pytest.param(EVERY, marks=pytest.mark.nightly("laws"))], ids=["some", "all"]
+)
+def test_a_second_parser_reads_the_package(names, package, compilers):
     tree = compilers("pymoca.parser").parse(
         (LIBRARY / "Modelica.mo").read_text(encoding="utf-8"), bypass_cache=True
     )
@@ -233,7 +228,7 @@ def test_a_second_parser_reads_the_package(package, compilers):
         compilers("pymoca.parser").parse(package.read_text(encoding="utf-8"), bypass_cache=True)
     )
     reference = compilers("pymoca.ast").ComponentRef.from_string
-    for joint, _ in enumerate(EVERY, start=1):
+    for joint in (EVERY.index(name) + 1 for name in names):
         example = (f"Joint{joint}Bearing", f"Examples.Joint{joint}Speed")[joint % 2]
         for name in (f"Joint{joint}", example):
             flat = compilers("pymoca.tree").flatten(tree, reference(f"Every.{name}"))

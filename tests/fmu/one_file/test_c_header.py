@@ -1,21 +1,19 @@
 """The C header: bitwise equal to the FMU on two processors, and on a bare-metal Cortex-M7."""
 
-import ctypes
 import shutil
 import subprocess
 import zipfile
-from ctypes import POINTER, c_bool, c_double, c_size_t
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from c_hosts import build_host
+from compiled_header import CompiledHeader
 from documents import blocks
 from fmpy import read_model_description
 from one_file_laws import STEP, first_torques_of, inputs, maxwell_slip, torques_of
 
-from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.errors import ArtifactError, ExportError
@@ -93,13 +91,6 @@ def test_the_start_in_motion_equals_that_of_the_fmu(every, every_fmu) -> None:
         assert (bytes(state) == before) is (k == 220)
         found = every.step(state, *row, 0.0)
         np.testing.assert_array_equal(found, first_torques_of(every_fmu, row))
-
-
-def test_euler_steps_of_table_1_match(table1, table1_fmu, tmp_path) -> None:
-    law, rows = CompiledHeader(table1, tmp_path), inputs(3)
-    state = law.state()
-    found = np.array([law.step(state, *row, STEP) for row in zip(*rows, strict=True)])
-    np.testing.assert_array_equal(found, torques_of(table1_fmu, rows))
 
 
 def test_an_impossible_step_changes_nothing(table1, tmp_path) -> None:
@@ -324,6 +315,6 @@ def test_texts_cannot_close_a_comment(make_law, tmp_path) -> None:
     model = FrictionModel(
         law="x", robot="a */ b", joints=("j \\",), laws=(make_law("bare"),), sample_time=STEP
     )
-    law = Law(model, tmp_path)
+    law = CompiledHeader(model, tmp_path)
     one = np.ones(1)
     assert law.step(law.state(), one, one, one, STEP) == [3.0]

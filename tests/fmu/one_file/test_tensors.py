@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import sympy
 from documents import blocks
-from one_file_laws import STEP, first_torques_of, inputs, torques_of
+from one_file_laws import STEP, first_torques_of, inputs, maxwell_slip, torques_of
 
 from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.one_file.tensors import export_jax, export_torch, tensor_code
@@ -76,53 +76,46 @@ def assert_equal(found: np.ndarray, expected: np.ndarray, allowed: float) -> Non
     assert np.all(worst <= allowed), worst
 
 
+@pytest.fixture(
+    scope="module",
+    params=["hand_made", pytest.param("every", marks=pytest.mark.nightly("laws"))],
+)
+def some_laws(request, every_law, make_model, shared):
+    """Laws by hand, or those and all of the registry, as joints of one robot, and its FMU."""
+    names = [n for n in every_law if request.param == "every" or not n.startswith("fitted_")]
+    model = make_model(*(every_law[name] for name in names), maxwell_slip())
+
+    def export(folder: Path) -> None:
+        export_bare(model, folder / "F.fmu")
+
+    return model, shared(f"{request.param}_fmu", export) / "F.fmu"
+
+
 @pytest.fixture(scope="module")
-def every(python, library, every_model, tmp_path_factory):
-    rows = inputs(len(every_model.joints), seconds=ROWS * STEP)
-    return rows, run(python, library, every_model, tmp_path_factory.mktemp(library), rows)
+def every(python, library, some_laws, tmp_path_factory):
+    model, fmu = some_laws
+    rows = inputs(len(model.joints), seconds=ROWS * STEP)
+    return rows, run(python, library, model, tmp_path_factory.mktemp(library), rows), fmu
 
 
-def test_every_law_matches_the_fmu(every, every_fmu) -> None:
-    rows, (double, single, _) = every
-    expected = torques_of(every_fmu, rows)
+def test_laws_on_joints_of_one_robot_match_the_fmu(every) -> None:
+    """Including forms that no law of the registry has."""
+    rows, (double, single, found), fmu = every
+    expected = torques_of(fmu, rows)
     assert_equal(double, expected, 1e-12)
     assert_equal(single, expected, 1e-4)
-    assert single.dtype == np.float32
-
-
-@pytest.mark.soak
-def test_every_law_matches_over_ten_seconds(
-    python, library, every_model, every_fmu, tmp_path
-) -> None:
-    rows = inputs(len(every_model.joints))
-    double, single, _ = run(python, library, every_model, tmp_path, rows)
-    expected = torques_of(every_fmu, rows)
-    assert_equal(double, expected, 1e-12)
-    assert_equal(single, expected, 1e-4)
-
-
-def test_the_start_in_motion_matches_that_of_the_fmu(every, every_fmu) -> None:
-    rows, (_, _, found) = every
     for k, torque in enumerate(found["begun"]):
-        expected = first_torques_of(every_fmu, tuple(row[k] for row in rows))
-        np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=1e-12)
+        first = first_torques_of(fmu, tuple(row[k] for row in rows))
+        np.testing.assert_allclose(torque, first, rtol=1e-12, atol=1e-12)
 
 
 def test_coefficient_slopes_match_finite_differences(every) -> None:
     """Each multiplied by its coefficient, relative to the largest of the same joint."""
-    _, (_, _, slopes) = every
+    _, (_, _, slopes), _ = every
     slopes = {name: both for name, both in slopes.items() if name != "begun"}
     assert len(slopes) > 100
     for name, (found, finite) in slopes.items():
         assert np.all(np.abs(found - finite) <= 1e-6 * np.maximum(np.abs(finite), 1.0)), name
-
-
-def test_euler_steps_of_table_1_match(python, library, table1, table1_fmu, tmp_path) -> None:
-    rows = inputs(3, seconds=2.0)
-    double, single, _ = run(python, library, table1, tmp_path, rows)
-    expected = torques_of(table1_fmu, rows)
-    assert_equal(double, expected, 1e-12)
-    assert_equal(single, expected, 1e-4)
 
 
 def test_ripple_far_from_zero_keeps_its_phase(python, library, make_model, tmp_path) -> None:

@@ -26,6 +26,7 @@ from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 
 VDMCHECK2 = Path(__file__).parents[3] / ".tools" / "vdmcheck2"
+NIGHTLY = pytest.mark.nightly("laws")
 LARGEST = 600e3  # bytes of a plant with three platforms
 
 
@@ -90,7 +91,11 @@ def followers(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "source", [sprung, *(pytest.param(one, marks=pytest.mark.ci) for one in (followers, coupled))]
+    "source",
+    [
+        sprung,
+        *(pytest.param(one, marks=pytest.mark.nightly("laws")) for one in (followers, coupled)),
+    ],
 )
 def test_plants_of_all_kinds_of_joints_are_valid(source, make_law, tmp_path: Path) -> None:
     robot = Robot(source(tmp_path))
@@ -102,7 +107,7 @@ def test_plants_of_all_kinds_of_joints_are_valid(source, make_law, tmp_path: Pat
     assert ("spring[2].sin2" in about) == bool(robot.springs)
 
 
-@pytest.mark.ci
+@NIGHTLY
 def test_a_plant_for_three_platforms_is_small(make_law, tmp_path: Path) -> None:
     robot = Robot(coupled(tmp_path))
     platforms = ("linux64", "win64", "aarch64-linux")

@@ -8,7 +8,7 @@ import pytest
 from c_hosts import LINUX
 from plant_robots import ur_like
 from plant_runs import content_of
-from registry_models import everyday
+from registry_models import everyday, sampled
 
 from fmu_src.export.package import translation_unit
 from hesr_model.friction.law import FrictionLaw
@@ -96,13 +96,13 @@ def host(tmp_path: Path) -> Callable[[FrictionLaw], Host]:
     return make
 
 
-@pytest.mark.parametrize("name", list(everyday()))
+@pytest.mark.parametrize("name", sampled(everyday()))
 def test_every_random_state_has_a_solution(name: str, fitted, host) -> None:
     assert host(fitted[name])(1000, 10)[::2] == (0, "")
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", [name for name in everyday() if name not in WITHOUT_BOUND])
+@pytest.mark.parametrize("name", sampled(n for n in everyday() if n not in WITHOUT_BOUND))
 def test_a_light_wrist_is_no_faster_than_with_short_steps(name: str, fitted, host) -> None:
     """Nor is it with a hundredfold viscous friction."""
     run = host(fitted[name])
