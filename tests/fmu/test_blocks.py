@@ -552,7 +552,11 @@ def test_velocity_is_low_pass_filtered(fmus: Mapping[str, Path]) -> None:
             "Ki[2] is -1 N.m/rad; it must not be negative for servo_inversion.",
         ),
         ("Velocity", {"time_constant": -0.1}, "time_constant is -0.1 s; it must not be negative."),
-        ("Velocity", {"time_constant": float("nan")}, "time_constant is nan; a finite number is"),
+        (
+            "Velocity",
+            {"time_constant": float("nan")},
+            "it cannot be nan; it must be a finite number",
+        ),
     ],
 )
 def test_invalid_parameters_are_refused(
