@@ -76,8 +76,9 @@ def compute(
     """
 
     def chosen_laws(name: str) -> list[str]:
-        pairs = [getattr(item, "callspec", None) for item in request.session.items]
-        chosen = {p.params["law"] for p in pairs if p and p.params.get("name") == name}
+        items = [item for item in request.session.items if item.path == Path(__file__)]
+        params = [item.callspec.params for item in items if hasattr(item, "callspec")]
+        chosen = {pair["law"] for pair in params if pair.get("name") == name}
         return [law for law in LAWS if law in chosen]
 
     def torques(law: str, name: str) -> Torques:
