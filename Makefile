@@ -1,11 +1,17 @@
-# make run        set everything up in .venv and do the main job
-# make test       set everything up and run the tests for every change, in minutes
-# make test-all   run all tests but those of `make soak`
+# make run        install in .venv what a run needs, and do the main job
+# make near       run the tests that import a changed module within two steps; NEAR=COMMIT for
+#                 all changes since a commit
+# make test       install everything and run the tests for every change, in minutes
+# make rest       run the tests of CI that `make test` leaves out
+# make test-all   run both
+# make gate       run all checks of `.ci/run` that need no further installation
 # make contract   run the contract tests of all laws and modules
 # make hard       run the tests of hostile files, foreign FMUs, full disks and interrupts as a
 #                 background job does, with SIGINT ignored
-# make kernels    run those tests of `make test` that fit laws with another kernel of OpenBLAS, which
-#                 rounds differently
+# make kernels    run those tests of `make test` that fit laws with other kernels of OpenBLAS, which
+#                 round differently
+# make nightly    run the groups of tests/nightly.toml and record those that pass; GROUPS='site soak'
+#                 chooses groups
 # make durations  run all tests and record their CPU seconds in tests/durations.toml
 # make soak       run the tests that take too long for daily use
 # make lint       formatting, static checks, types, and the pipelines
@@ -21,13 +27,19 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-override IGNORED += tests/benchmarks
-PROCESSES ?= 3
+override IGNORED += tests/benchmarks tests/interop
+PROCESSES ?= $(shell nproc 2>/dev/null || echo 2)
 SPREAD := -n $(PROCESSES) --dist loadfile --no-loadscope-reorder
+# Of .ci/run: the name of the report that its summary reads, and the seconds that are left.
+REPORT ?=
+SECONDS_LEFT ?=
+SPREAD += $(REPORT:%=--junitxml .ci/out/%.xml -o junit_family=xunit1)
+SPREAD += $(SECONDS_LEFT:%=--session-timeout %)
+KERNELS ?= Prescott Haswell
 C_FILES := $(wildcard hesr_model/equations/*.[ch] fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c tests/benchmarks/*.c)
 
 # As many test processes as cores: more threads of linear algebra would wait for each other.
-test test-all contract hard kernels durations soak: export OMP_NUM_THREADS = 1
+near test rest test-all contract hard kernels durations nightly-tests soak: export OMP_NUM_THREADS = 1
 
 # Tests start many processes, which would compile all modules again without bytecode.
 unexport PYTHONDONTWRITEBYTECODE
@@ -39,17 +51,26 @@ FITS := tests/numbers $(patsubst %,tests/unit/test_%.py, \
   classic_laws dahl least_squares lugre_load networks parfam parfam_edges parfam_extended parfam_s \
   parfam_velocity per_log refinement ripple separable strain_wave stribeck)
 
-.PHONY: run test test-all contract hard hard-files kernels durations soak mutate messages lint format docs \
-  pipelines dist interop benchmark jax clean
+.PHONY: run near test rest test-all gate contract hard hard-files kernels durations nightly \
+  nightly-tests soak mutate messages lint format docs pipelines dist interop benchmark jax clean
 
-run: $(VENV)/installed
+run: $(VENV)/run
 	$(BIN)/hesr run
+
+near: $(VENV)/installed
+	$(BIN)/python tests/near.py $(NEAR) -- $(SPREAD) $(SELECTION)
 
 test: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not ci and not soak"
 
+rest: $(VENV)/installed
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "ci and not soak"
+
 test-all: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak"
+
+gate: lint
+	$(MAKE) test rest kernels hard
 
 contract: $(VENV)/installed
 	$(BIN)/pytest tests/contract $(SPREAD) -m "not soak"
@@ -60,9 +81,10 @@ hard-files:  # for those who ignore them elsewhere
 hard: $(VENV)/installed
 	(trap "" INT; exec $(BIN)/pytest $(HARD) $(SPREAD) -m "not soak") & wait $$!
 
-kernels: export OPENBLAS_CORETYPE = Prescott
 kernels: $(VENV)/installed
-	$(BIN)/pytest $(FITS) $(SPREAD) -m "not ci and not soak"
+	for kernel in $(KERNELS); do \
+	  OPENBLAS_CORETYPE=$$kernel $(BIN)/pytest $(FITS) $(SPREAD) -m "not ci and not soak" || exit 1; \
+	done
 
 durations: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --record-cpu tests/durations.toml
@@ -70,6 +92,12 @@ durations: $(VENV)/installed
 messages: export WRITE_MESSAGES = 1
 messages: $(VENV)/installed
 	$(BIN)/pytest tests/contract/test_messages.py
+
+nightly: $(VENV)/installed
+	$(BIN)/python .ci/nightly $(GROUPS)
+
+nightly-tests: $(VENV)/installed
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --nightly $(GROUP)
 
 soak: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak --timeout 0
@@ -117,12 +145,19 @@ benchmark: $(VENV)/installed
 jax: $(VENV)/installed  # of one notebook and exported models; no extra has it
 	$(BIN)/python -m pip install --quiet 'jax>=0.4.30'
 
-$(VENV)/installed: pyproject.toml
+# What a run needs, by uv, which installs in seconds, or with the settings of pip.
+$(VENV)/run: pyproject.toml
 	$(PYTHON) -c "import sys; sys.exit('HESR needs Python 3.11 or newer.' if sys.version_info < (3, 11) else 0)"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable . \
+	  || $(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+# What tests, lint and documentation need as well.
+$(VENV)/installed: $(VENV)/run
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable '.[dev,docs]' \
-	  || $(BIN)/python -m pip install --quiet --editable '.[dev,docs]'  # with the settings of pip
+	  || $(BIN)/python -m pip install --quiet --editable '.[dev,docs]'
 	touch $@
 
 clean:
