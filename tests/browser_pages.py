@@ -1,14 +1,16 @@
 """A headless Chromium without a network."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
+
+OpenPage = Callable[..., "Page"]
 
 # The first one has no windows, which take more than half of the others' time.
 NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")

@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import subprocess
+import tomllib
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -33,31 +34,27 @@ TESTS = Path(__file__).parent
 CI_FOLDERS = ("browser", "fuzz", "interop", "real")
 """Folders of tests run only by `make test-all`."""
 
-NIGHTLY_GROUPS = (
-    "browser",
-    "hostile",
-    "interop",
-    "laws",
-    "mutants",
-    "sanitizers",
-    "site",
-    "soak",
-    "studies",
-)
+NIGHTLY = tomllib.loads((TESTS / "nightly.toml").read_text(encoding="utf-8"))
 """Groups of nightly tests, of which `make nightly` can run one at a time."""
+
+DEFAULT_SELECTION = "not ci and not soak"
+"""Tests that `pytest` runs without arguments."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--record-cpu", type=Path, help="file for the CPU seconds of all tests")
     parser.addoption(
         "--nightly",
-        choices=("all", *NIGHTLY_GROUPS),
+        choices=("all", *NIGHTLY),
         help="run the nightly tests of this group, and no others",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     CpuTime.measure(config)
+    names_tests = config.args_source is pytest.Config.ArgsSource.ARGS
+    if not config.option.markexpr and not names_tests and config.getoption("--nightly") is None:
+        config.option.markexpr = DEFAULT_SELECTION
     # Tests with an empty cache would have every process list all fonts again, and say so if slow.
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("MPLCONFIGDIR", str(home / "matplotlib"))
@@ -71,9 +68,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Do not import tests that the marks deselect."""
-    within = collection_path.parent == TESTS and collection_path.name in CI_FOLDERS
-    return True if within and "not ci" in config.option.markexpr else None
+    """Do not import tests that the marks deselect, nor benchmarks that no argument names."""
+    if collection_path.parent != TESTS:
+        return None
+    if collection_path.name in CI_FOLDERS and "not ci" in config.option.markexpr:
+        return True
+    if collection_path.name == "benchmarks":
+        folder = config.invocation_params.dir
+        named = (folder / argument.partition("::")[0] for argument in config.args)
+        return None if any(path.is_relative_to(collection_path) for path in named) else True
+    return None
 
 
 @pytest.hookimpl(wrapper=True)
@@ -92,6 +96,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS or item.nodeid in slow:
             item.add_marker(pytest.mark.ci)
+        path = f"tests/{item.path.relative_to(TESTS).as_posix()}"
+        for group, table in NIGHTLY.items():
+            if path in table.get("files", ()):
+                item.add_marker(pytest.mark.nightly(group))
     _select_nightly(config, items)
 
 
@@ -119,8 +127,8 @@ def _nightly_groups(item: pytest.Item) -> set[str]:
     """Return the nightly groups of a test; none if the test belongs to every gate."""
     groups = set()
     for mark in item.iter_markers("nightly"):
-        if len(mark.args) != 1 or mark.args[0] not in NIGHTLY_GROUPS:
-            known = ", ".join(NIGHTLY_GROUPS)
+        if len(mark.args) != 1 or mark.args[0] not in NIGHTLY:
+            known = ", ".join(NIGHTLY)
             raise pytest.UsageError(f"{item.nodeid}: nightly takes one group of {known}")
         groups.add(mark.args[0])
     return groups

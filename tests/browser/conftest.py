@@ -1,17 +1,15 @@
 """Pages in a headless Chromium, opened from files, without a network."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from browser_pages import start_chromium
+from browser_pages import OpenPage, start_chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
-
-OpenPage = Callable[..., "Page"]
 
 
 # Module scope: no other test can run an event loop during its life.

@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 if TYPE_CHECKING:
-    from conftest import OpenPage
+    from browser_pages import OpenPage
 
 SITE = Path(os.environ.get("SITE", Path(__file__).resolve().parents[2] / "site"))
 PAGES = sorted(p for p in SITE.rglob("*.html") if not p.relative_to(SITE).parts[0].startswith("_"))

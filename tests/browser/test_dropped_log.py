@@ -2,13 +2,14 @@
 
 import csv
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from browser_pages import OpenPage
 
 import hesr
 from cosim.study.scores import Comparison
@@ -26,7 +27,6 @@ from hesr_model.robots.robot import Robot, RobotDescription
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
 
-OpenPage = Callable[..., "Page"]
 SAME = 1e-12
 NOISE = 0.4
 

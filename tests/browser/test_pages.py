@@ -7,7 +7,7 @@ import pytest
 from pages import PAGES, log_csv
 
 if TYPE_CHECKING:
-    from conftest import OpenPage
+    from browser_pages import OpenPage
     from playwright.sync_api import Page
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]

@@ -10,7 +10,7 @@ import pytest
 from cosim.report.figures.style import SERIES, VARIABLES
 
 if TYPE_CHECKING:
-    from conftest import OpenPage
+    from browser_pages import OpenPage
     from playwright.sync_api import Locator, Page
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]

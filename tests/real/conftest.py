@@ -3,19 +3,10 @@
 from pathlib import Path
 
 import pytest
+from ur10e_logs import DATA, IDENTIFICATION, TEST
 
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data" / "ur10e"
-
-IDENTIFICATION = ("id_fourier_50s_12harm", "id_fourier_30s_12harm", "id_fourier_20s_5harm")
-TEST = (
-    "test_fourier_40s_12harm",
-    "test_fourier_20s_7harm",
-    "test_fourier_20s_8harm",
-    "test_ptp_10_points",
-)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import IDENTIFICATION
+from ur10e_logs import IDENTIFICATION
 
 from hesr.extras.adaptive.monitor import Follower
 from hesr_model.fitting.fit import fit

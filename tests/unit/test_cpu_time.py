@@ -1,5 +1,6 @@
-"""Limit of the CPU time of a test, in units of a probe on the same machine."""
+"""CPU time of tests: what is recorded, and what is listed in CI."""
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -9,58 +10,39 @@ import cpu_time
 import pytest
 
 TESTS = """
-import pytest
-from cpu_time import probe
+import hashlib
 
-def test_of_one_probe():
-    probe()
+def test_quick():
+    pass
 
-def test_of_twelve_probes():
-    [probe() for _ in range(12)]
-
-@pytest.mark.ci
-def test_of_twelve_probes_in_ci():
-    [probe() for _ in range(12)]
+def test_slow():
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 400_000)
 """
 
-PROBE = cpu_time.PROBE_ON_REFERENCE / 5
-
-RUN = f"""
+RUN = """
 import sys, cpu_time, pytest
-cpu_time.ROUNDS //= 5
-cpu_time.PROBE_ON_REFERENCE = float(sys.argv[1])
-plugin = cpu_time.CpuTime(limit=3 * {PROBE})
-options = ["-q", "-p", "no:cacheprovider", "-W", "ignore", "-rf", "--confcutdir=.", "test_it.py"]
+plugin = cpu_time.CpuTime()
+options = ["-q", "-p", "no:cacheprovider", "-W", "ignore", "--confcutdir=.", "test_it.py"]
 sys.exit(pytest.main(options, plugins=[plugin]))
 """
 
 
-def failures(folder: Path, on_reference: float) -> tuple[str, int]:
-    """Run the tests with a stated cost of the probe on the reference machine."""
-    (folder / "test_it.py").write_text(TESTS, encoding="utf-8")
+def test_slow_tests_are_listed_and_do_not_fail(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text(TESTS, encoding="utf-8")
     ended = subprocess.run(
-        [sys.executable, "-c", RUN, str(on_reference)],
+        [sys.executable, "-c", RUN],
         capture_output=True,
         text=True,
-        cwd=folder,
-        env={"PYTHONPATH": str(Path(cpu_time.__file__).parent), "PATH": ""},
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(Path(cpu_time.__file__).parent)},
         check=False,
     )
-    return ended.stdout, ended.returncode
-
-
-def test_a_slow_test_fails_by_the_cost_of_the_probe(tmp_path: Path) -> None:
-    said, code = failures(tmp_path, PROBE)
-    assert code == pytest.ExitCode.TESTS_FAILED, said
-    assert "1 failed, 2 passed" in said
-    assert "FAILED test_it.py::test_of_twelve_probes - Failed: took" in said
-    assert "share a fixture or mark it ci" in said
-
-
-def test_a_slow_machine_does_not_fail(tmp_path: Path) -> None:
-    """Compared with a reference machine that is ten times as fast."""
-    said, code = failures(tmp_path, PROBE / 10)
-    assert (code, "3 passed" in said) == (0, True), said
+    assert ended.returncode == pytest.ExitCode.OK, ended.stdout
+    _, _, listed = ended.stdout.partition("CPU seconds of the slowest tests")
+    first, second = [line.split() for line in listed.splitlines() if "test_it.py" in line]
+    assert first[1:] == ["-", "test_it.py::test_slow"]
+    assert second[2] == "test_it.py::test_quick"
+    assert float(first[0]) > float(second[0])
 
 
 def test_the_record_can_be_read_with_any_name_of_a_test() -> None:
