@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Self
 
 from hesr_model.support.text import escaped
 
@@ -9,12 +11,42 @@ _LONGEST = 2000  # characters of a sentence; a file may contain millions
 
 
 class HesrError(Exception):
-    """Base of user errors; quoted files are shortened and escaped."""
+    """Base of user errors; quoted files are shortened and escaped.
 
-    def __init__(self, sentence: str) -> None:
+    Programs compare attributes, since sentences may change.
+
+    Attributes
+    ----------
+    code : str
+        Name of the rule that was broken, such as ``"log.unit"``; empty if the rule has no name.
+    where : str
+        File, or other place, of the offending value; may be empty.
+    key : str
+        Key within `where`, such as ``"log.units.q"``; empty if the whole file is refused.
+    """
+
+    def __init__(
+        self, sentence: str, *, code: str = "", where: str | Path = "", key: str = ""
+    ) -> None:
         if len(sentence) > _LONGEST:
             sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
         super().__init__("\n".join(map(escaped, sentence.split("\n"))))
+        self.code, self.where, self.key = code, str(where), key
+
+    def at(self, where: str | Path) -> Self:
+        """Return the same error, with a place in front of its sentence."""
+        return type(self)(f"{where}: {self}", code=self.code, where=where, key=self.key)
+
+
+class RuleError(ValueError):
+    """A value breaks a rule of its schema; a reader adds the place and raises a `HesrError`.
+
+    `key` is relative to the object that is validated: empty for the validator of one field.
+    """
+
+    def __init__(self, reason: str, *, code: str, key: str = "") -> None:
+        super().__init__(reason)
+        self.code, self.key = code, key
 
 
 class ConfigError(HesrError):

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter
 
 from cosim.systems.system import ComponentSpec, SystemSpec, Value
+from hesr_model.errors import RuleError
 from hesr_model.support.typed_files import Config
 
 
@@ -100,7 +101,7 @@ class Scheme:
     def of_name(cls, name: str) -> Self:
         """Return the scheme of a `name`, or raise ValueError."""
         if (found := _NAME.fullmatch(name)) is None:
-            raise ValueError(f"'{name}' is not a scheme")
+            raise RuleError(f"'{name}' is not a scheme", code="loop.scheme")
         parts = {key: text for key, text in found.groupdict().items() if text}
         return TypeAdapter(cls).validate_python(parts)
 

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from cosim.loop.closed_loop import PerJoint
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ConfigError, RuleError
 from hesr_model.motions.trajectories import Sine, Sweep, Trajectory, chirp, random_fourier
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
@@ -105,7 +105,9 @@ class Motions(Config):
         names = [name for motion in motions for name in names_of(motion)]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"two logs would be named '{name}'; names must differ")
+                raise RuleError(
+                    f"two logs would be named '{name}'; names must differ", code="motions.names"
+                )
         return motions
 
 

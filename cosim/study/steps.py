@@ -85,7 +85,11 @@ class Job:
             self._require_law(f"options.{law}", law, options)
         for name, variant in study.variants.items():
             if name in (*registry(), MIXED):
-                raise self._error(f"key 'variants.{name}' has the name of a law; rename it.")
+                raise self._error(
+                    f"key 'variants.{name}' has the name of a law; rename it.",
+                    code="study.variant_name",
+                    key=f"variants.{name}",
+                )
             self._require_law(f"variants.{name}.law", variant.law)
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
         if study.refinement and study.refinement.law:
@@ -94,27 +98,35 @@ class Job:
             if law not in self.laws:
                 listed = ", ".join(self.laws)
                 raise self._error(
-                    f"key 'tracking.sources': law '{law}' is not in the study; it has {listed}."
+                    f"key 'tracking.sources': law '{law}' is not in the study; it has {listed}.",
+                    code="study.tracking_source",
+                    key="tracking.sources",
                 )
 
-    def _error(self, text: str) -> ConfigError:
-        return ConfigError(f"{self.path}: {text}")
+    def _error(self, text: str, *, code: str, key: str) -> ConfigError:
+        return ConfigError(f"{self.path}: {text}", code=code, where=self.path, key=key)
 
     def _require_law(self, key: str, law: str, options: Mapping[str, Any] | None = None) -> None:
         if law not in registry():
             raise self._error(
-                f"key '{key}': law '{law}' is unknown; known are {', '.join(registry())}."
+                f"key '{key}': law '{law}' is unknown; known are {', '.join(registry())}.",
+                code="study.law",
+                key=key,
             )
         options = options or {}
         allowed = signature(estimator(law)).parameters
         if unknown := [name for name in options if name not in allowed]:
             raise self._error(
-                f"unknown key '{key}.{unknown[0]}'; allowed here: {', '.join(allowed) or 'none'}."
+                f"unknown key '{key}.{unknown[0]}'; allowed here: {', '.join(allowed) or 'none'}.",
+                code="key.unknown",
+                key=f"{key}.{unknown[0]}",
             )
         try:
             estimator(law)(**options)
         except (HesrError, TypeError) as error:
-            raise self._error(f"table '{key}': {str(error).rstrip('.')}.") from error
+            raise self._error(
+                f"table '{key}': {str(error).rstrip('.')}.", code="study.options", key=key
+            ) from error
 
     @cached_property
     def robot(self) -> RobotDescription:
@@ -159,7 +171,9 @@ class Job:
             if name not in made:
                 raise self._error(
                     f"key 'logs': '{name}' is not a motion of {motions}; its motions give "
-                    f"{', '.join(made)}."
+                    f"{', '.join(made)}.",
+                    code="study.motion",
+                    key="logs",
                 )
         return {name: made[name] for name in names}
 
@@ -182,7 +196,10 @@ class Job:
         if len(rows) < 2:
             raise LogError(
                 f"{log.path}: no rows from {part.start:g} to {part.stop:g} s, the part '{name}' of "
-                f"the study; the log is {since[-1]:.4g} s long."
+                f"the study; the log is {since[-1]:.4g} s long.",
+                code="study.part",
+                where=log.path or "",
+                key=f"logs.parts.{name}",
             )
         return replace(log.rows(rows), name=name)
 

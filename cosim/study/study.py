@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from cosim.loop.closed_loop import Tracking
+from hesr_model.errors import RuleError
 from hesr_model.fitting.days import Nuisance
 from hesr_model.robots.description import Owner
 from hesr_model.support.typed_files import Config, RelativePath
@@ -26,7 +27,11 @@ class Twin(Config):
     @model_validator(mode="after")
     def _a_truth_is_run_as_an_fmu(self) -> Self:
         if (self.truth is not None or self.truths) and self.signals is None:
-            raise ValueError("alternative plants need the key 'signals'")
+            raise RuleError(
+                "alternative plants need the key 'signals'",
+                code="study.truth_signals",
+                key="signals",
+            )
         return self
 
 
@@ -57,10 +62,16 @@ class StudyLogs(Config):
         seen = {*self.identification, *self.reversed, *self.training}
         for name, logs in self.test.items():
             if not logs:
-                raise ValueError(f"test set '{name}' has no log")
+                raise RuleError(
+                    f"test set '{name}' has no log", code="study.test_empty", key=f"test.{name}"
+                )
             for log in logs:
                 if log in seen:
-                    raise ValueError(f"log '{log}' of test set '{name}' is also trained on")
+                    raise RuleError(
+                        f"log '{log}' of test set '{name}' is also trained on",
+                        code="study.test_trained",
+                        key=f"test.{name}",
+                    )
         return self
 
 
@@ -95,7 +106,11 @@ class RefinementStudy(Config):
     @model_validator(mode="after")
     def _a_law_refines_in_turn(self) -> Self:
         if self.kind == "in_turn" and not self.law:
-            raise ValueError("'law' is missing; only \"output_error\" refines every law")
+            raise RuleError(
+                "'law' is missing; only \"output_error\" refines every law",
+                code="study.refinement_law",
+                key="law",
+            )
         return self
 
 
@@ -121,16 +136,33 @@ class Study(Config):
     def _keys_fit(self) -> Self:
         for band in self.bands:
             if band.test not in self.logs.test:
-                raise ValueError(f"band '{band.name}': test set '{band.test}' is unknown")
+                raise RuleError(
+                    f"band '{band.name}': test set '{band.test}' is unknown",
+                    code="study.band_test",
+                    key="bands",
+                )
         if self.physical and self.refinement and self.refinement.law:
-            raise ValueError("'physical' and 'refinement' exclude each other; remove one")
+            raise RuleError(
+                "'physical' and 'refinement' exclude each other; remove one",
+                code="study.physical",
+                key="physical",
+            )
         rows = {
-            "law": [*self.laws, *self.variants],
-            "test set or band": [*self.logs.test, *(band.name for band in self.bands)],
+            ("law", "laws"): [*self.laws, *self.variants],
+            ("test set or band", "logs.test"): [
+                *self.logs.test,
+                *(band.name for band in self.bands),
+            ],
         }
-        for what, names in rows.items():
+        for (what, key), names in rows.items():
             if twice := [name for name, count in Counter(names).items() if count > 1]:
-                raise ValueError(f"more than one {what} is named '{twice[0]}'")
+                raise RuleError(
+                    f"more than one {what} is named '{twice[0]}'", code="study.names", key=key
+                )
         if self.tracking and not (self.twin and self.twin.signals):
-            raise ValueError("'tracking' needs the keys 'twin' and 'twin.signals'")
+            raise RuleError(
+                "'tracking' needs the keys 'twin' and 'twin.signals'",
+                code="study.tracking_twin",
+                key="tracking",
+            )
         return self

@@ -291,13 +291,16 @@ class Master:
         try:
             self._wiring.started(start)
         except ConfigError as error:
-            raise ConfigError(f"{path}: {error}") from error
+            raise error.at(path) from error
         for name, values in start.items():
             variables = self._slaves[name].variables
             for variable in variables.expanded(values):
                 if variables[variable].causality in ("output", "local", "independent"):
                     raise ConfigError(
-                        f"{path}: '{name}.{variable}' cannot be varied: its FMU calculates it."
+                        f"{path}: '{name}.{variable}' cannot be varied: its FMU calculates it.",
+                        code="system.calculated",
+                        where=path,
+                        key=f"{name}.{variable}",
                     )
 
     def require_alike(self, one: str, other: str, path: Path) -> None:
@@ -305,7 +308,11 @@ class Master:
         counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
         if counts[0] != counts[1]:
             raise ConfigError(
-                f"{path}: '{one}' has {counts[0]} elements and its reference '{other}' {counts[1]}."
+                f"{path}: '{one}' has {counts[0]} elements and its reference '{other}' "
+                f"{counts[1]}.",
+                code="system.reference",
+                where=path,
+                key=one,
             )
 
     def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from fmu_src.run.master import Order
+from hesr_model.errors import RuleError
 from hesr_model.support import plugins
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import toml
@@ -27,7 +28,10 @@ _MOST_COMPONENTS = 1000
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     if not bounds[0] < bounds[1]:
-        raise ValueError(f"the limits {bounds[0]:g} and {bounds[1]:g} are not in ascending order")
+        raise RuleError(
+            f"the limits {bounds[0]:g} and {bounds[1]:g} are not in ascending order",
+            code="system.limits",
+        )
     return bounds
 
 
@@ -74,11 +78,14 @@ class SystemSpec(Config):
     def _names_and_steps_fit(self) -> Self:
         for name, count in Counter(c.name for c in self.components).items():
             if count > 1:
-                raise ValueError(f"two components are named '{name}'")
-        _multiple_of(self.stop - self.begin, self.step, "the stop time")
-        for component in self.components:
+                raise RuleError(
+                    f"two components are named '{name}'", code="system.names", key="components"
+                )
+        _multiple_of(self.stop - self.begin, self.step, "the stop time", "stop")
+        for k, component in enumerate(self.components):
             if component.step is not None:
-                _multiple_of(component.step, self.step, f"the step of '{component.name}'")
+                what = f"the step of '{component.name}'"
+                _multiple_of(component.step, self.step, what, f"components.{k}.step")
         return self
 
     @property
@@ -91,16 +98,20 @@ class SystemSpec(Config):
         return round((component.step or self.step) / self.step)
 
 
-def _multiple_of(time: float, step: float, what: str) -> None:
+def _multiple_of(time: float, step: float, what: str, key: str) -> None:
     if not time / step <= _MOST_STEPS:
-        raise ValueError(
+        raise RuleError(
             f"{what} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at most "
-            f"{_MOST_STEPS:g} are allowed"
+            f"{_MOST_STEPS:g} are allowed",
+            code="system.most_steps",
+            key=key,
         )
     count = round(time / step)
     if count < 1 or abs(time - count * step) > _MULTIPLE * time:
-        raise ValueError(
-            f"{what} is {time:g} s; it must be a multiple of the communication step, {step:g} s"
+        raise RuleError(
+            f"{what} is {time:g} s; it must be a multiple of the communication step, {step:g} s",
+            code="system.multiple",
+            key=key,
         )
 
 

@@ -46,7 +46,9 @@ class Wiring:
                 for variable in slave.needed:
                     if (name, variable) not in self.sources and variable not in self.start[name]:
                         raise self._error(
-                            f"input '{name}.{variable}' is not connected and has no start value."
+                            f"input '{name}.{variable}' is not connected and has no start value.",
+                            code="system.open_input",
+                            key=f"components.{name}.start.{variable}",
                         )
         self.order = self._sorted()
 
@@ -56,13 +58,17 @@ class Wiring:
             self._require_component(name, "start values")
         return {n: own | self._start(n, more.get(n, {})) for n, own in self.start.items()}
 
-    def _error(self, text: str) -> ConfigError:
-        return ConfigError(f"{self._path}: {text}")
+    def _error(self, text: str, *, code: str, key: str) -> ConfigError:
+        return ConfigError(f"{self._path}: {text}", code=code, where=self._path, key=key)
 
     def _require_component(self, name: str, where: str) -> None:
         if name not in self._slaves:
             hint = suggestion(name, self._slaves, 1) or f"there are {', '.join(self._slaves)}."
-            raise self._error(f"{where}: there is no component '{name}'; {hint}")
+            raise self._error(
+                f"{where}: there is no component '{name}'; {hint}",
+                code="system.component",
+                key=_key_of(where),
+            )
 
     def elements(self, signal: str, where: str = "", kind: str | None = None) -> list[Element]:
         """Return the elements of a signal, and check their type if one is given."""
@@ -74,20 +80,30 @@ class Wiring:
             if kind:
                 self._slaves[name].references(found, kind)
         except SimulationError as error:
-            raise self._error(f"{where}: {error}") from error
+            raise self._error(
+                f"{where}: {error}", code="system.variable", key=_key_of(where)
+            ) from error
         return [(name, element) for element in found]
 
     def _start(self, name: str, values: Mapping[str, Value]) -> dict[str, float | str]:
         try:
             return self._slaves[name].expanded(values)
         except SimulationError as error:
-            raise self._error(f"start values of '{name}': {error}") from error
+            raise self._error(
+                f"start values of '{name}': {error}",
+                code="system.start",
+                key=f"components.{name}.start",
+            ) from error
 
     def _bounds(self, signal: str, bounds: Any, where: str) -> Iterator[tuple[Element, Bounds]]:
         elements = self.elements(signal, where, "Real")
         pairs = bounds if isinstance(bounds[0], tuple) else (bounds,) * len(elements)
         if len(pairs) != len(elements):
-            raise self._error(f"{where}: {len(pairs)} pairs for {len(elements)} elements.")
+            raise self._error(
+                f"{where}: {len(pairs)} pairs for {len(elements)} elements.",
+                code="system.limit_pairs",
+                key=_key_of(where),
+            )
         yield from zip(elements, pairs, strict=True)
 
     def _connect(self, target: str, source: str, where: str) -> None:
@@ -95,14 +111,18 @@ class Wiring:
         if len(inputs) != len(outputs):
             raise self._error(
                 f"{where}: '{target}' has {len(inputs)} element{'s'[: len(inputs) > 1]}, "
-                f"'{source}' has {len(outputs)}."
+                f"'{source}' has {len(outputs)}.",
+                code="system.sizes",
+                key=_key_of(where),
             )
         for into, out in zip(inputs, outputs, strict=True):
             self._require_fit(into, out, where)
             if into in self.sources:
                 raise self._error(
                     f"{where}: '{'.'.join(into)}' is connected already, to "
-                    f"'{'.'.join(self.sources[into])}'."
+                    f"'{'.'.join(self.sources[into])}'.",
+                    code="system.connected",
+                    key=_key_of(where),
                 )
             self.sources[into] = out
 
@@ -111,13 +131,17 @@ class Wiring:
             if (found := self._slaves[name][variable].causality) != wanted:
                 raise self._error(
                     f"{where}: the causality of '{name}.{variable}' is {found}; it must be "
-                    f"{wanted}."
+                    f"{wanted}.",
+                    code="system.causality",
+                    key=_key_of(where),
                 )
         kinds = [self._slaves[name][variable].type for name, variable in (into, out)]
         if kinds[1] not in _FITTING.get(kinds[0], ()):
             raise self._error(
                 f"{where}: the input is of type {kinds[0]}, the output of type {kinds[1]}, which "
-                "does not fit."
+                "does not fit.",
+                code="system.types",
+                key=_key_of(where),
             )
         if ".".join(into) in self._converted or "Real" not in kinds:
             return
@@ -125,7 +149,11 @@ class Wiring:
         # Tools spell units differently: compare SI base units.
         alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])
         if taken[0] and given[0] and not alike:
-            raise self._error(f"{where}: the input is in {taken[0]}, the output in {given[0]}.")
+            raise self._error(
+                f"{where}: the input is in {taken[0]}, the output in {given[0]}.",
+                code="system.units",
+                key=_key_of(where),
+            )
 
     def _sorted(self) -> tuple[Element, ...]:
         # Lists, not sets, for a reproducible order.
@@ -144,5 +172,18 @@ class Wiring:
             )
             raise self._error(
                 f"algebraic loop through direct feedthrough: {' -> '.join(map('.'.join, loop))}"
-                f"{hint}."
+                f"{hint}.",
+                code="system.loop",
+                key="connections",
             ) from error
+
+
+_TABLES = {"connection": "connections", "limits": "limits", "observed": "observe"}
+
+
+def _key_of(where: str) -> str:
+    """Return the key of a system file for a place such as ``limits of 'arm.q'``."""
+    what, _, rest = where.partition("'")
+    table = _TABLES.get(what.partition(" ")[0])
+    signal = rest.partition("'")[0]
+    return f"{table}.{signal}" if table else signal or where

@@ -17,7 +17,7 @@ from fmu_src.arm.table import (
     require_entries,
 )
 from fmu_src.arm.truth import Truth, TruthName
-from hesr_model.errors import ConfigError
+from hesr_model.errors import ConfigError, RuleError
 from hesr_model.robots.mjcf import compiled
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config, RelativePath
@@ -45,7 +45,7 @@ class Noise(Config):
     @classmethod
     def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
         if any(value < 0 for value in values):
-            raise ValueError("standard deviations must not be negative")
+            raise RuleError("standard deviations must not be negative", code="plant.noise")
         return values
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fmu_src.export.interface import Variable
+from hesr_model.errors import RuleError
 from hesr_model.support.typed_files import Config
 
 SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_seed"
@@ -180,8 +181,10 @@ def require_entries(
             continue
         omitted = not entries and not type(table).model_fields[key].is_required()
         if len(entries) != count and not omitted:
-            raise ValueError(
-                f"{key} has {len(entries)} entries; {count} are needed, one per {what}"
+            raise RuleError(
+                f"{key} has {len(entries)} entries; {count} are needed, one per {what}",
+                code="table.entries",
+                key=key,
             )
 
 
@@ -263,7 +266,7 @@ class Losses(Config):
         require_entries(self, len(self.constant))
         for key, need in (("direct", "speed"), ("evolution", "age"), ("evolution", "slip")):
             if getattr(self, key) and not getattr(self, need):
-                raise ValueError(f"{key} needs {need}")
+                raise RuleError(f"{key} needs {need}", code="losses.needs", key=need)
         return self
 
 
@@ -276,7 +279,7 @@ class LossTable(Losses):
     @model_validator(mode="after")
     def _load_has_carriers(self) -> Self:
         if any(self.load) and not self.carriers:
-            raise ValueError("load needs carriers")
+            raise RuleError("load needs carriers", code="losses.carriers", key="carriers")
         return self
 
 

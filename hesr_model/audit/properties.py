@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
+from hesr_model.errors import RuleError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joint
@@ -280,7 +281,7 @@ _NOT_KNOWN = PropertyResult(
 def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResult]:
     known = dict.fromkeys(_NEWER, _NOT_KNOWN) | dict(findings)
     if missing := EXPECTATIONS.keys() - known.keys():
-        raise ValueError(f"'{min(missing)}' is missing")
+        raise RuleError(f"'{min(missing)}' is missing", code="properties.missing", key=min(missing))
     return {key: known[key] for key in EXPECTATIONS}
 
 

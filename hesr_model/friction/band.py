@@ -73,7 +73,9 @@ class Band:
             if not (isfinite(value) and value >= 0.0) or (field.name == "slow_speed" and not value):
                 raise ArtifactError(
                     f"'{field.name}' of a band is {value}; expected a finite number of at least 0, "
-                    "and a positive speed."
+                    "and a positive speed.",
+                    code="law.band",
+                    key=f"band.{field.name}",
                 )
 
     @property

@@ -47,7 +47,7 @@ class LawForm:
             self.component  # noqa: B018 - raises what is wrong
         except ArtifactError as error:
             said = str(error).removeprefix("equations: ")
-            raise ArtifactError(f"friction law: {said}") from error
+            raise ArtifactError(f"friction law: {said}", code=error.code, key=error.key) from error
 
     @cached_property
     def component(self) -> Component:
@@ -128,30 +128,38 @@ class FrictionLaw:
             odd = sorted(set(needed) ^ set(self.values))[0]
             raise ArtifactError(
                 f"law '{self.name}': coefficient '{odd}' is "
-                f"{'missing' if odd in needed else 'unknown'}; expected {', '.join(needed)}."
+                f"{'missing' if odd in needed else 'unknown'}; expected {', '.join(needed)}.",
+                code="law.coefficient",
+                key=f"coefficients.{odd}",
             )
         object.__setattr__(self, "values", {name: float(self.values[name]) for name in needed})
         for name, value in self.values.items():
-            self._require_number(f"coefficient '{name}'", value)
+            self._require_number(f"coefficient '{name}'", value, f"coefficients.{name}")
         if not self.start:
             object.__setattr__(self, "start", (0.0,) * len(self.form.memory))
         if len(self.start) != len(self.form.memory):
             raise ArtifactError(
                 f"law '{self.name}': {len(self.start)} start values for "
-                f"{len(self.form.memory)} states."
+                f"{len(self.form.memory)} states.",
+                code="law.start",
+                key="start",
             )
         for element, value in zip(self.form.memory, self.start, strict=True):
-            self._require_number(f"start value of '{element.name}'", value)
+            self._require_number(f"start value of '{element.name}'", value, "start")
 
     def __repr__(self) -> str:
         return f"FrictionLaw('{self.name}', {len(self.values)} coefficients)"
 
-    def _require_number(self, what: str, value: float) -> None:
+    def _require_number(self, what: str, value: float, key: str) -> None:
         if not isfinite(value):
-            raise ArtifactError(f"law '{self.name}': {what} is {value}.")
+            raise ArtifactError(
+                f"law '{self.name}': {what} is {value}.", code="law.number", key=key
+            )
         if abs(value) > _LARGEST:
             raise ArtifactError(
-                f"law '{self.name}': {what} is {value:g}; numbers up to {_LARGEST:g} can be used."
+                f"law '{self.name}': {what} is {value:g}; numbers up to {_LARGEST:g} can be used.",
+                code="law.too_large",
+                key=key,
             )
 
 

@@ -77,13 +77,17 @@ class FrictionModel:
     def __post_init__(self) -> None:
         if not self.joints or len(self.joints) != len(self.laws):
             raise ArtifactError(
-                f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} joints."
+                f"friction model '{self.law}': {len(self.laws)} laws for {len(self.joints)} "
+                "joints.",
+                code="law.joints",
+                key="joints",
             )
         for name in self.joints:
             try:
                 require_printable(name)
             except ValueError as error:
-                raise ArtifactError(f"friction model '{self.law}': {error}.") from error
+                sentence = f"friction model '{self.law}': {error}."
+                raise ArtifactError(sentence, code="law.joint_name", key="joints") from error
         for found, what in (
             (self.sliding, "flags of prismatic joints for"),
             (self.trained, "trained ranges for"),
@@ -93,21 +97,29 @@ class FrictionModel:
         ):
             if found and len(found) != len(self.joints):
                 raise ArtifactError(
-                    f"friction model '{self.law}': {len(found)} {what} {len(self.joints)} joints."
+                    f"friction model '{self.law}': {len(found)} {what} {len(self.joints)} joints.",
+                    code="law.entries",
+                    key="joints",
                 )
         if self.thermal and self.coupling:
             raise ArtifactError(
-                f"friction model '{self.law}': a thermal model does not support coupled joints."
+                f"friction model '{self.law}': a thermal model does not support coupled joints.",
+                code="law.thermal_coupling",
+                key="coupling",
             )
         if self.coupling and len(self.coupling.matrix) != len(self.joints):
             raise ArtifactError(
                 f"friction model '{self.law}': a coupling of {len(self.coupling.matrix)} joints "
-                f"for {len(self.joints)} joints."
+                f"for {len(self.joints)} joints.",
+                code="law.coupling",
+                key="coupling",
             )
         if not 0.0 < self.sample_time < inf:
             raise ArtifactError(
                 f"friction model '{self.law}': sample time is {self.sample_time} s; expected a "
-                "positive number."
+                "positive number.",
+                code="law.sample_time",
+                key="sample_time",
             )
         if not any(self.sliding):
             object.__setattr__(self, "sliding", ())
@@ -164,9 +176,14 @@ class FrictionModel:
                 },
             )
         except (TypeError, ValueError, AttributeError, KeyError) as error:
-            raise ArtifactError(f"{path}: not a friction model ({error}).") from error
+            raise ArtifactError(
+                f"{path}: not a friction model ({error}).",
+                code="law.data",
+                where=path,
+                key="joints",
+            ) from error
         except ArtifactError as error:
-            raise ArtifactError(f"{path}: {error}") from error
+            raise error.at(path) from error
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON data of the model's file."""

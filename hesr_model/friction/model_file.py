@@ -70,7 +70,10 @@ class JointEntry:
         """Rebuild the law; raise ArtifactError if it is too long or something is unknown."""
         if (count := max(len(self.coefficients), _leaves(self.structure))) > _MOST:
             raise ArtifactError(
-                f"joint '{self.joint}' has {count} coefficients or terms; at most {_MOST} are read."
+                f"joint '{self.joint}' has {count} coefficients or terms; at most {_MOST} "
+                "are read.",
+                code="law.most",
+                key="coefficients",
             )
         form = estimator(self.law).form(self.structure)
         entries = self.coefficients
@@ -80,7 +83,9 @@ class JointEntry:
             if entry is not None and entry.unit != unit:
                 raise ArtifactError(
                     f"coefficient '{coefficient.name}' has the unit '{entry.unit}', expected "
-                    f"'{unit}'."
+                    f"'{unit}'.",
+                    code="law.unit",
+                    key=f"coefficients.{coefficient.name}.unit",
                 )
         errors = {name: entry.standard_error for name, entry in entries.items()}
         return FrictionLaw(

@@ -49,7 +49,11 @@ class Thermal:
             positive = name in ("coulomb_scale", "viscous_scale", "time_constant")
             if not isfinite(value) or (positive and value <= 0.0):
                 needed = "a positive number" if positive else "a number"
-                raise ArtifactError(f"thermal model: '{name}' is {value}; expected {needed}.")
+                raise ArtifactError(
+                    f"thermal model: '{name}' is {value}; expected {needed}.",
+                    code="law.thermal",
+                    key=f"thermal.{name}",
+                )
 
     def factors(self, temperature: Array) -> tuple[Array, Array]:
         """Return the Coulomb and viscous factors at temperatures (N,) [degC]."""

@@ -29,11 +29,17 @@ class TrainedRange:
         for name in (*INPUT_UNITS, "tau"):
             low, high = getattr(self, name)
             if not (isfinite(low) and isfinite(high) and low <= high):
-                raise ArtifactError(f"trained range of '{name}' is {low} to {high}.")
+                raise ArtifactError(
+                    f"trained range of '{name}' is {low} to {high}.",
+                    code="law.trained",
+                    key=f"trained.{name}",
+                )
         if not (self.speed > 0.0 and self.sample_time > 0.0):
             raise ArtifactError(
                 f"trained range of 'dq' is {self.dq[0]} to {self.dq[1]} rad/s at a sample time of "
-                f"{self.sample_time} s; expected motion and a positive time."
+                f"{self.sample_time} s; expected motion and a positive time.",
+                code="law.trained_motion",
+                key="trained.dq",
             )
 
     @classmethod

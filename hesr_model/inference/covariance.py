@@ -77,7 +77,9 @@ class Covariance:
             if matrix.shape != shape:
                 raise ArtifactError(
                     f"a covariance has the shape {matrix.shape}; expected {shape}, that of its "
-                    "names."
+                    "names.",
+                    code="body.covariance",
+                    key="covariance",
                 )
 
     def __eq__(self, other: object) -> bool:

@@ -75,7 +75,9 @@ class NetworkEstimator(Estimator):
         if set(structure) != {cls.key} or type(found) is not int or not 1 <= found <= largest:
             raise ArtifactError(
                 f"law '{cls.name}': structure is {dict(structure)}; expected only '{cls.key}', a "
-                f"whole number from 1 to {largest}."
+                f"whole number from 1 to {largest}.",
+                code="law.structure",
+                key="structure",
             )
         return found
 

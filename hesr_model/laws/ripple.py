@@ -53,7 +53,9 @@ class Ripple:
             return TypeAdapter(cls).validate_python(data)
         except ValidationError as error:
             raise ArtifactError(
-                f"ripple {data!r} needs a number 'gear_ratio' and integers 'orders'."
+                f"ripple {data!r} needs a number 'gear_ratio' and integers 'orders'.",
+                code="law.ripple",
+                key="structure",
             ) from error
 
     @property

@@ -68,7 +68,9 @@ def _require_length(path: Path, length: int) -> None:
     if length > _MOST_CSV:
         raise LogError(
             f"{path}: is {length / 1e9:.1f} GB long; a CSV of up to {_MOST_CSV / 1e9:.1f} GB can "
-            "be read; use Parquet, or split it."
+            "be read; use Parquet, or split it.",
+            code="log.too_large",
+            where=path,
         )
 
 
@@ -100,10 +102,16 @@ def _content(path: Path) -> bytes | None:
         except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
             raise LogError(
                 f"{path}: cannot be unpacked; it is truncated or damaged, so copy or record it "
-                "again."
+                "again.",
+                code="file.unreadable",
+                where=path,
             ) from error
         if len(content) > most_bytes(path):
-            raise LogError(f"{path}: unpacks to more than {most_bytes(path) / 1e6:.0f} MB.")
+            raise LogError(
+                f"{path}: unpacks to more than {most_bytes(path) / 1e6:.0f} MB.",
+                code="log.too_large",
+                where=path,
+            )
         start = content[:_START]
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     without_mark = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
@@ -177,11 +185,17 @@ def _headerless(path: Path, row: Sequence[str], names: Sequence[str]) -> LogErro
     if names:
         return LogError(
             f"{path}: its rows have {len(row)} cells, such as {listed(row)}, but 'log.columns' of "
-            f"the robot file names {len(names)} columns; name them all."
+            f"the robot file names {len(names)} columns; name them all.",
+            code="log.names_count",
+            where=path,
+            key="log.columns.names",
         )
     return LogError(
         f"{path}: has no header, its first row is {listed(row)}; name its {len(row)} columns under "
-        "'log.columns' of the robot file, such as columns = ['t', 'q1', 'dq1', 'tau1']."
+        "'log.columns' of the robot file, such as columns = ['t', 'q1', 'dq1', 'tau1'].",
+        code="log.no_header",
+        where=path,
+        key="log.columns.names",
     )
 
 
@@ -227,7 +241,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def _no_csv(path: Path) -> LogError:
-    return LogError(f"{path}: cannot be read as CSV text.")
+    return LogError(f"{path}: cannot be read as CSV text.", code="file.unreadable", where=path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +260,11 @@ def _chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
             header = csv.reader(above if text.header else [], delimiter=text.delimiter)
             names = list(text.names) or _names(next(header, []))
             if not names:
-                raise LogError(f"{text.path}: is empty; a log needs a header and rows of data.")
+                raise LogError(
+                    f"{text.path}: is empty; a log needs a header and rows of data.",
+                    code="log.empty",
+                    where=text.path,
+                )
             require_columns(text.path, len(names))
             yield _Chunk(names, [], [], text.decimal)
             below = enumerate(lines, start=text.data)
@@ -287,7 +305,10 @@ def _cells_of(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]
     for number, row in zip(rows, cells, strict=False):
         if len(row) != width:
             raise LogError(
-                f"{text.path}: row {number} has {len(row)} cells; the header has {width} columns."
+                f"{text.path}: row {number} has {len(row)} cells; the header has {width} columns.",
+                code="log.cells",
+                where=text.path,
+                key=f"row {number}",
             )
     if len(cells) < len(lines):  # an open quotation mark
         raise _no_csv(text.path)

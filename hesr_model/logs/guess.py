@@ -111,7 +111,10 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
         wanted = "a joint" if count < 2 else f"all {count} joints"
         raise LogError(
             f"{table.path}: no columns look like positions of {wanted}; it has "
-            f"{table.listing}; name them under 'log.columns' of a robot file."
+            f"{table.listing}; name them under 'log.columns' of a robot file.",
+            code="log.no_positions",
+            where=table.path,
+            key="log.columns",
         )
     return Guess(columns=columns, units=units, reasons=reasons)
 
@@ -163,7 +166,10 @@ def _time(table: LogTable) -> str:
     if not rising:
         raise LogError(
             f"{table.path}: no column looks like time; it has {table.listing}; name it under "
-            "'log.columns.t' of a robot file, or state 'log.rate' [Hz]."
+            "'log.columns.t' of a robot file, or state 'log.rate' [Hz].",
+            code="log.no_time",
+            where=table.path,
+            key="log.columns.t",
         )
     return min(rising, key=len)
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from hesr_model.errors import RobotError
+from hesr_model.errors import RobotError, RuleError
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
 from hesr_model.units import KNOWN, fits, in_si
@@ -16,8 +16,9 @@ _PLACES = ("{}", "{1}", "{0}", "{name}")
 
 def _one_place_for_the_joint(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
     if isinstance(columns, str) and sum(map(columns.count, _PLACES)) != 1:
-        raise ValueError(
-            "the pattern needs '{}' (joint number from 1), '{0}' (number from 0) or '{name}' once"
+        raise RuleError(
+            "the pattern needs '{}' (joint number from 1), '{0}' (number from 0) or '{name}' once",
+            code="log.pattern",
         )
     return columns
 
@@ -34,9 +35,9 @@ def _known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
     known = KNOWN[str(info.field_name)]
     for unit in units if isinstance(units, tuple) else (units,):
         if isinstance(unit, str) and unit.removeprefix("-") not in known:
-            raise ValueError(f"known units are {', '.join(map(repr, known))}")
+            raise RuleError(f"known units are {', '.join(map(repr, known))}", code="log.unit")
         if unit == 0.0:
-            raise ValueError("a unit must not be 0")
+            raise RuleError("a unit must not be 0", code="log.unit_zero")
     return units
 
 
@@ -88,7 +89,7 @@ class LogColumns(Config):
     @classmethod
     def _different(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(names)) < len(names):
-            raise ValueError("the names of columns must differ")
+            raise RuleError("the names of columns must differ", code="log.names_differ")
         return names
 
 
@@ -120,7 +121,9 @@ class LogUnits(Config):
                 if not fits(quantity, unit, slides=sliding):
                     raise RobotError(
                         f"key 'log.units.{quantity}' is '{unit}' for joint '{joint}', which "
-                        f"{'slides' if sliding else 'turns'}; give a list of one unit per joint."
+                        f"{'slides' if sliding else 'turns'}; give a list of one unit per joint.",
+                        code="log.unit_of_joint",
+                        key=f"log.units.{quantity}",
                     )
 
 

@@ -47,9 +47,18 @@ class LogTable:
 
     def __post_init__(self) -> None:
         if twice := [name for name, count in Counter(self.names).items() if count > 1]:
-            raise LogError(f"{self.path}: column '{twice[0]}' occurs twice; names must differ.")
+            raise LogError(
+                f"{self.path}: column '{twice[0]}' occurs twice; names must differ.",
+                code="log.columns_twice",
+                where=self.path,
+                key=twice[0],
+            )
         if self.rows == 0:
-            raise LogError(f"{self.path}: has no rows of data below its header.")
+            raise LogError(
+                f"{self.path}: has no rows of data below its header.",
+                code="log.empty",
+                where=self.path,
+            )
 
     def named(self, names: Sequence[str]) -> "LogTable":
         """Return the table with other names of its columns, if any; raises LogError."""
@@ -58,7 +67,10 @@ class LogTable:
         if len(names) != len(self.names):
             raise LogError(
                 f"{self.path}: has {len(self.names)} columns, {self.listing}, but 'log.columns' of "
-                f"the robot file names {len(names)}; name them all."
+                f"the robot file names {len(names)}; name them all.",
+                code="log.names_count",
+                where=self.path,
+                key="log.columns.names",
             )
         return replace(self, names=tuple(names))
 
@@ -96,7 +108,12 @@ class LogTable:
 
     def _column(self, name: str) -> Array | TextCell:
         if name not in self.names:
-            raise LogError(f"{self.path}: column '{name}' is missing; it has {self.listing}.")
+            raise LogError(
+                f"{self.path}: column '{name}' is missing; it has {self.listing}.",
+                code="log.column_missing",
+                where=self.path,
+                key=name,
+            )
         return self.arrays(self.names.index(name))
 
     def _floats(self, name: str, cells: Array | TextCell, *, missing: bool) -> Array:
@@ -106,7 +123,10 @@ class LogTable:
         if isinstance(cells, TextCell):
             raise LogError(
                 f"{self.path}: column '{name}', row {self.row(cells.index)}: {cells.text!r} where "
-                "a number is needed."
+                "a number is needed.",
+                code="log.text",
+                where=self.path,
+                key=name,
             )
         values = np.asarray(cells, dtype=float)
         good = ~np.isinf(values) if missing else np.isfinite(values)
@@ -115,7 +135,10 @@ class LogTable:
             found = "an empty cell or NaN" if np.isnan(values[k]) else "infinity"
             raise LogError(
                 f"{self.path}: column '{name}', row {self.row(k)}: {found} where a finite number "
-                "is needed."
+                "is needed.",
+                code="log.finite",
+                where=self.path,
+                key=name,
             )
         return values
 
@@ -135,7 +158,9 @@ def readable(path: Path, what: str) -> Iterator[None]:
     except LogError:
         raise
     except Exception as error:
-        raise LogError(f"{path}: cannot be read as {what}.") from error
+        raise LogError(
+            f"{path}: cannot be read as {what}.", code="file.unreadable", where=path
+        ) from error
 
 
 def most_bytes(path: Path) -> int:
@@ -152,7 +177,11 @@ def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = (
 def require_columns(path: Path, count: int) -> None:
     """Raise LogError above the largest number of columns."""
     if count > _MOST_COLUMNS:
-        raise LogError(f"{path}: has {count} columns; at most {_MOST_COLUMNS} are allowed.")
+        raise LogError(
+            f"{path}: has {count} columns; at most {_MOST_COLUMNS} are allowed.",
+            code="log.most_columns",
+            where=path,
+        )
 
 
 def _kind(cells: Array | TextCell) -> str:

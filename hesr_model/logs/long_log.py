@@ -201,7 +201,11 @@ class LongLog:
             last = log.rows(slice(-1, None))
             yield log
         if _state(source) != self._state:
-            raise LogError(f"{source}: was changed while it was read; read it when it is complete.")
+            raise LogError(
+                f"{source}: was changed while it was read; read it when it is complete.",
+                code="log.changed",
+                where=source,
+            )
 
 
 def _state(source: Log | Path) -> tuple[int, int]:

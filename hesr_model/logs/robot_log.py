@@ -251,7 +251,10 @@ def without_parts(where: str, gaps: int, longest: float) -> LogError:
     """Return the error of a log whose gaps of more than `longest` [s] leave nothing."""
     return LogError(
         f"{where}: its {gaps} gaps of more than {longest:.4g} s, {LONGEST_GAP:g} usual steps, "
-        f"leave no part of {SHORTEST_PART:g} s."
+        f"leave no part of {SHORTEST_PART:g} s.",
+        code="log.gaps",
+        where=where,
+        key="t",
     )
 
 
@@ -262,7 +265,9 @@ def require_different(logs: Sequence[Log]) -> None:
         rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
         if log.sha256 and rows in seen:
             raise LogError(
-                f"{log.where}: has the same content as {seen[rows].where}; leave one of them out."
+                f"{log.where}: has the same content as {seen[rows].where}; leave one of them out.",
+                code="log.same",
+                where=log.where,
             )
         seen[rows] = log
 
@@ -279,7 +284,10 @@ def require_travel(where: str, travel: Array, joints: Sequence[str]) -> None:
         if moved < _LEAST_TRAVEL:
             raise LogError(
                 f"{where}: the position of joint '{joint}' is "
-                f"constant (it moves by {moved:.2g} rad); at least one log must move it."
+                f"constant (it moves by {moved:.2g} rad); at least one log must move it.",
+                code="log.still",
+                where=where,
+                key=joint,
             )
 
 
@@ -297,7 +305,10 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
         if gains is None:
             raise LogError(
                 f"{path}: the efforts are currents (log.bag.effort); add log.torque_per_ampere to "
-                "the robot file."
+                "the robot file.",
+                code="log.torque_per_ampere",
+                where=path,
+                key="log.torque_per_ampere",
             )
         torque = torque * gains
     if robot.transmission is None or robot.transmission.logs == "joint":
@@ -311,7 +322,10 @@ def _q_link(path: Path, samples: LogSamples, q: Array, robot: RobotDescription) 
     if samples.q_link is None:
         raise LogError(
             f"{path}: this format has no link encoders; remove 'log.columns.q_link' from the robot "
-            "file, or write the log as a table."
+            "file, or write the log as a table.",
+            code="log.q_link",
+            where=path,
+            key="log.columns.q_link",
         )
     factors = robot.log.units.factors("q_link", len(robot.joints))
     link: Array = samples.q_link * factors + (robot.log.zero or 0.0)
@@ -320,7 +334,10 @@ def _q_link(path: Path, samples: LogSamples, q: Array, robot: RobotDescription) 
             raise LogError(
                 f"{path}: the link encoder of joint '{joint}' does not show the twist of a gear "
                 f"(difference to the motor {twist:.2g} rad RMS, motion {moved:.2g}); check columns "
-                "and units."
+                "and units.",
+                code="log.twist",
+                where=path,
+                key="log.columns.q_link",
             )
     return link
 
@@ -333,20 +350,30 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
             raise LogError(
                 f"{path}: {samples.place(k)}: {what} of joint "
                 f"'{joints[joint * len(joints) // values.shape[1]]}' is "
-                f"{values[k, joint]:g}; numbers up to {_LARGEST:g} can be used."
+                f"{values[k, joint]:g}; numbers up to {_LARGEST:g} can be used.",
+                code="log.too_large_number",
+                where=path,
+                key=what,
             )
     if not np.all(usable := np.abs(samples.t) <= _LARGEST):
         k = int(np.argmin(usable))
         raise LogError(
             f"{path}: {samples.time}, {samples.place(k)}: the time is {samples.t[k]:g}; numbers up "
-            f"to {_LARGEST:g} can be used."
+            f"to {_LARGEST:g} can be used.",
+            code="log.too_large_number",
+            where=path,
+            key=samples.time,
         )
 
 
 def require_rows(where: str, rows: int) -> None:
     """Raise LogError for fewer than two rows."""
     if rows < 2:
-        raise LogError(f"{where}: has {rows} rows of data; at least 2 are needed.")
+        raise LogError(
+            f"{where}: has {rows} rows of data; at least 2 are needed.",
+            code="log.rows",
+            where=where,
+        )
 
 
 def require_increase(log: Log, samples: LogSamples, before: int = 0) -> None:

@@ -85,7 +85,10 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
     if len(log.gaps):
         raise LogError(
             f"{log.where}: rows are missing for {np.max(np.diff(log.t)):.4g} s before row "
-            f"{log.gaps[0] + 1} of its data; its 'parts()' can be used one by one."
+            f"{log.gaps[0] + 1} of its data; its 'parts()' can be used one by one.",
+            code="log.gap",
+            where=log.where,
+            key="t",
         )
     grid = Grid.of(log.t)
     grid.require(log.where, len(log.t), cutoff)
@@ -150,12 +153,18 @@ class Grid:
         if cutoff > highest:
             raise LogError(
                 f"{where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
-                f"filter_cutoff can be at most {highest:.3g} Hz."
+                f"filter_cutoff can be at most {highest:.3g} Hz.",
+                code="log.cutoff",
+                where=where,
+                key="log.filter_cutoff",
             )
         if self.steps <= padding:
             raise LogError(
                 f"{where}: has {rows} rows; a low pass at {cutoff:g} Hz needs more than "
-                f"{padding + 1} at this rate."
+                f"{padding + 1} at this rate.",
+                code="log.rows_of_filter",
+                where=where,
+                key="log.filter_cutoff",
             )
 
 

@@ -48,9 +48,13 @@ def _table(path: Path, data: Any) -> LogTable:
 def require_content(path: Path) -> None:
     """Raise LogError unless a file has content."""
     if not path.is_file():
-        raise LogError(f"{path}: no such log file.")
+        raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
     if path.stat().st_size == 0:
-        raise LogError(f"{path}: is empty; a log needs a header and rows of data.")
+        raise LogError(
+            f"{path}: is empty; a log needs a header and rows of data.",
+            code="log.empty",
+            where=path,
+        )
 
 
 def numbered(**signals: Array) -> dict[str, Array]:

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
-from hesr_model.errors import FitError
+from hesr_model.errors import FitError, RuleError
 from hesr_model.motions.limits import Limits, MotionLimits, Positive, peak_torque
 from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.rigid_body.base_parameters import base_columns
@@ -193,7 +193,7 @@ class ExcitationSettings(Config):
     @classmethod
     def _shortest_first(cls, period: tuple[float, float]) -> tuple[float, float]:
         if period[0] > period[1]:
-            raise ValueError("the shortest period must come first")
+            raise RuleError("the shortest period must come first", code="excitation.period")
         return period
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.optimize import minimize
 
-from hesr_model.errors import FitError, RobotError
+from hesr_model.errors import FitError, RobotError, RuleError
 from hesr_model.motions.trajectories import Fourier, one_period
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
@@ -42,9 +42,11 @@ class MotionLimits(Config):
     def _ranges_are_open(self) -> Self:
         for joint, (lowest, highest) in enumerate(self.position or (), start=1):
             if not lowest < highest:
-                raise ValueError(
+                raise RuleError(
                     f"position of joint {joint} goes from {lowest:g} to {highest:g}; the first "
-                    "must be the lower"
+                    "must be the lower",
+                    code="limits.position",
+                    key=f"position.{joint - 1}",
                 )
         return self
 

@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from threadpoolctl import threadpool_limits
 
-from hesr_model.errors import FitError, RobotError
+from hesr_model.errors import FitError, RobotError, RuleError
 from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.robot_log import Log, require_moving
 from hesr_model.logs.signals import Motion, smoothed
@@ -155,7 +155,9 @@ class RigidBody:
             return data
         parameters = data.get("parameters", {})
         if not isinstance(parameters, dict):
-            raise ValueError("its parameters have no names")
+            raise RuleError(
+                "its parameters have no names", code="body.parameters", key="parameters"
+            )
         values = {"parameters": list(parameters.values())} if parameters else {}
         return data | values | {"names": list(parameters)}
 
@@ -164,7 +166,7 @@ class RigidBody:
     def _indices(cls, base: Any, info: pydantic.ValidationInfo) -> list[int]:
         names = info.data.get("names", ())
         if not isinstance(base, list) or any(name not in names for name in base):
-            raise ValueError("expected names of parameters")
+            raise RuleError("expected names of parameters", code="body.base")
         return [names.index(name) for name in base]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_serializer, model_validator
 
-from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.errors import ArtifactError, RobotError, RuleError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.transmission import BALANCER, LINEAR, Coupling, SpringTerm, Transmission
 from hesr_model.support.files import PathArg, path_of
@@ -83,7 +83,9 @@ class Owner(Config):
         except ValidationError as error:
             raise ArtifactError(
                 f"the provenance's 'owner' is {found!r}; expected texts for author, copyright "
-                "and license, of printable characters."
+                "and license, of printable characters.",
+                code="owner.texts",
+                key="owner",
             ) from error
 
 
@@ -140,16 +142,20 @@ class RobotDescription(Config):
     @model_validator(mode="after")
     def _one_gear_per_joint(self) -> Self:
         if self.log.columns.q_link and (self.transmission or not self.rotor_inertia):
-            raise ValueError(
+            raise RuleError(
                 "'log.columns.q_link' needs 'rotor_inertia' and excludes 'transmission'; change "
-                "one of them"
+                "one of them",
+                code="robot.q_link",
+                key="log.columns.q_link",
             )
         if self.transmission is None:
             return self
         ratios = tuple(float(ratio) for ratio in np.abs(self.transmission.ratios))
         if self.gear_ratio not in (None, ratios):
-            raise ValueError(
-                "'gear_ratio' contradicts the diagonal of 'transmission.matrix'; leave it out"
+            raise RuleError(
+                "'gear_ratio' contradicts the diagonal of 'transmission.matrix'; leave it out",
+                code="robot.gear_ratio",
+                key="gear_ratio",
             )
         object.__setattr__(self, "gear_ratio", ratios)
         return self
@@ -161,12 +167,16 @@ class RobotDescription(Config):
                 if name not in self.joints:
                     raise RobotError(
                         f"key '{key}' of robot '{self.name}' contains '{name}'; its joints are "
-                        f"{', '.join(self.joints)}."
+                        f"{', '.join(self.joints)}.",
+                        code="robot.springs",
+                        key=f"{key}.{name}",
                     )
                 if key == "balancers" and slides[self.joints.index(name)]:
                     raise RobotError(
                         f"key 'balancers' of robot '{self.name}' contains '{name}', which slides; "
-                        "list it in 'springs'."
+                        "list it in 'springs'.",
+                        code="robot.balancers",
+                        key=f"balancers.{name}",
                     )
         for number, joint in enumerate(self.joints):
             names = [*LINEAR] * (joint in self.springs) + [*BALANCER] * (joint in self.balancers)
@@ -207,7 +217,7 @@ class RobotDescription(Config):
         try:
             description.require_one_per_joint()
         except RobotError as error:
-            raise RobotError(f"{path}: {error}") from error
+            raise error.at(path) from error
         return description
 
     def require_one_per_joint(self) -> None:
@@ -216,7 +226,9 @@ class RobotDescription(Config):
             if isinstance(entries, tuple) and len(entries) != len(self.joints):
                 raise RobotError(
                     f"key '{key}' of robot '{self.name}' has {len(entries)} entries; "
-                    f"its {len(self.joints)} joints need one each."
+                    f"its {len(self.joints)} joints need one each.",
+                    code="robot.entries",
+                    key=key,
                 )
 
     @property

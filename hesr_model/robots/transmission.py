@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from hesr_model.errors import ArtifactError, RobotError
+from hesr_model.errors import ArtifactError, RobotError, RuleError
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
 
@@ -39,15 +39,27 @@ class Transmission(Config):
     def _can_be(self) -> "Transmission":
         n = len(self.matrix)
         if any(len(row) != n for row in self.matrix):
-            raise ValueError(f"its matrix has {n} rows; each needs {n} entries, one per joint")
+            raise RuleError(
+                f"its matrix has {n} rows; each needs {n} entries, one per joint",
+                code="transmission.square",
+                key="matrix",
+            )
         for k, row in enumerate(self.matrix, start=1):
             if row[k - 1] == 0.0:
-                raise ValueError(f"the gear ratio of motor {k}, on the matrix's diagonal, is 0")
+                raise RuleError(
+                    f"the gear ratio of motor {k}, on the matrix's diagonal, is 0",
+                    code="transmission.ratio_zero",
+                    key=f"matrix.{k - 1}.{k - 1}",
+                )
         if not isinstance(self.friction, str) and len(self.friction) != n:
-            raise ValueError(f"'friction' has {len(self.friction)} entries; {n} are needed, or one")
+            raise RuleError(
+                f"'friction' has {len(self.friction)} entries; {n} are needed, or one",
+                code="transmission.friction_entries",
+                key="friction",
+            )
         for what, matrix in (("matrix", self.motors), ("friction", self.coordinates)):
             if np.linalg.cond(matrix) > _MOST_CONDITION:
-                raise ValueError(f"its {what} is singular")
+                raise RuleError(f"its {what} is singular", code="transmission.singular", key=what)
         return self
 
     @property

@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -11,18 +12,15 @@ import numpy as np
 import pydantic
 from pydantic import BaseModel, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
-from hesr_model.errors import ArtifactError, ConfigError
+from hesr_model.errors import ArtifactError, ConfigError, RuleError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import parse_json, parse_toml, read_text, require_printable
 
 _MOST_SHOWN = 200  # characters
-
-
-class _UnknownKeyError(ValueError):
-    def __init__(self, key: str, known: Iterable[str]) -> None:
-        super().__init__("it is unknown")
-        self.key, self.known = key, ", ".join(sorted(known))
+_MISSING_KEY, _UNKNOWN_KEY = "key.missing", "key.unknown"
+_CODES = {"missing": _MISSING_KEY, "unexpected_keyword_argument": _UNKNOWN_KEY}
+"""Codes of pydantic's errors; the others are called ``value.`` and pydantic's own name."""
 
 
 class Config(BaseModel):
@@ -36,7 +34,8 @@ class Config(BaseModel):
         """Refuse an unknown key before pydantic does, which does not name the known ones."""
         for key in data if isinstance(data, dict) else ():
             if key not in cls.model_fields:
-                raise _UnknownKeyError(key, cls.model_fields)
+                known = ", ".join(sorted(cls.model_fields))
+                raise RuleError(f"allowed here: {known}", code=_UNKNOWN_KEY, key=str(key))
         return data
 
     @classmethod
@@ -45,13 +44,15 @@ class Config(BaseModel):
         try:
             text = read_text(path)
         except FileNotFoundError as error:
-            raise ConfigError(f"{path}: no such file.") from error
+            raise ConfigError(f"{path}: no such file.", code="file.missing", where=path) from error
         except (OSError, ValueError) as error:
-            raise ConfigError(f"{path}: cannot be read ({error}).") from error
+            sentence = f"{path}: cannot be read ({error})."
+            raise ConfigError(sentence, code="file.unreadable", where=path) from error
         try:
             data = parse_toml(text)
         except ValueError as error:
-            raise ConfigError(f"{path}: not valid TOML ({error}).") from error
+            sentence = f"{path}: not valid TOML ({error})."
+            raise ConfigError(sentence, code="file.toml", where=path) from error
         return cls.validated(path, data)
 
     def each(self, key: str, joints: int) -> tuple[Any, ...]:
@@ -65,9 +66,10 @@ class Config(BaseModel):
         try:
             return cls.model_validate(data, context={"folder": path.parent})
         except ValidationError as error:
-            raise ConfigError(_refusal(path, error)) from error
+            raise _refusal(path, error) from error
         except RecursionError as error:
-            raise ConfigError(f"{path}: it is nested too deeply.") from error
+            sentence = f"{path}: it is nested too deeply."
+            raise ConfigError(sentence, code="file.nesting", where=path) from error
 
 
 def _beside_the_toml(path: Path, info: pydantic.ValidationInfo) -> Path:
@@ -80,21 +82,43 @@ RelativePath = Annotated[Path, pydantic.AfterValidator(_beside_the_toml)]  # to 
 PrintableName = Annotated[str, pydantic.AfterValidator(require_printable)]  # as FMUs need
 
 
-def _refusal(path: Path, error: ValidationError) -> str:
+@dataclass(frozen=True)
+class _Problem:
+    """One broken rule: `place` is the key that was validated, `key` the offending one."""
+
+    code: str
+    place: str
+    key: str
+    reason: str
+
+
+def _problem(details: Any) -> _Problem:
+    """Return a problem that pydantic found in terms of HESR."""
+    reason = details["msg"].removeprefix("Value error, ")
+    place = ".".join(map(str, details["loc"]))
+    rule = details.get("ctx", {}).get("error")
+    if isinstance(rule, RuleError):
+        return _Problem(rule.code, place, ".".join(filter(None, (place, rule.key))), reason)
+    code = _CODES.get(details["type"], f"value.{details['type']}")
+    return _Problem(code, place, place, reason)
+
+
+def _refusal(path: Path, error: ValidationError) -> ConfigError:
     problems = error.errors()
-    for problem in problems:
-        if isinstance(unknown := problem.get("ctx", {}).get("error"), _UnknownKeyError):
-            key = ".".join(map(str, (*problem["loc"], unknown.key)))
-            return f"{path}: unknown key '{key}'; allowed here: {unknown.known}."
-    first = problems[0]
-    key = ".".join(map(str, first["loc"]))
-    if first["type"] == "missing":
-        return f"{path}: key '{key}' is missing."
-    reason = first["msg"].removeprefix("Value error, ")
-    if isinstance(first["input"], dict):
-        where = f"table '{key}': " if key else ""
-        return f"{path}: {where}{reason}."
-    return f"{path}: key '{key}' is {_shown(first['input'])}: {reason}."
+    # An unknown key is often the misspelt name of one that is missing.
+    unknown = [d for d in problems if _problem(d).code == _UNKNOWN_KEY]
+    details = unknown[0] if unknown else problems[0]
+    problem = _problem(details)
+    if unknown:
+        sentence = f"unknown key '{problem.key}'; {problem.reason}."
+    elif problem.code == _MISSING_KEY:
+        sentence = f"key '{problem.key}' is missing."
+    elif isinstance(details["input"], dict):
+        table = f"table '{problem.place}': " if problem.place else ""
+        sentence = f"{table}{problem.reason}."
+    else:
+        sentence = f"key '{problem.place}' is {_shown(details['input'])}: {problem.reason}."
+    return ConfigError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)
 
 
 def _shown(value: object) -> str:
@@ -135,16 +159,19 @@ def read_json(path: Path, expected_format: str | None = None) -> Any:
     try:
         data = parse_json(read_text(path))
     except FileNotFoundError as error:
-        raise ArtifactError(f"{path}: no such file.") from error
+        raise ArtifactError(f"{path}: no such file.", code="file.missing", where=path) from error
     except (OSError, ValueError) as error:
-        raise ArtifactError(f"{path}: not a readable JSON file ({error}).") from error
+        sentence = f"{path}: not a readable JSON file ({error})."
+        raise ArtifactError(sentence, code="file.json", where=path) from error
     if expected_format is None:
         if not isinstance(data, dict):
-            raise ArtifactError(f"{path}: not a readable JSON file (it holds no keys).")
+            sentence = f"{path}: not a readable JSON file (it holds no keys)."
+            raise ArtifactError(sentence, code="file.no_keys", where=path)
         return data
     found = data.pop("format", None) if isinstance(data, dict) else None
     if found != expected_format:
-        raise ArtifactError(f"{path}: 'format' is {found!r}, expected '{expected_format}'.")
+        sentence = f"{path}: 'format' is {found!r}, expected '{expected_format}'."
+        raise ArtifactError(sentence, code="file.format", where=path, key="format")
     return data
 
 
@@ -170,18 +197,20 @@ def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
     try:
         valid: Kind = _adapter(schema).validate_python(data)
     except ValidationError as error:
-        raise ArtifactError(f"{path}: {_sentence(error, what)}") from error
+        raise _json_refusal(error, path, what) from error
     except ArtifactError as error:
-        raise ArtifactError(f"{path}: {error}") from error
+        raise error.at(path) from error
     return valid
 
 
-def _sentence(error: ValidationError, what: str) -> str:
-    first = error.errors()[0]
-    key = repr(".".join(map(str, first["loc"])))
-    if first["type"] == "missing":
-        return f"key {key} is missing."
-    if first["type"] == "unexpected_keyword_argument":
-        return f"not {what} (unknown key {key})."
-    where = f"key {key}: " if first["loc"] else ""
-    return f"not {what} ({where}{first['msg'].removeprefix('Value error, ')})."
+def _json_refusal(error: ValidationError, path: Path, what: str) -> ArtifactError:
+    problem = _problem(error.errors()[0])
+    if problem.code == _MISSING_KEY:
+        sentence = f"key '{problem.key}' is missing."
+    elif problem.code == _UNKNOWN_KEY:
+        sentence = f"not {what} (unknown key '{problem.key}')."
+    elif problem.place:
+        sentence = f"not {what} (key '{problem.place}': {problem.reason})."
+    else:
+        sentence = f"not {what} ({problem.reason})."
+    return ArtifactError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)

@@ -74,12 +74,20 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
             files = logs.setdefault(folder.name.rpartition("=")[2], {})
             files |= {f.relative_to(root).with_suffix("").as_posix(): f for f in _logs_in(folder)}
         if not logs:
-            raise ConfigError(f"{path}: type '{type_}': no folder matches '{kind.logs}'.")
+            raise ConfigError(
+                f"{path}: type '{type_}': no folder matches '{kind.logs}'.",
+                code="fleet.no_folder",
+                where=path,
+                key=f"types.{type_}.logs",
+            )
         for name, files in logs.items():
             if name in found:
                 raise ConfigError(
                     f"{path}: robot '{name}' has the types '{found[name].type}' and '{type_}'; "
-                    "give each robot one type."
+                    "give each robot one type.",
+                    code="fleet.two_types",
+                    where=path,
+                    key=f"types.{type_}.logs",
                 )
             own = tuple(sorted(files.items()))
             found[name] = Member(name=name, type=type_, kind=kind, logs=own)
@@ -94,7 +102,10 @@ def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
         return [(root, f) for f in sorted(root.glob("/".join(parts[wild:]))) if f.is_dir()]
     except (OSError, ValueError, NotImplementedError) as error:  # names that no folder can have
         raise ConfigError(
-            f"{path}: type '{type_}': {quoted(pattern)} is not a valid pattern of folders."
+            f"{path}: type '{type_}': {quoted(pattern)} is not a valid pattern of folders.",
+            code="fleet.pattern",
+            where=path,
+            key=f"types.{type_}.logs",
         ) from error
 
 
@@ -102,7 +113,11 @@ def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     found: list[Path] = []
     own = Path(os.path.realpath(folder))
     if any(other.is_relative_to(own) for other in above):  # its logs would count repeatedly
-        raise ConfigError(f"{folder}: links to a folder that contains it; remove the link.")
+        raise ConfigError(
+            f"{folder}: links to a folder that contains it; remove the link.",
+            code="fleet.link",
+            where=folder,
+        )
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith((".", "_")):
             continue

@@ -107,7 +107,11 @@ def _grid(study: SweepStudy) -> Array:
         n = len(one.values)
         places.append((np.arange(n) + 0.5) / n if n else np.linspace(0.0, 1.0, one.levels))
     if (count := prod(map(len, places))) > MOST_RUNS:
-        raise ConfigError(f"the grid of '{study.name}' has {count:.3g} runs; at most {MOST_RUNS}.")
+        raise ConfigError(
+            f"the grid of '{study.name}' has {count:.3g} runs; at most {MOST_RUNS}.",
+            code="sweep.most_runs",
+            key="inputs",
+        )
     return np.array(list(product(*places)))
 
 
@@ -168,7 +172,10 @@ def planned(path: Path) -> Plan:
         if output.start > spec.stop:
             raise ConfigError(
                 f"{path}: output '{output.name}' starts at {output.start:g} s, but a run ends "
-                f"at {spec.stop:g} s."
+                f"at {spec.stop:g} s.",
+                code="sweep.start",
+                where=path,
+                key="outputs",
             )
     targets = tuple(_targets(study, spec, path))
     values = chosen(study)
@@ -211,7 +218,10 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
     if value is None or isinstance(value, str | bool):
         raise ConfigError(
             f"{path}: '{component}.{variable}' is varied by a factor; give it a numeric start "
-            "value."
+            "value.",
+            code="sweep.factor",
+            where=path,
+            key="inputs",
         )
     return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
 

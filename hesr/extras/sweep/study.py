@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from cosim.systems.system import Signal
+from hesr_model.errors import RuleError
 from hesr_model.support.typed_files import Config, RelativePath
 
 MOST_RUNS = 10**7
@@ -16,7 +17,7 @@ _SYMMETRIC = 1e-9  # relative
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     for name, count in Counter(names).items():
         if count > 1:
-            raise ValueError(f"'{name}' is listed twice")
+            raise RuleError(f"'{name}' is listed twice", code="sweep.listed_twice")
     return names
 
 
@@ -47,11 +48,17 @@ class SweepInput(Config):
         given = [bool(self.values), *(None not in pair for pair in pairs)]
         halves = [pair for pair in pairs if (None in pair) and pair != (None, None)]
         if sum(given) != 1 or halves:
-            raise ValueError(
-                f"'{self.name}' needs one of 'values', 'low' and 'high', or 'mean' and 'std'"
+            raise RuleError(
+                f"'{self.name}' needs one of 'values', 'low' and 'high', or 'mean' and 'std'",
+                code="sweep.distribution",
+                key="variables",
             )
         if self.low is not None and self.high is not None and self.low >= self.high:
-            raise ValueError(f"'{self.name}' has a range from {self.low:g} to {self.high:g}")
+            raise RuleError(
+                f"'{self.name}' has a range from {self.low:g} to {self.high:g}",
+                code="sweep.range",
+                key="low",
+            )
         return self
 
 
@@ -66,17 +73,21 @@ class Correlated(Config):
     def _is_a_covariance(self) -> Self:
         n = len(self.variables)
         if len(self.mean) != n or [len(row) for row in self.covariance] != [n] * n:
-            raise ValueError(
-                f"{n} correlated variables need {n} means and a covariance of {n} x {n}"
+            raise RuleError(
+                f"{n} correlated variables need {n} means and a covariance of {n} x {n}",
+                code="sweep.sizes",
+                key="covariance",
             )
         found = np.array(self.covariance)
         scale = float(np.abs(found).max())
         if np.abs(found - found.T).max() > _SYMMETRIC * scale or (
             np.linalg.eigvalsh(found).min() < -_SYMMETRIC * scale
         ):
-            raise ValueError(
+            raise RuleError(
                 f"the covariance of '{self.variables[0]}' and others is not symmetric and positive "
-                "semidefinite"
+                "semidefinite",
+                code="sweep.covariance",
+                key="covariance",
             )
         return self
 
@@ -121,17 +132,37 @@ class SweepStudy(Config):
         variables = [name for one in self.inputs for name in one.variables]
         variables += [name for group in self.correlated for name in group.variables]
         if not variables:
-            raise ValueError("nothing is varied: give 'inputs' or 'correlated'")
+            raise RuleError(
+                "nothing is varied: give 'inputs' or 'correlated'",
+                code="sweep.nothing",
+                key="inputs",
+            )
         for name, count in Counter((*variables, *[output.name for output in self.outputs])).items():
             if count > 1:
-                raise ValueError(f"'{name}' is varied or measured twice")
+                raise RuleError(
+                    f"'{name}' is varied or measured twice", code="sweep.names", key="inputs"
+                )
         if self.design == "grid":
             if self.runs is not None:
-                raise ValueError("a grid determines the number of runs; remove 'runs'")
+                raise RuleError(
+                    "a grid determines the number of runs; remove 'runs'",
+                    code="sweep.grid_runs",
+                    key="runs",
+                )
             if self.correlated or any(one.mean is not None for one in self.inputs):
-                raise ValueError("a grid needs 'values' or 'low' and 'high' of every input")
+                raise RuleError(
+                    "a grid needs 'values' or 'low' and 'high' of every input",
+                    code="sweep.grid_range",
+                    key="inputs",
+                )
         elif self.runs is None:
-            raise ValueError(f"the design '{self.design}' needs the key 'runs'")
+            raise RuleError(
+                f"the design '{self.design}' needs the key 'runs'", code="sweep.runs", key="runs"
+            )
         elif self.design == "sobol" and self.runs & (self.runs - 1):
-            raise ValueError(f"the design 'sobol' needs a power of 2 as 'runs', not {self.runs}")
+            raise RuleError(
+                f"the design 'sobol' needs a power of 2 as 'runs', not {self.runs}",
+                code="sweep.sobol",
+                key="runs",
+            )
         return self

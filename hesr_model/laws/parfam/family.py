@@ -140,17 +140,25 @@ def _checked(
     if not {"linear", "units"} <= set(structure) <= {"linear", "units", "state", "denominator"}:
         raise ArtifactError(
             f"ParFam structure has the keys {sorted(structure)}; expected 'linear' and 'units', "
-            "and 'state' and 'denominator' are allowed."
+            "and 'state' and 'denominator' are allowed.",
+            code="law.structure_keys",
+            key="structure",
         )
     state = structure.get("state", "paper")
     if state not in STATES:
-        raise ArtifactError(f"ParFam state {state!r} is unknown; known are {', '.join(STATES)}.")
+        raise ArtifactError(
+            f"ParFam state {state!r} is unknown; known are {', '.join(STATES)}.",
+            code="law.structure_state",
+            key="structure.state",
+        )
     linear = list(structure["linear"])
     units = []
     for unit in structure["units"]:
         if set(unit) != {"g", "arguments"} or unit["g"] not in FUNCTIONS or not unit["arguments"]:
             raise ArtifactError(
-                f"ParFam unit {dict(unit)} needs 'g' from {', '.join(FUNCTIONS)} and 'arguments'."
+                f"ParFam unit {dict(unit)} needs 'g' from {', '.join(FUNCTIONS)} and 'arguments'.",
+                code="law.structure_unit",
+                key="structure.units",
             )
         units.append((unit["g"], list(unit["arguments"])))
     below = list(structure.get("denominator", ()))
@@ -159,6 +167,8 @@ def _checked(
         for feature in features:
             if feature not in known:
                 raise ArtifactError(
-                    f"ParFam feature '{feature}' is unknown; known are {', '.join(known)}."
+                    f"ParFam feature '{feature}' is unknown; known are {', '.join(known)}.",
+                    code="law.structure_feature",
+                    key="structure",
                 )
     return linear, units, state, below

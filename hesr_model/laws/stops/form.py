@@ -99,19 +99,25 @@ class Structure:
         except ValidationError as error:
             raise ArtifactError(
                 f"structure {dict(data)!r} is invalid for ParFam-S; allowed are the keys 'stops', "
-                "'viscous', 'ripple', 'window' and 'limited'."
+                "'viscous', 'ripple', 'window' and 'limited'.",
+                code="law.structure_keys",
+                key="structure",
             ) from error
         for kind, node in found.stops:
             if kind not in BOUNDS or not 0 <= node < len(WIDTHS):
                 raise ArtifactError(
                     f"stop {[kind, node]!r} is unknown; expected a bound of "
                     f"{', '.join(repr(k) for k in BOUNDS)} and a number from 0 to "
-                    f"{len(WIDTHS) - 1}."
+                    f"{len(WIDTHS) - 1}.",
+                    code="law.structure_stop",
+                    key="structure.stops",
                 )
         if unknown := [kind for kind in found.viscous if kind not in _VISCOUS]:
             raise ArtifactError(
                 f"viscous term {unknown[0]!r} is unknown; known are "
-                f"{', '.join(repr(k) for k in _VISCOUS)}."
+                f"{', '.join(repr(k) for k in _VISCOUS)}.",
+                code="law.structure_viscous",
+                key="structure.viscous",
             )
         return found
 

@@ -31,7 +31,9 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Array], time: str) -> LogTa
     counted = Counter(max(array.shape) for array in arrays.values() if array.size > 1)
     if not counted:
         raise LogError(
-            f"{path}: has no arrays of numbers; save tables and timeseries as arrays or structs."
+            f"{path}: has no arrays of numbers; save tables and timeseries as arrays or structs.",
+            code="log.no_arrays",
+            where=path,
         )
     rows = max(counted, key=lambda length: (counted[length], length))
     if time in arrays and arrays[time].ndim == 1 and arrays[time].size:
@@ -76,7 +78,11 @@ def load_arrays(path: Path) -> dict[str, Any]:
         if isinstance(found, np.ndarray):
             return {"": found} if found.dtype.names else {"data": found}
         if sum(one.file_size for one in found.zip.infolist()) > most_bytes(path):
-            raise LogError(f"{path}: claims more data than fits into the file.")
+            raise LogError(
+                f"{path}: claims more data than fits into the file.",
+                code="log.too_large",
+                where=path,
+            )
         return {name: found[name] for name in found.files}
 
 

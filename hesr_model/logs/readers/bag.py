@@ -96,15 +96,27 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
     base = min(series, key=lambda s: len(s.messages))
     rows = np.flatnonzero(np.logical_and.reduce([s.covers(base.t) for s in series]))
     if not len(rows):
-        raise LogError(f"{where}: the messages of the joints do not overlap in time.")
+        raise LogError(
+            f"{where}: the messages of the joints do not overlap in time.",
+            code="bag.overlap",
+            where=where,
+        )
     t = base.t[rows]
     q, dq, effort = (_joined(series, f, t) for f in ("position", "velocity", "effort"))
     if effort is None:
         raise LogError(
-            f"{where}: its messages have no effort; record torques or currents as effort."
+            f"{where}: its messages have no effort; record torques or currents as effort.",
+            code="bag.effort",
+            where=where,
+            key="effort",
         )
     if q is None:
-        raise LogError(f"{where}: its messages have no position; positions are needed.")
+        raise LogError(
+            f"{where}: its messages have no position; positions are needed.",
+            code="bag.position",
+            where=where,
+            key="position",
+        )
     if robot.log.columns.dq and dq is None:
         _log.warning("%s: has no velocity; it is derived from the position.", where)
     return LogSamples(
@@ -139,7 +151,12 @@ class _Series:
         """Read the fields of joints; raises LogError."""
         stamps = np.array([message.stamp for message in messages])
         if not stamps.any():
-            raise LogError(f"{where}: its messages have no time stamps (all are 0).")
+            raise LogError(
+                f"{where}: its messages have no time stamps (all are 0).",
+                code="bag.stamps",
+                where=where,
+                key="header.stamp",
+            )
         fields = ("position", "velocity", "effort")
         return cls(
             t=stamps,
@@ -175,7 +192,7 @@ def _groups(
 ) -> dict[tuple[str, ...], Sequence[_Message]]:
     """Return the messages of each joint."""
     if not messages:
-        raise LogError(f"{where}: has no messages.")
+        raise LogError(f"{where}: has no messages.", code="bag.empty", where=where)
     listed = dict.fromkeys(name for message in messages for name in message.state.name)
     groups: dict[tuple[str, ...], Sequence[_Message]] = {}
     for joint in joints:
@@ -183,7 +200,10 @@ def _groups(
         if not groups[joint,]:
             raise LogError(
                 f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; map "
-                "names under 'log.bag.joints' of the robot file."
+                "names under 'log.bag.joints' of the robot file.",
+                code="bag.joint",
+                where=where,
+                key="log.bag.joints",
             )
     return groups
 
@@ -195,18 +215,22 @@ def _joined(series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Arra
 
 def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     if not (path.is_file() or path.is_dir()):  # a pipe may have no end
-        raise LogError(f"{path}: no such log file.")
+        raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(
             f"{path}: a folder without 'metadata.yaml' is not a ROS bag; give a file or a "
-            "bag's folder."
+            "bag's folder.",
+            code="bag.folder",
+            where=path,
         )
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise LogError(
-            f"{path}: reading a ROS bag needs the package rosbags: pip install 'hesr[ros]'."
+            f"{path}: reading a ROS bag needs the package rosbags: pip install 'hesr[ros]'.",
+            code="log.package",
+            where=path,
         ) from error
     try:
         # bags older than ROS 2 Iron lack definitions
@@ -222,7 +246,11 @@ def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     except LogError:
         raise
     except Exception as error:  # many kinds
-        raise LogError(f"{path}: cannot be read as a ROS bag ({on_one_line(error)}).") from error
+        raise LogError(
+            f"{path}: cannot be read as a ROS bag ({on_one_line(error)}).",
+            code="file.unreadable",
+            where=path,
+        ) from error
 
 
 def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
@@ -232,12 +260,18 @@ def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
         others = f"topics of joint states are {', '.join(states)}" if states else f"none is {_TYPE}"
         raise LogError(
             f"{path}: has no topic '{topic}'; {others}; name one under 'log.bag.topic' of the "
-            "robot file."
+            "robot file.",
+            code="bag.topic",
+            where=path,
+            key="log.bag.topic",
         )
     for connection in connections:
         if connection.msgtype != _TYPE:
             raise LogError(
-                f"{path}: topic '{topic}' has messages {connection.msgtype}; expected {_TYPE}."
+                f"{path}: topic '{topic}' has messages {connection.msgtype}; expected {_TYPE}.",
+                code="bag.type",
+                where=path,
+                key="log.bag.topic",
             )
     return connections
 
@@ -254,7 +288,10 @@ def _values(
         if len(given) != len(names):
             raise LogError(
                 f"{where}, message {message.number}: {field} has {len(given)} entries for "
-                f"{len(names)} joints."
+                f"{len(names)} joints.",
+                code="bag.entries",
+                where=where,
+                key=field,
             )
         row[:] = [given[names.index(joint)] for joint in joints]
     bad = np.isinf(values) if missing else ~np.isfinite(values)
@@ -262,6 +299,9 @@ def _values(
         k, joint = np.argwhere(bad)[0]
         raise LogError(
             f"{where}, message {messages[k].number}: {field} of joint '{joints[joint]}' is "
-            f"{values[k, joint]:g}; a finite number is needed."
+            f"{values[k, joint]:g}; a finite number is needed.",
+            code="log.finite",
+            where=where,
+            key=field,
         )
     return values

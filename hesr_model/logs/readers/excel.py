@@ -21,12 +21,18 @@ def _read(path: Path, log: LogFormat) -> LogTable:
         import openpyxl
     except ModuleNotFoundError as error:
         raise LogError(
-            f"{path}: Excel workbooks need openpyxl: pip install 'hesr[formats]'."
+            f"{path}: Excel workbooks need openpyxl: pip install 'hesr[formats]'.",
+            code="log.package",
+            where=path,
         ) from error
     with readable(path, "an Excel workbook"):
         with zipfile.ZipFile(path) as packed:
             if sum(part.file_size for part in packed.infolist()) > most_bytes(path):
-                raise LogError(f"{path}: claims more data than fits into the file.")
+                raise LogError(
+                    f"{path}: claims more data than fits into the file.",
+                    code="log.too_large",
+                    where=path,
+                )
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = [list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets]
         book.close()

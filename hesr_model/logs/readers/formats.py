@@ -57,12 +57,18 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
         if found > n:
             raise LogError(
                 f"{table.path}: has column '{names[n]}', but the robot has {n} joints; name the "
-                "columns to use under 'log.columns' of the robot file."
+                "columns to use under 'log.columns' of the robot file.",
+                code="log.more_columns",
+                where=table.path,
+                key=names[n],
             )
         if 0 < found < n and names[n - 1] not in table.names:
             raise LogError(
                 f"{table.path}: column '{names[found]}' is missing; it has {found} "
-                f"joints, but the robot has {n}."
+                f"joints, but the robot has {n}.",
+                code="log.column_missing",
+                where=table.path,
+                key=names[found],
             )
     return table.numbers(column_names(columns, robot.joints), missing=robot.log.missing == "drop")
 
@@ -94,11 +100,17 @@ def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
     if current in table.names:
         raise LogError(
             f"{table.path}: column '{torque}' is missing; for the currents in '{current}' add "
-            "'log.torque_per_ampere' to the robot file."
+            "'log.torque_per_ampere' to the robot file.",
+            code="log.torque_per_ampere",
+            where=table.path,
+            key="log.torque_per_ampere",
         )
     raise LogError(
         f"{table.path}: column '{torque}' (torque) or '{current}' (current) is missing; "
-        f"it has {table.listing}."
+        f"it has {table.listing}.",
+        code="log.no_torque",
+        where=table.path,
+        key=torque,
     )
 
 

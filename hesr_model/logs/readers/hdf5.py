@@ -19,7 +19,11 @@ def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[s
     try:
         import h5py
     except ModuleNotFoundError as error:
-        raise LogError(f"{path}: {kind}s need h5py: pip install 'hesr[formats]'.") from error
+        raise LogError(
+            f"{path}: {kind}s need h5py: pip install 'hesr[formats]'.",
+            code="log.package",
+            where=path,
+        ) from error
 
     found: dict[str, Array] = {}
     left = most_bytes(path)
@@ -33,7 +37,11 @@ def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[s
             nonlocal left
             left -= max(8, item.dtype.itemsize) * item.size
             if left < 0:
-                raise LogError(f"{path}: claims more data than fits into the file.")
+                raise LogError(
+                    f"{path}: claims more data than fits into the file.",
+                    code="log.too_large",
+                    where=path,
+                )
             array = np.asarray(item)
             found.update(numeric(array.T if transposed else array, name.replace("/", ".")))
 

@@ -112,7 +112,7 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
     fields are named as in MATLAB, ``log.t``, ``out.signals(2).values1``.
     """
     if not path.is_file():
-        raise LogError(f"{path}: no such log file.")
+        raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
     with path.open("rb") as file:
         is_hdf5 = file.read(520)[512:] == _HDF5
     found = arrays_of_hdf5(path, "MATLAB file", transposed=True) if is_hdf5 else _classic(path)
@@ -127,7 +127,11 @@ def _classic(path: Path) -> dict[str, Array]:
             require_sound(path, most_bytes(path))
             content = loadmat(path, simplify_cells=True)
         except OverflowError as error:
-            raise LogError(f"{path}: claims more data than fits into the file.") from error
+            raise LogError(
+                f"{path}: claims more data than fits into the file.",
+                code="log.too_large",
+                where=path,
+            ) from error
     return dict(numeric({k: v for k, v in content.items() if not k.startswith("__")}, ""))
 
 
