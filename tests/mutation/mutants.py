@@ -1,22 +1,25 @@
 """Small faults inserted into sources to see whether tests detect them.
 
-Python faults come from the operators of Cosmic Ray, except numbers: it only changes them by one,
-while typical faults in science are factors. Cosmic Ray's own runs support neither random samples
-nor tests per module, so `run.py` performs them. C is formatted by clang-format, which puts spaces
-around binary operators only, so tokens suffice to distinguish them.
+Python faults come from the operators of Cosmic Ray and those below. It changes numbers only by one,
+while typical faults in science are factors, and has none for arguments, slices and statements.
+Its own runs support neither random samples nor tests per module, so `run.py` performs them. C is
+formatted by clang-format, which puts spaces around binary operators only, so tokens suffice to
+distinguish them.
 """
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import cosmic_ray.plugins
 from cosmic_ray.ast import ast_nodes, get_ast, is_number
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.operators.operator import Operator
-from parso.python.tree import Number
+from parso.python.tree import Keyword, Name, Number
+from parso.tree import NodeOrLeaf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +84,7 @@ def mutant(path: Path, place: tuple[int, int], variant: Variant) -> Mutant:
 # --- Python -----------------------------------------------------------------------------------
 
 # Others are detected by any test that runs the line, or do not concern numbers.
-_KEPT = re.compile(
+_CHOSEN = re.compile(
     r"core/(ReplaceBinaryOperator_(Add|Sub|Mul|Div|FloorDiv|Mod|Pow)_(Add|Sub|Mul|Div)|"
     r"ReplaceBinaryOperator_BitAnd_BitOr|"
     r"ReplaceComparisonOperator_(Eq|NotEq|Lt|LtE|Gt|GtE)_(Eq|NotEq|Lt|LtE|Gt|GtE)|"
@@ -115,10 +118,99 @@ class _OtherNumber(Operator):  # type: ignore[misc]  # untyped
         return ()
 
 
+class _RemovedStatement(Operator):  # type: ignore[misc]  # untyped
+    """Removal of a call, an augmented assignment or a `raise`."""
+
+    def mutation_positions(self, node):
+        if node.type != "simple_stmt":
+            return
+        statement = node.children[0]
+        is_call = statement.type == "atom_expr" and statement.children[-1].type == "trailer"
+        is_augmented = False
+        if statement.type == "expr_stmt":
+            operator = statement.children[1]
+            is_augmented = operator.type == "operator" and operator.value != "="
+        if is_call or is_augmented or statement.type == "raise_stmt":
+            yield statement.start_pos, statement.end_pos
+
+    def mutate(self, node, index):
+        first = node.children[0].get_first_leaf()
+        node.children[0] = Keyword("pass", first.start_pos, first.prefix)
+        return node
+
+    @classmethod
+    def examples(cls) -> tuple[()]:
+        return ()
+
+
+class _SwappedArguments(Operator):  # type: ignore[misc]  # untyped
+    """Exchange of neighbouring positional arguments."""
+
+    def mutation_positions(self, node):
+        for first, _ in _neighbours(node):
+            yield first.start_pos, first.end_pos
+
+    def mutate(self, node, index):
+        first, second = _neighbours(node)[index]
+        a, b = node.children.index(first), node.children.index(second)
+        leaves = first.get_first_leaf(), second.get_first_leaf()
+        leaves[0].prefix, leaves[1].prefix = leaves[1].prefix, leaves[0].prefix
+        node.children[a], node.children[b] = second, first
+        return node
+
+    @classmethod
+    def examples(cls) -> tuple[()]:
+        return ()
+
+
+def _neighbours(node: NodeOrLeaf) -> list[tuple[NodeOrLeaf, NodeOrLeaf]]:
+    """Return pairs of positional arguments of a call that differ."""
+    if node.type != "arglist":
+        return []
+    arguments = [child for child in node.children if child.type != "operator"]
+    return [
+        (first, second)
+        for first, second in pairwise(arguments)
+        if "argument" not in (first.type, second.type)
+        and first.get_code(include_prefix=False) != second.get_code(include_prefix=False)
+    ]
+
+
+class _OtherSlice(Operator):  # type: ignore[misc]  # untyped
+    """Bounds of slices one more; those that are numbers are in `_OtherNumber`."""
+
+    def mutation_positions(self, node):
+        for bound in _bounds(node):
+            yield bound.start_pos, bound.end_pos
+
+    def mutate(self, node, index):
+        bound = _bounds(node)[index]
+        more = Name(f"{bound.get_code()} + 1", bound.start_pos, "")
+        node.children[node.children.index(bound)] = more
+        return node
+
+    @classmethod
+    def examples(cls) -> tuple[()]:
+        return ()
+
+
+def _bounds(node: NodeOrLeaf) -> list[NodeOrLeaf]:
+    if node.type != "subscript":
+        return []
+    return [c for c in node.children if c.type not in ("operator", "number", "sliceop")]
+
+
+_OPERATORS = {
+    "number": _OtherNumber, "statement": _RemovedStatement,
+    "arguments": _SwappedArguments, "slice": _OtherSlice,
+}  # fmt: skip
+
+
 @cache
 def _operators() -> dict[str, Operator]:
-    known = [name for name in cosmic_ray.plugins.operator_names() if _KEPT.fullmatch(name)]
-    return {n: cosmic_ray.plugins.get_operator(n)() for n in known} | {"number": _OtherNumber()}
+    known = [name for name in cosmic_ray.plugins.operator_names() if _CHOSEN.fullmatch(name)]
+    ours = {name: operator() for name, operator in _OPERATORS.items()}
+    return {n: cosmic_ray.plugins.get_operator(n)() for n in known} | ours
 
 
 def _other_numbers(text: str) -> list[str]:
@@ -154,7 +246,8 @@ _C_TOKEN = re.compile(
     r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\])*\"|'[^']*'|^[ ]*#(?!define)[^\n]*|"
     r"(?P<statement>(?<=[;{}/]\n) +(?!return\b|\w+ [*\w]|\(void\))[\w*(][^\n;{}]*;$)|"
     r"(?P<number>(?<![\w.])\d+(?:\.\d*)?(?:[eE][+-]?\d+)?(?![\w.]))|(?P<word>\b[A-Za-z_]\w*)|"
-    r"(?P<not>!(?=[\w(]))|(?<= )(?P<binary>[<>=!]=|&&|\|\||[-+*/]=?|[<>])(?=\s)",
+    r"(?P<not>!(?=[\w(]))|(?P<minus>(?:(?<=[(=,?:] )|(?<=\()|(?<=return ))-(?=[\w(]))|"
+    r"(?<= )(?P<binary>[<>=!]=|&&|\|\||[-+*/]=?|[<>])(?=\s)",
     re.MULTILINE | re.DOTALL,
 )
 
@@ -173,7 +266,7 @@ def _c_faults(text: str) -> Iterator[tuple[int, int, list[str]]]:
             others = _other_numbers(token)
         elif kind == "word" and token in _WORDS:
             others = [_WORDS[token]]
-        elif kind == "not":
+        elif kind in ("not", "minus"):
             others = [""]
         elif kind == "binary":
             others = list(_BINARY.get(token, ()))

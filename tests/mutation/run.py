@@ -1,9 +1,10 @@
 """Share of small faults in the sources that the tests detect: run by `make mutate`.
 
 Random faults are inserted one by one into a clean copy of the tree. Each runs against the nearest
-tests first, then against more distant ones (`nearest.toml`): those of `make test`, then of CI,
-until one fails or the CPU time per fault is used up. Faults without observable effect are
-listed in `equivalent.toml` with the reason. C that does not compile is not a fault.
+tests first, then against those that import it within two steps and more distant ones
+(`nearest.toml`): those of `make test`, then of CI, until one fails or the CPU time per fault is
+used up. A test that fails with a fault is run again without it. Faults without observable effect
+are listed in `equivalent.toml` with the reason. C that does not compile is not a fault.
 """
 
 import argparse
@@ -24,9 +25,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
+from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import psutil
 import pytest
@@ -34,8 +36,10 @@ from mutants import Mutant, mutant, variants
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-PATIENCE = 5.0  # multiple of the tests' time without a fault
-CPU = 60.0  # CPU seconds of tests per fault
+CPU = 90.0  # CPU seconds of tests per fault
+TEST_CPU = 30.0  # CPU seconds after which a test that needs a third of them has no end
+TEST_WALL = 300.0  # [s] after which a test waits for ever
+_NO_END = "no end"  # of a test
 SELECTIONS = {"": "not soak and not ci", "in CI": "ci and not soak"}  # in this order
 # Tests run in forks of a process that has the slow imports but none of our modules.
 FORK = multiprocessing.get_context("fork")
@@ -64,7 +68,35 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def _run_tests(root: Path, tests: Sequence[str], marked: str, output: int) -> None:
+class Outcome(NamedTuple):
+    """What tests showed of a fault.
+
+    Attributes
+    ----------
+    failed : name of the test that failed or did not end, "" if none did.
+    output : what pytest wrote.
+    used : CPU seconds.
+    is_spent : whether the CPU time was used up before that.
+    """
+
+    failed: str
+    output: str
+    used: float
+    is_spent: bool
+
+
+class _Starts:
+    """A plug-in of pytest that writes which test runs: the last one, when the process ends."""
+
+    def __init__(self, file: int) -> None:
+        self._file = file
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        os.ftruncate(self._file, 0)
+        os.pwrite(self._file, nodeid.encode(), 0)
+
+
+def _run_tests(root: Path, options: Sequence[str], output: int, started: int) -> None:
     """Run in a process group, which can be ended as a whole."""
     os.setsid()
     os.dup2(output, 1)
@@ -72,8 +104,8 @@ def _run_tests(root: Path, tests: Sequence[str], marked: str, output: int) -> No
     os.chdir(root)
     os.environ |= {"PYTHONPATH": str(root), "COLUMNS": "200"}
     sys.path[:1] = [str(root)]
-    options = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci", "-m", marked]
-    code = pytest.main([*options, *tests])
+    always = ["-xq", "-p", "no:cacheprovider", "--hypothesis-profile=ci"]
+    code = pytest.main([*always, *options], plugins=[_Starts(started)])
     sys.stdout.flush()
     os._exit(0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else int(code))
 
@@ -88,11 +120,10 @@ def cpu_of(process: psutil.Process) -> float:
 class Tree:
     """A copy of the tree for faults."""
 
-    def __init__(self, folder: Path, *, limit: float | None, selections: dict[str, str]) -> None:
+    def __init__(self, folder: Path, *, selections: dict[str, str]) -> None:
         self.root = copied(folder)
-        self._given = limit
         self._selections = selections
-        self._seconds: dict[tuple[str, tuple[str, ...]], float] = {}
+        self._can: dict[tuple[str, bool], bool] = {}  # tests that failed, or had no end
 
     def sources(self, *patterns: str) -> list[str]:
         found = {path for pattern in patterns for path in self.root.glob(pattern)}
@@ -106,7 +137,7 @@ class Tree:
     def groups(self, source: str) -> list[tuple[str, ...]]:
         """Tests for a source without repetition: the nearest, those that import it, the others."""
         found: list[tuple[str, ...]] = []
-        for tests in (self.nearest(source), self._importing(source), *self._beyond(source)):
+        for tests in (self.nearest(source), *self._importing(source), *self._beyond(source)):
             new = dict.fromkeys(t for t in tests if not any(t in group for group in found))
             found += [tuple(new)] if new else []
         return found
@@ -120,55 +151,64 @@ class Tree:
             return self.sources(f"tests/unit/**/test_{Path(source).stem}.py") + listed
         return listed if entry else self.sources(f"tests/**/test_{Path(source).stem}.py")
 
-    def _importing(self, source: str) -> list[str]:
-        """Tests that import a module, the quickest first."""
+    def _importing(self, source: str) -> list[list[str]]:
+        """Tests that import a module, then those that import one that does, the quickest first."""
+        recorded = tomllib.loads((self.root / "tests/durations.toml").read_text(encoding="utf-8"))
+        seconds = recorded["default"]["files"]
+        direct = self._importers(source)
+        indirect = {test for module in direct for test in self._importers(module)}
+        return [
+            sorted(
+                (path for path in found if Path(path).name.startswith("test_")),
+                key=lambda test: seconds.get(test, math.inf),
+            )
+            for found in (direct, indirect - direct)
+        ]
+
+    def _importers(self, source: str) -> set[str]:
         folder, _, name = source.removesuffix(".py").replace("/", ".").rpartition(".")
         imported = re.compile(rf"\b{folder}(\.| import \(?[\w\s,]*\b){name}\b")
-        seconds = tomllib.loads((self.root / "tests/durations.toml").read_text(encoding="utf-8"))
-        found = [
-            test
-            for test in self.sources("tests/**/test_*.py")
-            if imported.search((self.root / test).read_text(encoding="utf-8"))
-        ]
-        return sorted(found, key=lambda test: seconds["default"]["files"].get(test, math.inf))
+        return {path for path, text in self._texts.items() if imported.search(text)}
+
+    @cached_property
+    def _texts(self) -> dict[str, str]:
+        return {
+            path: (self.root / path).read_text(encoding="utf-8") for path in self.sources("**/*.py")
+        }
 
     def _beyond(self, source: str) -> list[list[str]]:
         """More distant tests: those of each matching entry."""
         entries = [e for e in table("nearest.toml", "beyond") if fnmatch(source, str(e["sources"]))]
         return [[t for name in entry["tests"] for t in self.tests(name)] for entry in entries]
 
-    def _pytest(
-        self, tests: Sequence[str], marked: str, *, limit: float = math.inf, cpu: float = math.inf
-    ) -> tuple[int | None, str, float]:
-        """Exit code of the tests, None if they do not end, their output and CPU seconds."""
-        with tempfile.TemporaryFile("w+") as heard:
+    def _pytest(self, options: Sequence[str], cpu: float = math.inf) -> Outcome:
+        """Run tests until one fails, does not end, or `cpu` seconds are used."""
+        with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as started:
             running = FORK.Process(
-                target=_run_tests, args=(self.root, tests, marked, heard.fileno())
+                target=_run_tests, args=(self.root, options, output.fileno(), started.fileno())
             )
-            begin, used = time.monotonic(), 0.0
             running.start()
             process = psutil.Process(running.pid)
-            while running.is_alive():
+            test, test_used, test_begin, used, stop = "", 0.0, time.monotonic(), 0.0, ""
+            while not stop and running.is_alive():
+                running.join(0.2)
                 used = max(used, cpu_of(process))
-                if used > cpu or time.monotonic() - begin > limit:
+                current = os.pread(started.fileno(), 4096, 0).decode()
+                if current != test:
+                    test, test_used, test_begin = current, used, time.monotonic()
+                has_end = used - test_used < TEST_CPU and time.monotonic() - test_begin < TEST_WALL
+                if used > cpu or not has_end:
+                    stop = "out of CPU time" if has_end else _NO_END
                     os.killpg(running.pid, signal.SIGKILL)
-                    running.join()
-                    return None, "out of CPU time" if used > cpu else "no end", used
-                running.join(0.5)
-            heard.seek(0)
-            return running.exitcode, heard.read(), used
-
-    def _limit(self, tests: tuple[str, ...], marked: str) -> float:
-        """Check that tests pass without a fault, and return their time limit [s]."""
-        if self._given:
-            return self._given
-        if (marked, tests) not in self._seconds:
-            begin = time.monotonic()
-            code, said, _ = self._pytest(tests, marked)
-            if code:
-                sys.exit(f"{' '.join(tests)} fail without any fault:\n{said}")
-            self._seconds[marked, tests] = time.monotonic() - begin
-        return 20.0 + PATIENCE * self._seconds[marked, tests]
+            running.join()
+            output.seek(0)
+            text = output.read().decode(errors="replace")
+        is_spent = stop == "out of CPU time"
+        # After a failure pytest runs no other test; a module that cannot be imported runs none.
+        broken = re.search(r"^ERROR (\S+)", text, re.MULTILINE)
+        name = broken[1] if broken and not test else test or options[0]
+        failed = "" if is_spent or running.exitcode == 0 else name
+        return Outcome(failed, text + stop, used, is_spent)
 
     def _write(self, source: str, text: str) -> None:
         path = self.root / source
@@ -176,6 +216,38 @@ class Tree:
         # With equal date and size, its bytecode could be reused for this text.
         for stale in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
             stale.unlink()
+
+    def _can_judge(self, test: str, options: Sequence[str], *, has_end: bool) -> bool:
+        """Return whether a test passes, or ends much sooner, in the sources as they are."""
+        if (test, has_end) not in self._can:
+            # A module that cannot be imported may lack only what another folder hides from it.
+            again = [test] if "::" in test else [*options, "--collect-only"]
+            outcome = self._pytest(again)
+            can = not outcome.failed and (has_end or outcome.used < TEST_CPU / 3)
+            self._can[test, has_end] = can
+            if not can:
+                print(f"left out, fails or is too slow without any fault: {test}", flush=True)
+        return self._can[test, has_end]
+
+    def _judge(
+        self, source: str, text: str, tests: Sequence[str], marked: str, cpu: float
+    ) -> Outcome:
+        """Run tests with a fault, but for those that fail without it."""
+        original = (self.root / source).read_text(encoding="utf-8")
+        used = 0.0
+        while True:
+            unfit = [test for (test, _), can in self._can.items() if not can]
+            left_out = [f"--{'deselect' if '::' in test else 'ignore'}={test}" for test in unfit]
+            options = [*(test for test in tests if test not in unfit), "-m", marked, *left_out]
+            if options[0] == "-m":
+                return Outcome("", "", used, False)
+            self._write(source, text)
+            outcome = self._pytest(options, cpu - used)
+            self._write(source, original)
+            used += outcome.used
+            has_end = not outcome.output.endswith(_NO_END)
+            if not outcome.failed or self._can_judge(outcome.failed, options, has_end=has_end):
+                return outcome._replace(used=used)
 
     def verdict(self, source: str, fault: Mutant) -> tuple[str, str]:
         """Return the outcome of a fault and the test that detected it."""
@@ -190,22 +262,16 @@ class Tree:
         groups = self.groups(source)
         if not groups:
             return "survived", "no test is near; see nearest.toml"
-        original = (self.root / source).read_text(encoding="utf-8")
         left = CPU
         for (where, marked), tests in product(self._selections.items(), groups):
-            limit = self._limit(tests, marked)
-            self._write(source, fault.text)
-            code, said, used = self._pytest(tests, marked, limit=limit, cpu=left)
-            self._write(source, original)
-            left -= used
-            if "the C compiler failed" in said:
+            outcome = self._judge(source, fault.text, tests, marked, left)
+            left -= outcome.used
+            if "the C compiler failed" in outcome.output:
                 return "stillborn", ""
-            if left <= 0.0:
+            if outcome.is_spent:
                 return "survived", f"{CPU:.0f} CPU s of tests"
-            if code != 0:
-                failed = [x for x in said.splitlines() if x.startswith(("FAILED", "ERROR"))]
-                said = failed[0] if failed else said.strip().splitlines()[-1]
-                return f"killed {where}".strip(), f"{CPU - left:.0f} s, {said[:150]}"
+            if outcome.failed:
+                return f"killed {where}".strip(), f"{CPU - left:.0f} s, {outcome.failed[:150]}"
         return "survived", f"{CPU - left:.0f} s, {' '.join(groups[0])}"
 
 
@@ -218,7 +284,17 @@ def faults(tree: Tree, patterns: Sequence[str], seed: int) -> Iterator[tuple[str
     ]
     chance = random.Random(seed)
     for source, place, choices in chance.sample(found, len(found)):
-        yield source, mutant(tree.root / source, place, chance.choice(choices))
+        fault = mutant(tree.root / source, place, chance.choice(choices))
+        if is_code(source, fault.text):
+            yield source, fault
+
+
+def is_code(source: str, text: str) -> bool:
+    """Return whether Python compiles a source; the compiler of C judges others."""
+    try:
+        return not source.endswith(".py") or bool(compile(text, source, "exec"))
+    except SyntaxError:
+        return False
 
 
 def main() -> None:
@@ -228,7 +304,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="*", help="pattern of sources")
     parser.add_argument("--quick", action="store_true", help="only tests that `make test` runs")
-    parser.add_argument("--limit", type=float, help="seconds for tests that are known to pass")
     options = parser.parse_args()
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     for name in SLOW_IMPORTS:
@@ -236,7 +311,7 @@ def main() -> None:
     total: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="hesr-mutation-") as folder:
         selections = dict(list(SELECTIONS.items())[: 1 if options.quick else None])
-        tree = Tree(Path(folder, "tree"), limit=options.limit, selections=selections)
+        tree = Tree(Path(folder, "tree"), selections=selections)
         for area in options.areas:
             counts: Counter[str] = Counter()
             for source, fault in faults(tree, AREAS[area], options.seed):

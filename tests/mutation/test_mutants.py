@@ -62,9 +62,20 @@ def test_python_faults_are_generated(tmp_path: Path) -> None:
 def test_a_loop_over_several_lines_has_a_fault(tmp_path: Path) -> None:
     mutants = pytest.importorskip("mutants", reason="needs hesr[mutation]")
     path = tmp_path / "a.py"
-    path.write_text("for a in (\n    b,\n    c,\n):\n    print(a)\n", encoding="utf-8")
+    path.write_text("for a in (\n    b,\n    c,\n):\n    a = b\n", encoding="utf-8")
     found = [mutants.mutant(path, p, v) for p, vs in mutants.variants(path).items() for v in vs]
     assert [(m.before, m.after) for m in found] == [("for a in ( b, c, ):", "for a in []:")]
+
+
+def test_statements_arguments_and_slices_have_faults(tmp_path: Path) -> None:
+    text = "def f(a, n):\n    g(a, n)\n    a += h(n, b=a)\n    raise E(a[n:])\n"
+    assert {
+        ("g(a, n)", "pass"),
+        ("g(a, n)", "g(n, a)"),
+        ("a += h(n, b=a)", "pass"),
+        ("raise E(a[n:])", "pass"),
+        ("raise E(a[n:])", "raise E(a[n + 1:])"),
+    } <= changes("a.py", text, tmp_path)
 
 
 def test_c_faults_are_generated(tmp_path: Path) -> None:
@@ -80,6 +91,7 @@ def test_c_faults_are_generated(tmp_path: Path) -> None:
         (addition, addition.replace("*", "/", 1).replace("//", "/*")),
         *((addition, addition.replace("2.5", to)) for to in ("5.0", "1.25", "25.0")),
         ("return !n ? -sum : sum;", "return n ? -sum : sum;"),
+        ("return !n ? -sum : sum;", "return !n ? sum : sum;"),
     }
 
 
