@@ -1,5 +1,6 @@
 """The native arm: equal to the arm in Python, with complete states, in any host."""
 
+import os
 import re
 import subprocess
 import sys
@@ -329,6 +330,7 @@ sys.stdout.write(repr(t.steps(binary, c, 30, 60)))
             text=True,
             check=True,
             cwd=Path(__file__).parent,
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
         ).stdout
         for todo in ("save", "load")
     ]

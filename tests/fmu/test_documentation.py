@@ -74,11 +74,6 @@ def page_of(model: FrictionModel, *, events: bool = True) -> str:
     return to_html(model, friction.friction_equations(model, events=events)[0], about)
 
 
-@pytest.fixture(scope="session")
-def fitted(registry_models: dict[str, FrictionModel]) -> dict[str, FrictionModel]:
-    return registry_models
-
-
 def check(text: str, *, alive: bool = False) -> Page:
     """A self-contained page; it has scripts only with a live section."""
     page = Page(text)
@@ -121,10 +116,10 @@ def without_scope(cells: list[tuple[str, str, str]]) -> list[tuple[str, str, str
     "names", [SAMPLES, pytest.param((), marks=pytest.mark.nightly("laws"))], ids=["some", "all"]
 )
 def test_pages_of_registered_laws_are_complete(
-    names: tuple[str, ...], fitted: dict[str, FrictionModel]
+    names: tuple[str, ...], registry_models: dict[str, FrictionModel]
 ) -> None:
-    for name in names or fitted:
-        model = fitted[name]
+    for name in names or registry_models:
+        model = registry_models[name]
         text = page_of(model)
         page = check(text)
         law = model.laws[0]
