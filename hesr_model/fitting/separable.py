@@ -11,7 +11,14 @@ import sympy
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.joint_rows import JointRows, in_one_piece, non_negative_least_squares
+from hesr_model.fitting.joint_rows import (
+    JointRows,
+    first_best,
+    in_one_piece,
+    no_worse,
+    non_negative_least_squares,
+)
+from hesr_model.fitting.local_search import search_locally
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.support.arrays import Array, Mask
@@ -48,7 +55,9 @@ class SearchSpace:
 FINEST = 0.01  # smallest scale of a sliding joint's lengths
 _LENGTHS = {"deflection", "v_s", "v_t", "x_0"}  # searched numbers [rad, rad/s; m, m/s]
 LEAST = 1e-9  # [its unit] of a non-negative coefficient that scales others
-_NO_EFFECT = 1e-9  # relative change of the cost
+_WEAK = 1e-3  # relative rise of the cost that a number with hardly an effect causes
+_WEAK_VALUES = 5  # tried of such a number; searched velocities span three decades
+_SAME_VALUE = 1e-3  # share of the range
 
 
 class Separable:
@@ -157,34 +166,44 @@ class Separable:
             return found if rows is None else found[rows]
 
         low, high = self.bounds.T
-        found = scipy.optimize.least_squares(
+        tau = self.samples.tau if rows is None else self.samples.tau[rows]
+        result = search_locally(
             residual,
-            np.clip(point, low, high),
+            point,
             bounds=(low, high),
-            x_scale=high - low,
-            max_nfev=evaluations,
-            diff_step=1e-6,
+            scale=high - low,
+            magnitude=float(np.linalg.norm(tau)),
+            evaluations=evaluations,
         )
-        return np.asarray(found.x)
+        return np.asarray(result.x)
 
     def settled(self, point: Array) -> Array:
-        """Return the point after a local search, also from both bounds of numbers without effect.
+        """Return the point after local searches, also from where numbers hardly have an effect.
 
-        Where F_s = F_c, v_s has none, and its value decides whether a higher F_s is found.
+        Where F_s = F_c, v_s has none, and its value decides whether a higher F_s is found. At the
+        smallest v_s no row is slow enough for F_s to matter.
         """
         point = self.polish(point, evaluations=40)
         cost = self.solve(point)[1]
-        ends = [
-            np.where(np.arange(len(point)) == k, end, point)
-            for k, limits in enumerate(self.bounds)
-            for end in limits
-        ]
-        found = [
-            self.polish(e, evaluations=40)
-            for e in ends
-            if self.solve(e)[1] <= cost * (1.0 + _NO_EFFECT)
-        ]
-        return min([point, *found], key=lambda trial: self.solve(trial)[1])
+        corners = [point, *self._vary(point, cost, 2)]
+        starts = [start for corner in corners for start in self._vary(corner, cost, _WEAK_VALUES)]
+        points = [point, *(self.polish(start, evaluations=40) for start in starts)]
+        return points[first_best([self.solve(p)[1] for p in points])]
+
+    def _vary(self, point: Array, cost: float, values: int) -> list[Array]:
+        """Return points with one number changed, whose cost hardly exceeds `cost`.
+
+        The numbers take `values` values, the bounds included.
+        """
+        varied = []
+        for k, (low, high) in enumerate(self.bounds):
+            for value in np.linspace(high, low, values):
+                trial = point.copy()
+                trial[k] = value
+                is_near = abs(value - point[k]) < _SAME_VALUE * (high - low)
+                if not is_near and no_worse(self.solve(trial)[1], cost, _WEAK):
+                    varied.append(trial)
+        return varied
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
         """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
