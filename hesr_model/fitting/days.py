@@ -17,11 +17,11 @@ from typing import Literal
 
 import numpy as np
 import sympy
-from scipy.optimize import least_squares
 
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import FitError
 from hesr_model.fitting.joint_rows import log_of_rows
+from hesr_model.fitting.local_search import search_locally
 from hesr_model.friction.inputs import DQ
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -209,6 +209,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
         moved = at(point)
         return np.concatenate([predict_record(moved, r) - r.tau for r in records])
 
+    torque = np.concatenate([record.tau for record in records])
     best = first
     for _ in range(_NOISE_ROUNDS):
         noise = _noise(error(best))
@@ -216,8 +217,13 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
         def residual(point: Array, noise: float = noise) -> Array:
             return np.concatenate([error(point) / noise, root @ (point - first)])
 
-        found = least_squares(
-            residual, best, bounds=(low, high), x_scale=sizes, diff_step=1e-6, max_nfev=20
+        found = search_locally(
+            residual,
+            best,
+            bounds=(low, high),
+            scale=sizes,
+            magnitude=float(np.linalg.norm(torque) / noise),
+            evaluations=20,
         )
         best = found.x
     if prior.trained and certify(law, prior.trained[k]).verdict == "proven":

@@ -122,7 +122,8 @@ ROUND_OFF = 1e-9  # of a cost
 
 def no_worse(cost: float, than: float, tolerance: float = ROUND_OFF) -> bool:
     """Return whether a cost exceeds another one by no more than a relative tolerance."""
-    return cost <= than * (1.0 + tolerance)
+    # Without noise a cost is round-off, which may be negative.
+    return cost <= than + tolerance * abs(than)
 
 
 def first_best(costs: Sequence[float] | Array, tolerance: float = ROUND_OFF) -> int:
