@@ -35,7 +35,7 @@ REPORT ?=
 SECONDS_LEFT ?=
 SPREAD += $(REPORT:%=--junitxml .ci/out/%.xml -o junit_family=xunit1)
 SPREAD += $(SECONDS_LEFT:%=--session-timeout %)
-KERNELS ?= Prescott
+KERNELS ?= Prescott Haswell
 C_FILES := $(wildcard hesr_model/equations/*.[ch] fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c tests/benchmarks/*.c)
 
 # As many test processes as cores: more threads of linear algebra would wait for each other.
