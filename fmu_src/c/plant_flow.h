@@ -39,7 +39,7 @@ static bool rub(Solver *solver, int i, double load, double *dx, Message *why) {
         solver->input[LOAD][i] = u[LOAD];
         solver->friction[0][i] = y[0];
         const double missing = torque - y[0] - stop - u[LOAD];
-        const double size = fabs(torque) + fabs(y[0]) + fabs(stop);
+        const double size = fabs(torque) + fabs(y[0]) + fabs(stop) + fabs(load);
         if (SERVO || solver->component->continuous == 0.0 || !(fabs(missing) > EVEN * size)) {
             return true;
         }

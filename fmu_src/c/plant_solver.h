@@ -23,6 +23,10 @@ enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HAL
 /* Share of the momentum that counts as torque in this, because of rounding. */
 #define GRAIN 1e-5
 
+/* Speed [rad/s or m/s] whose rounding counts as balanced. It is that of a robot's motions: where a
+ * servo carries all torques and nothing moves, shares of torques and momentum would vanish. */
+#define TYPICAL_SPEED 1.0
+
 /* Share of the balance that the curvature of friction may use. */
 #define STRAIGHT_SHARE 0.1
 
@@ -335,21 +339,24 @@ INLINED void balance_all(const Solver *solver, double *residual) {
     }
 }
 
-/* Sum of the residuals, those of held axes if `held`, and the least that counts. */
+/* Sum of the residuals, those of held axes if `held`, and the least that counts: a share of the
+ * torques, and round-off. Where a servo carries all torques and nothing moves, the torques in the
+ * residual vanish, but not the round-off of what cancels in them. */
 INLINED double sum_all(const Solver *solver, bool held, const double *residual, double *least) {
-    Lanes sizes, roundings; /* of positions, as torque */
+    Lanes sizes, positions, floors;
     double total = 0.0, size = 0.0, rounding = 0.0;
     for (int l = 0; l < LANES; l++) {
         const double torque = fabs(solver->friction[0][l] + solver->stop[l]);
         const double grain = GRAIN * (fabs(solver->u[l]) + fabs(solver->v[l]));
         sizes[l] = solver->h * (torque + fabs(solver->applied[l])) + solver->diagonal[l] * grain;
-        roundings[l] = fabs(solver->slope[0][l] * solver->q[l]);
+        positions[l] = fabs(solver->slope[0][l] * solver->q[l]);
+        floors[l] = solver->h * fabs(solver->bias[l]) + solver->diagonal[l] * TYPICAL_SPEED;
     }
     for (int i = 0; i < JOINTS; i++) {
         const bool waits = solver->holding && solver->held[i];
         total += waits && !held ? 0.0 : fabs(residual[i]);
         size += sizes[i];
-        rounding += waits ? 0.0 : roundings[i];
+        rounding += floors[i] + (waits ? 0.0 : positions[i]);
     }
     *least = BALANCED * size + 4.0 * DBL_EPSILON * rounding;
     return total;

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from plant_robots import UF850, coupled
 from plant_runs import content_of
+from registry_models import everyday
 from scipy.spatial.transform import Rotation
 
 from fmu_src.check.run import check
@@ -68,6 +69,49 @@ def test_an_arm_starts_at_rest(share: float, servo_arm: Path) -> None:
     friction = run(servo_arm, np.zeros((1, 3)), "tau_friction", **start)
     np.testing.assert_allclose(torque, load + friction, atol=1e-9)
     assert np.abs(load).max() > 10.0
+
+
+LAWS = tuple(everyday())
+GROUPS = [LAWS[k : k + 3] for k in range(0, len(LAWS) - 2, 3)] + [LAWS[-3:]]
+AT_REST = {
+    "all joints at 0": {},
+    "gravity off": {f"gravity[{i}]": 0.0 for i in (1, 2, 3)},
+    "one joint at 0": {"q_start[1]": 0.3, "q_start[2]": 0.0, "q_start[3]": -1.2},
+    "a posture": POSTURE,
+    "no compensation": {f"gravity_share[{i}]": 0.0 for i in (1, 2, 3)},
+}
+
+
+@pytest.mark.parametrize(
+    "laws",
+    [
+        pytest.param(group, id=", ".join(group), marks=[pytest.mark.ci] * (k > 0))
+        for k, group in enumerate(GROUPS)
+    ],
+)
+def test_nothing_moves_where_the_servo_carries_all_torques(
+    laws: tuple[str, ...], registry_models: dict[str, FrictionModel], tmp_path: Path
+) -> None:
+    """The torques of the balance vanish there, but not their round-off."""
+    robot = Robot(UF850)
+    model = FrictionModel(
+        law="by_hand",
+        robot=robot.name,
+        joints=robot.joints,
+        laws=tuple(registry_models[law].laws[0] for law in laws),
+        sample_time=0.005,
+    )
+    body = PlantBody.of(robot)
+    fmu = export_plant(model, tmp_path / "Arm.fmu", body=body, kv=KV, ki=KI, bare=True)
+    names = [f"q[{i}]" for i in (1, 2, 3)]
+    for posture, start in AT_REST.items():
+        with FmuInstance(fmu) as arm:
+            arm.initialise(start=start)
+            first = np.array(arm.get(names))
+            for k in range(40):
+                arm.step(k * STEP, STEP)
+            moved = np.abs(np.array(arm.get(names)) - first).max()
+        assert moved < 1e-12, posture
 
 
 def test_the_torque_is_that_of_both_gains(servo_arm: Path) -> None:
