@@ -2,59 +2,72 @@
 
 import sys
 import tomllib
+from contextlib import ExitStack
 from importlib import import_module, util
 from pathlib import Path
+from re import findall
+from tempfile import TemporaryDirectory
 
 import numpy as np
-from fmpy import extract, fmi2, read_model_description
+from fmpy import extract, instantiate_fmu, read_model_description
 
 path = Path(__file__).with_name("closed_loop.toml") if len(sys.argv) < 2 else Path(sys.argv[1])
 system = tomllib.loads(path.read_text(encoding="utf-8"))
 step, slaves, variables = system["step"], {}, {}
 
 
-def end(signal):  # an FMU and the references of q[1], q[2], .. for q
+def end(signal):  # an FMU, and its variables q[1], q[2], .. for q
     name, own = signal.split(".")
     found = [v for v in variables[name] if own in (v.name, v.name.split("[")[0])]
-    return slaves[name], [v.valueReference for v in found]
+    return slaves[name], [v.valueReference for v in found], found
+
+
+def start(signal, value):  # sets numbers, or a choice by its name, as in "1 = none, 2 = .."
+    slave, references, [first, *_] = end(signal)
+    if not isinstance(value, str):
+        slave.setReal(references, list(np.broadcast_to(value, len(references))))
+        return
+    choices = {name: int(number) for number, name in findall(r"(\d+) = (\w+)", first.description)}
+    if value not in choices:
+        sys.exit(f"{path}: {signal} = '{value}' is not one of {', '.join(choices)}.")
+    slave.setInteger(references, [choices[value]])
 
 
 def feed(slave):  # sets the inputs of an FMU to the newest outputs of the others
-    for (into, inputs), (source, outputs) in links:
+    for (into, inputs, _), (source, outputs, _) in links:
         if into is slave:
             slave.setReal(inputs, source.getReal(outputs))
 
 
-for part in system["components"]:
-    name, fmu = part["name"], path.parent / part["fmu"]
-    about = read_model_description(fmu)
-    kind = about.coSimulation.modelIdentifier
-    slave = fmi2.FMU2Slave(guid=about.guid, unzipDirectory=extract(fmu), modelIdentifier=kind)
-    slaves[name], variables[name] = slave, about.modelVariables
-    slave.instantiate()
-    slave.setupExperiment()
-    for variable, value in part.get("start", {}).items():
-        references = end(f"{name}.{variable}")[1]
-        if isinstance(value, str):  # a choice; the description has its number
-            text = about.modelVariables[references[0]].description
-            slave.setInteger(references, [int(text.split(f" = {value}")[0][-1])])
-        else:
-            slave.setReal(references, list(np.broadcast_to(value, len(references))))
-    slave.enterInitializationMode()
-links = [(end(into), end(out)) for into, out in system["connections"].items()]
-for slave in [*slaves.values()] * len(slaves):  # until the outputs agree
-    feed(slave)
-for slave in slaves.values():
-    slave.exitInitializationMode()
-rows, observed = [], [end(signal) for signal in system["observe"]]  # desired and true position
-for k in range(round(system["stop"] / step) + 1):
-    for slave in slaves.values() if k else ():  # in turn, the arm first
+with ExitStack() as stack:  # frees the FMUs, then removes the folder, also after an error
+    folder = stack.enter_context(TemporaryDirectory())
+    for part in system["components"]:
+        name = part["name"]
+        place = extract(path.parent / part["fmu"], Path(folder, name))
+        about = read_model_description(place)
+        slave = instantiate_fmu(place, about, "CoSimulation")
+        stack.callback(slave.freeInstance)
+        slaves[name], variables[name] = slave, about.modelVariables
+        slave.setupExperiment()
+        for variable, value in part.get("start", {}).items():
+            start(f"{name}.{variable}", value)
+        slave.enterInitializationMode()
+    links = [(end(into), end(out)) for into, out in system["connections"].items()]
+    for slave in [*slaves.values()] * len(slaves):  # until the outputs agree
         feed(slave)
-        slave.doStep((k - 1) * step, step)
-    rows.append([k * step, *(x for slave, q in observed for x in slave.getReal(q))])
+    for slave in slaves.values():
+        slave.exitInitializationMode()
+    rows, observed = [], [end(signal) for signal in system["observe"]]  # desired, true position
+    for k in range(round(system["stop"] / step) + 1):
+        for slave in slaves.values() if k else ():  # in turn, the arm first
+            feed(slave)
+            slave.doStep((k - 1) * step, step)
+        rows.append([k * step, *(x for slave, q, _ in observed for x in slave.getReal(q))])
+    for slave in slaves.values():
+        slave.terminate()
 t, desired, q = np.split(np.array(rows), [1, 1 + len(observed[0][1])], axis=1)
 print("RMSE [mrad]:", *np.round(1e3 * np.sqrt(np.mean((desired - q) ** 2, axis=0)), 3))
 np.savetxt("tracking.csv", rows, "%.17g", ",", header="t, desired and true q", comments="")
 if util.find_spec("matplotlib"):
-    import_module("matplotlib.pyplot").plot(t, 1e3 * (desired - q))
-    import_module("matplotlib.pyplot").savefig("tracking.png")
+    lines = import_module("matplotlib.pyplot").plot(t, 1e3 * (desired - q))
+    lines[0].figure.savefig("tracking.png")

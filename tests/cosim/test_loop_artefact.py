@@ -1,8 +1,10 @@
 """The closed loop as files, run by their script without HESR, with MuJoCo and with the plant."""
 
+import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.metadata import distribution
@@ -34,7 +36,7 @@ from hesr_model.support.files import models_folder
 UF850 = models_folder() / "uf850"
 
 FILES = {"closed_loop.toml", "closed_loop.ssp", "plant_loop.toml", "plant_loop.ssp", "simulate.py"}
-MOST_LINES = 60
+MOST_LINES = 73
 ALIKE = 0.02  # relative difference of the RMSE with both plants
 QUIET = {"q_noise": (0.0, 0.0, 0.0), "tau_meas_noise": (0.0, 0.0, 0.0)}
 
@@ -65,13 +67,32 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return site
 
 
-def script(folder: Path, site: Path, *arguments: str) -> np.ndarray:
-    """Run simulate.py with the packages of a site folder alone; return its table."""
+def start_script(
+    folder: Path, site: Path, *arguments: str, preamble: str = ""
+) -> subprocess.CompletedProcess[str]:
+    """Run simulate.py with the packages of a site folder alone, and a temporary folder that must
+    be empty again."""
     start = f"import sys, runpy; sys.path.insert(0, {str(site)!r}); import importlib.util as u; "
     start += "assert not any(map(u.find_spec, ('hesr', 'hesr_model', 'mujoco', 'matplotlib'))); "
-    start += "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    start += "sys.argv = sys.argv[1:]\n" + preamble
+    start += "\nrunpy.run_path(sys.argv[0], run_name='__main__')"
     command = [sys.executable, "-I", "-S", "-c", start, "simulate.py", *arguments]
-    said = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory() as temporary:
+        said = subprocess.run(
+            command,
+            cwd=folder,
+            env={**os.environ, "TMPDIR": temporary},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert not list(Path(temporary).iterdir())
+    return said
+
+
+def script(folder: Path, site: Path, *arguments: str) -> np.ndarray:
+    """Run simulate.py; return its table."""
+    said = start_script(folder, site, *arguments)
     assert said.returncode == 0, said.stderr
     table = np.loadtxt(folder / "tracking.csv", delimiter=",", skiprows=1)
     desired, q = np.split(table[:, 1:], 2, axis=1)
@@ -105,6 +126,55 @@ def test_the_script_gives_the_motion_of_hesr(name: str, q: str, loop: Path, bare
         whole = np.column_stack([run.t, run.vector("trajectory.q"), run.vector(q)])
         np.testing.assert_array_equal(found, whole)
     assert np.ptp(found[:, 4:], axis=0).min() > 0.01
+
+
+# Prints the calls of FMUs that end them, in the order of the calls.
+CALLS = """
+import fmpy.fmi2 as fmi2
+for name in ("terminate", "freeInstance", "doStep"):
+    def call(slave, *values, name=name, original=getattr(fmi2.FMU2Slave, name)):
+        if name != "doStep":
+            print(name, slave.modelIdentifier)
+        elif FAILS and slave.modelIdentifier == "controller":
+            raise RuntimeError("the step fails")
+        return original(slave, *values)
+    setattr(fmi2.FMU2Slave, name, call)
+"""
+
+
+def short_loop(loop: Path, folder: Path, old: str = "", new: str = "") -> Path:
+    """Copy the loop's file with one text replaced, and a shorter run."""
+    text = (loop / "closed_loop.toml").read_text(encoding="utf-8")
+    text = re.sub(r"(?m)^stop = .*$", "stop = 0.1", text).replace('"fmus/', f'"{loop}/fmus/')
+    assert old in text
+    path = folder / "short.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return path
+
+
+@pytest.mark.ci
+def test_the_script_ends_all_fmus(loop: Path, bare: Path, tmp_path: Path) -> None:
+    """Also after an error, with an empty temporary folder."""
+    path = str(short_loop(loop, tmp_path))
+    spec = System.read(path).spec
+    count = len(spec.components)
+    said = start_script(loop, bare, path, preamble="FAILS = False" + CALLS)
+    calls = [line.split()[0] for line in said.stdout.splitlines() if " " in line]
+    assert said.returncode == 0, said.stderr
+    assert calls == ["terminate"] * count + ["freeInstance"] * count + ["RMSE"]
+    said = start_script(loop, bare, path, preamble="FAILS = True" + CALLS)
+    assert "the step fails" in said.stderr
+    assert said.returncode == 1
+    assert [line.split()[0] for line in said.stdout.splitlines()] == ["freeInstance"] * count
+
+
+@pytest.mark.ci
+def test_the_script_names_the_choices(loop: Path, bare: Path, tmp_path: Path) -> None:
+    path = short_loop(loop, tmp_path, '"servo_inversion"', '"servo"')
+    said = start_script(loop, bare, str(path))
+    choices = "none, torque_error, servo_inversion"
+    assert (said.returncode, said.stdout) == (1, "")
+    assert said.stderr == f"{path}: controller.compensation = 'servo' is not one of {choices}.\n"
 
 
 @pytest.mark.ci
