@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from ctypes import c_double, c_size_t, c_uint32, c_void_p
+from itertools import permutations
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from zipfile import ZipFile
@@ -245,6 +246,42 @@ def test_derivatives_and_model_exchange_agree(friction3, table1_fmu, tmp_path) -
     names = (*elements(new, "tau"), *elements(new, "dq"))
     reference = [old.variables[n].valueReference for n in names]
     assert list(found) == old.fmu.getDirectionalDerivative(reference[:3], reference[3:], seed)
+
+
+@pytest.mark.parametrize("pair", ["laws"], indirect=True)
+def test_event_indicators_are_also_read_with_other_variables(pair, tmp_path) -> None:
+    """In any order, with the time; a wrong number of values is refused and nothing is overrun."""
+    new = New(pair[1], tmp_path, FMU3Model)
+    speed = [0.3, -0.4, 0.5]
+    new.set("dq", speed)
+    new.fmu.exitInitializationMode()
+    new.fmu.updateDiscreteStates()
+    new.fmu.enterContinuousTimeMode()
+    new.fmu.setTime(0.25)
+    count = new.size("event_indicator")
+    assert count > 1
+    alone = (c_double * count)()
+    new.fmu.fmi3GetEventIndicators(new.fmu.component, alone, count)
+    assert len(set(alone)) == count
+    known = {"dq": speed, "event_indicator": list(alone), "time": [0.25]}
+    assert new.get("event_indicator") == list(alone)
+    unset = 4711.0
+    for names in permutations(known):
+        expected = [value for name in names for value in known[name]]
+        references = (c_uint32 * len(names))(*(new.variables[n].valueReference for n in names))
+
+        def read(size: int, references=references) -> list[float]:
+            values = (c_double * 20)(*[unset] * 20)
+            try:
+                new.fmu.fmi3GetFloat64(new.fmu.component, references, len(references), values, size)
+            finally:
+                assert list(values)[size:] == [unset] * (20 - size)
+            return list(values)[:size]
+
+        assert read(len(expected)) == expected
+        for size in (*range(len(expected)), len(expected) + 1):
+            with pytest.raises(Exception, match="failed with status 3"):
+                read(size)
 
 
 def test_a_solver_runs_the_fmu(friction3, table1_fmu) -> None:
