@@ -271,6 +271,30 @@ def test_an_impossible_state_is_refused(binary):
     assert deserialised(binary, c, forged(data, 8 * velocity, struct.pack("<d", 0.1)))[0] == 0
 
 
+@pytest.mark.parametrize(("kind", "derivatives"), [(0, True), (1, False)])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_each_value_that_must_be_finite_is_watched(binary, kind, derivatives, value):
+    """Wherever it stands among the others; steps compute no derivatives."""
+    c = binary.ready(kind=kind)
+    data = serialised(binary, c, saved(binary, c))
+    assert deserialised(binary, c, data)[0] == 0
+    for i in (1, 2, 3):
+        for name, watched in ((f"tau[{i}]", True), (f"der(h[{i}])", derivatives)):
+            odd = forged(data, 8 * binary.vr[name], struct.pack("<d", value))
+            assert refused(binary, c, odd) == watched, name
+            if watched:
+                said = binary.messages[-1].text.replace("-nan", "nan")
+                assert f"{name} became {value:g} at time 0." in said
+
+
+def test_large_values_are_finite_though_their_sum_is_not(binary):
+    c = binary.ready()
+    data = serialised(binary, c, saved(binary, c))
+    for i in (1, 2, 3):
+        data = forged(data, 8 * binary.vr[f"tau[{i}]"], struct.pack("<d", 1.7e308))
+    assert deserialised(binary, c, data)[0] == 0
+
+
 def test_accepted_forged_states_give_numbers_or_errors(binary):
     """With a valid checksum and arbitrary memory: results are finite if FMI returns OK."""
     c, other = binary.ready(), binary.ready(name=b"other")
