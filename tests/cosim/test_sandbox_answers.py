@@ -3,6 +3,7 @@
 import base64
 import json
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -239,6 +240,15 @@ def test_bytes_that_are_no_answer_end_the_process(data: bytes, connect: Connect)
     sandbox.theirs.sendall(data)
     with pytest.raises(DiedError, match=NONSENSE):
         sandbox.ask("request", MOST)
+    assert sandbox._ended
+
+
+def test_answers_nested_without_end_end_the_process(connect: Connect) -> None:
+    nested = b"[" * (10 * sys.getrecursionlimit())
+    sandbox = connect()
+    sandbox.theirs.sendall(framed(nested))
+    with pytest.raises(DiedError, match=NONSENSE):
+        sandbox.ask("request", len(nested))
     assert sandbox._ended
 
 
