@@ -8,7 +8,7 @@ import pytest
 
 from hesr_model.errors import LogError
 from hesr_model.logs.guess import guess
-from hesr_model.logs.log_format import LogColumns, LogFormat, LogUnits
+from hesr_model.logs.log_format import LogColumns, LogCylinder, LogFormat, LogUnits
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table, write_table
 from hesr_model.robots.robot import RobotDescription
@@ -327,3 +327,20 @@ def test_written_names_and_numbers_are_read_back(
     np.testing.assert_array_equal(
         table.numbers(table.names), np.column_stack(list(columns.values()))
     )
+
+
+@pytest.mark.parametrize("unit", ["Pa", "kPa", "bar", "MPa"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_each_cylinder_has_the_force_of_its_two_pressures(unit: str, count: int) -> None:
+    names = [(f"a{i}", f"b{i}") for i in range(count)]
+    areas = [(1e-3 * (i + 2), 1e-3 * (i + 1)) for i in range(count)]
+    cylinder = LogCylinder.model_validate({"pressures": names, "areas": areas, "unit": unit})
+    pressures = np.random.default_rng(2).uniform(1.0, 200.0, (5, 2 * count))
+    forces, loads = cylinder.forces(pressures)
+    pascals = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}[unit] * pressures
+    assert forces.shape == loads.shape == (5, count)
+    for i, (first, second) in enumerate(areas):
+        one, other = pascals[:, 2 * i], pascals[:, 2 * i + 1]
+        np.testing.assert_allclose(forces[:, i], first * one - second * other, rtol=1e-9)
+        mean = (first + second) / 2.0
+        np.testing.assert_allclose(loads[:, i], mean * (one - other), rtol=1e-9)
