@@ -32,6 +32,8 @@ from hesr_model.equations.program import (
     step,
 )
 
+_ZERO = sympy.Integer(0)
+
 SIGNATURES: Mapping[str, str] = {
     "switches": "IN(k), IN(u), OUT(z)",
     "read": "IN(k), IN(u), IN(s), IN(x), IN(p), double dt, OUT(dx), OUT(y), OUT(r)",
@@ -169,7 +171,9 @@ class Functions:
 
     @cached_property
     def _flow(self) -> Assignments:
-        return readings(event_free(self.component))
+        # Terms of the step's length, such as means over a step, take their limit without steps.
+        own = readings(event_free(self.component))
+        return {symbol: expression.xreplace({DT: _ZERO}) for symbol, expression in own.items()}
 
     def flow(self) -> str:
         """Write state derivatives dx and outputs y of the event-free form."""
@@ -268,9 +272,8 @@ class Functions:
 
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""
-        zero = sympy.Integer(0)
         memory = self.component.memory
-        rates = (positive(m.rate) if isinstance(m, Relaxation) else zero for m in memory)
+        rates = (positive(m.rate) if isinstance(m, Relaxation) else _ZERO for m in memory)
         return self._evaluated("rates", "rate", rates)
 
     def begin(self) -> str:

@@ -89,11 +89,13 @@ def equations_header(
     *,
     wanted: Sequence[str] = FRICTION,
     coupling: Coupling | None = None,
+    steps_together: bool = True,
 ) -> str:
     """Return equations.h, with each distinct component written once.
 
     `places` has the variables of further C constants, `wanted` the functions that a C file calls. A
-    coupling maps the joints to the coordinates of the equations.
+    coupling maps the joints to the coordinates of the equations. `steps_together` is whether the C
+    file steps equal joints at once.
     """
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}
@@ -109,7 +111,7 @@ def equations_header(
         arrays += _arrays(joint, i, own, table)
         before += len(own.jumps.expressions)
     together = ""
-    if wanted == FRICTION and coupling is None:
+    if steps_together and wanted == FRICTION and coupling is None:
         together = _together(joints, table, functions[joints[0].component], texts)
     sample_time = joints[0].component.sample_time
     constants = _sizes(joints) | {

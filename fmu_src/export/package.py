@@ -87,6 +87,18 @@ def own_source(name: str) -> str:
     return (folder / name).read_text(encoding="utf-8")
 
 
+def with_headers(sources: Mapping[str, str]) -> dict[str, str]:
+    """Return C files with the headers of the package that they include, directly or not."""
+    complete = dict(sources)
+    waiting = list(sources.values())
+    while waiting:
+        for name in re.findall(r'^#include "([\w.]+)"', waiting.pop(), re.MULTILINE):
+            if name not in complete:
+                complete[name] = own_source(name)
+                waiting.append(complete[name])
+    return complete
+
+
 def equation_sources(header: str) -> dict[str, str]:
     """Return the C files of a component made of equations, with the given equations.h."""
     names = ("coupling.h", "equations.c", "law_math.h", "wide.h")

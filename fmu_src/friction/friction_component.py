@@ -135,11 +135,13 @@ def friction_equations(
     *,
     band: bool = False,
     events: bool = True,
+    steps_together: bool = True,
 ) -> tuple[Interface, str]:
     """Return the variables of a friction FMU, and its equations.h.
 
     The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU;
-    `more` are outputs such as `POWER`, and `band` adds its limits; for `events` see `component`.
+    `more` are outputs such as `POWER`, and `band` adds its limits; for `events` see `component`,
+    for `steps_together` see `equations_header`.
     Raises ExportError for names that FMI forbids, or different discretisations.
     """
     joints = joints_of(model, more, band=band, events=events)
@@ -149,7 +151,10 @@ def friction_equations(
         own=own_size(joints),
     )
     places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
-    return table, equations_header(joints, table, places, coupling=model.coupling)
+    header = equations_header(
+        joints, table, places, coupling=model.coupling, steps_together=steps_together
+    )
+    return table, header
 
 
 def _variables(

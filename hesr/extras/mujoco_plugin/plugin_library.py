@@ -7,7 +7,7 @@ from markupsafe import escape
 
 from fmu_src.arm.library import library
 from fmu_src.export.interface import to_c
-from fmu_src.export.package import own_source
+from fmu_src.export.package import with_headers
 from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.friction.friction_component import friction_equations
 from fmu_src.friction.validity import discretisation_of, require_exportable
@@ -27,7 +27,7 @@ def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
     if path.suffix != ".so" or PLATFORM not in ("linux64", "aarch64-linux"):
         raise ExportError(f"{path}: a plug-in of MuJoCo is a library (.so) for Linux.")
     require_exportable(model, "a plug-in of MuJoCo", coupled=False)
-    table, header = friction_equations(model)
+    table, header = friction_equations(model, steps_together=False)
     name = f"hesr.{path.stem}"
     templates = code_templates(Path(__file__).parent / "templates")
     text = templates.get_template("plugin.c.j2").render(
@@ -36,10 +36,10 @@ def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
         loaded=", ".join(str(int(TAU_LOAD in law.form.inputs)) for law in model.laws),
         euler=float(discretisation_of(model) == "euler"),
     )
-    files = {"interface.h": to_c(table, "", model.sample_time), "equations.h": header}
-    files |= {"plugin.c": text, **{n: own_source(n) for n in ("law_math.h", "variable.h")}}
+    interface = to_c(table, "", model.sample_time)
+    sources = {"interface.h": interface, "equations.h": header, "plugin.c": text}
     with scratch_folder() as home:
-        for file, content in files.items():
+        for file, content in with_headers(sources).items():
             (home / file).write_text(content, encoding="utf-8")
         flags = (*library(PLATFORM).flags, "-std=c11", "-ldl")  # as MuJoCo's headers
         binary = build(home / "plugin.c", path.stem, TARGETS[PLATFORM], flags)
