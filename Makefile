@@ -1,4 +1,5 @@
 # make run        install in .venv what a run needs, and do the main job
+# make messages   write the sentences that users can see to messages.txt, for reading
 # make near       run the tests that import a changed module within two steps; NEAR=COMMIT for
 #                 all changes since a commit
 # make test       install everything and run the tests for every change, in minutes
@@ -89,9 +90,8 @@ kernels: $(VENV)/installed
 durations: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --record-cpu tests/durations.toml
 
-messages: export WRITE_MESSAGES = 1
 messages: $(VENV)/installed
-	$(BIN)/pytest tests/contract/test_messages.py
+	$(BIN)/python tests/sentences.py >messages.txt
 
 nightly: $(VENV)/installed
 	$(BIN)/python .ci/nightly $(GROUPS)
