@@ -82,3 +82,16 @@ def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
 def test_joints_with_several_degrees_of_freedom_are_held(chain: Path) -> None:
     held = [doubt.joints for doubt in Robot(chain).doubts if doubt.check == "held-joint"]
     assert held == [("float",)]
+
+
+@pytest.mark.parametrize("kind", ["planar", "floating"])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_joint_with_several_degrees_of_freedom_may_be_anywhere(
+    kind: str, place: int, tmp_path: Path
+) -> None:
+    """MuJoCo, with which the torques are compared, splits a planar joint into three."""
+    joints = [{"name": f"j{k}", "kind": "revolute"} for k in (1, 2)]
+    joints.insert(place, {"name": "free", "kind": kind})
+    robot = Robot(urdf(tmp_path, *joints))
+    assert robot.joints == ("j1", "j2")
+    assert [doubt.joints for doubt in robot.doubts if doubt.check == "held-joint"] == [("free",)]
