@@ -80,3 +80,30 @@ def test_moving_loads_have_twice_the_frequency() -> None:
         assert motion.given(motion.dq) == 0.0
         work = motion.given(-motion.dq)
         assert work == pytest.approx(0.5 * cycle.amplitude**2 / cycle.frequency)
+        # Energy counts only if the cycle before generates the same.
+        growing = np.where(np.arange(len(motion.q)) < len(motion.q) - motion.rows, 0.5, 1.0)
+        assert motion.given(-growing * motion.dq) == 0.0
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.0, False), (0.5, False), (0.97, True)])
+def test_energy_of_pairs_counts_only_once_it_repeats(
+    monkeypatch: pytest.MonkeyPatch, share: float, counts: bool
+) -> None:
+    """In the last two of four cycles; sines generate nothing here."""
+
+    def predict(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
+        del law, t, q, tau_load
+        if len(set(dq.tolist())) > 2:
+            return np.array(dq)
+        last = np.arange(len(dq)) >= 3 * len(dq) // 4
+        return np.asarray(-np.where(last, 1.0, share) * dq)
+
+    monkeypatch.setattr(searched, "predict", predict)
+    law = FrictionLaw(name="own", form=LawForm(coefficients=(), output=DQ), values={})
+    found, _ = searched.attack(law, TRAINED, PAIRS)
+    assert (found is not None) == counts
+    if found:
+        ahead, back = PAIRS[0]
+        assert (found.amplitude, found.back) == (ahead, back)
+        assert found.energy == pytest.approx(ahead + back)  # over 1 rad each way
+        assert found.frequency == pytest.approx(1.0 / (1.0 / ahead + 1.0 / back))
