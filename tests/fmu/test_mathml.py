@@ -85,6 +85,13 @@ def test_numbers_have_four_digits(value: float, text: str, sign: float) -> None:
     assert list(map(visible, written)) == [f"τ= {'−' if sign < 0.0 else ''}{text}·q'"]
 
 
+def test_products_of_numbers_have_four_digits_and_constants_twelve() -> None:
+    (written,) = map(visible, equations(law(c("a") * c("b") * DQ, a=1.234, b=1.234), numbers=True))
+    assert written == "τ= 1.523·q'"
+    (written,) = map(visible, equations(law(c("a") * sympy.Float(0.12345678901234) * DQ, a=1.0)))
+    assert "0.123456789012·" in written
+
+
 def test_signs_stand_between_terms() -> None:
     own = law(c("a") * DQ + c("b") * Q - c("c"), a=-1.0, b=2.5, c=0.5)
     (written,) = map(visible, equations(own))
