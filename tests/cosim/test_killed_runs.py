@@ -16,7 +16,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from processes import assert_nothing_runs, started, wait_for
+from processes import HANG, assert_nothing_runs, started, wait_for
 from small_study import contents, write_study
 
 from fmu_src import model_file
@@ -37,11 +37,22 @@ FILES = 60
 KILLS = int(os.environ.get("KILLS", "200"))  # in the soak test
 
 WRITER = f"""
-import os, sys
+import os, signal, sys
 from itertools import count
 from pathlib import Path
 from hesr_model.support.files import folder_written_whole
 
+moves_left = int(sys.argv[2])
+replace = Path.replace
+
+def replace_or_die(path, target):
+    global moves_left
+    if moves_left == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    moves_left -= 1
+    return replace(path, target)
+
+Path.replace = replace_or_die
 for version in count():
     with folder_written_whole(Path(sys.argv[1])) as folder:
         for k in range({FILES}):
@@ -54,22 +65,40 @@ def begins_with(file: Path, text: str) -> bool:
     return file.exists() and file.read_text().startswith(text)
 
 
-def test_a_kill_while_files_move_leaves_one_version(tmp_path: Path) -> None:
+def assert_one_version(results: Path) -> None:
+    """Check that the next start finds all files of one version and nothing else."""
+    settle(results)
+    found = contents(results)
+    assert len(found) == FILES
+    assert len(set(found.values())) == 1
+    assert not list(results.glob(".*"))
+
+
+@pytest.mark.ci
+def test_a_kill_at_any_time_leaves_one_version(tmp_path: Path) -> None:
     results, rng = tmp_path / "results", random.Random(5)
-    first, interrupted = results / "0" / "0", set()
-    for _ in range(8):
-        with started(results, folder=tmp_path, program=("-c", WRITER)) as process:
+    first, moves = results / "0" / "0", 10**9
+    for _ in range(6):
+        with started(results, moves, folder=tmp_path, program=("-c", WRITER)) as process:
             wait_for(partial(begins_with, first, str(process.pid)), process)
             time.sleep(0.05 * rng.random())
             process.send_signal(signal.SIGKILL)
             process.communicate()
-        interrupted |= {path.name[:9] for path in results.glob(".hesr-*")}
-        settle(results)
-        found = contents(results)
-        assert len(found) == FILES
-        assert len(set(found.values())) == 1
-        assert not list(results.glob(".*"))
-    assert interrupted
+        assert_one_version(results)
+
+
+@pytest.mark.ci
+def test_a_kill_while_files_move_leaves_one_version(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    for moved in (0, 1, FILES // 2, FILES - 1):
+        with started(results, FILES + moved, folder=tmp_path, program=("-c", WRITER)) as process:
+            process.communicate(timeout=HANG)
+        assert process.returncode == -signal.SIGKILL
+        left = [path for path in (results / ".hesr-whole").rglob("*") if path.is_file()]
+        assert len(left) == FILES - moved
+        versions = {path.read_bytes() for path in results.glob("[0-9]/*")}
+        assert len(versions) == (1 if moved == 0 else 2)
+        assert_one_version(results)
 
 
 def test_a_complete_result_is_moved_by_the_next_start(tmp_path: Path) -> None:

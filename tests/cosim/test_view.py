@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import types
 import zipfile
 from dataclasses import replace
@@ -19,6 +18,7 @@ import numpy as np
 import PIL.Image
 import pyarrow.parquet
 import pytest
+from processes import HANG, wait_for_line
 from small_study import Hesr, hesr_here
 
 from cosim.loop.closed_loop import Scheme, StandIn
@@ -489,23 +489,37 @@ def test_a_viewer_that_needs_another_interpreter_is_reported(
     )
 
 
+VIEW = """
+import sys
+from mujoco import viewer
+from hesr.cli import main
+
+launch_passive = viewer.launch_passive
+
+def launch_and_tell(*arguments, **options):
+    window = launch_passive(*arguments, **options)
+    print("the window is open", file=sys.stderr, flush=True)
+    return window
+
+viewer.launch_passive = launch_and_tell
+main()
+"""
+
+
 @pytest.mark.ci
 @pytest.mark.skipif(shutil.which("Xvfb") is None, reason="there is no Xvfb to open a window on")
 def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None:
     """On a virtual screen; Ctrl-C ends it."""
-    number = tmp_path / "display"
-    with number.open("w") as written:
-        screen = subprocess.Popen(
-            ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24"],
-            stdout=written,
-            stderr=subprocess.DEVNULL,
-        )
+    screen = subprocess.Popen(
+        ["Xvfb", "-displayfd", "1", "-screen", "0", "320x240x24"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     try:
-        for _ in range(500):
-            if number.read_text():
-                break
-            time.sleep(0.02)
-        variables = os.environ | {"DISPLAY": f":{number.read_text().strip()}"}
+        assert screen.stdout
+        number = screen.stdout.readline().strip()  # written when it accepts clients
+        variables = os.environ | {"DISPLAY": f":{number}"}
         variables.pop("MUJOCO_GL", None)
         program = (
             "import sys\nfrom pathlib import Path\n"
@@ -524,24 +538,16 @@ def test_the_viewer_opens_moves_and_closes(result: Path, tmp_path: Path) -> None
         )
         assert done.returncode == 0, done.stderr
         viewing = subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                "from hesr.cli import main; main()",
-                "report",
-                str(result),
-                "--view",
-            ],
+            [sys.executable, "-c", VIEW, "report", str(result), "--view"],
             stderr=subprocess.PIPE,
             text=True,
             env=variables,
         )
-        time.sleep(4.0)
-        assert viewing.poll() is None  # it runs until it is closed
-        viewing.send_signal(signal.SIGINT)
-        _, err = viewing.communicate(timeout=30)
+        wait_for_line(viewing, lambda line: line == "the window is open")
+        viewing.send_signal(signal.SIGINT)  # it runs until it is closed
+        _, err = viewing.communicate(timeout=HANG)
         assert viewing.returncode == 130
         assert "Traceback" not in err
     finally:
         screen.terminate()
-        screen.wait()
+        screen.communicate()

@@ -3,11 +3,17 @@
 import os
 import re
 import signal
-import time
 from pathlib import Path
 
 import pytest
-from processes import assert_nothing_left, assert_nothing_runs, started, wait_for, workers
+from processes import (
+    HANG,
+    assert_nothing_left,
+    assert_nothing_runs,
+    started,
+    wait_for,
+    workers,
+)
 
 from hesr_model.support.files import models_folder
 
@@ -63,7 +69,9 @@ class Mine:  # of this script, which workers do not import
 """
 
 SLEEPERS = """
-def sleep(): time.sleep(600)
+def sleep():
+    open(f"asleep-{os.getpid()}", "w").close()
+    time.sleep(600)
 
 with results_of([sleep] * 4, 2) as results:
     for result in results:
@@ -280,20 +288,25 @@ def test_a_crashed_worker_prints_nothing(crash: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "seconds"),
-    [(signal.SIGINT, 0.0), (signal.SIGINT, 0.5), (signal.SIGINT, 1.0), (signal.SIGTERM, 0.5)],
+    ("number", "pattern"),
+    [
+        (signal.SIGINT, "hesr-*"),  # of the workers, which start
+        (signal.SIGINT, "hesr-*/jobs*"),  # and import
+        (signal.SIGINT, "hesr-*/hesr-*"),  # and work
+        (signal.SIGTERM, "hesr-*/hesr-*"),
+    ],
 )
 def test_signals_to_the_group_are_handled_once(
-    number: signal.Signals, seconds: float, tmp_path: Path
+    number: signal.Signals, pattern: str, tmp_path: Path
 ) -> None:
     """Also during the start of workers, before they handle signals."""
     with started(
         "test", "uf850-table1", TABLE_1, "--kind", "properties", folder=tmp_path
     ) as process:
         wait_for(lambda: workers(process.pid), process)
-        time.sleep(seconds)
+        wait_for(lambda: list((tmp_path / "tmp").glob(pattern)), process)
         os.killpg(process.pid, number)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=HANG)
     who = "interrupted" if number == signal.SIGINT else "ended by another program"
     assert (out, err) == ("", f"hesr: {who}; no file is half-written.\n")
     assert process.returncode == 128 + number
@@ -303,8 +316,8 @@ def test_signals_to_the_group_are_handled_once(
 def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
     """They sleep for minutes and get no signal."""
     with started(folder=tmp_path, program=script(tmp_path, JOBS + SLEEPERS)) as process:
-        wait_for(lambda: len(workers(process.pid)) == 2, process)
-        time.sleep(1.0)
+        wait_for(lambda: len(list(tmp_path.glob("asleep-*"))) == 2, process)
+        assert len(workers(process.pid)) == 2
         os.kill(process.pid, signal.SIGKILL)
         process.communicate(timeout=60)
     assert_nothing_left(process.pid, tmp_path)
