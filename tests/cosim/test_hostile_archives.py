@@ -26,7 +26,7 @@ from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.errors import ArtifactError, HesrError
 
 FEW, MANY = 200, 2000
-LONGEST = 10.0  # [s] for one input
+LONGEST = 60.0  # [s] after which reading or running one input has hung
 MOST_MORE = 500 << 20  # bytes of memory, and 20 times the input
 
 
@@ -231,7 +231,7 @@ def survive(real: Path, folder: Path, count: int, runs: int) -> None:
             raise AssertionError(f"seed {seed} of {real.name}") from error
         assert len(said) < 2000, f"seed {seed}: {said}"
         assert "\n" not in said, f"seed {seed}: {said}"
-        assert time.monotonic() - begin < LONGEST + 20.0 * (seed - refused < runs), f"seed {seed}"
+        assert time.monotonic() - begin < LONGEST, f"seed {seed}"
         used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         assert used < most + 20 * len(content), f"seed {seed}"
         path.unlink()

@@ -21,7 +21,7 @@ from readers import READERS
 
 from hesr_model.errors import HesrError
 
-LONGEST = 10.0  # [s] per file
+LONGEST = 60.0  # [s] after which reading a file has hung
 LONGEST_SENTENCE = 3000
 
 

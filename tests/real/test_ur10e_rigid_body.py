@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from time import process_time
 
 import numpy as np
 import pytest
@@ -55,12 +54,6 @@ def test_base_parameters_are_36_and_40_with_rotors(
 ) -> None:
     bare = Robot(ur10e.model_copy(update={"rotor_inertia": False}))
     assert (len(base_columns(bare)), len(base_columns(ur10e_model))) == (36, 40)
-
-
-def test_identification_takes_seconds(id_logs: list[Log], ur10e_model: Robot) -> None:
-    start = process_time()  # over all threads, independent of other load
-    identify(id_logs, ur10e_model)
-    assert process_time() - start < 5.0
 
 
 def test_the_three_logs_determine_all_parameters(rigid_body: RigidBody) -> None:
