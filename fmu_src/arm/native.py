@@ -3,12 +3,13 @@
 import hashlib
 import importlib.metadata
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from fmu_src.arm.library import library
 from fmu_src.arm.signals import signals_of
@@ -25,6 +26,7 @@ from fmu_src.arm.table import (
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface, literal
 from fmu_src.export.package import Content, check_request, own_source, write_fmu
+from fmu_src.pages.block_page import BlockPage, block_html
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.support.files import scratch_folder
@@ -198,19 +200,58 @@ def arm(
     )
     compiled = _binary(model)
     digest = hashlib.sha256(compiled).hexdigest()
+    about = description(signals, name)
+    page = BlockPage(equations=tuple(_signal_lines(signals)), notes=_NOTES)
     return Content(
         table=table,
-        about=description(signals, name),
+        about=about,
         sources={name: own_source(name) for name in _SOURCES}
         | {"signals.h": to_h(signals, table, state=state, digest=digest)},
         members={
             "resources/model.mjb": compiled,
             "resources/model.xml": source,
+            "documentation/index.html": block_html(page, table, about).encode(),
             **licences("mujoco"),
         },
         libraries={platform: library(platform) for platform in platforms},
         stimuli=Stimuli(step=signals.step, inputs=waves({i.name: _SMALL for i in signals.inputs})),
     )
+
+
+_NOTES = (
+    "Names on the right are those of sensors and actuators in resources/model.xml, which MuJoCo "
+    "steps. A measured output has normal noise with the standard deviation of its parameter. "
+    "A true one has none.",
+    "Start values are positions at rest. Where the table of signals says so, the integral of the "
+    "servo then balances all torques, so that the arm does not sag.",
+    "In a loop the arm begins where the desired motion begins: q0 = trajectory.q(0).",
+)
+
+
+def _signal_lines(signals: ArmSignals) -> Iterator[str]:
+    """Yield the sums of sensors that are outputs, and the actuators that inputs command."""
+    model = signals.model
+    addresses = np.asarray(model.sensor_adr)
+    controls = [k for k in range(model.nu) for _ in range(int(model.actuator_ctrlnum[k]))]
+    for one in signals.inputs:
+        names = [
+            model.actuator(controls[c]).name or f"actuator {controls[c]}" for c in one.controls
+        ]
+        yield f"{', '.join(names)} = {one.name}"
+    for out in signals.outputs:
+        terms = []
+        for address, factor, scaled in out.reads:
+            sensor = int(np.searchsorted(addresses, address, side="right")) - 1
+            name = model.sensor(sensor).name or f"sensor {sensor}"
+            element = f"[{address - addresses[sensor] + 1}]" if model.sensor_dim[sensor] > 1 else ""
+            scale = f"{SCALE} " if scaled else ""
+            size = "" if abs(factor) == 1 else f"{abs(factor):g} "
+            sign = "-" if factor < 0 else "+"
+            terms.append(f"{sign} {size}{scale}{name}{element}")
+        terms += [f"+ dry friction of loss {k + 1}" for k in out.losses]
+        if out.noise is not None:
+            terms.append(f"+ {noise_name(out)} normal noise")
+        yield f"{out.name} = {' '.join(terms).removeprefix('+ ')}"
 
 
 def description(signals: ArmSignals, name: str) -> Description:

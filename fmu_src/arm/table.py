@@ -139,7 +139,8 @@ def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Va
         text = f"commanded {_KINDS.get(one.unit, 'control')}"
         yield Variable(one.name, "input", text, unit=one.unit)
     for out in signals.outputs:
-        text = f"measured {_KINDS.get(out.unit, 'signal')}"
+        kind = "true" if out.noise is None else "measured"
+        text = f"{kind} {_KINDS.get(out.unit, 'signal')}"
         yield Variable(out.name, "output", text, unit=out.unit, dependencies=parameters)
 
 

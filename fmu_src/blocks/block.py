@@ -6,6 +6,7 @@ from fmu_src.equations.header import Joint, equations_header, own_size
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.export.package import Content, equation_sources
+from fmu_src.pages.block_page import BlockPage, block_html, component_page
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 from hesr_model.errors import ExportError
@@ -45,6 +46,7 @@ def content(
     text: str,
     sources: Mapping[str, str],
     step: float,
+    page: BlockPage,
     example: Mapping[str, float] | None = None,
     owner: Owner = OURS,
 ) -> Content:
@@ -57,7 +59,8 @@ def content(
     )
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
     stimuli = Stimuli(step=step, inputs=inputs, parameters=example or {})
-    return Content(table=table, about=about, sources=sources, members={}, stimuli=stimuli)
+    members = {"documentation/index.html": block_html(page, table, about).encode()}
+    return Content(table=table, about=about, sources=sources, members=members, stimuli=stimuli)
 
 
 def block(
@@ -68,12 +71,13 @@ def block(
     text: str,
     step: float,
     example: Mapping[str, float],
+    notes: Sequence[str] = (),
 ) -> Content:
     """Return the FMU of a component for a number of joints, with its preferred step [s].
 
     Signals are `name[1]`, .., shared parameters `name`; `example` has the parameters of the
-    reference results by their own name. Raises ExportError for states, whose start values have no
-    variables.
+    reference results by their own name; `notes` are paragraphs of the FMU's page. Raises
+    ExportError for states, whose start values have no variables.
     """
     if component.memory:
         raise ExportError(
@@ -95,6 +99,7 @@ def block(
         text=text,
         sources=equation_sources(equations_header(own, table, {})),
         step=step,
+        page=component_page(component, notes),
         example={joint.names[of]: value for of, value in example.items() for joint in own},
     )
 

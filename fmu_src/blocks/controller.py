@@ -26,7 +26,10 @@ from hesr_model.equations.memory import DT
 
 _Q = Quantity(name="q", unit="rad", description="measured position")
 _TIME_CONSTANT = Parameter(
-    name="time_constant", unit="s", description="of the low-pass; 0 for none", tunable=False
+    name="time_constant",
+    unit="s",
+    description="time constant of the low-pass; 0 for none",
+    tunable=False,
 )
 
 
@@ -59,6 +62,10 @@ def velocity(joints: int, *, step: float = 0.005) -> Content:
         text="Velocity of measured positions: backward differences and a low-pass.",
         step=step,
         example={"time_constant": 4.0 * step},
+        notes=(
+            "dt is the length of the step. The block gives the measured velocity to a friction law "
+            "that must follow the measured motion, not the desired one.",
+        ),
     )
 
 
@@ -141,6 +148,19 @@ def controller_equations(step: float) -> Component:
     )  # fmt: skip
 
 
+_CONTROLLER_NOTES = (
+    "The motion q_d is that of now; dq_d and the motion behind tau_rb and tau_f are ahead by the "
+    "preview, the latency of the servo plus half a sample, if compensation is servo_inversion. "
+    "Otherwise the preview is 0.",
+    "The servo of the arm makes the torque Kv (dq_cmd - dq) + Ki times the integral of dq_cmd - dq "
+    "and compensates gravity. Its inverse therefore needs tau_g: the rigid-body torque at the "
+    "measured position, at rest.",
+    "Kp, Kd and lambda act if compensation is torque_error, Kv and Ki if it is servo_inversion, "
+    "and Kx always. Kv and Ki are those of the servo; they are no gains to tune.",
+    "previous(x) is x at the last sample; samples are sample_time apart.",
+)
+
+
 def controller(joints: int, *, step: float = 0.005) -> Content:
     """Return the Controller FMU for a number of joints with sample time `step` [s]."""
     return block(
@@ -150,4 +170,5 @@ def controller(joints: int, *, step: float = 0.005) -> Content:
         text="Velocity commands from desired motion, models and measurements.",
         step=step,
         example={"compensation": 3.0, "Kv": 100.0, "Ki": 500.0, "Kx": 5.0, "friction_gain": 0.9},
+        notes=_CONTROLLER_NOTES,
     )

@@ -8,10 +8,30 @@ from numpy.typing import NDArray
 from fmu_src.blocks.block import content, places, vector
 from fmu_src.export.interface import Interface, Variable, literal
 from fmu_src.export.package import Content, own_source
+from fmu_src.pages.block_page import BlockPage
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 
 _SPRINGS = {True: "stiffness of the spring", False: "amplitude of the spring's torque"}
 _UNITS = ("kg", *["kg.m"] * 3, *["kg.m2"] * 6)
+
+_PAGE = BlockPage(
+    equations=(
+        "tau = M(q) ddq + C(q, dq) dq + g(q) + rotors(ddq) + springs(q)",
+        "rotors(ddq)[i] = Ir[i] ddq[i]; with a transmission each motor turns with several joints",
+        "springs(q)[i] = k q[i] for a spring, k cos(h q[i]) or k sin(h q[i]) for a balancer",
+    ),
+    notes=(
+        "M, C and g are those of the tree of links, computed by the recursive Newton-Euler "
+        "algorithm. Friction is not included.",
+        "m is the mass of a link, mx, my and mz are its first moments, Ixx to Izz its inertia, "
+        "about the origin of its joint's frame. Ir is the inertia of a rotor as seen at the joint. "
+        "Identified base parameters give the right torque even if single values are not those of "
+        "the link.",
+        "A loop uses this FMU twice. The first instance receives the desired motion and gives "
+        "tau_rb. The second one receives the measured position with dq = ddq = 0 and gives the "
+        "torque of gravity alone, tau_g of the controller.",
+    ),
+)
 
 
 def inverse_dynamics(
@@ -59,6 +79,7 @@ def inverse_dynamics(
             "tree.h": _tree(robot),
         },
         step=step,
+        page=_PAGE,
         owner=robot.description.owner,
     )
 

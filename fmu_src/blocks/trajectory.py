@@ -5,6 +5,7 @@ import numpy as np
 from fmu_src.blocks.block import content, places, vector
 from fmu_src.export.interface import Enumeration, Interface, Variable
 from fmu_src.export.package import Content, own_source
+from fmu_src.pages.block_page import BlockPage
 from fmu_src.run.reference_results import ROWS
 from hesr_model.errors import ExportError
 from hesr_model.motions.trajectories import Fourier, Sine, Sweep, Trajectory
@@ -29,20 +30,45 @@ _PARAMETERS = (
     ("offset", "rad", "mean position, or position at the start of a sweep"),
     ("amplitude", "rad/s", "peak velocity of a sine or sweep"),
     ("swing", "rad/s", "variation of the peak velocity of a sweep"),
-    ("swing_phase", "rad", "of the swing"),
+    ("swing_phase", "rad", "phase of the swing"),
 )
 _SCALARS = (
-    ("preview", "s", "how far ahead the outputs _ahead are", 0.0),
-    ("rest_time", "s", "at rest before the motion begins", 0.0),
-    ("period", "s", "of a Fourier motion", 10.0),
-    ("swing_period", "s", "of the swing", 10.0),
+    ("preview", "s", "lead of the outputs named _ahead", 0.0),
+    ("rest_time", "s", "time at rest before the motion begins", 0.0),
+    ("period", "s", "period of a Fourier motion", 10.0),
+    ("swing_period", "s", "period of the swing", 10.0),
     ("first", "1/s", "frequency of a sine, or at the start of a sweep", 0.25),
     ("last", "1/s", "frequency at the end of a sweep", 1.0),
-    ("length", "s", "of a sweep", 10.0),
+    ("length", "s", "duration of a sweep", 10.0),
 )
 
 _FROM_REST = (("a", 1, 0.5), ("a", 3, -0.5), ("b", 1, 0.4), ("b", 2, -0.2))
 """Coefficients of each joint in the reference results [rad/s]."""
+
+_PAGE = BlockPage(
+    equations=(
+        "s = max(time - rest_time, 0)",
+        "fourier   w = 2 pi / period, sums over k = 1 to 10",
+        "          q = offset + sum (a[k] sin(k w s) - b[k] cos(k w s)) / (k w)",
+        "          dq = sum a[k] cos(k w s) + b[k] sin(k w s)",
+        "sine      w = 2 pi first",
+        "          q = offset - amplitude / w cos(w s)",
+        "          dq = amplitude sin(w s)",
+        "sweep     phi = 2 pi (first s + (last - first) s^2 / (2 length)), s at most length",
+        "          dq = (amplitude + swing sin(2 pi s / swing_period + swing_phase)) sin(phi)",
+        "          q = offset + integral of dq",
+        "q_ahead, dq_ahead, ddq_ahead (time) = q, dq, ddq (time + preview)",
+    ),
+    notes=(
+        "During the rest time, and after a sweep, dq and ddq are 0 and q is that of the nearest "
+        "instant of the motion. The arm must begin there: start it at the q of this FMU after its "
+        "initialisation, q(0). Only a sweep begins at its offset.",
+        "A sweep without swing is a chirp.",
+        "fourier uses period, offset, a and b; sine uses first, offset and amplitude; sweep uses "
+        "first, last, length, offset, amplitude, swing, swing_period and swing_phase.",
+    ),
+    refusals=("period, swing_period, first, last and length must be positive.",),
+)
 
 
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
@@ -86,9 +112,10 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
     return content(
         table,
         name="Trajectory",
-        text="Desired motion of all joints: Fourier series, sine, sweep or chirp.",
+        text="Desired motion of all joints: Fourier series, sine or sweep.",
         sources={"trajectory.c": own_source("trajectory.c"), "motion.h": header},
         step=step,
+        page=_PAGE,
         example={"kind": 1.0, "period": ROWS * step, "preview": 2.0 * step, **example},
     )
 

@@ -1,0 +1,142 @@
+"""documentation/index.html of the blocks of a closed loop: equations and all variables."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy
+from sympy.printing.str import StrPrinter
+
+from fmu_src.export.description import Description
+from fmu_src.export.interface import ArrayVariable, Interface, Role
+from fmu_src.pages.html import rendered
+from hesr_model.equations.component import Choice, Component
+
+_INDICES = "ik"  # of joints, then of harmonics
+_GROUPS: Mapping[str, tuple[Role, ...]] = {
+    "Inputs": ("input",),
+    "Outputs": ("output", "on_demand"),
+    "Parameters": ("fixed", "tunable"),
+}
+_CHANGES = {"fixed": "before the run", "tunable": "at any time"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockPage:
+    """Text of a block's page: equations as lines of text, and sentences about its use."""
+
+    equations: Sequence[str]
+    notes: Sequence[str] = ()
+    refusals: Sequence[str] = ()
+
+
+def block_html(page: BlockPage, table: Interface, about: Description) -> str:
+    """Return the page as one self-contained file."""
+    groups = {title: list(_rows(table, roles)) for title, roles in _GROUPS.items()}
+    return rendered(
+        "block.html.j2",
+        about=about,
+        page=page,
+        groups={title: rows for title, rows in groups.items() if rows},
+        exchange=table.model_exchange,
+    )
+
+
+def component_page(component: Component, notes: Sequence[str] = ()) -> BlockPage:
+    """Return the page of a component of equations."""
+    refusals = [f"{r.name} must {r.text}." for r in component.requirements]
+    return BlockPage(equations=equation_lines(component), notes=notes, refusals=refusals)
+
+
+def equation_lines(component: Component) -> list[str]:
+    """Return the equations of one joint as text, then the values before the first sample."""
+    shown = _Printer([p for p in component.shared if isinstance(p, Choice)])
+    lines = [line for e in component.equations for line in shown.lines(e.name, e.expression)]
+    starts = component.starts.items()
+    return lines + [f"{name} = {shown.doprint(start)} at the start" for name, start in starts]
+
+
+class _Printer(StrPrinter):  # type: ignore[misc] # SymPy is not typed
+    """Printer of expressions with choices by name and conditions as words."""
+
+    def __init__(self, choices: Iterable[Choice]) -> None:
+        super().__init__()
+        self._choices = {choice.symbol: choice for choice in choices}
+
+    def lines(self, name: str, expression: sympy.Expr) -> Iterator[str]:
+        """Yield the line of an equation, or the lines of its cases."""
+        if not isinstance(expression, sympy.Piecewise):
+            yield f"{name} = {self.doprint(expression)}"
+            return
+        for k, (value, condition) in enumerate(expression.args):
+            left = f"{name} = " if k == 0 else " " * len(f"{name} = ")
+            end = "otherwise" if condition == sympy.true else f"if {self.doprint(condition)}"
+            yield f"{left}{self.doprint(value)}, {end}"
+
+    def _print_Piecewise(self, expr: sympy.Piecewise) -> str:
+        *cases, (last, condition) = expr.args
+        texts = [f"{self._print(e)} if {self._print(c)}" for e, c in cases]
+        end = "" if condition == sympy.true else f" if {self._print(condition)}"
+        return f"{{{', '.join([*texts, f'else {self._print(last)}{end}'])}}}"
+
+    def _print_Relational(self, expr: sympy.Rel) -> str:
+        if isinstance(expr, sympy.Eq) and expr.lhs in self._choices:
+            name, _ = self._choices[expr.lhs].items[int(expr.rhs) - 1]
+            return f"{expr.lhs} is {name}"
+        return str(super()._print_Relational(expr))
+
+    def _print_Float(self, expr: sympy.Float) -> str:
+        return f"{float(expr):g}"
+
+    def _print_absolute(self, expr: sympy.Expr) -> str:
+        return f"abs({self._print(expr.args[0])})"
+
+
+def _rows(table: Interface, roles: Sequence[Role]) -> Iterator[dict[str, Any]]:
+    for array in table.arrays:
+        first = array.elements[0]
+        if first.role not in roles:
+            continue
+        items = first.enumeration.items if first.enumeration else ()
+        yield {
+            "name": _indexed_name(array),
+            "unit": first.unit or ("boolean" if first.boolean else "integer"),
+            "start": "" if first.computed else _start_text(array),
+            "changes": _CHANGES.get(first.role, ""),
+            "text": _common_text(array),
+            "choices": [(k, name, text) for k, (name, text) in enumerate(items, start=1)],
+        }
+
+
+def _indexed_name(array: ArrayVariable) -> str:
+    if not array.shape:
+        return array.name
+    return f"{array.name}[{','.join(_INDICES[: len(array.shape)])}]"
+
+
+def _start_text(array: ArrayVariable) -> str:
+    values = [f"{variable.start:.6g}" for variable in array.elements]
+    if len(set(values)) == 1:
+        return values[0]
+    return ", ".join(values)
+
+
+def _common_text(array: ArrayVariable) -> str:
+    """Return the description of all elements, with letters for the indices that differ."""
+    words = [variable.description.split(" ") for variable in array.elements]
+    if len({len(w) for w in words}) > 1:
+        return "; ".join(variable.description for variable in array.elements)
+    columns = zip(*words, strict=True)
+    return " ".join(_common_word(column, array) for column in columns)
+
+
+def _common_word(column: Sequence[str], array: ArrayVariable) -> str:
+    if len(set(column)) == 1:
+        return column[0]
+    indices = [v.name.rpartition("[")[2].rstrip("]").split(",") for v in array.elements]
+    for place, letter in enumerate(_INDICES[: len(array.shape)]):
+        pairs = [(word, index[place]) for word, index in zip(column, indices, strict=True)]
+        general = {word.replace(index, letter) for word, index in pairs if index in word}
+        if len(general) == 1 and all(index in word for word, index in pairs):
+            return general.pop()
+    return "/".join(dict.fromkeys(word.rstrip(",:") for word in column))
