@@ -232,7 +232,7 @@ def _signal_lines(signals: ArmSignals) -> Iterator[str]:
     """Yield the sums of sensors that are outputs, and the actuators that inputs command."""
     model = signals.model
     addresses = np.asarray(model.sensor_adr)
-    controls = [k for k in range(model.nu) for _ in range(int(model.actuator_ctrlnum[k]))]
+    controls = [k for k in range(model.nactuator) for _ in range(int(model.actuator_ctrlnum[k]))]
     for one in signals.inputs:
         names = [
             model.actuator(controls[c]).name or f"actuator {controls[c]}" for c in one.controls
