@@ -133,7 +133,7 @@ format: $(VENV)/installed
 
 docs: jax
 	$(BIN)/sphinx-build -q -W --keep-going -c docs/site . site
-	$(BIN)/pytest tests/browser/test_docs_site.py tests/docs/test_tutorial.py
+	$(BIN)/pytest tests/browser/test_docs_site.py tests/docs/test_tutorial.py --nightly site
 
 interop: $(VENV)/installed
 	.ci/interop .tools/interop

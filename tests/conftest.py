@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import subprocess
-import tomllib
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from c_hosts import Wine
 from cpu_time import CpuTime, slow_tests
 from filelock import FileLock
 from hypothesis import settings
+from nightly_groups import read_groups
 from plugin_packages import InstallPlugin, lay_package
 from registry_models import everyday, models_of_registry
 
@@ -34,7 +34,7 @@ TESTS = Path(__file__).parent
 CI_FOLDERS = ("browser", "fuzz", "interop", "real")
 """Folders of tests run only by `make test-all`."""
 
-NIGHTLY = tomllib.loads((TESTS / "nightly.toml").read_text(encoding="utf-8"))
+NIGHTLY = read_groups(TESTS / "nightly.toml")
 """Groups of nightly tests, of which `make nightly` can run one at a time."""
 
 DEFAULT_SELECTION = "not ci and not soak"
@@ -96,17 +96,32 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS or item.nodeid in slow:
             item.add_marker(pytest.mark.ci)
-        path = f"tests/{item.path.relative_to(TESTS).as_posix()}"
-        for group, table in NIGHTLY.items():
-            if path in table.get("files", ()):
-                item.add_marker(pytest.mark.nightly(group))
+        for group in NIGHTLY.values():
+            if group.has(item.nodeid):
+                item.add_marker(pytest.mark.nightly(group.name))
+    if not _names_tests(config):
+        _require_known_entries([item.nodeid for item in items])
     _select_nightly(config, items)
+
+
+def _names_tests(config: pytest.Config) -> bool:
+    """Return whether the command line names tests in a file, not only files and folders."""
+    return any("::" in argument for argument in config.args)
+
+
+def _require_known_entries(node_ids: list[str]) -> None:
+    """Refuse entries of nightly groups that name no test: renamed tests would run in every gate."""
+    for group in NIGHTLY.values():
+        unknown = group.unknown_entries(node_ids)
+        if unknown:
+            raise pytest.UsageError(f"tests/nightly.toml, {group.name}: no test {unknown[0]}")
 
 
 def _select_nightly(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect nightly tests, or all tests outside the nightly group that was asked for."""
     wanted_group = config.getoption("--nightly")
-    if wanted_group is None and "nightly" in config.option.markexpr:
+    asks_for_nightly = "nightly" in config.option.markexpr or _names_tests(config)
+    if wanted_group is None and asks_for_nightly:
         return
     selected: list[pytest.Item] = []
     deselected: list[pytest.Item] = []
