@@ -13,7 +13,8 @@
 #                 round differently
 # make nightly    run the groups of tests/nightly.toml and record those that pass; GROUPS='site soak'
 #                 chooses groups
-# make durations  run all tests and record their CPU seconds in tests/durations.toml
+# make durations  record the CPU seconds of the last `make gate` or `.ci/run`, which choose the tests
+#                 of `make test`, in tests/durations.toml
 # make soak       run the tests that take too long for daily use
 # make lint       formatting, static checks, types, and the pipelines
 # make pipelines  check workflows, container and citation
@@ -37,10 +38,11 @@ SECONDS_LEFT ?=
 SPREAD += $(REPORT:%=--junitxml .ci/out/%.xml -o junit_family=xunit1)
 SPREAD += $(SECONDS_LEFT:%=--session-timeout %)
 KERNELS ?= Prescott Haswell
+MARKS ?= not soak
 C_FILES := $(wildcard hesr_model/equations/*.[ch] fmu_src/c/*.c fmu_src/c/*.h tests/fmu/*.c tests/fmu/*.h tests/fmu/one_file/*.c tests/fmu/one_file/m7/*.[ch] tests/cosim/properties/*.c tests/benchmarks/*.c)
 
 # As many test processes as cores: more threads of linear algebra would wait for each other.
-near test rest test-all contract hard kernels durations nightly-tests soak: export OMP_NUM_THREADS = 1
+near test rest test-all contract hard kernels nightly-tests soak: export OMP_NUM_THREADS = 1
 
 # Tests start many processes, which would compile all modules again without bytecode.
 unexport PYTHONDONTWRITEBYTECODE
@@ -48,7 +50,7 @@ unexport PYTHONDONTWRITEBYTECODE
 HARD := tests/fuzz tests/unit/test_cache.py tests/unit/test_files.py $(patsubst %,tests/cosim/test_%.py, \
   hard_to_break full_disks hostile_archives foreign_fmus workers replay cli_interrupts)
 
-FITS := tests/numbers $(patsubst %,tests/unit/test_%.py, \
+FITS := tests/numbers/test_numbers_of_laws.py tests/numbers/test_numbers_of_bodies.py $(patsubst %,tests/unit/test_%.py, \
   classic_laws dahl least_squares lugre_load networks parfam parfam_edges parfam_extended parfam_s \
   parfam_velocity per_log refinement ripple separable strain_wave stribeck)
 
@@ -59,7 +61,7 @@ run: $(VENV)/run
 	$(BIN)/hesr run
 
 near: $(VENV)/installed
-	$(BIN)/python tests/near.py $(NEAR) -- $(SPREAD) $(SELECTION)
+	$(BIN)/python tests/near.py $(NEAR) -- $(SPREAD)
 
 test: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not ci and not soak"
@@ -71,16 +73,18 @@ test-all: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak"
 
 gate: lint
-	$(MAKE) test rest kernels hard
+	$(MAKE) test REPORT=test
+	$(MAKE) rest REPORT=rest
+	$(MAKE) kernels hard
 
 contract: $(VENV)/installed
-	$(BIN)/pytest tests/contract $(SPREAD) -m "not soak"
+	$(BIN)/pytest tests/contract $(SPREAD) -m "$(MARKS)"
 
 hard-files:  # for those who ignore them elsewhere
 	@echo $(HARD)
 
 hard: $(VENV)/installed
-	(trap "" INT; exec $(BIN)/pytest $(HARD) $(SPREAD) -m "not soak") & wait $$!
+	(trap "" INT; exec $(BIN)/pytest $(HARD) $(SPREAD) -m "$(MARKS)") & wait $$!
 
 kernels: $(VENV)/installed
 	for kernel in $(KERNELS); do \
@@ -88,7 +92,8 @@ kernels: $(VENV)/installed
 	done
 
 durations: $(VENV)/installed
-	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --record-cpu tests/durations.toml
+	$(BIN)/python tests/cpu_time.py .ci/out/test.xml .ci/out/rest.xml \
+	  $(wildcard .ci/out/nightly-*.xml)
 
 messages: $(VENV)/installed
 	$(BIN)/python tests/sentences.py >messages.txt
@@ -97,7 +102,8 @@ nightly: $(VENV)/installed
 	$(BIN)/python .ci/nightly $(GROUPS)
 
 nightly-tests: $(VENV)/installed
-	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --nightly $(GROUP)
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --nightly $(GROUP) \
+	  --junitxml .ci/out/nightly-$(GROUP).xml -o junit_family=xunit1
 
 soak: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) -n 2 --dist worksteal -m soak --timeout 0

@@ -8,10 +8,11 @@ import subprocess
 from collections.abc import Callable, Generator
 from pathlib import Path
 
+import ci_reports
 import numpy as np
 import pytest
 from c_hosts import Wine
-from cpu_time import CpuTime, slow_tests
+from cpu_time import CpuTime, Record
 from filelock import FileLock
 from hypothesis import settings
 from nightly_groups import read_groups
@@ -42,7 +43,6 @@ DEFAULT_SELECTION = "not ci and not soak"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--record-cpu", type=Path, help="file for the CPU seconds of all tests")
     parser.addoption(
         "--nightly",
         choices=("all", *NIGHTLY),
@@ -52,6 +52,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     CpuTime.measure(config)
+    config.pluginmanager.register(ci_reports)
     names_tests = config.args_source is pytest.Config.ArgsSource.ARGS
     if not config.option.markexpr and not names_tests and config.getoption("--nightly") is None:
         config.option.markexpr = DEFAULT_SELECTION
@@ -92,21 +93,24 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    slow = slow_tests(TESTS / "durations.toml")
+    record = Record()
     for item in items:
-        if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS or item.nodeid in slow:
+        if item.path.relative_to(TESTS).parts[0] in CI_FOLDERS:
             item.add_marker(pytest.mark.ci)
+        elif record.is_slow(item):
+            item.add_marker(pytest.mark.ci(recorded=True))
         for group in NIGHTLY.values():
             if group.has(item.nodeid):
                 item.add_marker(pytest.mark.nightly(group.name))
-    if not _names_tests(config):
+    if not any("::" in argument for argument in config.args):
         _require_known_entries([item.nodeid for item in items])
     _select_nightly(config, items)
 
 
-def _names_tests(config: pytest.Config) -> bool:
-    """Return whether the command line names tests in a file, not only files and folders."""
-    return any("::" in argument for argument in config.args)
+def _is_named(item: pytest.Item, config: pytest.Config) -> bool:
+    """Return whether the command line names this test, not only its file or folder."""
+    names = (argument for argument in config.args if "::" in argument)
+    return any(item.nodeid == name or item.nodeid.startswith(f"{name}[") for name in names)
 
 
 def _require_known_entries(node_ids: list[str]) -> None:
@@ -120,15 +124,14 @@ def _require_known_entries(node_ids: list[str]) -> None:
 def _select_nightly(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect nightly tests, or all tests outside the nightly group that was asked for."""
     wanted_group = config.getoption("--nightly")
-    asks_for_nightly = "nightly" in config.option.markexpr or _names_tests(config)
-    if wanted_group is None and asks_for_nightly:
+    if wanted_group is None and "nightly" in config.option.markexpr:
         return
     selected: list[pytest.Item] = []
     deselected: list[pytest.Item] = []
     for item in items:
         groups = _nightly_groups(item)
         if wanted_group is None:
-            is_wanted = not groups
+            is_wanted = not groups or _is_named(item, config)
         elif wanted_group == "all":
             is_wanted = bool(groups)
         else:

@@ -178,6 +178,7 @@ def test_files_of_killed_processes_are_removed_and_others_are_left_alone(
     assert path.read_text() == "whole"
 
 
+@pytest.mark.quiet
 @pytest.mark.parametrize(
     "kills",
     [

@@ -177,6 +177,7 @@ def test_the_first_job_runs_before_its_result_is_requested(tmp_path: Path) -> No
     assert output_of(text, tmp_path) == f"{['done'] * 4}\n"
 
 
+@pytest.mark.quiet
 def test_expensive_jobs_start_first_and_results_keep_their_order(tmp_path: Path) -> None:
     text = JOBS + (
         "from functools import partial\n"
@@ -208,6 +209,7 @@ def test_a_worker_within_the_memory_limit_is_kept(tmp_path: Path) -> None:
     assert output_of(text, tmp_path) == "2 {100000}\n"
 
 
+@pytest.mark.quiet
 def test_a_worker_beyond_the_memory_limit_is_replaced(tmp_path: Path) -> None:
     text = JOBS + (
         "def grow():\n"

@@ -1,0 +1,44 @@
+"""Reports of tests, as plugin of pytest: skips in CI, and marks that the summary of CI reads."""
+
+import os
+from collections.abc import Generator
+
+import pytest
+from skips import refusal_of
+
+QUIET = "quiet"
+"""Property of tests that `.ci/repeat` repeats alone if they fail."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, object]:
+    """Let tests fail in CI that are skipped for a reason that is not listed."""
+    report = yield
+    if report.when == "setup" and item.get_closest_marker("quiet"):
+        report.user_properties.append((QUIET, "true"))
+    is_expected_failure = hasattr(report, "wasxfail")
+    if report.skipped and not is_expected_failure:
+        _fail_in_ci(item.config, report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, object]:
+    """Let files fail in CI that are skipped for a reason that is not listed."""
+    report = yield
+    if report.skipped:
+        _fail_in_ci(collector.config, report)
+    return report
+
+
+def _fail_in_ci(config: pytest.Config, report: pytest.TestReport | pytest.CollectReport) -> None:
+    # Nightly tests have tools of their own.
+    is_nightly = config.getoption("--nightly", None) is not None
+    if os.environ.get("CI") != "true" or is_nightly:
+        return
+    refusal = refusal_of(report.longrepr)
+    if refusal is not None:
+        report.outcome = "failed"
+        report.longrepr = refusal
