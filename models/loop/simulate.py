@@ -12,25 +12,39 @@ import numpy as np
 from fmpy import extract, instantiate_fmu, read_model_description
 
 path = Path(__file__).with_name("closed_loop.toml") if len(sys.argv) < 2 else Path(sys.argv[1])
+
+
+def fail(message):
+    print(f"{path}: {message}", file=sys.stderr)
+    sys.exit(2)
+
+
+if not path.is_file():
+    fail("there is no such file.")
 system = tomllib.loads(path.read_text(encoding="utf-8"))
 step, slaves, variables = system["step"], {}, {}
 
 
 def end(signal):  # an FMU, and its variables q[1], q[2], .. for q
     name, own = signal.split(".")
-    found = [v for v in variables[name] if own in (v.name, v.name.split("[")[0])]
+    found = [v for v in variables.get(name, ()) if own in (v.name, v.name.split("[")[0])]
+    if not found:
+        fail(f"there is no variable {signal}.")
     return slaves[name], [v.valueReference for v in found], found
 
 
-def start(signal, value):  # sets numbers, or a choice by its name, as in "1 = none, 2 = .."
+def start(signal, value):  # one value for all elements or one for each; a choice also by its name
     slave, references, [first, *_] = end(signal)
-    if not isinstance(value, str):
-        slave.setReal(references, list(np.broadcast_to(value, len(references))))
-        return
     choices = {name: int(number) for number, name in findall(r"(\d+) = (\w+)", first.description)}
-    if value not in choices:
-        sys.exit(f"{path}: {signal} = '{value}' is not one of {', '.join(choices)}.")
-    slave.setInteger(references, [choices[value]])
+    if first.type == "Integer" and choices:
+        number = value if isinstance(value, int) else choices.get(value)
+        if number not in choices.values():
+            fail(f"{signal} = {value!r} is not one of {', '.join(choices)}.")
+        value = number
+    if isinstance(value, str) or np.size(value) not in (1, len(references)):
+        fail(f"{signal} = {value!r} is not {len(references)} number(s).")
+    put = slave.setInteger if first.type == "Integer" else slave.setReal
+    put(references, np.broadcast_to(value, len(references)).tolist())
 
 
 def feed(slave):  # sets the inputs of an FMU to the newest outputs of the others

@@ -27,7 +27,7 @@ from cosim.systems.simulation import Master, System
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
-from hesr_model.errors import ArgumentError, ArtifactError
+from hesr_model.errors import ArgumentError, ArtifactError, HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -36,7 +36,7 @@ from hesr_model.support.files import models_folder
 UF850 = models_folder() / "uf850"
 
 FILES = {"closed_loop.toml", "closed_loop.ssp", "plant_loop.toml", "plant_loop.ssp", "simulate.py"}
-MOST_LINES = 73
+MOST_LINES = 90
 ALIKE = 0.02  # relative difference of the RMSE with both plants
 QUIET = {"q_noise": (0.0, 0.0, 0.0), "tau_meas_noise": (0.0, 0.0, 0.0)}
 
@@ -168,13 +168,61 @@ def test_the_script_ends_all_fmus(loop: Path, bare: Path, tmp_path: Path) -> Non
     assert [line.split()[0] for line in said.stdout.splitlines()] == ["freeInstance"] * count
 
 
+CHOICES = "none, torque_error, servo_inversion"
+
+
 @pytest.mark.ci
-def test_the_script_names_the_choices(loop: Path, bare: Path, tmp_path: Path) -> None:
-    path = short_loop(loop, tmp_path, '"servo_inversion"', '"servo"')
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            '"servo_inversion"',
+            '"servo"',
+            f"controller.compensation = 'servo' is not one of {CHOICES}.",
+        ),
+        ('"servo_inversion"', "4", f"controller.compensation = 4 is not one of {CHOICES}."),
+        ('"servo_inversion"', "2.5", f"controller.compensation = 2.5 is not one of {CHOICES}."),
+        ('"preview"', '"prevew"', "there is no variable trajectory.prevew."),
+        (
+            '"Kv" = [',
+            '"Kv" = [1.0, ',
+            "controller.Kv = [1.0, 90.5, 150.8, 52.8] is not 3 number(s).",
+        ),
+        (
+            '"rest_time" = 0.05',
+            '"rest_time" = "short"',
+            "trajectory.rest_time = 'short' is not 1 number(s).",
+        ),
+        ('"arm.q_true"]', '"arm.q_tru"]', "there is no variable arm.q_tru."),
+    ],
+)
+def test_the_script_names_what_is_wrong(
+    old: str, new: str, sentence: str, loop: Path, bare: Path, tmp_path: Path
+) -> None:
+    """In one sentence, with exit code 2, as does HESR."""
+    path = short_loop(loop, tmp_path, old, new)
     said = start_script(loop, bare, str(path))
-    choices = "none, torque_error, servo_inversion"
-    assert (said.returncode, said.stdout) == (1, "")
-    assert said.stderr == f"{path}: controller.compensation = 'servo' is not one of {choices}.\n"
+    assert (said.returncode, said.stdout, said.stderr) == (2, "", f"{path}: {sentence}\n")
+    with pytest.raises(HesrError):
+        System.read(path).run()
+
+
+@pytest.mark.ci
+def test_the_script_names_a_missing_file(loop: Path, bare: Path, tmp_path: Path) -> None:
+    said = start_script(loop, bare, str(tmp_path / "none.toml"))
+    sentence = f"{tmp_path / 'none.toml'}: there is no such file.\n"
+    assert (said.returncode, said.stderr) == (2, sentence)
+
+
+@pytest.mark.ci
+def test_choices_have_numbers_too(loop: Path, bare: Path, tmp_path: Path) -> None:
+    """Those of the FMU's page give the motion of their names."""
+    tables = []
+    for old, new in (("", ""), ('"servo_inversion"', "3")):
+        said = start_script(loop, bare, str(short_loop(loop, tmp_path, old, new)))
+        assert said.returncode == 0, said.stderr
+        tables.append((loop / "tracking.csv").read_text(encoding="utf-8"))
+    assert tables[0] == tables[1]
 
 
 @pytest.mark.ci
