@@ -15,7 +15,7 @@ from cosim.loop.motions import Motions, MotionSpec, names_of, require_within
 from cosim.study.study import Twin
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant, joint_limits, servo_signals
-from fmu_src.arm.table import ArmSignals, SignalTable
+from fmu_src.arm.table import ArmSignals, SignalTable, seed_halves
 from fmu_src.arm.truth import write_truth
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
@@ -99,7 +99,7 @@ class TwinArm:
             "q0": tuple(np.asarray(q0, dtype=float).tolist()),
             "q_noise": noise.encoder,
             "tau_meas_noise": noise.torque,
-            "noise_seed": (seed & 0xFFFFFFFF, seed >> 32),
+            "noise_seed": seed_halves(seed),
         }
         fmu.initialise(start=fmu.variables.expanded(start))
         joints = range(1, len(self.plant.joints) + 1)

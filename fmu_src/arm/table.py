@@ -1,5 +1,6 @@
 """TOML file that names the signals of an MJCF; these as parts of a compiled model."""
 
+import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -134,6 +135,18 @@ def noise_name(output: ArmOutput) -> str:
     return f"{stem}_noise{bracket}{index}"
 
 
+def seed_halves(seed: int) -> tuple[int, int]:
+    """Return the low and high 32 bits of a seed as signed integers, which FMI 2.0 has."""
+    low, high = struct.unpack("<2i", struct.pack("<Q", seed))
+    return low, high
+
+
+def seed_of(low: int, high: int) -> int:
+    """Return the seed of two signed halves."""
+    (seed,) = struct.unpack("<Q", struct.pack("<2i", low, high))
+    return int(seed)
+
+
 def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Variable]:
     for one in signals.inputs:
         text = f"commanded {_KINDS.get(one.unit, 'control')}"
@@ -155,10 +168,9 @@ def _parameters(signals: ArmSignals) -> Iterator[Variable]:
         text = "time until a command acts, in whole steps of the simulation"
         yield Variable(LATENCY, "fixed", text, unit="s", start=signals.delay.usual)
     noisy = [output for output in signals.outputs if output.noise is not None]
-    halves = (signals.seed & 0xFFFFFFFF, signals.seed >> 32) if noisy else ()
-    for k, half in enumerate(halves, start=1):
+    for k, half in enumerate(seed_halves(signals.seed) if noisy else (), start=1):
         text = f"{'low' if k == 1 else 'high'} 32 bits of the noise's seed"
-        yield Variable(f"{SEED}[{k}]", "fixed", text, unit="1", start=float(half))
+        yield Variable(f"{SEED}[{k}]", "fixed", text, integer=True, start=float(half))
     for start in signals.starts:
         text = "position at the start"
         yield Variable(start.name, "fixed", text, unit=start.unit, start=start.value)

@@ -166,7 +166,7 @@ static void read_without_noise(double *v, const Workspace *w) {
 
 static void read_sensors(Component *component, Workspace *w) {
     double *v = component->v;
-    const uint64_t seed = (uint64_t)seed_half(v, 0) | (uint64_t)seed_half(v, 1) << 32;
+    const uint64_t seed = seed_half(v, 0) | seed_half(v, 1) << 32;
     evaluate(component, w);
     read_without_noise(v, w);
     for (int i = 0; i < NOISY; i++) {

@@ -4,6 +4,7 @@
 
 #include <math.h>
 #include <stdbool.h>
+#include <stdint.h>
 #include <stdio.h>
 
 #include "component.h"
@@ -24,9 +25,9 @@ static Changes changes_of(const double *v) {
     return changes;
 }
 
-/* Half of the noise seed; both halves are 32-bit integers. */
-static double seed_half(const double *v, int half) {
-    return NOISE_SEED >= 0 ? v[NOISE_SEED + half] : 0.0;
+/* 32 bits of the noise seed, which are a signed integer of FMI. */
+static uint64_t seed_half(const double *v, int half) {
+    return NOISE_SEED >= 0 ? (uint32_t)(int32_t)v[NOISE_SEED + half] : 0u;
 }
 
 static bool not_negative(const double *v, int place, Message *why) {
@@ -38,13 +39,6 @@ static bool parameters_are_usable(const double *v, Message *why) {
                   not_negative(v, LATENCY, why);
     for (int i = 0; usable && i < NOISY; i++) {
         usable = not_negative(v, noises[i].sigma, why);
-    }
-    for (int i = 0; usable && i < 2; i++) {
-        const double half = seed_half(v, i);
-        if (!(half >= 0.0 && half <= 4294967295.0 && half == floor(half))) {
-            return deny(why, "%s is %.17g; a whole number from 0 to 4294967295 is needed.",
-                        variables[NOISE_SEED + i].name, half);
-        }
     }
     /* Accumulated time steps have an error of a few bits. */
     if (usable && value_or(v, LATENCY, 0.0) > LONGEST_LATENCY * (1.0 + 1e-9)) {

@@ -10,7 +10,17 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_src.arm.table import LATENCY, PAYLOAD, SCALE, SEED, ArmSignals, Loss, noise_name, variables
+from fmu_src.arm.table import (
+    LATENCY,
+    PAYLOAD,
+    SCALE,
+    SEED,
+    ArmSignals,
+    Loss,
+    noise_name,
+    seed_of,
+    variables,
+)
 from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
@@ -205,12 +215,8 @@ class Simulation:
                 raise SimulationError(f"there is no parameter '{name}'.")
             if not np.isfinite(value):
                 raise SimulationError(f"{name} is {value:g}; a finite number is needed.")
-            if name.startswith(f"{SEED}["):
-                if value != int(value) or not 0 <= value < 2**32:
-                    raise SimulationError(
-                        f"{name} is {value:.17g}; a whole number from 0 to 4294967295 is needed."
-                    )
-            elif value < 0 and name not in {s.name for s in self.signals.starts}:
+            signed = name.startswith(f"{SEED}[") or name in {s.name for s in self.signals.starts}
+            if value < 0 and not signed:
                 raise SimulationError(f"{name} is {value:g}; it must not be negative.")
         delay = self.signals.delay
         if delay and given[LATENCY] > delay.longest * (1 + 1e-9):
@@ -252,7 +258,7 @@ class Simulation:
             row[list(output.losses)] = 1.0
         self._sigma = np.array([given[noise_name(signals.outputs[k])] for k in self._noisy])
         self._drawn, self._drawn_from = np.empty((0, len(self._noisy))), 0
-        self._seed = int(given.get(f"{SEED}[1]", 0)) | int(given.get(f"{SEED}[2]", 0)) << 32
+        self._seed = seed_of(*(int(given.get(f"{SEED}[{half}]", 0)) for half in (1, 2)))
 
     def _diverged(self) -> bool:
         data = self._data

@@ -59,6 +59,14 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
             self._values[k] = value
         self._stale = True
 
+    def get_integer(self, references: Sequence[int]) -> list[int]:
+        """Return the halves of the noise's seed."""
+        return [int(self._values[k]) for k in references]
+
+    def set_integer(self, references: Sequence[int], values: Sequence[int]) -> None:
+        """Set the halves of the noise's seed before the first step."""
+        self.set_real(references, values)
+
     def setup_experiment(
         self, start_time: float, stop_time: float | None, tolerance: float | None
     ) -> None:
