@@ -112,8 +112,18 @@ _OUTPUTS = (
 )
 _OF_SERVO = (("tau_motor", "N.m", "torque of the motor: servo, compensated gravity, and tau"),)
 _OF_TOOL = (
-    ("tool_position", "m", "position of the last joint's frame, in axes of the base", 3),
-    ("tool_rotation", "1", "rotation of that frame, row by row", 9),
+    (
+        "tool_position",
+        "m",
+        "position of the last joint's frame in axes of the base",
+        ("x", "y", "z"),
+    ),
+    (
+        "tool_rotation",
+        "1",
+        "rotation of the last joint's frame",
+        tuple(f"row {i} column {j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+    ),
 )
 _START = ("q_start", "dq_start")
 _INTEGRAL_OF = {"dq": "q", "ddq": "dq"}
@@ -255,9 +265,11 @@ def _interface(
             of = f"{_INTEGRAL_OF[name]}[{i}]" if name in _INTEGRAL_OF else None
             output = replace(one, dependencies=known, derivative_of=of)
             found.append(replace(output, initial_dependencies=starts_at))
-    for name, unit, text, size in _OF_TOOL if tool else ():
-        own_pose = vector(name, "output", unit, text, (0.0,) * size)
-        found += [replace(v, dependencies=motion[: len(laws)]) for v in own_pose]
+    for name, unit, text, elements in _OF_TOOL if tool else ():
+        for k, element in enumerate(elements, start=1):
+            about = f"{text}, {element}"
+            pose = Variable(f"{name}[{k}]", "output", about, unit=unit)
+            found.append(replace(pose, dependencies=motion[: len(laws)]))
     found += starts + own_servo
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     how = "how the states of the friction are relaxed over an inner step"
