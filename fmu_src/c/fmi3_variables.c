@@ -93,21 +93,28 @@ FMI3_STATUS(fmi3SetFloat64)
 
 FMI3_STATUS(fmi3GetInt32)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Int32 value[], size_t n_values) {
-    return fits(c, "fmi3GetInt32", vr, n, value, n_values)
-               ? STATUS(fmi2GetInteger(INNER(c), vr, n, value))
-               : fmi3Error;
+    fmi2ValueReference place[VARIABLES];
+    if (!fits(c, "fmi3GetInt32", vr, n, value, n_values)) {
+        return fmi3Error;
+    }
+    spread(vr, n, place);
+    return STATUS(fmi2GetInteger(INNER(c), place, n_values, value));
 }
 
 FMI3_STATUS(fmi3SetInt32)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int32 value[],
  size_t n_values) {
-    return fits(c, "fmi3SetInt32", vr, n, value, n_values)
-               ? STATUS(fmi2SetInteger(INNER(c), vr, n, value))
-               : fmi3Error;
+    fmi2ValueReference place[VARIABLES];
+    if (!fits(c, "fmi3SetInt32", vr, n, value, n_values)) {
+        return fmi3Error;
+    }
+    spread(vr, n, place);
+    return STATUS(fmi2SetInteger(INNER(c), place, n_values, value));
 }
 
 FMI3_STATUS(fmi3GetBoolean)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Boolean value[], size_t n_values) {
+    fmi2ValueReference place[VARIABLES];
     fmi2Boolean whole[VARIABLES];
     if (BOOLEANS == 0) {
         return without(c, "fmi3GetBoolean", n);
@@ -115,8 +122,9 @@ FMI3_STATUS(fmi3GetBoolean)
     if (!fits(c, "fmi3GetBoolean", vr, n, value, n_values)) {
         return fmi3Error;
     }
-    const fmi2Status status = fmi2GetBoolean(INNER(c), vr, n, whole);
-    for (size_t i = 0; status == fmi2OK && i < n; i++) {
+    spread(vr, n, place);
+    const fmi2Status status = fmi2GetBoolean(INNER(c), place, n_values, whole);
+    for (size_t i = 0; status == fmi2OK && i < n_values; i++) {
         value[i] = whole[i] != 0;
     }
     return STATUS(status);
@@ -126,6 +134,7 @@ FMI3_STATUS(fmi3SetBoolean)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Boolean value[],
  size_t n_values) {
     static const char function[] = "fmi3SetBoolean";
+    fmi2ValueReference place[VARIABLES];
     fmi2Boolean whole[VARIABLES];
     if (BOOLEANS == 0) {
         return without(c, function, n);
@@ -133,10 +142,11 @@ FMI3_STATUS(fmi3SetBoolean)
     if (!fits(c, function, vr, n, value, n_values)) {
         return fmi3Error;
     }
-    for (size_t i = 0; i < n; i++) {
+    spread(vr, n, place);
+    for (size_t i = 0; i < n_values; i++) {
         whole[i] = value[i];
     }
-    return STATUS(fmi2SetBoolean(INNER(c), vr, n, whole));
+    return STATUS(fmi2SetBoolean(INNER(c), place, n_values, whole));
 }
 
 FMI3_STATUS(fmi3GetDirectionalDerivative)

@@ -245,14 +245,17 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
         return {"min": "1", "max": str(count), "start": str(int(first.start))}
     found = {}
     if not (first.computed or first.role == "state"):
-        texts = (
-            str(v.start != 0.0).lower() if v.boolean else repr(float(v.start)) for v in elements
-        )
-        found["start"] = " ".join(texts)
+        found["start"] = " ".join(_value_text(v, v.start) for v in elements)
     least = [v.least for v in elements if v.least is not None]
     greatest = [v.greatest for v in elements if v.greatest is not None]
-    found |= {"min": repr(float(max(least)))} if least else {}
-    return found | ({"max": repr(float(min(greatest)))} if greatest else {})
+    found |= {"min": _value_text(first, max(least))} if least else {}
+    return found | ({"max": _value_text(first, min(greatest))} if greatest else {})
+
+
+def _value_text(variable: Variable, value: float) -> str:
+    if variable.boolean:
+        return str(value != 0.0).lower()
+    return str(int(value)) if variable.integer else repr(float(value))
 
 
 def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
@@ -263,8 +266,8 @@ def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
         declared = {"declaredType": variable.enumeration.name}
         ET.SubElement(element, "Integer", declared | values([variable]))
         return element
-    if variable.boolean:
-        ET.SubElement(element, "Boolean", values([variable]))
+    if variable.boolean or variable.integer:
+        ET.SubElement(element, "Boolean" if variable.boolean else "Integer", values([variable]))
         return element
     unit = variable.unit or "1"
     real = {"unit": unit} | shown_as(unit) | values([variable])

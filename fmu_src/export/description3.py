@@ -84,15 +84,17 @@ def _variable(array: ArrayVariable, table: Interface) -> ET.Element:
     first = array.elements[0]
     text = first.description if first.enumeration else _description(array)
     attributes = common_attributes(first, array.name, array.place, text)
-    if first.enumeration:
-        return ET.Element("Int32", attributes | values(array.elements))
-    if first.boolean:
-        return ET.Element("Boolean", attributes | values(array.elements))
-    attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     attributes |= values(array.elements)
+    if first.enumeration or first.integer:
+        kind = "Int32"
+    elif first.boolean:
+        kind = "Boolean"
+    else:
+        kind = "Float64"
+        attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     if first.derivative_of:
         attributes["derivative"] = str(table.part_of[first.derivative_of].place)
-    element = ET.Element("Float64", attributes)
+    element = ET.Element(kind, attributes)
     for size in array.shape:
         ET.SubElement(element, "Dimension", start=str(size))
     return element
@@ -105,10 +107,15 @@ def _description(array: ArrayVariable) -> str:
     words = [text.split(" ") for text in texts]
     if len({len(w) for w in words}) > 1:
         return "; ".join(texts)
-    return " ".join(
-        column[0] if len(set(column)) == 1 else ", ".join(c.rstrip(":,") for c in column)
-        for column in zip(*words, strict=True)
-    )
+    return " ".join(_column_text(column) for column in zip(*words, strict=True))
+
+
+def _column_text(words: Sequence[str]) -> str:
+    """Return one word, or a list of different words with the punctuation of the last one."""
+    if len(set(words)) == 1:
+        return words[0]
+    bare = [word.rstrip(":,") for word in words]
+    return ", ".join(bare) + words[-1][len(bare[-1]) :]
 
 
 def _structure(root: ET.Element, table: Interface) -> None:

@@ -46,9 +46,10 @@ class Enumeration:
 class Variable:
     """One variable of an FMU, with a structured name such as `dq[1]` or `joint[1].alpha`.
 
-    The unit, in FMI's spelling, is None only for an enumeration and a `boolean`. Solvers scale the
-    tolerance of a state by its nominal value. `least` and `greatest` are recommended limits, values
-    outside which are refused if `limited`.
+    The unit, in FMI's spelling, is None only for an enumeration, an `integer` and a `boolean`.
+    Solvers scale the tolerance of a state by its nominal value. `least` and `greatest` are
+    recommended limits, values outside which are refused if `limited`; those of an integer always
+    are.
 
     Initial dependencies count in addition until initialisation ends; for a state they are those of
     its initial value.
@@ -65,6 +66,7 @@ class Variable:
     least: float | None = None
     greatest: float | None = None
     limited: bool = False
+    integer: bool = False
     boolean: bool = False
     derivative_of: str | None = None
     dependencies: tuple[str, ...] = ()
@@ -74,7 +76,8 @@ class Variable:
     def attributes(self) -> tuple[str, str, str | None]:
         """Causality, variability and initial (None if not written)."""
         causality, variability, initial = _ATTRIBUTES[self.role]
-        return causality, "discrete" if self.boolean else variability, initial
+        is_discrete = (self.boolean or self.integer) and variability == "continuous"
+        return causality, "discrete" if is_discrete else variability, initial
 
     @property
     def computed(self) -> bool:
@@ -217,7 +220,7 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
 
 def _alike(variable: Variable) -> tuple[str, object]:
     array, indices = _split(variable.name)
-    kind = (variable.unit, variable.enumeration, variable.boolean)
+    kind = (variable.unit, variable.enumeration, variable.integer, variable.boolean)
     return array, (len(indices), variable.role, *kind)
 
 
@@ -233,13 +236,12 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
     rows: list[str] = []
     inputs, watched, kinds, numbers = [0], [], [], []
     for i, v in enumerate(variables):
-        bounds = f"1.0, {literal(len(v.enumeration.items))}" if v.enumeration else _bounds(v)
-        bounds = "0.0, 1.0" if v.boolean else bounds
+        bounds = _bounds(v)
         numbers.append(f"    {{{literal(v.start)}, {bounds}}},")
         counts = int(v.role != "input" or v.name in used)
         own_derivative = v.derivative_of and v.role == "local"
         role = "DERIVATIVE" if own_derivative else v.role.upper()
-        kind = "LOGICAL" if v.boolean else "INTEGER" if v.enumeration else "REAL"
+        kind = _c_type(v)
         free = bounds == "-INFINITY, INFINITY" and role not in ("ON_DEMAND", "DERIVATIVE")
         kinds.append(((role, kind, counts, bounds, free), v.name))
         if v.role == "input":
@@ -274,7 +276,24 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
     )
 
 
+def _c_type(variable: Variable) -> str:
+    if variable.boolean:
+        return "LOGICAL"
+    return "INTEGER" if variable.enumeration or variable.integer else "REAL"
+
+
+_INT32 = (-(2.0**31), 2.0**31 - 1.0)
+
+
 def _bounds(variable: Variable) -> str:
+    if variable.enumeration:
+        return f"1.0, {literal(len(variable.enumeration.items))}"
+    if variable.boolean:
+        return "0.0, 1.0"
+    if variable.integer:
+        lowest = _INT32[0] if variable.least is None else variable.least
+        highest = _INT32[1] if variable.greatest is None else variable.greatest
+        return f"{literal(lowest)}, {literal(highest)}"
     limits = (variable.least, variable.greatest) if variable.limited else (None, None)
     free = ("-INFINITY", "INFINITY")
     low, high = (x if at is None else literal(at) for at, x in zip(limits, free, strict=True))

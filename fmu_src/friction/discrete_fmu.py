@@ -13,7 +13,6 @@ from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal import TEMPERATURE
-from hesr_model.units import unit_of_joint
 
 
 def discrete_equations(
@@ -57,7 +56,10 @@ def _signals(
     for quantity in own.inputs:
         if quantity in switches:
             text = quantity.description
-            yield Variable(quantity.name, "input", text, start=1.0, boolean=True)
+            variable = friction_component.typed_variable(
+                quantity, quantity.name, "input", text, slides=False
+            )
+            yield replace(variable, start=1.0)
             continue
         for i, _ in enumerate(joints, start=1):
             # The factors of temperature are 1 at the reference.
@@ -90,5 +92,8 @@ def _own(
         ):
             if not isinstance(parameter, Parameter):
                 raise TypeError(f"'{parameter.name}' has no start value")
-            unit = unit_of_joint(parameter.unit, slides=slides)
-            yield Variable(name, "tunable", parameter.description, unit=unit, start=parameter.start)
+            text = parameter.description
+            variable = friction_component.typed_variable(
+                parameter, name, "tunable", text, slides=slides
+            )
+            yield replace(variable, start=parameter.start)

@@ -227,8 +227,26 @@ def of_joint(
     text = quantity.description.format(
         joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
     )
-    unit = unit_of_joint(quantity.unit, slides=slides)
-    return Variable(f"{quantity.name}[{joint}]", role, text, unit=unit, **more)
+    name = f"{quantity.name}[{joint}]"
+    return replace(typed_variable(quantity, name, role, text, slides=slides), **more)
+
+
+def typed_variable(
+    quantity: Quantity, name: str, role: Role, text: str, *, slides: bool
+) -> Variable:
+    """Return the variable of a quantity: boolean, integer, or real with a unit.
+
+    The description of an integer has the meanings of its values.
+    """
+    if quantity.logical:
+        return Variable(name, role, text, boolean=True)
+    if not quantity.values:
+        unit = unit_of_joint(quantity.unit, slides=slides)
+        return Variable(name, role, text, unit=unit)
+    meanings = ", ".join(f"{number} = {meaning}" for number, meaning in quantity.values)
+    numbers = [number for number, _ in quantity.values]
+    least, greatest = min(numbers), max(numbers)
+    return Variable(name, role, f"{text}: {meanings}", integer=True, least=least, greatest=greatest)
 
 
 def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float:
@@ -267,7 +285,8 @@ def band_numbers(model: FrictionModel) -> Iterator[Variable]:
     for number in NUMBERS:
         for i, law in enumerate(model.laws, start=1):
             start = law.band.values[number.name] if law.band else 0.0
-            yield of_joint(model, number, i, "tunable", start=start, least=0.0)
+            least = None if number.logical else 0.0
+            yield of_joint(model, number, i, "tunable", start=start, least=least)
 
 
 def joints_of(

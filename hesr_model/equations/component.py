@@ -18,11 +18,17 @@ from hesr_model.errors import ArtifactError
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """Named number with its SI unit in FMI's spelling."""
+    """Named number with its SI unit in FMI's spelling.
+
+    `values` are the numbers of an integer with their meanings; a `logical` quantity is 0 or 1. Both
+    have the unit 1.
+    """
 
     name: str
     unit: str
     description: str
+    values: tuple[tuple[int, str], ...] = ()
+    logical: bool = False
 
     @property
     def symbol(self) -> sympy.Symbol:

@@ -38,8 +38,9 @@ COVERAGE = Parameter(
 )
 
 
-def _number(name: str, unit: str, description: str) -> Quantity:
-    return Quantity(name=f"band_{name}", unit=unit, description=f"{description}, of {{joint}}")
+def _number(name: str, unit: str, description: str, *, logical: bool = False) -> Quantity:
+    text = f"{description}, of {{joint}}"
+    return Quantity(name=f"band_{name}", unit=unit, description=text, logical=logical)
 
 
 NUMBERS = (
@@ -50,7 +51,9 @@ NUMBERS = (
     _number("fast", "N.m.s/rad", "half-width at 95 % added by speed, per speed"),
     _number("load", "1", "half-width at 95 % added by load, per load"),
     _number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
-    _number("envelope", "1", "1 if the band at rest spans both break-away torques, else 0"),
+    _number(
+        "envelope", "1", "whether the band at rest spans both break-away torques", logical=True
+    ),
 )  # in the order of the fields of `Band`
 
 

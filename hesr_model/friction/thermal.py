@@ -97,7 +97,8 @@ def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
         name=THERMOMETER,
         unit="1",
         start=float(thermal.measured),
-        description="1 if the input temperature is used, 0 if friction power determines it",
+        description="whether the input temperature is used; else friction power determines it",
+        logical=True,
     )
     return (*own, read)
 

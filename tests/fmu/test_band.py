@@ -92,6 +92,7 @@ def test_directional_derivatives_are_those_of_the_band(fmu, name) -> None:
         v.name
         for v in fmu.about.modelVariables
         if v.start is not None
+        and v.type == "Real"
         and (v.name.endswith(f"[{joint}]") or f"joint[{joint}]." in v.name or v.name == "coverage")
     ]
     start = {v.name: float(v.start) for v in fmu.about.modelVariables if v.name in knowns}

@@ -60,7 +60,9 @@ RIGID = Quantity(
     unit="N.m",
     description="rigid-body {effort} on {joint}, acceleration included",
 )
-ADAPT = Quantity(name="adapt", unit="1", description="whether factors adapt; else they are held")
+ADAPT = Quantity(
+    name="adapt", unit="1", description="whether factors adapt; else they are held", logical=True
+)
 
 INPUTS = (MEASURED, RIGID, ADAPT)  # inputs of an adaptive law in addition to those of every law
 _FACTORS = (
@@ -70,9 +72,21 @@ _FACTORS = (
 )
 _PLACES = range(len(_FACTORS))
 _ALARMS = {
-    "drift": "alarm of {joint}: friction has risen (1) or fallen (-1)",
-    "shift": "alarm of {joint}: load, gravity or sensor, up (1) or down (-1)",
+    "drift": ("change of the friction of {joint}", ((-1, "fallen"), (0, "none"), (1, "risen"))),
+    "shift": (
+        "change of the load, gravity or sensor of {joint}",
+        ((-1, "down"), (0, "none"), (1, "up")),
+    ),
 }
+HEALTH = (
+    (0, "active"),
+    (1, "switched_off"),
+    (2, "slow"),
+    (3, "saturated"),
+    (4, "outlier"),
+    (5, "at_limit"),
+)
+"""Values of `health`: the factors adapt, or the reason why they do not."""
 _HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
 _MIXED = sympy.Float(1e-7)  # share of correlations lost per sample, which keeps round-off harmless
 _LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
@@ -207,7 +221,11 @@ def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equ
     alarms, sums = [], []
     for name, of, regressor, change in rows:
         up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
-        alarms.append(_output(name, "1", _ALARMS[name], up - down))
+        text, values = _ALARMS[name]
+        alarm = Equation(
+            name=name, description=text, output=True, expression=up - down, values=values
+        )
+        alarms.append(alarm)
         for sum_name, d in ((f"{of}_up", change), (f"{of}_down", -change)):
             gain = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
             total = _at_most(positive(previous(sum_name) + gain), 1.5 * tuning.alarm)
@@ -220,17 +238,24 @@ def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equat
         exceeds(_named(name), high - 1e-9) + exceeds(low + 1e-9, _named(name))
         for name, (low, high) in limits.items()
     )
-    reasons = (
-        (5, exceeds(at_limit, 0.5)),
-        (4, 1 - _named("settled")),  # outlier, or shortly after one
-        (3, saturates),
-        (2, 1 - moving),
-        (1, 1 - exceeds(ADAPT.symbol, 0.5)),  # switched off
-    )
+    reasons = {
+        "at_limit": exceeds(at_limit, 0.5),
+        "outlier": 1 - _named("settled"),  # also shortly after one
+        "saturated": saturates,
+        "slow": 1 - moving,
+        "switched_off": 1 - exceeds(ADAPT.symbol, 0.5),
+    }
+    numbers = {reason: number for number, reason in HEALTH}
     health = sympy.Integer(0)
-    for number, so in reasons:  # the last true one wins
-        health = so * number + (1 - so) * health
-    return _output("health", "1", "adaptation of {joint}: 0 active, else the reason", health)
+    for reason, holds in reasons.items():  # the last true one wins
+        health = holds * numbers[reason] + (1 - holds) * health
+    return Equation(
+        name="health",
+        description="adaptation of {joint}",
+        output=True,
+        expression=health,
+        values=HEALTH,
+    )
 
 
 def _expected(sigma: sympy.Expr) -> sympy.Expr:
