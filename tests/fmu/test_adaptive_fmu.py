@@ -115,6 +115,24 @@ def test_the_fmu_matches_the_python_estimate(bench: Bench, records: list[Frictio
     assert len(np.unique(found[:, 2 * len(records) :])) > 100
 
 
+def test_fmi_3_has_arrays_of_integers_and_booleans(
+    fmu: Path, records: list[FrictionRecord], tmp_path: Path
+) -> None:
+    other = export(MODEL, tmp_path / "Adaptive.fmu", format="adaptive", fmi=3)
+    found = {v.name: v for v in read_model_description(other).modelVariables}
+    assert [found[n].type for n in ("drift", "shift", "health")] == ["Int32"] * 3
+    assert (found["health"].shape, found["joint[3].thermometer"].type) == ((3,), "Boolean")
+    rows = []
+    for path in (fmu, other):
+        with FmuInstance(path) as component:
+            bench = Bench(component, records)
+            bench.begin()
+            rows.append(bench.run(1, 600))
+    np.testing.assert_array_equal(*rows)
+    health = rows[0][:, -3:]
+    assert {0.0, 2.0, 4.0} <= set(np.unique(health))
+
+
 @pytest.mark.ci
 def test_the_fmu_is_valid(fmu: Path) -> None:
     assert validate_fmu(str(fmu)) == []
