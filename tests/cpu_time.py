@@ -20,14 +20,17 @@ import pytest
 
 RECORD = Path(__file__).with_name("durations.toml")
 
-SLOW = 0.4
-"""CPU seconds, with the share of its fixtures, from which a test is left to `make rest`."""
+SLOW = 0.3
+"""CPU seconds, with the share of its fixtures, from which a test is left to `make rest`.
+
+With 0.4, `make test` would cost a quarter more.
+"""
 
 COSTLY = 1.0
 """CPU seconds above which a fixture with few users leaves these to `make rest`."""
 
-FEW_USERS = 20
-"""Users of a costly fixture below which it is not worth its time in `make test`."""
+WORTH_USERS = 20
+"""Users for each of these seconds that make a costly fixture worth its time in `make test`."""
 
 LISTED_FIXTURE = 0.4
 """CPU seconds from which a fixture is recorded."""
@@ -81,7 +84,7 @@ class Fixture(NamedTuple):
     @property
     def is_costly(self) -> bool:
         """Whether its few users are left to `make rest`."""
-        return self.seconds > COSTLY and self.users < FEW_USERS
+        return self.seconds > COSTLY and self.users < WORTH_USERS * self.seconds / COSTLY
 
     @property
     def share(self) -> float:
@@ -116,12 +119,17 @@ def fixture_name(fixturedef: pytest.FixtureDef[Any]) -> str:
     return f"{fixturedef.baseid}::{fixturedef.argname}"
 
 
+def is_shared(fixturedef: pytest.FixtureDef[Any]) -> bool:
+    """Return whether more than one test may use a fixture of ours."""
+    return fixturedef.scope != "function" and bool(fixturedef.baseid)
+
+
 def required_fixtures(item: pytest.Item) -> set[str]:
     """Return the fixtures of more than one test that a test is known to need."""
     if not isinstance(item, pytest.Function):
         return set()
     required = item._fixtureinfo.name2fixturedefs.values()  # pytest has no public way
-    return {fixture_name(defs[-1]) for defs in required if defs[-1].scope != "function"}
+    return {fixture_name(defs[-1]) for defs in required if is_shared(defs[-1])}
 
 
 def used_fixtures(item: pytest.Item) -> set[str]:
@@ -129,7 +137,7 @@ def used_fixtures(item: pytest.Item) -> set[str]:
     if not isinstance(item, pytest.Function):
         return set()
     active = item._request._fixture_defs.values()  # pytest has no public way
-    return {fixture_name(fixturedef) for fixturedef in active if fixturedef.scope != "function"}
+    return {fixture_name(fixturedef) for fixturedef in active if is_shared(fixturedef)}
 
 
 class Measured(NamedTuple):
