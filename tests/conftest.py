@@ -11,9 +11,9 @@ from pathlib import Path
 import ci_reports
 import numpy as np
 import pytest
+import shared_folders
 from c_hosts import Wine
 from cpu_time import CpuTime, Record
-from filelock import FileLock
 from hypothesis import settings
 from nightly_groups import read_groups
 from plugin_packages import InstallPlugin, lay_package
@@ -192,31 +192,38 @@ def install_plugin(
 
 
 @pytest.fixture(scope="session")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Shared:
+def session_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of this session, the same for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session")
+def shared_now(session_folder: Path) -> Shared:
     """Return the folder of a name, filled by the first worker that requests it.
 
     Tests must not write to it.
     """
-    base = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # shared by all workers
 
-    def filled(name: str, fill: Callable[[Path], object]) -> Path:
-        folder, done = base / name / "shared", base / name / "done"
-        folder.parent.mkdir(exist_ok=True)
-        with FileLock(base / name / "lock"):
-            if not done.exists():
-                shutil.rmtree(folder, ignore_errors=True)  # left by a failed worker
-                folder.mkdir()
-                fill(folder)
-                done.touch()
-        return folder
+    def filled(name: str, fill: shared_folders.Fill) -> Path:
+        return shared_folders.fill_once(session_folder / name, name, fill, session_folder)
 
     return filled
 
 
 @pytest.fixture(scope="session")
-def wine(shared: Shared) -> Wine:
+def shared(session_folder: Path, shared_now: Shared) -> Shared:
+    """Return the folder of a name, as `shared_now`, also kept for later sessions.
+
+    Only sources and the file of the fixture may determine its content.
+    """
+    if os.environ.get("CI") == "true":
+        return shared_now
+    return lambda name, fill: shared_folders.keep(name, fill, session_folder)
+
+
+@pytest.fixture(scope="session")
+def wine(shared_now: Shared) -> Wine:
     """Wine with one settings folder for all tests, because creating it is slower than any test."""
     program = shutil.which("wine") or shutil.which("wine64")
     if program is None:
@@ -228,7 +235,7 @@ def wine(shared: Shared) -> Wine:
         settled = {**os.environ, **own, "WINEPREFIX": str(folder)}
         subprocess.run([program, "wineboot", "--init"], env=settled, check=True, timeout=600)
 
-    return Wine(program, {**own, "WINEPREFIX": str(shared("wine", make))})
+    return Wine(program, {**own, "WINEPREFIX": str(shared_now("wine", make))})
 
 
 @pytest.fixture(scope="session")

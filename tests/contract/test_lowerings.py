@@ -68,7 +68,7 @@ def case(shared: Callable[..., Path]) -> Callable[[str], Case]:
 
 @pytest.fixture(scope="session")
 def compute(
-    request: pytest.FixtureRequest, case: Callable[[str], Case], shared: Callable[..., Path]
+    request: pytest.FixtureRequest, case: Callable[[str], Case], shared_now: Callable[..., Path]
 ) -> Compute:
     """Return the torques of a law by a lowering, computed once for all tests.
 
@@ -92,7 +92,7 @@ def compute(
             for one, result in zip(together, results, strict=True):
                 result.write(folder / f"torques_{one}.npz")
 
-        folder = shared(f"{name}_{'laws' if lowering.run_all else law}", fill)
+        folder = shared_now(f"{name}_{'laws' if lowering.run_all else law}", fill)
         return Torques.read(folder / f"torques_{law}.npz")
 
     return torques

@@ -40,6 +40,7 @@ def study_run(shared: Shared) -> Run:
 
     def make(folder: Path) -> None:
         Run.make(folder, "-o", Run.of(folder).results, "--verbose", program=ALONE)
+        Run.of(folder).require_success()
 
     return Run.of(shared("study", make))
 
@@ -48,7 +49,12 @@ def study_run(shared: Shared) -> Run:
 def study_run_for_programs(shared: Shared) -> Run:
     """The same run by workers, with JSON output and a relative output folder."""
     options = ("-o", "results", "--json", "-", "--verbose")
-    return Run.of(shared("study for programs", lambda folder: Run.make(folder, *options)))
+
+    def make(folder: Path) -> None:
+        Run.make(folder, *options)
+        Run.of(folder).require_success()
+
+    return Run.of(shared("study for programs", make))
 
 
 @pytest.fixture

@@ -112,6 +112,11 @@ class Run:
         study = folder / "study"
         return cls(study=study / "study.toml", results=study / "results", answer=answer)
 
+    def require_success(self) -> None:
+        """Raise an error if the run failed."""
+        if self.answer.code != 0:
+            raise RuntimeError(f"the study ended with {self.answer.code}: {self.answer.err}")
+
     def log(self, name: str) -> Path:
         return self.results / "logs" / f"{name}.csv"
 
