@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ def report(folder: Path, step: str, **bodies: str) -> None:
 def run(script: str, *arguments: object, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run a script of `.ci`."""
     return subprocess.run(
-        [ROOT / ".ci" / script, *map(str, arguments)],
+        [sys.executable, ROOT / ".ci" / script, *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,

@@ -25,11 +25,12 @@ def test_known():
 """
 
 
-@pytest.mark.parametrize(("ci", "outcome"), [("true", "1 failed"), ("false", "2 skipped")])
-def test_a_skip_for_a_missing_tool_fails_in_ci(tmp_path: Path, ci: str, outcome: str) -> None:
+@pytest.mark.parametrize(("tools", "outcome"), [("true", "1 failed"), ("false", "2 skipped")])
+def test_a_skip_for_a_missing_tool_fails_in_ci(tmp_path: Path, tools: str, outcome: str) -> None:
     (tmp_path / "test_it.py").write_text(TESTS, encoding="utf-8")
     program = (
-        f"import os, sys; sys.path.insert(0, {str(ROOT / 'tests')!r}); os.environ['CI'] = {ci!r}\n"
+        f"import os, sys; sys.path.insert(0, {str(ROOT / 'tests')!r})\n"
+        f"os.environ['ALL_TOOLS'] = {tools!r}\n"
         "import pytest, ci_reports\n"
         "options = ['-q', '-p', 'no:cacheprovider', '-W', 'ignore', '--confcutdir=.']\n"
         "pytest.main([*options, 'test_it.py'], plugins=[ci_reports])"
