@@ -202,7 +202,7 @@ class CpuTime:
             item.nodeid,
             kind_of(item),
             round(seconds, 3),
-            {name: round(value, 3) for name, value in self.set_up.items()},
+            {name: round(seconds, 3) for name, seconds in self.set_up.items()},
             sorted(used_fixtures(item)),
         )
         item.user_properties.append((_PROPERTY, json.dumps(measured)))
