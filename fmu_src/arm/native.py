@@ -201,7 +201,6 @@ def arm(
     compiled = _binary(model)
     digest = hashlib.sha256(compiled).hexdigest()
     about = description(signals, name)
-    page = BlockPage(equations=tuple(_signal_lines(signals)), notes=_NOTES)
     return Content(
         table=table,
         about=about,
@@ -210,12 +209,23 @@ def arm(
         members={
             "resources/model.mjb": compiled,
             "resources/model.xml": source,
-            "documentation/index.html": block_html(page, table, about).encode(),
+            **arm_page(signals, table, about),
             **licences("mujoco"),
         },
         libraries={platform: library(platform) for platform in platforms},
-        stimuli=Stimuli(step=signals.step, inputs=waves({i.name: _SMALL for i in signals.inputs})),
+        stimuli=arm_stimuli(signals),
     )
+
+
+def arm_page(signals: ArmSignals, table: Interface, about: Description) -> dict[str, bytes]:
+    """Return the page of the FMU of a model as a member of its archive."""
+    page = BlockPage(equations=tuple(_signal_lines(signals)), notes=_NOTES)
+    return {"documentation/index.html": block_html(page, table, about).encode()}
+
+
+def arm_stimuli(signals: ArmSignals) -> Stimuli:
+    """Return small controls for reference results."""
+    return Stimuli(step=signals.step, inputs=waves({i.name: _SMALL for i in signals.inputs}))
 
 
 _NOTES = (

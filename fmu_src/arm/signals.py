@@ -106,7 +106,12 @@ class _Lookup:
         losing = table.losses.joints if table.losses else ()
         outputs = [o for name, v in table.outputs.items() for o in self._outputs(name, v, losing)]
         inputs = [
-            ArmInput(f"{name}[{i}]", vector.unit, tuple(map(self._control, actuators)))
+            ArmInput(
+                f"{name}[{i}]",
+                vector.unit,
+                tuple(map(self._control, actuators)),
+                vector.description,
+            )
             for name, vector in table.inputs.items()
             for i, actuators in enumerate(vector.actuators, start=1)
         ]
@@ -138,6 +143,7 @@ class _Lookup:
                 losses=tuple(map(losing.index, lost)),
                 noise=vector.noise[i] if vector.noise else None,
                 stream=vector.streams[i] if vector.streams else -1,
+                description=vector.description,
             )
 
     def _starts(self, name: str, vector: StartTable) -> Iterator[ArmStart]:

@@ -27,11 +27,12 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class ArmInput:
-    """An input and the controls that it drives."""
+    """An input and the controls that it drives; `description` replaces that of its unit."""
 
     name: str
     unit: str
     controls: tuple[int, ...]
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class ArmOutput:
     losses: tuple[int, ...] = ()
     noise: float | None = None
     stream: int = 0
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -149,11 +151,11 @@ def seed_of(low: int, high: int) -> int:
 
 def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Variable]:
     for one in signals.inputs:
-        text = f"commanded {_KINDS.get(one.unit, 'control')}"
+        text = one.description or f"commanded {_KINDS.get(one.unit, 'control')}"
         yield Variable(one.name, "input", text, unit=one.unit)
     for out in signals.outputs:
         kind = "true" if out.noise is None else "measured"
-        text = f"{kind} {_KINDS.get(out.unit, 'signal')}"
+        text = out.description or f"{kind} {_KINDS.get(out.unit, 'signal')}"
         yield Variable(out.name, "output", text, unit=out.unit, dependencies=parameters)
 
 
@@ -205,6 +207,7 @@ class InputTable(Config):
     """Vector of inputs: the actuators that each element controls."""
 
     unit: str
+    description: str = ""
     actuators: tuple[Names, ...] = Field(min_length=1)
 
 
@@ -212,10 +215,11 @@ class OutputTable(Config):
     """Vector of outputs: the summed sensors of each element, with their factors.
 
     Losses of joints are added as torque against the motion; `scaled` sensors follow the friction
-    scale; `noise` is a standard deviation.
+    scale; `noise` is a standard deviation. The `description` is by default that of the unit.
     """
 
     unit: str
+    description: str = ""
     sensors: tuple[dict[str, float], ...] = Field(min_length=1)
     losses: Names = ()
     scaled: Names = ()

@@ -129,7 +129,7 @@ def write_fmu(
     guid, sources = translation_unit(content, fmi)
     members: dict[str, bytes] = {
         "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(table, about, guid),
-        "documentation/licenses/license.txt": (_HERE / "pages/templates/license.txt").read_bytes(),
+        **own_licence(),
         **content.members,
     }
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
@@ -157,6 +157,12 @@ def write_fmu(
     write_archive(members, path, about.created)
     remember(path)
     return path
+
+
+def own_licence() -> dict[str, bytes]:
+    """Return the licence of generated code and documentation as a member of an FMU."""
+    text = (_HERE / "pages" / "templates" / "license.txt").read_bytes()
+    return {"documentation/licenses/license.txt": text}
 
 
 def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:

@@ -6,13 +6,22 @@ Joints' components add inputs and outputs, such as `temperature[i]`, to those of
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from fmu_src.equations.header import Joint, equations_header, indicators, own_size
+from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface, Variable
+from fmu_src.export.package import Content
 from fmu_src.friction import friction_component
+from fmu_src.friction.reference import joint_columns, reference_motion, torques
+from fmu_src.pages.block_page import BlockPage, LawEntry, block_html
+from fmu_src.pages.friction_page import title
+from fmu_src.pages.mathml import equations
+from fmu_src.run.reference_results import ROWS, Stimuli, waves
 from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.thermal import TEMPERATURE
+from hesr_model.friction.thermal import COULOMB_RANGE, TEMPERATURE, VISCOUS_RANGE
 
 
 def discrete_equations(
@@ -30,6 +39,71 @@ def discrete_equations(
         directional_derivatives=False,
     )
     return table, equations_header(joints, table, {"START_MODE": friction_component.START_MODE})
+
+
+THERMAL_LINES = (
+    "T = temperature if thermometer, else thermal_ambient + rise; within thermal_coldest to "
+    "thermal_warmest",
+    "d rise / dt = (thermal_resistance abs(tau dq) - rise) / thermal_time_constant",
+    "c = thermal_coulomb_scale (1 - x), x = thermal_coulomb (T - thermal_reference) within "
+    f"+-{COULOMB_RANGE:g}",
+    "n = thermal_viscous_scale exp(-y), y = thermal_viscous (T - thermal_reference) within "
+    f"+-{VISCOUS_RANGE:g}",
+)
+"""Equations of the temperature's factors c and n, in the names of a joint's variables."""
+
+THERMAL_TORQUE = (
+    "tau = law above with bounds times coulomb_scale c, viscous terms times viscous_scale n"
+)
+
+
+def documented(
+    bare: Content, model: FrictionModel, lines: Sequence[str], notes: Sequence[str]
+) -> Content:
+    """Add a page with further equations and notes, and stimuli for reference results."""
+    entries = [
+        LawEntry(name=name, title=title(law), equations=equations(law))
+        for name, law in zip(model.joints, model.laws, strict=True)
+    ]
+    page = BlockPage(equations=lines, notes=notes, laws=entries)
+    html = block_html(page, bare.table, bare.about)
+    members = {"documentation/index.html": html.encode(), **bare.members}
+    return replace(bare, members=members, stimuli=_stimuli(model, bare.table, bare.about))
+
+
+_WARMTH = 10.0  # amplitude of temperatures in the reference results [K]
+_UNEXPLAINED = 2.0  # peak of the measured friction beyond the law, in standard deviations
+
+
+def _stimuli(model: FrictionModel, table: Interface, about: Description) -> Stimuli:
+    """Return a motion in the trained range; measured torques differ from those of the law.
+
+    The difference grows with the speed, so that the factors of an adaptive law change.
+    """
+    step = about.step
+    motion = reference_motion(
+        model,
+        frequency=1.0 / (ROWS * step),
+        periods=(ROWS + 1) / ROWS,
+        rows=ROWS + 1,
+        phase=_PHASE,
+    )
+    inputs = motion.columns()
+    if model.training_rmse:
+        friction = torques(model, motion, "direct")
+        relative = motion.dq / np.abs(motion.dq).max(axis=0)
+        friction += _UNEXPLAINED * np.array(model.training_rmse) * relative
+        inputs |= joint_columns("tau_rigid", motion.tau_load)
+        inputs |= joint_columns("tau_meas", motion.tau_load + friction)
+    for i, thermal in enumerate(model.thermal, start=1):
+        inputs |= waves({f"{TEMPERATURE.name}[{i}]": _WARMTH}, middle=thermal.reference)
+    rounded = {name: np.round(rows, _DECIMALS) for name, rows in inputs.items()}
+    names = {v.name for v in table.variables if v.role == "input"}
+    return Stimuli(step=step, inputs={n: rows for n, rows in rounded.items() if n in names})
+
+
+_PHASE = 0.35  # lead of each joint over the one before it [rad]
+_DECIMALS = 6  # of stimuli, so that files have the exact inputs
 
 
 def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quantity]) -> Joint:

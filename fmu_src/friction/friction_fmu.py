@@ -13,7 +13,12 @@ from pathlib import Path
 from fmu_src.export import package
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface
-from fmu_src.friction.discrete_fmu import discrete_equations
+from fmu_src.friction.discrete_fmu import (
+    THERMAL_LINES,
+    THERMAL_TORQUE,
+    discrete_equations,
+    documented,
+)
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
@@ -82,7 +87,17 @@ def export_fmu(
         equations = discrete_equations(model, components)
         require_numbers(model)
         whole = bare_content(model, about, *equations)
+        if not no_documentation:
+            whole = documented(whole, model, (*THERMAL_LINES, THERMAL_TORQUE), _THERMAL_NOTES)
     return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+
+
+_THERMAL_NOTES = (
+    "Bounds are those of stops, F_c and F_s; they carry the Coulomb friction. Names without an "
+    "index are those of one joint: joint[i].thermal_coulomb, temperature[i], rise[i].",
+    "The reference results follow a motion within the trained speeds, with temperatures around "
+    "the reference.",
+)
 
 
 export_bare = partial(export_fmu, no_documentation=True)
@@ -151,11 +166,14 @@ def bare_content(
     )
 
 
+_TITLES = {"friction": "Friction", "adaptive": "Adaptive friction"}
+
+
 def about_model(model: FrictionModel, kind: str, text: str) -> Description:
     """Return the model description of a friction FMU of some kind."""
     return description_of(
         model,
-        name=f"{kind.capitalize()} of {model.robot} by {model.law}",
+        name=f"{_TITLES[kind]} of {model.robot} by {model.law}",
         identifier=f"{kind}_{model.law}",
         text=f"Joint friction torque of {len(model.joints)} joints {text}.",
         step=model.sample_time,

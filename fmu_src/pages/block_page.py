@@ -1,4 +1,4 @@
-"""documentation/index.html of the blocks of a closed loop: equations and all variables."""
+"""documentation/index.html of blocks and discrete friction: equations and all variables."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import sympy
 from sympy.printing.str import StrPrinter
 
 from fmu_src.export.description import Description
-from fmu_src.export.interface import ArrayVariable, Interface, Role
+from fmu_src.export.interface import ArrayVariable, Interface, Role, Variable
 from fmu_src.pages.html import rendered
 from hesr_model.equations.component import Choice, Component
 
@@ -17,8 +17,18 @@ _GROUPS: Mapping[str, tuple[Role, ...]] = {
     "Inputs": ("input",),
     "Outputs": ("output", "on_demand"),
     "Parameters": ("fixed", "tunable"),
+    "States": ("state", "local"),
 }
 _CHANGES = {"fixed": "before the run", "tunable": "at any time"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawEntry:
+    """Friction law of a joint: its title, and its equations as MathML."""
+
+    name: str
+    title: str
+    equations: Sequence[str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,18 +38,24 @@ class BlockPage:
     equations: Sequence[str]
     notes: Sequence[str] = ()
     refusals: Sequence[str] = ()
+    laws: Sequence[LawEntry] = ()
 
 
 def block_html(page: BlockPage, table: Interface, about: Description) -> str:
     """Return the page as one self-contained file."""
-    groups = {title: list(_rows(table, roles)) for title, roles in _GROUPS.items()}
     return rendered(
         "block.html.j2",
         about=about,
         page=page,
-        groups={title: rows for title, rows in groups.items() if rows},
+        groups=variable_groups(table),
         exchange=table.model_exchange,
     )
+
+
+def variable_groups(table: Interface) -> dict[str, list[dict[str, Any]]]:
+    """Return the rows of the tables of all variables, by their title."""
+    groups = {title: list(_rows(table, roles)) for title, roles in _GROUPS.items()}
+    return {title: rows for title, rows in groups.items() if rows}
 
 
 def component_page(component: Component, notes: Sequence[str] = ()) -> BlockPage:
@@ -100,7 +116,7 @@ def _rows(table: Interface, roles: Sequence[Role]) -> Iterator[dict[str, Any]]:
         items = first.enumeration.items if first.enumeration else ()
         yield {
             "name": _indexed_name(array),
-            "unit": first.unit or ("boolean" if first.boolean else "integer"),
+            "unit": _unit_text(first),
             "start": "" if first.computed else _start_text(array),
             "changes": _CHANGES.get(first.role, ""),
             "text": _common_text(array),
@@ -114,8 +130,17 @@ def _indexed_name(array: ArrayVariable) -> str:
     return f"{array.name}[{','.join(_INDICES[: len(array.shape)])}]"
 
 
+def _unit_text(variable: Variable) -> str:
+    if variable.boolean:
+        return "boolean"
+    return "integer" if variable.integer or variable.enumeration else variable.unit or "1"
+
+
 def _start_text(array: ArrayVariable) -> str:
-    values = [f"{variable.start:.6g}" for variable in array.elements]
+    if array.elements[0].boolean:
+        values = [str(variable.start != 0.0).lower() for variable in array.elements]
+    else:
+        values = [f"{variable.start:.6g}" for variable in array.elements]
     if len(set(values)) == 1:
         return values[0]
     return ", ".join(values)

@@ -14,6 +14,7 @@ from fmu_src.export.interface import Interface
 from fmu_src.friction.friction_component import DISCRETISATION, exposed
 from fmu_src.friction.reference import SETTINGS, Error, reference_motion
 from fmu_src.pages import datasheet
+from fmu_src.pages.block_page import variable_groups
 from fmu_src.pages.datasheet import ModelAudit, figure, spelled
 from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations, symbol
@@ -53,6 +54,8 @@ def drive_html(
         loaded=[name for name, law in pairs if TAU_LOAD in law.form.inputs],
         joints=joints,
         refused=refused,
+        groups=variable_groups(table),
+        arrays=[array.name for array in table.arrays],
     )
 
 
@@ -141,6 +144,7 @@ def to_html(
         model=model,
         live=live,
         properties=properties,
+        groups=variable_groups(table),
         titles=titles,
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from fmu_src.arm.native import description, licences, model_name
+from fmu_src.arm.native import arm_page, arm_stimuli, description, licences, model_name
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.table import SignalTable, variables
-from fmu_src.export.description import RELEASED, to_xml
+from fmu_src.export.description import RELEASED, Description, to_xml
 from fmu_src.export.interface import Interface
-from fmu_src.export.package import check_request, write_archive
+from fmu_src.export.package import check_request, own_licence, write_archive
+from fmu_src.run.reference_results import result_files
 from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import scratch_folder
@@ -26,7 +27,12 @@ _MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the li
 def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path) -> Path:
     """Write an MJCF, without references to files, as an FMU for hosts with HESR and MuJoCo."""
     check_request(output, ("linux64",))
-    about = _about(mjcf, table)
+    signals = signals_of(mjcf, table)
+    shown = Interface(
+        variables=variables(signals), model_exchange=False, directional_derivatives=False
+    )
+    description_of_arm = description(signals, model_name(signals.model, mjcf))
+    about = _about(mjcf, table, shown, description_of_arm)
     with scratch_folder() as folder:
         parts = [Path(folder, MODEL), Path(folder, ABOUT)]
         parts[0].write_bytes(mjcf.read_bytes())
@@ -40,18 +46,18 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
         with zipfile.ZipFile(_built(Path(folder), parts)) as archive:
             members = {name: archive.read(name) for name in sorted(archive.namelist())}
     members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has no line breaks
+    members |= arm_page(signals, shown, description_of_arm)
+    members |= result_files(members, arm_stimuli(signals))
+    members |= own_licence()
     write_archive(members | licences("pythonfmu"), output, RELEASED)
     remember(output)
     return output
 
 
-def _about(mjcf: Path, table: Path | SignalTable | None) -> dict[str, Any]:
+def _about(
+    mjcf: Path, table: Path | SignalTable | None, shown: Interface, about: Description
+) -> dict[str, Any]:
     named = SignalTable.read(table) if isinstance(table, Path) else table
-    signals = signals_of(mjcf, table)
-    about = description(signals, model_name(signals.model, mjcf))
-    shown = Interface(
-        variables=variables(signals), model_exchange=False, directional_derivatives=False
-    )
     content = hashlib.sha256(to_xml(shown, about, "") + mjcf.read_bytes()).hexdigest()
     root = ET.fromstring(to_xml(shown, about, content))
     if (kind := root.find("CoSimulation")) is None:

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.export.package import Content, Version, check_request, write_fmu
-from fmu_src.friction.discrete_fmu import discrete_equations
+from fmu_src.friction.discrete_fmu import THERMAL_LINES, discrete_equations, documented
 from fmu_src.friction.friction_fmu import about_model, bare_content
 from fmu_src.friction.validity import require_numbers
 from hesr.extras.adaptive.component import ADAPT, TUNING, Tuning, adaptive_component
+from hesr.extras.adaptive.fmu_page import ADAPTIVE_NOTES, adaptive_lines
 from hesr_model.audit.certificate import least_viscosity
 from hesr_model.equations.component import Component, Parameter
 from hesr_model.equations.stepping import Steps
@@ -30,18 +31,27 @@ def export_adaptive(
     platforms: Sequence[str] = ("linux64",),
     progress: Progress = silent,
     fmi: Version = 2,
+    no_documentation: bool = False,
 ) -> Path:
-    """Write a friction model with stops or bristles as an adaptive FMU, without pages."""
+    """Write a friction model with stops or bristles as an adaptive FMU.
+
+    With `no_documentation` it has neither page nor reference results.
+    """
     check_request(path, platforms)
-    return write_fmu(adaptive_content(model), path, platforms=platforms, progress=progress, fmi=fmi)
+    whole = adaptive_content(model, bare=no_documentation)
+    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
-def adaptive_content(model: FrictionModel) -> Content:
+def adaptive_content(model: FrictionModel, *, bare: bool = False) -> Content:
     """Return the adaptive FMU before compilation."""
     about = about_model(model, "adaptive", "that adapts to measured torques")
     equations = discrete_equations(model, adaptive_components(model), (ADAPT,))
     require_numbers(model)
-    return bare_content(model, about, *equations)
+    whole = bare_content(model, about, *equations)
+    if bare:
+        return whole
+    lines = (*(THERMAL_LINES if model.thermal else ()), *adaptive_lines(TUNING))
+    return documented(whole, model, lines, ADAPTIVE_NOTES)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

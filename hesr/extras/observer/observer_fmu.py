@@ -14,6 +14,7 @@ from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
+from fmu_src.pages.block_page import variable_groups
 from fmu_src.pages.friction_page import holding_torque, law_entries, title
 from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.plant.dynamics import dynamics_header, jacobian_header
@@ -216,6 +217,7 @@ def content(
     sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
     sheet |= {"refused": refused, "bandwidth": bandwidth, "constants": constants}
     sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(body.robot)}
+    sheet |= {"groups": variable_groups(table)}
     page = rendered("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
     return package.Content(
