@@ -61,7 +61,7 @@ run: $(VENV)/run
 	$(BIN)/hesr run
 
 near: $(VENV)/installed
-	$(BIN)/python tests/near.py $(NEAR) -- $(SPREAD)
+	$(BIN)/python tests/near.py $(NEAR) -- $(SPREAD) $(FAIL_FAST)
 
 test: $(VENV)/installed
 	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not ci and not soak"
