@@ -102,7 +102,7 @@ nightly: $(VENV)/installed
 	$(BIN)/python .ci/nightly $(GROUPS)
 
 nightly-tests: $(VENV)/installed
-	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --nightly $(GROUP) \
+	$(BIN)/pytest $(IGNORED:%=--ignore=%) $(SPREAD) -m "not soak" --nightly $(GROUP) --timeout 3600 \
 	  --junitxml .ci/out/nightly-$(GROUP).xml -o junit_family=xunit1
 
 soak: $(VENV)/installed

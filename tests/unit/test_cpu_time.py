@@ -104,6 +104,16 @@ def test_runs_without_a_report_keep_their_record(tmp_path: Path) -> None:
     assert kinds["default"]["files"] == {"c.py": 0.1, cpu_time.SHARED: 0.0}
 
 
+def test_reports_of_a_part_of_the_gate_are_refused(tmp_path: Path) -> None:
+    here = Path(__file__).relative_to(cpu_time.RECORD.parents[1]).as_posix()
+    path = tmp_path / "durations.toml"
+    removed = Measured("tests/test_removed.py::it", "ci", 0.1, {}, [])
+    path.write_text(cpu_time.as_toml([Measured(f"{here}::it", "ci", 0.1, {}, []), removed]))
+    assert not cpu_time.is_of_a_whole_gate(["tests/test_new.py::it"], Record(path))
+    assert cpu_time.is_of_a_whole_gate([f"{here}::other"], Record(path))
+    assert not cpu_time.is_of_a_whole_gate([], Record(tmp_path / "no.toml"))
+
+
 def test_there_may_be_no_record(tmp_path: Path) -> None:
     record = Record(tmp_path / "durations.toml")
     assert not record.slow_tests
