@@ -14,7 +14,7 @@ import pytest
 import shared_folders
 from c_hosts import Wine
 from cpu_time import CpuTime, Record
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from nightly_groups import read_groups
 from plugin_packages import InstallPlugin, lay_package
 from registry_models import everyday, models_of_registry
@@ -27,8 +27,8 @@ from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import cache
 
-# The duration of an example depends on the load of the machine.
-settings.register_profile("unhurried", deadline=None)
+# The duration of an example and of its generation depends on the load of the machine.
+settings.register_profile("unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("unhurried")
 
 TESTS = Path(__file__).parent
