@@ -220,13 +220,18 @@ class FrictionRegressor:
             rows.append((Panel(title=joint, y=f"{self.target} [{unit}]", lines=lines),))
         return drawn(Chart(x="t [s]", rows=tuple(rows)))
 
-    def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] = ("linux64",)) -> Path:
-        """Write the fitted law as an FMU; after logs, its page includes the body."""
+    def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] | None = None) -> Path:
+        """Write the fitted law as an FMU; after logs, its page includes the body.
+
+        The default platforms are linux64, win64 and that of this machine.
+        """
         from fmu_src import export_fmu
+        from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
         model, fmu = self._fitted(), path_of(path, "an FMU")
         body = page_body(self.robot_, self.rigid_body_) if hasattr(self, "robot_") else None
-        return export_fmu(model, fmu, platforms=platforms, body=body)
+        built_for = DEFAULT_PLATFORMS if platforms is None else platforms
+        return export_fmu(model, fmu, platforms=built_for, body=body)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch, in the export format `torch`."""

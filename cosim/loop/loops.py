@@ -22,6 +22,7 @@ from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.export.package import Content, write_fmu
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import POOL
 from hesr_model.errors import ConfigError
@@ -226,7 +227,13 @@ class StudyLoop:
 
 
 def build(
-    folder: Path, robot: Robot, body: RigidBody, plant: Plant, *, oracle: FrictionModel
+    folder: Path,
+    robot: Robot,
+    body: RigidBody,
+    plant: Plant,
+    *,
+    oracle: FrictionModel,
+    platforms: Sequence[str] = HOST,
 ) -> None:
     """Write the FMUs of a loop, without arm and laws, for the true friction `oracle`."""
     step = 1.0 / plant.sample_rate
@@ -240,14 +247,17 @@ def build(
     }
     jobs = [
         partial(export_bare, oracle, folder / f"{oracle.law}.fmu"),
-        *(partial(_written, make, folder / f"{name}.fmu") for name, make in contents.items()),
+        *(
+            partial(_write_block, make, folder / f"{name}.fmu", platforms)
+            for name, make in contents.items()
+        ),
     ]
     with parallel.results_of(jobs) as written:
         list(written)
 
 
-def _written(content: Callable[[], Content], path: Path) -> Path:
-    return write_fmu(content(), path)
+def _write_block(content: Callable[[], Content], path: Path, platforms: Sequence[str]) -> Path:
+    return write_fmu(content(), path, platforms=platforms)
 
 
 def assemble(

@@ -1,6 +1,6 @@
 """Closed-loop part of a study, also on the generated plant, and comparison of the masters."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import true_friction
+from fmu_src.export.toolchain import HOST
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from hesr_model.errors import ConfigError, ExportError
 from hesr_model.findings import Finding, caution
@@ -70,6 +71,7 @@ def run_loop(
     progress: Stages,
     *,
     quick: bool,
+    platforms: Sequence[str] = HOST,
 ) -> LoopOutcome:
     """Build the FMUs of a loop in ``folder/fmus``, next to Arm.fmu, and run it.
 
@@ -83,11 +85,11 @@ def run_loop(
     truth = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
-    build(fmus, robot, body, plant, oracle=truth)
+    build(fmus, robot, body, plant, oracle=truth, platforms=platforms)
     loop = assemble(
         fmus, robot, tracking=tracking, friction=run.fmus, plant=plant, kept=kept, progress=progress
     )
-    findings = write_loops(loop, robot, body, run.models, folder)
+    findings = write_loops(loop, robot, body, run.models, folder, platforms=platforms)
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, quick=quick)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in tables if t.trace])
@@ -109,6 +111,8 @@ def write_loops(
     body: RigidBody,
     models: Mapping[str, FrictionModel],
     folder: Path,
+    *,
+    platforms: Sequence[str] = HOST,
 ) -> list[Finding]:
     """Write the loops; return a finding if no plant can be built."""
     spec, gains = example(loop), loop.tracking.gains
@@ -117,7 +121,12 @@ def write_loops(
         known = list(models.values())
         law = next((one for one in known if one.laws[0].form.memory), known[0])
         plant = export_plant(
-            law, folder / "fmus" / PLANT, body=PlantBody.of(robot, body), kv=gains.Kv, ki=gains.Ki
+            law,
+            folder / "fmus" / PLANT,
+            body=PlantBody.of(robot, body),
+            kv=gains.Kv,
+            ki=gains.Ki,
+            platforms=platforms,
         )
     except ExportError as error:
         reason = str(error).rstrip(".")

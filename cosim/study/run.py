@@ -16,7 +16,7 @@ from cosim.study.scores import Errors, records_of
 from cosim.study.steps import Job, of_each
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
-from fmu_src.export.toolchain import get_ready, targets
+from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST, get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.live import PageBody
@@ -48,6 +48,7 @@ class Outcome(Scored):
     loop: LoopOutcome | None = None
     truths: Mapping[str, Errors] = field(default_factory=dict)  # by alternative plant
     truth: str = ""  # alternative plant
+    platforms: Sequence[str] = HOST  # of the FMUs, except for MuJoCo's arm
     cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # hits, requests
 
 
@@ -55,26 +56,27 @@ def run_study(
     path: Path,
     output: Path,
     *,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     quick: bool = False,
     accepted: Sequence[str] = (),
     progress: Stages = silent,
 ) -> Outcome:
     """Run a study and write all results into a folder, or nothing on an error.
 
-    An interrupted run continues from checkpoints next to the folder. For `quick` and `accepted` see
-    `hesr.run`.
+    The FMUs also have the binary of this machine, which scores them. An interrupted run continues
+    from checkpoints next to the folder. For `quick` and `accepted` see `hesr.run`.
     """
     study = Study.read(path)
     if quick:
         study = _shortened(study)
-    targets(platforms)
+    targets(platforms)  # refuse unknown names, and none at all
+    built_for = tuple(target.folder for target in targets((*HOST, *platforms)))
     used = USED.copy()
     kept = unfinished(output)
-    job = Job(study=study, path=path, progress=progress, kept=kept)
+    job = Job(study=study, path=path, progress=progress, kept=kept, platforms=built_for)
     with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
         with folder_written_whole(output) as folder:
-            run = score_study(job, folder, platforms=platforms, accepted=accepted)
+            run = score_study(job, folder, accepted=accepted)
             models, records = run.models, run.records
             tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
             simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
@@ -88,7 +90,7 @@ def run_study(
             body = PageBody.of(run.robot, run.rigid_body)
             audits = of_each(
                 models,
-                partial(_documented, run.fmus, found, platforms=platforms, body=body),
+                partial(_documented, run.fmus, found, platforms=built_for, body=body),
                 partial(job.progress, "documenting FMUs"),
             )
             words = verdict(
@@ -103,7 +105,7 @@ def run_study(
             )
             write_verdict(folder, words)
             made = dict(models) | recommended(
-                words, models, folder, audits, found, platforms=platforms, body=body
+                words, models, folder, audits, found, platforms=built_for, body=body
             )
             following = job.following(run, made, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
@@ -119,6 +121,7 @@ def run_study(
         following=following,
         truths=truths,
         truth=(study.twin and study.twin.truth) or "",
+        platforms=built_for,
         cached=since(used),
     )
 
@@ -148,9 +151,7 @@ def _report(
     compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
 
 
-def score_study(
-    job: Job, folder: Path, *, platforms: Sequence[str] = ("linux64",), accepted: Sequence[str] = ()
-) -> Scored:
+def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scored:
     """Identify, fit, write the FMUs into an existing folder and score them; see `run_study`."""
     study, model = job.study, Robot(job.robot)
     files = job.log_files(folder)
@@ -191,7 +192,7 @@ def score_study(
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
     of_each(
         models,
-        lambda law, fitted: export_bare(fitted, fmus[law], platforms=platforms),
+        lambda law, fitted: export_bare(fitted, fmus[law]),
         partial(job.progress, "building FMUs"),
     )
     comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
@@ -262,6 +263,6 @@ def _command(study: Path, platforms: Sequence[str], *, quick: bool) -> str:
     words = ["hesr run"]
     if study.resolve() != default.resolve():
         words.append(study.name if study.is_absolute() else study.as_posix())
-    if list(platforms) != ["linux64"]:
+    if set(platforms) != set(DEFAULT_PLATFORMS):
         words += [f"--platform {platform}" for platform in platforms]
     return " ".join([*words, "--quick"] if quick else words)

@@ -28,6 +28,7 @@ from cosim.study.scores import (
     within,
 )
 from cosim.study.study import Part, Study
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
@@ -76,6 +77,7 @@ class Job:
     path: Path
     progress: Stages
     kept: Path | None = None  # checkpoints of an interrupted run
+    platforms: Sequence[str] = HOST  # of the FMUs, except for MuJoCo's arm
 
     def __post_init__(self) -> None:
         study = self.study
@@ -229,7 +231,15 @@ class Job:
         plant, signals = twin_plant(self.study.twin, self.path, folder)
         assert signals is not None  # `Study` requires them with `tracking`
         outcome = run_loop(
-            run, self.study.tracking, plant, signals, folder, self.kept, self.progress, quick=quick
+            run,
+            self.study.tracking,
+            plant,
+            signals,
+            folder,
+            self.kept,
+            self.progress,
+            quick=quick,
+            platforms=self.platforms,
         )
         write_json(folder / "closed_loop.json", to_json(outcome))
         if outcome.findings:

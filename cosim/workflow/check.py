@@ -51,6 +51,8 @@ class FmuReport(Answer):
             lines += own[:most]
             if len(own) > len(own[:most]):
                 lines.append(f"  {len(own) - len(own[:most])} more: --verbose lists them.")
+            if report.coverage:
+                lines.append(f"  platforms: {report.coverage}")
             lines += [f"  not run: {reason}" for reason in report.skipped]
         return lines
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -85,12 +86,13 @@ def export(
         for MuJoCo), mujoco-plugin (a library with the law itself, and MJCF that loads it into a
         scene), modelica, c (one header without FMI), torch or jax (one batched, differentiable
         file), ssv (coefficients and covariance as a parameter set of SSP). Of an arm: fmu
-        (default), or python-arm for hosts with Python, HESR and MuJoCo. Of a system: ssp, or fmu
-        for one FMU that holds it; by default the suffix of the output decides. Of results or a
-        study, which is run with its quick laws: loop (all FMUs of the closed loop, the system as
-        SSP and TOML, and a script that runs it with FMPy and NumPy).
+        (default), or python-arm for hosts with Python, HESR and MuJoCo. Of a system: ssp. Of
+        results or a study, which is run with its quick laws: loop (all FMUs of the closed loop,
+        the system as SSP and TOML, and a script that runs it with FMPy and NumPy).
     platform : sequence of str, optional
-        Platforms of an FMU: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
+        Platforms of an FMU: linux64, win64, darwin64, aarch64-linux or all; repeatable; by default
+        linux64, win64 and that of this machine. The FMU of an arm has that of this machine only by
+        default: MuJoCo for other platforms must be downloaded.
     progress : callable, optional
         Called with stage, steps done and steps in total.
 
@@ -216,6 +218,7 @@ def _write_arm(model: Path, to: _Request) -> None:
     """Write the arm of an MJCF or URDF."""
     from fmu_src.arm.native import export_mjcf
     from fmu_src.arm.python_arm.export import export_python_arm
+    from fmu_src.export.toolchain import HOST
 
     _refuse_others(to.given, _OF_ARMS, "friction laws, not for a robot")
     signals, format_ = to.given.get("signals"), to.format or "fmu"
@@ -227,7 +230,7 @@ def _write_arm(model: Path, to: _Request) -> None:
             raise ArgumentError("'format' is python-arm, which needs an MJCF; omit it for a URDF.")
         export_python_arm(model, signals, to.output)
     elif format_ == "fmu":
-        platforms = to.platform or ("linux64",)
+        platforms = HOST if to.platform is None else to.platform
         progress = partial(to.progress, f"building {to.output.name}")
         export_mjcf(model, to.output, table=signals, platforms=platforms, progress=progress)
     else:
@@ -242,34 +245,46 @@ def _write_loop(source: Path, to: _Request) -> None:
     from cosim.loop.traces import copy_loops
     from cosim.study.run import run_study
     from cosim.study.study import Study
+    from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
     _refuse_others(to.given, (), "other formats than loop")
     if to.platform is not None:
-        raise ArgumentError("'platform' is for single FMUs; a loop is built for linux64.")
+        raise ArgumentError(
+            "'platform' is for single FMUs; those of a loop have the platforms of its run: "
+            "'hesr run --platform'."
+        )
     if source.is_dir():
         copy_loops(source, to.output)
         return
     if Study.read(source).tracking is None:
         raise ArgumentError(f"{source}: has no [tracking], which a loop needs; add it, and [twin].")
     with scratch_folder() as folder:
-        run_study(source, folder / "results", quick=True, progress=to.progress)
+        run_study(
+            source,
+            folder / "results",
+            platforms=DEFAULT_PLATFORMS,
+            quick=True,
+            progress=to.progress,
+        )
         copy_loops(folder / "results", to.output)
 
 
 def _write_system(system: Path, to: _Request) -> None:
-    """Write a system of FMUs as an SSP or as one FMU."""
+    """Write a system of FMUs as an SSP."""
     from cosim.systems.system import opened_system
 
     _refuse_others(to.given, _OF_SYSTEMS, "friction laws, not for a system")
     if to.platform is not None:
         raise ArgumentError("'platform' is for FMUs; a system contains built ones.")
-    kind = to.format or ("fmu" if to.output.suffix.lower() == ".fmu" else "ssp")
-    if kind not in ("fmu", "ssp"):
-        raise ArgumentError(f"'format' is {kind}; a system becomes an SSP (ssp) or an FMU (fmu).")
-    if kind == "fmu" and "ssp" in to.given:
-        raise ArgumentError("'ssp' is the version of a file in .ssp; the output is an FMU.")
+    if "fmu" in (to.format, to.output.suffix.lower().removeprefix(".")):
+        raise ArgumentError(
+            "HESR writes systems as SSP (.ssp), not as one FMU: such a container has a coupling of "
+            "its own. docs/exports.md names tools that build one from the SSP."
+        )
+    if to.format not in (None, "ssp"):
+        raise ArgumentError(f"'format' is {to.format}; a system becomes an SSP (ssp).")
     with opened_system(system) as spec:
-        if note := plugins.find("hesr.systems", kind)(spec, system, to.output, **to.given):
+        if note := plugins.find("hesr.systems", "ssp")(spec, system, to.output, **to.given):
             _log.warning("%s", note)
 
 
@@ -277,8 +292,10 @@ def _write_law(law: LawArg, to: _Request) -> None:
     """Write a friction law, or copy the cached FMU of the same file."""
     from fmu_src import model_file
     from fmu_src.export.cache import copied, exported
+    from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
     output, format_, given = to.output, to.format or "fmu", dict(to.given)
+    platforms = list(DEFAULT_PLATFORMS if to.platform is None else to.platform)
     plain = all(isinstance(value, str | int | float) for value in given.values())
     if (
         isinstance(law, str | Path)
@@ -286,7 +303,7 @@ def _write_law(law: LawArg, to: _Request) -> None:
         and not ({"robot", "rigid_body", "band"} & given.keys())
     ):
         # Options that are kept were accepted; nothing slow is imported to copy.
-        known = {**given, "platforms": list(to.platform or ("linux64",))}
+        known = {**given, "platforms": platforms}
         if copied(model_file(str(law)), {**known, "format": format_, "body": None}, output):
             return
     from cosim.workflow import arguments
@@ -299,7 +316,7 @@ def _write_law(law: LawArg, to: _Request) -> None:
     writer = formats[format_].load()
     taken = inspect.signature(writer).parameters
     if to.platform is not None or "platforms" in taken:
-        given["platforms"] = list(to.platform or ("linux64",))
+        given["platforms"] = platforms
     if format_ == "drive" and "rigid_body" in given and "robot" not in given:
         given = _motors(given.pop("rigid_body")) | given
     for option in given:
@@ -409,12 +426,46 @@ def further_options() -> list[inspect.Parameter]:
 
 
 def answer(path: Path, output: PathArg | None) -> Answer:
-    """Return the answer of an export: the file and the tools that read it."""
+    """Return the answer of an export: the file, the tools that read it, and what they must know."""
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     size = sum(file.stat().st_size for file in files) / 1024.0
     lines = [f"{_TOOLS.get(path.suffix.lower(), 'File for other tools')}, {size:.0f} KiB."]
+    if path.suffix.lower() == ".fmu":
+        lines.append(_platform_line(path))
+    elif path.suffix.lower() == ".ssp":
+        lines.append(_coupling_line(path))
+    elif path.is_dir():
+        lines.append(_coupling_line(path / "closed_loop.toml", _DELAY_OF_LOOP))
     return Written(format="hesr-export-1", lines=lines, data=str(path), files=written_files(output))
 
+
+def _platform_line(fmu: Path) -> str:
+    """Return the platforms of an FMU, and how a missing one for Windows is added."""
+    with zipfile.ZipFile(fmu) as archive:
+        names = [name.split("/") for name in archive.namelist() if name.startswith("binaries/")]
+    platforms = list(dict.fromkeys(folder for _, folder, *_ in names))
+    if not platforms:  # of Python
+        return "Platforms: those of Python."
+    windows = any(name in ("win64", "x86_64-windows") for name in platforms)
+    remedy = "" if windows else "; tools on Windows need --platform win64 as well"
+    return f"Platforms: {', '.join(platforms)}{remedy}."
+
+
+def _coupling_line(system: Path, effect: str = "") -> str:
+    """Return the declared coupling of a system, and what engines do instead."""
+    from cosim.systems.system import opened_system
+
+    with opened_system(system) as spec:
+        if spec.order == "jacobi" or not spec.connections:
+            return f"Coupling: {spec.order}, as in other engines."
+    return (
+        "Coupling: gauss_seidel, in 'hesr simulate' and simulate.py. Jacobi engines (libcosim, "
+        f"OMSimulator) pass each value on a step later{effect}: see docs/import.md."
+    )
+
+
+_DELAY_OF_LOOP = " and track 2.5 to 6 times worse, unless 'preview' is a step longer"
+"""Measured with the shipped loop, see docs/import.md."""
 
 _TOOLS = {
     "": "FMUs of a closed loop with simulate.py, for FMPy, and its SSP",

@@ -12,6 +12,7 @@ from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shor
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, models_folder, path_of
 from hesr_model.support.progress import Interrupted, Stages, silent
+from hesr_model.support.text import few
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
@@ -51,9 +52,19 @@ class RunResult(Answer):
             lines.append(loop.benefit(self.outcome.following, self._sliding))
         if count := len(self.findings):
             lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")
-        lines.append(f"FMUs: {self.folder / 'fmus'}")
+        lines.append(f"FMUs: {self.folder / 'fmus'}, {self._platforms}")
         lines.append(f"Report: {self.folder / 'report.html'}")
         return shortened(lines)
+
+    @property
+    def _platforms(self) -> str:
+        """Platforms of the FMUs, in words."""
+        from fmu_src.export.toolchain import HOST
+
+        built_for = few(self.outcome.platforms)
+        if self.outcome.study.twin is None:
+            return f"for {built_for}"
+        return f"for {built_for} (Arm.fmu with MuJoCo: {HOST[0]} only)"
 
     @property
     def _sliding(self) -> Sequence[bool]:
@@ -124,7 +135,7 @@ def run(
     study: PathArg | None = None,
     *,
     output: PathArg | None = None,
-    platform: Sequence[str] = ("linux64",),
+    platform: Sequence[str] | None = None,
     quick: bool = False,
     seeds: None = None,
     accept: Sequence[str] = (),
@@ -137,7 +148,7 @@ def run(
     study: PathArg | None = None,
     *,
     output: PathArg | None = None,
-    platform: Sequence[str] = ("linux64",),
+    platform: Sequence[str] | None = None,
     quick: bool = False,
     seeds: int,
     accept: Sequence[str] = (),
@@ -149,7 +160,7 @@ def run(
     study: PathArg | None = None,
     *,
     output: PathArg | None = None,
-    platform: Sequence[str] = ("linux64",),
+    platform: Sequence[str] | None = None,
     quick: bool = False,
     seeds: int | None = None,
     accept: Sequence[str] = (),
@@ -167,8 +178,10 @@ def run(
         twin.
     output : path, optional
         Folder of the results; by default results/NAME.
-    platform : sequence of str
-        Platforms of the FMUs: linux64 (default), win64, darwin64, aarch64-linux or all; repeatable.
+    platform : sequence of str, optional
+        Platforms of the FMUs: linux64, win64, darwin64, aarch64-linux or all; repeatable; by
+        default linux64, win64 and that of this machine, which is always included. The arm of a
+        digital twin, with MuJoCo inside, has that of this machine only.
     quick : bool
         Stribeck, LuGre and ParFam-H only, in closed loop on one motion, without physics checks;
         figures of the report neither zoom nor are files until 'hesr report' is run.
@@ -206,6 +219,7 @@ def run(
     from cosim.study.results import read_findings
     from cosim.study.run import run_study, unfinished
     from cosim.study.study import Study
+    from fmu_src.export.toolchain import DEFAULT_PLATFORMS
     from hesr_model.fitting.estimator import laws_with
     from hesr_model.support.typed_files import to_json, write_json
 
@@ -215,7 +229,7 @@ def run(
         path = shipped
     if job := find_job(path, "run"):
         given = {"quick": quick, "seeds": seeds, "accept": accept}
-        given["platform"] = tuple(platform) != ("linux64",)
+        given["platform"] = platform is not None
         return job.run(path, output=output and Path(output), progress=progress, **given)
     folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
     if seeds is not None:
@@ -228,7 +242,12 @@ def run(
         return spread
     try:
         outcome = run_study(
-            path, folder, platforms=platform, quick=quick, accepted=accept, progress=progress
+            path,
+            folder,
+            platforms=DEFAULT_PLATFORMS if platform is None else platform,
+            quick=quick,
+            accepted=accept,
+            progress=progress,
         )
     except KeyboardInterrupt as interrupt:
         kept = unfinished(folder)

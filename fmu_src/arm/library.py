@@ -6,11 +6,11 @@ import zipfile
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from platform import machine
 
 import mujoco
 
 from fmu_src.export.package import Binary
+from fmu_src.export.toolchain import host_platform
 from hesr_model.errors import ExportError
 from hesr_model.support.files import scratch_folder
 
@@ -48,19 +48,12 @@ _WHEELS = {
     ),
     "aarch64-linux": _linux("aarch64"),
 }
-_PLATFORMS = {
-    "linux x86_64": "linux64",
-    "linux aarch64": "aarch64-linux",
-    "win32 AMD64": "win64",
-    "darwin x86_64": "darwin64",
-    "darwin arm64": "darwin64",
-}
 
 
 def library(platform: str) -> Binary:
     """Return MuJoCo for a platform, to compile against and to ship; ExportError if unavailable."""
     wheel = _WHEELS[platform]
-    own = installed() if platform == _own_platform() else []
+    own = installed() if platform == host_platform() else []
     name, content = (own[-1].name, own[-1].read_bytes()) if own else _downloaded(platform, wheel)
     include = (f"-isystem{Path(mujoco.__file__).parent / 'include'}",)
     return Binary(name=wheel.place + name, content=content, flags=include, link=wheel.flags)
@@ -68,12 +61,8 @@ def library(platform: str) -> Binary:
 
 def installed() -> list[Path]:
     """Return the library files of this machine in MuJoCo's package, normally one."""
-    platform = _own_platform()
+    platform = host_platform()
     return sorted(Path(mujoco.__file__).parent.glob(_WHEELS[platform].pattern)) if platform else []
-
-
-def _own_platform() -> str:
-    return _PLATFORMS.get(f"{sys.platform} {machine()}", "")
 
 
 def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:

@@ -26,6 +26,7 @@ from fmu_src.arm.table import (
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface, literal
 from fmu_src.export.package import Content, check_request, own_source, write_fmu
+from fmu_src.export.toolchain import HOST
 from fmu_src.pages.block_page import BlockPage, block_html
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
@@ -160,7 +161,7 @@ def export_mjcf(
     path: Path,
     *,
     table: Path | SignalTable | ArmSignals | None = None,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     progress: Progress = silent,
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo."""
@@ -182,7 +183,7 @@ def model_name(model: Any, path: Path) -> str:
 
 
 def arm(
-    signals: ArmSignals, *, name: str, source: bytes, platforms: Sequence[str] = ("linux64",)
+    signals: ArmSignals, *, name: str, source: bytes, platforms: Sequence[str] = HOST
 ) -> Content:
     """Return the FMU of a model for folders of binaries; `source` is its MJCF, as documentation.
 

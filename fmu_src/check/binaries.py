@@ -2,7 +2,7 @@
 
 import posixpath
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -86,6 +86,9 @@ PLATFORMS: Mapping[int, Mapping[str, Platform]] = {
 }
 """Platforms by version of FMI."""
 
+_SYSTEMS = {"ELF": "Linux", "PE": "Windows", "Mach-O": "macOS"}
+"""Operating system by format of libraries."""
+
 # Libraries that every installation of an operating system has.
 _ELF = re.compile(
     r"(libc|libm|libdl|libpthread|librt|libutil|libresolv|libgcc_s|libstdc\+\+|libc\+\+|"
@@ -149,6 +152,23 @@ def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
         for platform in _by_platform(contents)
         if platform not in PLATFORMS[about.fmi]
     ]
+
+
+def platforms(contents: Contents) -> tuple[str, ...]:
+    """Return the known platforms that have a library."""
+    libraries = {
+        folder: {posixpath.splitext(name)[1] for name in names if "/" not in name}
+        for folder, names in _by_platform(contents).items()
+    }
+    known = {**PLATFORMS[2], **PLATFORMS[3]}
+    return tuple(name for name, of in known.items() if of.suffix in libraries.get(name, ()))
+
+
+def systems_without(names: Iterable[str]) -> list[str]:
+    """Return the operating systems without a binary, for the platforms that have one."""
+    known = {**PLATFORMS[2], **PLATFORMS[3]}
+    covered = {_SYSTEMS[known[name].format] for name in names}
+    return [system for system in _SYSTEMS.values() if system not in covered]
 
 
 def _by_platform(contents: Contents) -> dict[str, set[str]]:

@@ -27,11 +27,24 @@ _OTHER_XML = (TERMINALS, _BUILD)
 
 @dataclass(frozen=True)
 class Report:
-    """Findings of all checks in one FMU, and reasons for validators that were not run."""
+    """Findings of all checks in one FMU, and reasons for validators that were not run.
+
+    `platforms` are those that have a binary; for an SSP, those of all its FMUs.
+    """
 
     path: Path
     problems: tuple[Finding, ...]
     skipped: tuple[str, ...]
+    platforms: tuple[str, ...] = ()
+
+    @property
+    def coverage(self) -> str:
+        """Platforms that have a binary, and operating systems that have none; "" if none is."""
+        if not self.platforms:
+            return ""
+        without = binaries.systems_without(self.platforms)
+        lack = f"; no binary for tools on {' and '.join(without)}" if without else ""
+        return f"{', '.join(self.platforms)}{lack}."
 
     @property
     def verdict(self) -> str:
@@ -50,6 +63,7 @@ class Report:
             "fmu": str(self.path),
             "problems": [to_json(finding) for finding in self.problems],
             "skipped": list(self.skipped),
+            "platforms": list(self.platforms),
         }
 
 
@@ -65,9 +79,13 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         files.mkdir()
         folder.mkdir()
         found = _Found(folder, vdmcheck, kinds)
-        found.check(archive.unpack(path, files))
+        contents = archive.unpack(path, files)
+        found.check(contents)
     return Report(
-        path=path, problems=tuple(errors_first(found.problems)), skipped=tuple(found.skipped)
+        path=path,
+        problems=tuple(errors_first(found.problems)),
+        skipped=tuple(found.skipped),
+        platforms=binaries.platforms(contents),
     )
 
 

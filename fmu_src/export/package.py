@@ -16,7 +16,7 @@ from uuid import UUID
 from fmu_src.export import description3
 from fmu_src.export.description import Description, to_xml
 from fmu_src.export.interface import NAME, Interface, to_c
-from fmu_src.export.toolchain import Target, build, targets
+from fmu_src.export.toolchain import HOST, Target, build, targets
 from fmu_src.run.reference_results import Stimuli, result_files
 from fmu_src.run.trust import remember
 from hesr_model.errors import ExportError
@@ -109,7 +109,7 @@ def write_fmu(
     content: Content,
     path: Path,
     *,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     progress: Progress = silent,
     fmi: Version = 2,
 ) -> Path:

@@ -1,7 +1,9 @@
 """C compiler: one for all targets, with the same bytes on every host."""
 
 import hashlib
+import platform
 import struct
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -64,6 +66,28 @@ TARGETS: Mapping[str, Target] = {
         Target("aarch64-linux", ".so", ("aarch64-linux-gnu.2.17",), _ELF),
     )
 }
+
+_HOSTS = {
+    "linux x86_64": "linux64",
+    "linux aarch64": "aarch64-linux",
+    "win32 AMD64": "win64",
+    "darwin x86_64": "darwin64",
+    "darwin arm64": "darwin64",
+}
+
+
+def host_platform() -> str | None:
+    """Return the target of this machine, None if there is none."""
+    return _HOSTS.get(f"{sys.platform} {platform.machine()}")
+
+
+HOST = (host_platform() or "linux64",)
+"""Default of functions that write an FMU."""
+
+# The systems of most importers. The two binaries for macOS would cost as much as both others
+# together, 2 CPU s for each new law, and a fifth more bytes.
+DEFAULT_PLATFORMS = tuple(name for name in TARGETS if name in ("linux64", "win64", *HOST))
+"""Default of the commands."""
 
 
 def targets(platforms: Sequence[str]) -> tuple[Target, ...]:

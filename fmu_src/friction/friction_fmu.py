@@ -13,6 +13,7 @@ from pathlib import Path
 from fmu_src.export import package
 from fmu_src.export.description import RELEASED, Description
 from fmu_src.export.interface import Interface
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction.discrete_fmu import (
     THERMAL_LINES,
     THERMAL_TORQUE,
@@ -44,7 +45,7 @@ def export_fmu(
     model: FrictionModel,
     path: Path,
     *,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     properties: Properties | None = None,
     audit: ModelAudit | None = None,
     power: bool = False,

@@ -14,6 +14,7 @@ from fmu_src.equations.header import SOLVER_OF_ALL, Joint, equations_header, pre
 from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_component import (
     adding,
@@ -319,7 +320,7 @@ def export_plant(
     ki: Sequence[float] | None = None,
     kp: Sequence[float] | None = None,
     tool: bool = False,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     progress: Progress = silent,
     fmi: Version = 2,
     bare: bool = False,

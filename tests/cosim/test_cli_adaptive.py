@@ -39,6 +39,7 @@ def test_an_adaptive_fmu_is_exported(tmp_path: Path, capsys, monkeypatch) -> Non
         assert (answer.code, answer.err.strip()) == (2, f"hesr: {sentence}")
     answer = hesr("export", law, "--format", "adaptive", "-o", fmu)
     assert answer.code == 0, answer.err
+    assert "\nPlatforms: linux64, win64.\n" in answer.out
     assert {v.name for v in read_model_description(fmu).modelVariables} >= {"level[1]", "adapt"}
 
 

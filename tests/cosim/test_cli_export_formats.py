@@ -43,7 +43,7 @@ def test_a_drive_is_exported(hesr, tmp_path):
     )
     assert answer.code == 0, answer.err
     assert answer.out.startswith("FMU, for every tool that imports FMI, ")
-    assert answer.out.endswith(f" KiB.\nWritten: {fmu}\n")
+    assert answer.out.endswith(f" KiB.\nPlatforms: linux64, win64.\nWritten: {fmu}\n")
     with FmuInstance(fmu) as drive:
         drive.initialise()
         drive.set({"tau_motor[3]": 30.0})
@@ -59,7 +59,7 @@ def test_a_plant_is_exported_with_the_identified_body(hesr, study_run, tmp_path)
         given = ("--format", "plant", "--robot", uf850("robot.toml"), *more)
         answer = hesr("export", TABLE_1, *given, "-o", fmu)
         assert answer.code == 0, answer.err
-        assert answer.out.endswith(f" KiB.\nWritten: {fmu}\n")
+        assert answer.out.endswith(f" KiB.\nPlatforms: linux64, win64.\nWritten: {fmu}\n")
         with FmuInstance(fmu) as arm:
             arm.initialise(start={"tau[1]": 60.0})
             arm.step(0.0, 0.01)
@@ -88,7 +88,7 @@ def test_fmi_3_is_exported(hesr, tmp_path):
     fmu = tmp_path / "Friction.fmu"
     answer = hesr("export", TABLE_1, "--fmi", "3", "-o", fmu)
     assert answer.code == 0, answer.err
-    assert answer.out.endswith(f" KiB.\nWritten: {fmu}\n")
+    assert answer.out.endswith(f" KiB.\nPlatforms: x86_64-linux, x86_64-windows.\nWritten: {fmu}\n")
     with ZipFile(fmu) as archive:
         assert b'fmiVersion="3.0"' in archive.read("modelDescription.xml")
 

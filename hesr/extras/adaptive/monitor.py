@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.export.package import Content, Version, check_request, write_fmu
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction.discrete_fmu import THERMAL_LINES, discrete_equations, documented
 from fmu_src.friction.friction_fmu import about_model, bare_content
 from fmu_src.friction.validity import require_numbers
@@ -28,7 +29,7 @@ def export_adaptive(
     model: FrictionModel,
     path: Path,
     *,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     progress: Progress = silent,
     fmi: Version = 2,
     no_documentation: bool = False,

@@ -14,6 +14,7 @@ from fmu_src.equations.header import SOLVER, Joint, equations_header
 from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
@@ -194,7 +195,7 @@ def export_drive(
     stiffness: Sequence[float] | None = None,
     damping: Sequence[float] | None = None,
     ratio: Sequence[float] | None = None,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     progress: Progress = silent,
     fmi: Version = 2,
     bare: bool = False,

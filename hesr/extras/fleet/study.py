@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 from hesr_model.errors import ConfigError
 from hesr_model.logs.readers.formats import COLUMNS, format_of
 from hesr_model.support.text import quoted
@@ -42,7 +43,7 @@ class FleetStudy(Config):
     level: float = Field(default=0.05, gt=0.0, lt=1.0)  # adjusted significance
     least_change: float = Field(default=0.05, ge=0.0)  # share of friction
     fmu: bool = True  # export FMUs per type
-    platforms: tuple[str, ...] = ("linux64",)
+    platforms: tuple[str, ...] = DEFAULT_PLATFORMS
     types: Mapping[Name, RobotType] = Field(min_length=1)
 
 

@@ -11,6 +11,7 @@ from cosim.study.results import RUN, SavedRun
 from cosim.workflow import arguments
 from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
 from fmu_src.export import package
+from fmu_src.export.toolchain import HOST
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
 from fmu_src.plant.plant_fmu import PlantBody
@@ -47,7 +48,7 @@ def export_observer(
     calibration: Sequence[PathArg] | None = None,
     bandwidth: float = BANDWIDTH,
     torque_constants: Sequence[float] | None = None,
-    platforms: Sequence[str] = ("linux64",),
+    platforms: Sequence[str] = HOST,
     progress: Progress = silent,
     fmi: package.Version = 2,
 ) -> Path:

@@ -1,6 +1,6 @@
 """Checks of SSPs: archive, schemas, and the FMUs inside."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,12 +30,25 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         found = findings([*contents.problems, *_described(contents, folder)])
         if not any(finding.severity == "error" for finding in found):
             found += findings(_structure(path))
+        platforms: list[tuple[str, ...]] = []
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
                 inner = check(file, vdmcheck=vdmcheck)
+                platforms.append(inner.platforms)
                 found += [replace(one, found=f"{name}: {one.found}") for one in inner.problems]
                 skipped |= dict.fromkeys(f"{name}: {reason}" for reason in inner.skipped)
-    return Report(path=path, problems=tuple(errors_first(found)), skipped=tuple(skipped))
+    return Report(
+        path=path,
+        problems=tuple(errors_first(found)),
+        skipped=tuple(skipped),
+        platforms=_shared(platforms),
+    )
+
+
+def _shared(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the platforms of all FMUs."""
+    first, *others = platforms or [()]
+    return tuple(name for name in first if all(name in other for other in others))
 
 
 def _described(contents: Contents, folder: Path) -> Iterator[Problem]:

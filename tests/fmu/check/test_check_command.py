@@ -38,6 +38,7 @@ def bad(source_fmu, tmp_path):
 
 
 NO_VDMCHECK = "not run: VDMCheck2: vdmcheck2.jar is missing in .tools/vdmcheck2."
+PLATFORMS = "platforms: linux64; no binary for tools on Windows and macOS."
 PROBLEM = (
     "modelDescription.xml: it holds '/home/anna/x', a path of the machine where the FMU was built."
 )
@@ -45,7 +46,8 @@ PROBLEM = (
 
 def test_a_valid_fmu_passes(table1_fmu):
     found = hesr("check", table1_fmu)
-    assert found == Answer(0, [f"{table1_fmu}: no finding.", f"  {NO_VDMCHECK}"], "")
+    lines = [f"{table1_fmu}: no finding.", f"  {PLATFORMS}", f"  {NO_VDMCHECK}"]
+    assert found == Answer(0, lines, "")
 
 
 def test_problems_are_printed(source_fmu, bad, tmp_path):
@@ -63,7 +65,12 @@ def test_problems_are_printed(source_fmu, bad, tmp_path):
     assert [(f["where"], f["found"]) for f in written["findings"]] == [(str(bad), PROBLEM)]
     skipped = [NO_VDMCHECK.removeprefix("not run: ")]
     first, second = written["result"]
-    assert first == {"fmu": str(source_fmu), "problems": [], "skipped": skipped}
+    assert first == {
+        "fmu": str(source_fmu),
+        "problems": [],
+        "skipped": skipped,
+        "platforms": [],
+    }
     assert [(p["check"], p["found"]) for p in second["problems"]] == [("machine-path", PROBLEM)]
 
 
@@ -99,7 +106,8 @@ def test_an_fmu_is_required():
 def test_hostile_masters_are_simulated(make_law, make_model, tmp_path):
     fmu = export_fmu(make_model(make_law("lugre")), tmp_path / "F.fmu")
     found = hesr("check", fmu, "--kind", "hostile", "--json", tmp_path / "o.json")
-    assert found == Answer(0, [f"{fmu}: no finding.", f"  {NO_VDMCHECK}"], "")
+    lines = [f"{fmu}: no finding.", f"  {PLATFORMS}", f"  {NO_VDMCHECK}"]
+    assert found == Answer(0, lines, "")
     assert json.loads((tmp_path / "o.json").read_text(encoding="utf-8"))["passed"]
 
 
