@@ -1,4 +1,4 @@
-/* Libraries in the folder of this one. */
+/* Libraries in the folder of this one, on Windows. */
 #ifndef BESIDE_H
 #define BESIDE_H
 
@@ -7,8 +7,6 @@
 #include <string.h>
 
 static const char here = 0; /* an address in this library */
-
-#ifdef _WIN32
 
 /* Many names of the Windows headers clash with others. */
 #define WIN32_LEAN_AND_MEAN
@@ -43,35 +41,5 @@ static bool look_up(void *library, const char *name, void *pointer) {
     memcpy(pointer, &found, sizeof found);
     return found != NULL;
 }
-
-#else
-
-#include <dlfcn.h>
-
-static void *beside(const char *name) {
-    char path[4096];
-    Dl_info own;
-    if (!dladdr(&here, &own)) {
-        return NULL;
-    }
-    size_t folder = strlen(own.dli_fname);
-    while (folder > 0 && own.dli_fname[folder - 1] != '/') {
-        folder--;
-    }
-    if (folder + strlen(name) + 1 > sizeof path) {
-        return NULL;
-    }
-    memcpy(path, own.dli_fname, folder);
-    strcpy(path + folder, name);
-    return dlopen(path, RTLD_NOW | RTLD_LOCAL);
-}
-
-static bool look_up(void *library, const char *name, void *pointer) {
-    void *const found = dlsym(library, name);
-    memcpy(pointer, &found, sizeof found);
-    return found != NULL;
-}
-
-#endif
 
 #endif

@@ -23,6 +23,8 @@ if not path.is_file():
     fail("there is no such file.")
 system = tomllib.loads(path.read_text(encoding="utf-8"))
 step, slaves, variables = system["step"], {}, {}
+if (order := system.get("order", "gauss_seidel")) not in ("gauss_seidel", "jacobi"):
+    fail(f"order = '{order}' is not one of gauss_seidel, jacobi.")
 
 
 def end(signal):  # an FMU, and its variables q[1], q[2], .. for q
@@ -47,16 +49,19 @@ def start(signal, value):  # one value for all elements or one for each; a choic
     put(references, np.broadcast_to(value, len(references)).tolist())
 
 
-def feed(slave):  # sets the inputs of an FMU to the newest outputs of the others
-    for (into, inputs, _), (source, outputs, _) in links:
-        if into is slave:
-            slave.setReal(inputs, source.getReal(outputs))
+def feed(group):  # sets the inputs of FMUs to the newest outputs, which are all read before
+    wires = [(into, source) for into, source in links if into[0] in group]
+    values = [source[0].getReal(source[1]) for _, source in wires]
+    for ((slave, inputs, _), _), value in zip(wires, values, strict=True):
+        slave.setReal(inputs, value)
 
 
 with ExitStack() as stack:  # frees the FMUs, then removes the folder, also after an error
     folder = stack.enter_context(TemporaryDirectory())
     for part in system["components"]:
         name = part["name"]
+        if part.get("step", step) != step:
+            fail(f"'{name}' has its own step; only 'hesr simulate' supports that.")
         place = extract(path.parent / part["fmu"], Path(folder, name))
         about = read_model_description(place)
         slave = instantiate_fmu(place, about, "CoSimulation")
@@ -68,14 +73,18 @@ with ExitStack() as stack:  # frees the FMUs, then removes the folder, also afte
         slave.enterInitializationMode()
     links = [(end(into), end(out)) for into, out in system["connections"].items()]
     for slave in [*slaves.values()] * len(slaves):  # until the outputs agree
-        feed(slave)
+        feed([slave])
     for slave in slaves.values():
         slave.exitInitializationMode()
+    # In turn, the arm first, each with the newest outputs, or all with those before the step.
+    in_turn = [[slave] for slave in slaves.values()]
+    groups = in_turn if order == "gauss_seidel" else [[*slaves.values()]]
     rows, observed = [], [end(signal) for signal in system["observe"]]  # desired, true position
     for k in range(round(system["stop"] / step) + 1):
-        for slave in slaves.values() if k else ():  # in turn, the arm first
-            feed(slave)
-            slave.doStep((k - 1) * step, step)
+        for group in groups if k else ():
+            feed(group)
+            for slave in group:
+                slave.doStep((k - 1) * step, step)
         rows.append([k * step, *(x for slave, q, _ in observed for x in slave.getReal(q))])
     for slave in slaves.values():
         slave.terminate()

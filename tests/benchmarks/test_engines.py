@@ -1,7 +1,5 @@
 """Speed of the closed loop with the native arm in each engine."""
 
-import json
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -16,8 +14,6 @@ from interop.engines import ENGINES
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from cosim.systems.simulation import Master
-from hesr.extras.ssp.container import write_container
-from hesr.extras.ssp.contents import read_contents
 from hesr_model.support.files import models_folder
 
 sys.path.append(str(Path(__file__).parents[1] / "interop"))
@@ -28,7 +24,6 @@ Tell = Callable[[str], None]
 
 GROUP = "10 s of the closed loop at 200 Hz in each engine"
 TOOLS = Tools(folder=Path(__file__).parents[2] / ".tools/interop")
-STEPPED = Path(__file__).with_name("stepped.py")
 ROUNDS = 3
 
 
@@ -91,34 +86,6 @@ def test_our_master(
 
         benchmark.pedantic(run, rounds=ROUNDS, warmup_rounds=1)
     told("our master", seconds, closed.spec.stop)
-
-
-@pytest.mark.parametrize(
-    "way", ["one call for all", "a call for each step", "a call for each step, all outputs read"]
-)
-def test_the_loop_as_one_fmu(
-    way: str,
-    closed: Together,
-    benchmark: BenchmarkFixture,
-    told: Callable[[str, list[float], float], None],
-    tmp_path: Path,
-) -> None:
-    """Target: 200 times real time on one core."""
-    spec = closed.spec
-    fmu = write_container(read_contents(spec, tmp_path / "closed"), tmp_path / "closed.fmu")
-    steps = 1 if way == "one call for all" else spec.steps
-    outputs = list(closed.signals) if way.endswith("read") else []
-    seconds: list[float] = []
-
-    def run() -> None:
-        command = [sys.executable, STEPPED, fmu, spec.stop, steps, ROUNDS, *outputs]
-        done = subprocess.run(
-            [str(part) for part in command], capture_output=True, text=True, check=True
-        )
-        seconds.extend(json.loads(done.stdout))
-
-    benchmark.pedantic(run, rounds=ROUNDS)
-    told(f"the loop as one FMU, FMPy's container, {way} (aim 200)", seconds, spec.stop)
 
 
 def test_the_physics_alone(

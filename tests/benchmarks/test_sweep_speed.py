@@ -1,4 +1,4 @@
-"""Speed of many loops compared with MuJoCo's own steps, steps in Python, and FMPy per task."""
+"""Speed of many loops compared with MuJoCo's own steps, and steps in Python."""
 
 import os
 import threading
@@ -12,14 +12,11 @@ import numpy as np
 import psutil
 import pytest
 from closed_loop import Bench, build
-from fmpy import simulate_fmu
 
 from cosim.loop.closed_loop import Scheme
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, write_system
 from fmu_src import model_file
-from hesr.extras.ssp.container import write_container
-from hesr.extras.ssp.contents import read_contents
 from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
 
@@ -124,29 +121,6 @@ def test_loops_in_c(bench: Bench, spec: SystemSpec, tell: Tell) -> None:
     tell(
         f"{shown}; in C {found['Python'] / found['C']:.2f} times as fast as in Python (aim 1.7), "
         f"{found['C'] / found['MuJoCo']:.2f} times MuJoCo's steps (aim 1.6)"
-    )
-
-
-def test_a_sweep_compared_with_fmpy_per_task(spec: SystemSpec, tell: Tell, tmp_path: Path) -> None:
-    """Target: 4 times as many loops as simulate_fmu of the container, reloaded each time."""
-    observed = spec.model_copy(update={"observe": ("arm.q_true", "trajectory.q")})
-    container = write_container(read_contents(observed, tmp_path / "loop"), tmp_path / "loop.fmu")
-    study = written(tmp_path, spec, 400)
-    swept = spent(lambda: run_sweep(study, tmp_path / "out", workers=1)) / 400
-    task = min(
-        spent(
-            lambda: simulate_fmu(
-                str(container),
-                stop_time=spec.stop,
-                output_interval=spec.step,
-                start_values={"arm.payload": 1.0},
-            )
-        )
-        for _ in range(5)
-    )
-    tell(
-        f"a run of a sweep {1e3 * swept:.0f} ms with all overheads, simulate_fmu of the container "
-        f"{1e3 * task:.0f} ms: {task / swept:.1f} times (aim 4)"
     )
 
 

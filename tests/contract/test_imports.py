@@ -39,7 +39,6 @@ ONLY_IN = {
         "fmu_src/check/*",
         "hesr/extras/hostile/scenarios.py",
         "fmu_src/export/package.py",
-        "hesr/extras/ssp/container.py",
     ),
     "lief": ("fmu_src/check/*",),
     "lxml": ("fmu_src/check/*",),

@@ -160,7 +160,6 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
         (("simulate", "loop.ssp"), "system format 'ssp-reader' is not installed."),
         (("check", "loop.ssp"), "system format 'ssp-check' is not installed."),
         (("export", "system.toml", "-o", "loop.ssp"), "system format 'ssp' is not installed."),
-        (("export", "system.toml", "-o", "loop.fmu"), "system format 'fmu' is not installed."),
     ],
 )
 def test_parts_of_extras_are_refused(

@@ -108,7 +108,6 @@ def test_a_full_disk_is_one_sentence(full: Path, lag_fmu: Path, tmp_path: Path, 
         ("out.csv", "simulate", system, "-o"),
         ("out.parquet", "simulate", system, "-o"),
         ("out.ssp", "export", system, "-o"),
-        ("Out.fmu", "export", system, "-o"),
         ("run.csv", "simulate", study, "--only", 1, "-o"),
         ("check.json", "check", lag_fmu, "--kind", "references", "--quiet", "--json"),
         ("model.h", "export", "uf850-table1", "--format", "c", "-o"),  # and model.csv

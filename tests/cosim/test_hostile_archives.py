@@ -58,7 +58,6 @@ def commands(fmu: Path) -> list[tuple[object, ...]]:
     return [
         ("simulate", system, "-o", folder / "out.csv"),
         ("export", system, "-o", folder / "out.ssp"),
-        ("export", system, "-o", folder / "out.fmu"),
         ("test", fmu, "--kind", "properties", "--json", folder / "out.json"),
         ("check", fmu, "--kind", "convention", "--json", folder / "out.json"),
     ]

@@ -24,6 +24,7 @@ from cosim.loop.loops import assemble
 from cosim.loop.run import on_plant, write_loops
 from cosim.study.study import Study
 from cosim.systems.simulation import Master, System
+from cosim.workflow.export import answer
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
@@ -36,7 +37,7 @@ from hesr_model.support.files import models_folder
 UF850 = models_folder() / "uf850"
 
 FILES = {"closed_loop.toml", "closed_loop.ssp", "plant_loop.toml", "plant_loop.ssp", "simulate.py"}
-MOST_LINES = 90
+MOST_LINES = 96
 ALIKE = 0.02  # relative difference of the RMSE with both plants
 QUIET = {"q_noise": (0.0, 0.0, 0.0), "tau_meas_noise": (0.0, 0.0, 0.0)}
 
@@ -126,6 +127,73 @@ def test_the_script_gives_the_motion_of_hesr(name: str, q: str, loop: Path, bare
         whole = np.column_stack([run.t, run.vector("trajectory.q"), run.vector(q)])
         np.testing.assert_array_equal(found, whole)
     assert np.ptp(found[:, 4:], axis=0).min() > 0.01
+
+
+def tracking_error(path: Path) -> np.ndarray:
+    run = System.read(path).run()
+    q = "arm.q_true" if "arm.q_true[1]" in run.signals else "arm.q"
+    difference = run.vector("trajectory.q") - run.vector(q)
+    return np.asarray(np.sqrt(np.mean(difference**2, axis=0)))
+
+
+@pytest.mark.ci
+def test_the_script_has_the_declared_coupling(loop: Path, bare: Path, tmp_path: Path) -> None:
+    path = short_loop(loop, tmp_path, 'order = "gauss_seidel"', 'order = "jacobi"')
+    found = script(loop, bare, str(path))
+    run = System.read(path).run()
+    whole = np.column_stack([run.t, run.vector("trajectory.q"), run.vector("arm.q_true")])
+    np.testing.assert_array_equal(found, whole)
+    other = System.read(short_loop(loop, tmp_path)).run()
+    assert np.abs(other.vector("arm.q_true") - whole[:, 4:]).max() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('"gauss_seidel"', '"waveform"', "order = 'waveform' is not one of gauss_seidel, jacobi."),
+        (
+            '"arm"\n',
+            '"arm"\nstep = 0.01\n',
+            "'arm' has its own step; only 'hesr simulate' supports that.",
+        ),
+    ],
+)
+def test_the_script_refuses_couplings(
+    old: str, new: str, sentence: str, loop: Path, bare: Path, tmp_path: Path
+) -> None:
+    path = short_loop(loop, tmp_path, old, new)
+    said = start_script(loop, bare, str(path))
+    assert (said.returncode, said.stdout, said.stderr) == (2, "", f"{path}: {sentence}\n")
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", ["closed_loop", "plant_loop"])
+def test_jacobi_engines_need_a_longer_preview(name: str, loop: Path, tmp_path: Path) -> None:
+    """As docs/import.md says: each value is a step late, and so is the motion."""
+    text = (loop / f"{name}.toml").read_text(encoding="utf-8").replace('"fmus/', f'"{loop}/fmus/')
+    jacobi, mended = tmp_path / "jacobi.toml", tmp_path / "mended.toml"
+    late = text.replace('"gauss_seidel"', '"jacobi"')
+    assert late != text
+    jacobi.write_text(late, encoding="utf-8")
+    preview, step = (
+        float(re.search(rf'(?m)^"?{k}"? = (.*)$', text)[1]) for k in ("preview", "step")
+    )
+    longer = late.replace(f'"preview" = {preview}', f'"preview" = {preview + step}')
+    assert longer != late
+    mended.write_text(longer, encoding="utf-8")
+    in_turn = tracking_error(loop / f"{name}.toml")
+    delayed, ahead = (np.mean(tracking_error(path) / in_turn) for path in (jacobi, mended))
+    assert delayed > 1.5
+    assert ahead < 0.5 * delayed
+
+
+def test_the_export_states_the_coupling(loop: Path) -> None:
+    [_, line, _] = answer(loop, loop).summary().splitlines()[:3]
+    assert line == (
+        "Coupling: gauss_seidel, in 'hesr simulate' and simulate.py. Jacobi engines (libcosim, "
+        "OMSimulator) pass each value on a step later and track 2.5 to 6 times worse, unless "
+        "'preview' is a step longer: see docs/import.md."
+    )
 
 
 # Prints the calls of FMUs that end them, in the order of the calls.
@@ -287,7 +355,7 @@ def test_sources_without_a_loop_are_refused(study: Path, tmp_path: Path) -> None
     sentence = f"{study}: has no [tracking], which a loop needs; add it, and [twin]."
     with pytest.raises(ArgumentError, match=re.escape(sentence)):
         hesr.export(study, tmp_path / "loop", format="loop")
-    with pytest.raises(ArgumentError, match="a loop is built for linux64"):
+    with pytest.raises(ArgumentError, match="have the platforms of its run: 'hesr run --platform'"):
         hesr.export(study, tmp_path / "loop", format="loop", platform=["win64"])
 
 

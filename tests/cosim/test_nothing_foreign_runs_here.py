@@ -85,9 +85,6 @@ DEEDS: dict[str, Callable[[Path, Path, Path], Any]] = {
     "check": lambda fmu, _, __: hesr.check(fmu),
     "check an SSP": lambda fmu, ours, into: hesr.check(ssp(fmu, ours, into)),
     "check all": lambda fmu, _, __: hesr.check(fmu, kind=("static", "references", "hostile")),
-    "put into a container": lambda fmu, ours, into: hesr.export(
-        system(fmu, ours, into), into / "Loop.fmu"
-    ),
     "package": lambda fmu, ours, into: hesr.export(system(fmu, ours, into), into / "x.ssp"),
     "read": lambda fmu, _, __: hesr.Fmu(fmu).variables,
 }

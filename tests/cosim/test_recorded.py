@@ -15,7 +15,6 @@ from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.export.package import zip_members
 from fmu_src.run.reference_results import ROWS, TOLERANCE, Stimuli, result_files, verify
 from hesr.extras.drive.drive_fmu import export_drive
-from hesr.extras.ssp.container import write_container
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
 from hesr.extras.ssp.ssp_results import _run, verify_ssp
@@ -79,16 +78,6 @@ def test_results_of_the_trajectory_are_those_of_its_motion(bench: Bench) -> None
         for name, right in zip(("q", "dq", "ddq"), motion.sample(t), strict=True):
             own = vector(found, name + tail)
             np.testing.assert_allclose(own, right, atol=1e-11 * np.abs(right).max())
-
-
-def test_a_container_carries_results_of_the_system(bench: Bench, tmp_path: Path) -> None:
-    spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
-    contents = read_contents(spec.model_copy(update={"name": "closed"}), Path("closed.toml"))
-    fmu = write_container(contents, tmp_path / "Closed.fmu")
-    found = verify(fmu)
-    assert (found.problems, found.passed) == ([], BOTH)
-    moved = np.ptp(vector(table(fmu, "closed_ref.csv"), "arm.q_true"), axis=0)
-    assert moved.min() > 1e-3
 
 
 def test_a_drive_carries_results_in_motion(table1: FrictionModel, tmp_path: Path) -> None:

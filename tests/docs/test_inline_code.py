@@ -27,7 +27,7 @@ FOREIGN_OPTIONS = {
 FOREIGN_NAMES = {
     *("Extras", "Delay", "Interfaces"),  # menus of other tools
     *("oms_importFile", "oms_setVariableStepSize", "libOMSimulator"),
-    *("conda", "forge", "twine", "upload", "cuda"),
+    *("conda", "forge", "twine", "upload", "cuda", "fmucontainer"),
 }
 
 GENERATED_NAMES = {"band_floor", "band_slow", "friction_begin", "friction_side_by_side"}

@@ -1,1 +1,1 @@
-"""Systems of FMUs as SSPs and as one FMU, for other tools."""
+"""Systems of FMUs as SSPs, for other tools."""

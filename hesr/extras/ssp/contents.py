@@ -116,6 +116,10 @@ Version = Literal["1.0", "2.0"]  # SSP standard; the parts used here are equal
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 
+COUPLING_ANNOTATION = "hesr.coupling"
+"""Type of the annotation with the order of the coupling, which SSP does not define."""
+COUPLING = "urn:hesr:coupling:1"
+
 # Engines look for these prefixes, not for the namespaces.
 NAMESPACES = {
     "xmlns:ssc": f"{_STANDARD}Common",
@@ -127,7 +131,7 @@ UNIT_DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
 
 
 def text_of(kind: str, value: float | str) -> str:
-    """Return a value as in XML and JSON files, with all digits."""
+    """Return a value as in XML files, with all digits."""
     if kind == "String":
         return str(value)
     if kind == "Boolean":
@@ -135,10 +139,8 @@ def text_of(kind: str, value: float | str) -> str:
     return repr(float(value)) if kind == "Real" else str(int(value))
 
 
-def add_units(
-    parent: ET.Element, tag: str, units: Mapping[str, UnitExponents], prefix: str = "ssc:"
-) -> None:
-    """Add the definitions of units, if any; those of FMI have no prefix."""
+def add_units(parent: ET.Element, tag: str, units: Mapping[str, UnitExponents]) -> None:
+    """Add the definitions of units, if any."""
     if not units:
         return
     definitions = ET.SubElement(parent, tag)
@@ -148,8 +150,8 @@ def add_units(
             for key, value in zip(SI, base, strict=True)
             if float(value) != UNIT_DEFAULTS[key]
         }
-        unit = ET.SubElement(definitions, f"{prefix}Unit", name=name)
-        ET.SubElement(unit, f"{prefix}BaseUnit", said)
+        unit = ET.SubElement(definitions, "ssc:Unit", name=name)
+        ET.SubElement(unit, "ssc:BaseUnit", said)
 
 
 def parameter_set(

@@ -2,7 +2,11 @@
 
 The description keeps to the subset that FMPy, libcosim, ecos and OMSimulator read: one level, and
 connectors at components only, each connected or observed (FMPy requires a connection for every
-input with a connector). SSP has no steps; they are in annotations of the engines.
+input with a connector). SSP has no steps; they are in annotations of the engines. Nor has it an
+order of coupling: that of the system is in an annotation of ours, which `hesr simulate` reads and
+the engines ignore:
+
+    <ssc:Annotation type="hesr.coupling"><hesr:Coupling order="gauss_seidel" /></ssc:Annotation>
 """
 
 from importlib.metadata import version as installed
@@ -14,6 +18,8 @@ from fmu_src.export.description import to_bytes
 from fmu_src.export.package import zip_members
 from fmu_src.run.master import Element
 from hesr.extras.ssp.contents import (
+    COUPLING,
+    COUPLING_ANNOTATION,
     NAMESPACES,
     SSD,
     SystemContents,
@@ -37,6 +43,7 @@ OSP = "com.opensimulationplatform"
 _ENGINES = {
     "xmlns:oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "xmlns:hesr": COUPLING,
 }
 _TOLERANCE = "0.0001"  # required by OMSimulator; FMUs with a fixed step ignore it
 
@@ -105,7 +112,10 @@ def to_ssd(contents: SystemContents, version: Version) -> bytes:
                 endElement=target,
                 endConnector=into,
             )
-    master = _annotation(system, OMSIMULATOR)
+    annotations = ET.SubElement(system, "ssd:Annotations")
+    coupling = ET.SubElement(annotations, "ssc:Annotation", type=COUPLING_ANNOTATION)
+    ET.SubElement(coupling, "hesr:Coupling", order=spec.order)
+    master = ET.SubElement(annotations, "ssc:Annotation", type=OMSIMULATOR)
     for tag in ("oms:Annotations", "oms:SimulationInformation"):
         master = ET.SubElement(master, tag)
     ET.SubElement(

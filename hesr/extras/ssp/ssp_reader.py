@@ -14,7 +14,13 @@ from xml.etree import ElementTree as ET
 from cosim.systems.system import Conversion, SystemSpec
 from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
 from fmu_src.run.variables import Variables, model_description
-from hesr.extras.ssp.contents import NAMESPACES, SSD, read_units
+from hesr.extras.ssp.contents import (
+    COUPLING,
+    COUPLING_ANNOTATION,
+    NAMESPACES,
+    SSD,
+    read_units,
+)
 from hesr.extras.ssp.ssp_graph import (
     TRUE,
     ConnectorGraph,
@@ -34,6 +40,7 @@ from hesr_model.support.files import scratch_folder
 
 _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 _PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
+_COUPLING = f"ssd:Annotations/ssc:Annotation[@type='{COUPLING_ANNOTATION}']/{{{COUPLING}}}Coupling"
 # Steps in annotations of the engines, in any namespace because tools differ.
 _STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
 
@@ -121,6 +128,7 @@ class _Reader:
         return {
             "name": root.get("name", self.path.stem),
             **self.times(root, times),
+            **self.order(system),
             "components": [
                 {"name": of[place], "fmu": fmu, "start": self.start.get(place, {})}
                 | ({"step": self.steps[place]} if place in self.steps else {})
@@ -154,6 +162,11 @@ class _Reader:
         ]
         count = ceil((stop - begin) / min(steps) - 1e-6) if steps else _ROWS
         return {"begin": begin, "stop": stop, "step": (stop - begin) / max(count, 1)}
+
+    def order(self, system: ET.Element) -> dict[str, str]:
+        """Return the order of the coupling in our annotation; SSPs of other tools have none."""
+        coupling = _one(system, _COUPLING)
+        return {} if coupling is None else {"order": self.attribute(coupling, "order", SSD)}
 
     def elements(self, system: ET.Element, place: ElementPath, units: Mapping[str, Any]) -> None:
         """Read connectors and elements of a system, then its connections."""

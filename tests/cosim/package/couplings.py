@@ -52,29 +52,6 @@ def loaded(contents: SystemContents) -> Iterator[Slaves]:
         yield Slaves(contents=contents, slaves=slaves)
 
 
-def refreshed(contents: SystemContents, observed: list[Element], steps: int) -> Array:
-    """Step all, then pass values on in dependency order: FMPy's container.
-
-    Outputs of a step are read after all earlier values are passed on, so an output with direct
-    feedthrough uses the newest inputs. Returns the observed values at each instant.
-    """
-    sources = contents.wiring.sources
-    with loaded(contents) as slaves:
-
-        def pass_on() -> None:
-            for element in contents.wiring.order:
-                if element in sources:
-                    slaves.set(element, slaves.get(sources[element]))
-
-        slaves.start(pass_on)
-        rows = [[slaves.get(element) for element in observed]]
-        for k in range(steps):
-            slaves.step(k)
-            pass_on()
-            rows.append([slaves.get(element) for element in observed])
-    return np.array(rows)
-
-
 def delayed(contents: SystemContents, observed: list[Element], steps: int) -> Array:
     """Use the outputs of the previous step as inputs, zero in the first: FMPy's SSP runner.
 

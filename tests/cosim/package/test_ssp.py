@@ -1,5 +1,6 @@
 """Systems as SSP: valid, complete, and run by FMPy with the results of FMPy's own coupling."""
 
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from cosim.systems.simulation import System
 from cosim.systems.system import SystemSpec, opened_system
 from hesr.extras.ssp.contents import SystemContents, Version, read_contents
 from hesr.extras.ssp.ssp import write_ssp
+from hesr_model.errors import ConfigError
 
 Write = Callable[..., Path]
 
@@ -181,6 +183,54 @@ def test_an_ssp_is_read_back(either: SystemContents, tmp_path: Path) -> None:
         np.testing.assert_array_equal(got.signals[name], values)
 
 
+def with_coupling(path: Path, changed: Path, coupling: bytes) -> Path:
+    """Copy an SSP with another element in the place of its coupling."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(changed, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name.endswith(".ssd"):
+                content, count = re.subn(rb"<hesr:Coupling [^>]*/>", coupling, content)
+                assert count == 1
+            new.writestr(name, content)
+    return changed
+
+
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+def test_the_declared_coupling_is_read_back(
+    order: str, lags: Write, tmp_path: Path, hesr: Hesr
+) -> None:
+    """TOML and SSP give the same rows, other ones than the other order."""
+    path = lags(("step = 0.1", f'step = 0.1\norder = "{order}"'))
+    ssp = tmp_path / "lags.ssp"
+    assert hesr("export", path, "-o", ssp).code == 0
+    expected = System.read(path)
+    assert expected.spec.order == System.read(ssp).spec.order == order
+    rows = expected.run().signals["b.y"]
+    np.testing.assert_array_equal(System.read(ssp).run().signals["b.y"], rows)
+    swapped = {"gauss_seidel": b"jacobi", "jacobi": b"gauss_seidel"}[order]
+    element = b'<hesr:Coupling order="' + swapped + b'" />'
+    other = System.read(with_coupling(ssp, tmp_path / "other.ssp", element)).run()
+    assert np.abs(other.signals["b.y"] - rows).max() > 1e-3
+
+
+def test_an_unknown_coupling_is_refused(lags: Write, tmp_path: Path) -> None:
+    path = lags()
+    ssp = write_ssp(read_contents(SystemSpec.read(path), path), tmp_path / "lags.ssp")
+    waveform = b'<hesr:Coupling order="waveform" />'
+    changed = with_coupling(ssp, tmp_path / "other.ssp", waveform)
+    with pytest.raises(ConfigError, match=r"key 'order'.*gauss_seidel.*jacobi"):
+        System.read(changed)
+    with pytest.raises(ConfigError, match=r"attribute 'order' is missing"):
+        System.read(with_coupling(ssp, changed, b"<hesr:Coupling />"))
+
+
+def test_the_coupling_of_other_tools_is_gauss_seidel(lags: Write, tmp_path: Path) -> None:
+    """SSP does not define it; the order is that of the components in the file."""
+    path = lags(("step = 0.1", 'step = 0.1\norder = "jacobi"'))
+    ssp = write_ssp(read_contents(SystemSpec.read(path), path), tmp_path / "lags.ssp")
+    assert System.read(with_coupling(ssp, tmp_path / "o.ssp", b"")).spec.order == "gauss_seidel"
+
+
 def test_an_ssp_is_simulated(lags: Write, tmp_path: Path, hesr: Hesr) -> None:
     """Run from another folder, without any file of the system next to it."""
     path = lags()
@@ -206,5 +256,3 @@ def test_omissions_of_an_ssp_are_reported(lags: Write, tmp_path: Path, hesr: Hes
         "hesr: The SSP observes outputs only, not 'b.u', 'a.u', 'a.T', 'a.x', and has no limits of "
         "'a.y'.\n",
     )
-    answer = hesr("export", path, "-o", tmp_path / "lags.fmu")
-    assert (answer.code, answer.err) == (0, "")

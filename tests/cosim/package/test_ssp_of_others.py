@@ -533,10 +533,10 @@ def test_conversions_and_other_starts_are_not_exported(ssp: Any, tmp_path: Path)
     with pytest.raises(
         ConfigError, match=r"connection of 'b\.u': a conversion cannot be exported\."
     ):
-        hesr.export(path, tmp_path / "x.fmu")
+        hesr.export(path, tmp_path / "x.ssp")
     path = ssp(system(lag("a")), end=LATE)
     with pytest.raises(ConfigError, match=r"starts at 1 s; exports start at 0\."):
-        hesr.export(path, tmp_path / "x.fmu")
+        hesr.export(path, tmp_path / "x.ssp")
 
 
 @pytest.mark.ci  # starts many commands
