@@ -1,6 +1,7 @@
 """The page of the closed loop: its equations are those of the code, and its script is the loop."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,14 @@ def test_every_connection_of_the_script_is_in_the_table() -> None:
         assert block_name in row
 
 
+def test_the_script_is_short_and_needs_fmpy_and_numpy_only() -> None:
+    script = block("closed-loop.md", "python")
+    lines = [line for line in script.splitlines() if line.strip()]
+    assert len(lines) <= 45
+    imports = re.findall(r"(?m)^(?:from|import) (\w+)", script)
+    assert set(imports) <= {"fmpy", "numpy", *sys.stdlib_module_names}
+
+
 @pytest.mark.ci
 def test_the_script_is_the_loop(
     small_results: Path,
@@ -81,12 +90,24 @@ def test_the_script_is_the_loop(
     printed = capsys.readouterr().out.split("[mrad]: ")[1].split()
 
     spec = SystemSpec.read(folder / "closed_loop.toml")
+    known = {component.name: component.start for component in spec.components}
+    # The numbers of the page are those of the export.
+    assert [known["trajectory"]["preview"]] == names["MOTION"]["preview"]
+    assert [known["trajectory"]["rest_time"]] == names["MOTION"]["rest_time"]
+    assert known["controller"]["compensation"] == "servo_inversion"
+    for gain in ("Kv", "Ki"):
+        assert list(known["controller"][gain]) == names["CONTROL"][gain]
+    assert known["controller"]["sample_time"] == spec.step
     components = tuple(
         component if component.name == "gravity" else component.model_copy(update={"start": {}})
         for component in spec.components
     )
     spec = spec.model_copy(update={"components": components, "stop": names["STOP"]})
-    start = {"trajectory": names["MOTION"], "controller": names["CONTROL"], "arm": {}}
+    start = {
+        "trajectory": names["MOTION"] | {"kind": "sine"},
+        "controller": names["CONTROL"] | {"compensation": "servo_inversion"},
+        "arm": {},
+    }
     for _ in range(2):  # the first run gives the start of the motion
         with Master(spec) as master:
             run = master.run(start=start).require_success()
