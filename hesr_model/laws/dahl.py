@@ -22,13 +22,14 @@ _ELEMENTS = range(1, len(DEFLECTIONS) + 1)
 
 def _of_each(name: str, unit: str, description: str) -> tuple[Coefficient, ...]:
     return tuple(
-        Coefficient(name=f"{name}_{i}", unit=unit, description=description) for i in _ELEMENTS
+        Coefficient(name=f"{name}_{i}", unit=unit, description=description.format(element=i))
+        for i in _ELEMENTS
     )
 
 
-_KAPPA = _of_each("kappa", "1/rad", "reciprocal of a sliding deflection")
-_FORCE = _of_each("F", "N.m", "sliding friction of an element")
-_LOAD = _of_each("mu", "1", "sliding friction of an element per load")
+_KAPPA = _of_each("kappa", "1/rad", "reciprocal of the sliding deflection of element {element}")
+_FORCE = _of_each("F", "N.m", "sliding friction of element {element}")
+_LOAD = _of_each("mu", "1", "sliding friction of element {element} per load")
 
 
 @register

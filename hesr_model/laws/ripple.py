@@ -39,6 +39,12 @@ _NEAR = 2e-3
 _ATTEMPTS = 3
 
 
+def describe_wave(order: int, wave: sympy.FunctionClass) -> str:
+    """Return the description of the amplitude of a cosine or sine of the motor's angle."""
+    name = "cosine" if wave is sympy.cos else "sine"
+    return f"amplitude of the {name} of torque ripple {order} times per turn of the motor"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ripple:
     """Harmonics of a joint."""
@@ -70,7 +76,8 @@ class Ripple:
         coefficients, torque = list(form.coefficients), sympy.Integer(0)
         waves = product(self.orders, (sympy.cos, sympy.sin))
         for name, (k, wave) in zip(self.names, waves, strict=True):
-            amplitude = Coefficient(name=name, unit="N.m", description="amplitude of ripple")
+            description = describe_wave(k, wave)
+            amplitude = Coefficient(name=name, unit="N.m", description=description)
             coefficients.append(amplitude)
             torque += amplitude.symbol * (wave(k * angle) / (1 + (k * fast) ** 2))
         coefficients += [LAG, SMOOTHING]

@@ -30,7 +30,7 @@ ATTRACTION = Coefficient(name="C", unit="1/s", description="relaxation rate of s
 ATTRACTION_BOUNDS = (1.0, 1e3)  # bounds of the rate [1/s]
 _WIDTHS = DEFLECTIONS[::2]
 _FORCES = tuple(
-    Coefficient(name=f"F_{i}", unit="N.m", description="Coulomb friction of an element")
+    Coefficient(name=f"F_{i}", unit="N.m", description=f"Coulomb friction of element {i}")
     for i, _ in enumerate(_WIDTHS, start=1)
 )
 _CURVE = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))

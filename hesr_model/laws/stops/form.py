@@ -25,7 +25,7 @@ from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, LawForm
-from hesr_model.laws.ripple import LAG
+from hesr_model.laws.ripple import LAG, describe_wave
 from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
@@ -58,7 +58,9 @@ BOUNDS: Mapping[str, sympy.Expr] = {
 }  # Bounds by name; none is negative, and none vanishes at rest alone
 SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}  # thinning speeds, of the largest speed
 THINNING = {
-    letter: Coefficient(name=f"v_{letter}", unit="rad/s", description="speed of shear thinning")
+    letter: Coefficient(
+        name=f"v_{letter}", unit="rad/s", description=f"speed at which sigma_{letter} is halved"
+    )
     for letter in SHARES
 }
 _VISCOUS = {
@@ -70,7 +72,9 @@ _VISCOUS = {
     **{
         letter: (
             Coefficient(
-                name=f"sigma_{letter}", unit="N.m.s/rad", description="viscous friction that thins"
+                name=f"sigma_{letter}",
+                unit="N.m.s/rad",
+                description=f"viscous friction that thins, by half at v_{letter}",
             ),
             1 / (1 + absolute(DQ) / v.symbol),
         )
@@ -149,7 +153,7 @@ class Structure:
                 bound=BOUNDS[kind].xreplace(limit),
             )
             stops.append(x)
-            terms.append((_torque(name, "torque of a stop at bound 1"), x.state))
+            terms.append((_torque(name, _describe_stop(kind, x.deflection)), x.state))
         terms += [(c, DQ * factor) for c, factor in (_VISCOUS[kind] for kind in self.viscous)]
         # The mean over the part of a step beyond `window` certifies any step.
         beyond = positive(DT - sympy.Float(self.window))
@@ -157,7 +161,7 @@ class Structure:
         waves = product(self.ripple, (sympy.cos, sympy.sin))
         for name, (n, wave) in zip(self.waves, waves, strict=True):
             mean = cardinal_sine(n * DQ * beyond / 2)
-            terms.append((_torque(name, "amplitude of torque ripple"), wave(n * angle) * mean))
+            terms.append((_torque(name, describe_wave(n, wave)), wave(n * angle) * mean))
         used = set().union(*(BOUNDS[kind].free_symbols for kind, _ in self.stops))
         return LawForm(
             coefficients=(
@@ -172,6 +176,23 @@ class Structure:
             memory=(AGE, *stops) if AGE.state in used else tuple(stops),
             output=sum((c.symbol * factor for c, factor in terms), TAU_0.symbol),
         )
+
+
+_BOUND_NAMES: Mapping[str, str] = {
+    "1": "",
+    "age": ", in proportion to the age of its contact",
+    "p": ", in proportion to the age of its contact, without limit",
+    "load": ", in proportion to the load",
+    "root": ", in proportion to the root of the load",
+    "plus": ", in proportion to positive load",
+    "minus": ", in proportion to negative load",
+}
+"""Words for the bounds of stops."""
+
+
+def _describe_stop(kind: str, deflection: float) -> str:
+    # In rad, or in m for a sliding joint.
+    return f"torque of the stop that slides from a deflection of {deflection:g}{_BOUND_NAMES[kind]}"
 
 
 def _torque(name: str, description: str) -> Coefficient:
