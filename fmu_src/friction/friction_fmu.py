@@ -25,7 +25,7 @@ from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
 from fmu_src.pages.datasheet import ModelAudit
-from fmu_src.pages.friction_page import to_html
+from fmu_src.pages.friction_page import model_title, to_html
 from fmu_src.pages.live import PageBody, live_assets, live_data, live_section, log_section, wasm
 from fmu_src.pages.picture import model_png
 from hesr_model.audit.properties import Properties
@@ -174,7 +174,7 @@ def about_model(model: FrictionModel, kind: str, text: str) -> Description:
     """Return the model description of a friction FMU of some kind."""
     return description_of(
         model,
-        name=f"{_TITLES[kind]} of {model.robot} by {model.law}",
+        name=f"{_TITLES[kind]} of {model.robot} by {model_title(model)}",
         identifier=f"{kind}_{model.law}",
         text=f"Joint friction torque of {len(model.joints)} joints {text}.",
         step=model.sample_time,

@@ -22,10 +22,11 @@ from hesr_model.equations.functions import sgn
 from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.fitting.estimator import estimator
+from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
 from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, form_lines
 from hesr_model.friction.law import equations as equations_with_numbers
-from hesr_model.friction.model import FrictionModel
+from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.robots.description import statements
@@ -155,6 +156,7 @@ def to_html(
         units=units,
         trained_rows=_trained_rows(model.trained, units),
         training_rmse={f"RMSE on the training logs [{units['tau']}]": errors} if errors else {},
+        band_rows=_band_rows(model, units),
         **_measured(model, audit),
     )
 
@@ -165,6 +167,56 @@ def title(law: FrictionLaw, otherwise: str | None = None) -> str:
         return estimator(law.name).title
     except ArtifactError:
         return law.name if otherwise is None else otherwise
+
+
+def model_title(model: FrictionModel) -> str:
+    """Return the titles of a model's laws, or its own name if that is none of the registry's."""
+    if model.law != MIXED and model.law not in {law.name for law in model.laws}:
+        return model.law
+    titles = list(dict.fromkeys(title(law) for law in model.laws))
+    return " and ".join([*filter(None, [", ".join(titles[:-1])]), titles[-1]])
+
+
+def _explain_intervals(law: FrictionLaw) -> str:
+    """Return what the intervals of the coefficients are, or why there are none."""
+    if law.standard_errors:
+        text = "The 95 % intervals are 1.96 standard errors of linearised least squares."
+        if len(law.standard_errors) < len(law.values):
+            text += " A dash marks a coefficient that is fixed or at a bound of its search."
+        return text
+    if law.covariance is not None:
+        return (
+            "Single coefficients have no interval, because the data also chose the terms of the "
+            "law. Their covariance is in resources/friction_model.json."
+        )
+    if len(law.values) > MOST_COEFFICIENTS:
+        return (
+            "Single coefficients have no interval: those of a network have no meaning of their own."
+        )
+    return "The uncertainty of the coefficients is unknown: the model has no covariance."
+
+
+_SLOW_SHARE = 0.1  # of the trained speed
+
+
+def _band_rows(model: FrictionModel, units: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return half-widths of the bands in motion, a cell per joint; none without bands."""
+    bands = [law.band for law in model.laws if law.band is not None]
+    if len(bands) < len(model.laws) or not model.trained:
+        return {}
+    speeds = [max(map(abs, trained_range.dq)) for trained_range in model.trained]
+    loads = [max(map(abs, trained_range.tau_load)) for trained_range in model.trained]
+    rows: dict[str, list[str]] = {}
+    for label, share, load_share in (
+        ("at a tenth of the trained speed", _SLOW_SHARE, 0.0),
+        ("at the trained speed", 1.0, 0.0),
+        ("the same under the largest trained load", 1.0, 1.0),
+    ):
+        widths = []
+        for band, speed, load in zip(bands, speeds, loads, strict=True):
+            widths.append(f"± {figure(band.half_width(share * speed, load_share * load), 2)}")
+        rows[f"95 % band, {label} [{units['tau']}]"] = widths
+    return rows
 
 
 def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
@@ -179,6 +231,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "rows": _rows(law, joint),
         "exposed": exposed(law),
         "intervals": bool(law.standard_errors),
+        "uncertainty": _explain_intervals(law),
         "states": [m.name for m in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,

@@ -30,7 +30,7 @@ from fmu_src.friction.friction_component import (
 )
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.friction_page import drive_html
+from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.errors import ExportError
@@ -381,7 +381,7 @@ def content(
     )
     about = description_of(
         model,
-        name=f"Plant of {body.robot.name} with {model.law}",
+        name=f"Plant of {body.robot.name} with {model_title(model)}",
         identifier=f"plant_{model.law}",
         text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
         step=SUBSTEP,

@@ -11,7 +11,7 @@ Weibull's.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from math import isfinite
+from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,12 @@ class Band:
                     code="law.band",
                     key=f"band.{field.name}",
                 )
+
+    def half_width(self, dq: float, tau_load: float = 0.0) -> float:
+        """Return the half-width [N.m] at 95 % in motion at a speed [rad/s] under a load [N.m]."""
+        sizes = (self.floor, self.slow, self.rest, self.fast, self.load)
+        parts = shapes(dq, tau_load, self.slow_speed, most=min)
+        return sqrt(sum(size**2 * part for size, part in zip(sizes, parts, strict=True)))
 
     @property
     def values(self) -> Mapping[str, float]:

@@ -19,7 +19,7 @@ from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
-from fmu_src.pages.friction_page import drive_html
+from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.run.reference_results import ROWS, Stimuli, waves
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import TORQUE
@@ -221,7 +221,7 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
     header = equations_header(joints, table, _PLACES, wanted=SOLVER, coupling=model.coupling)
     about = description_of(
         model,
-        name=f"Drive of {model.robot} with {model.law}",
+        name=f"Drive of {model.robot} with {model_title(model)}",
         identifier=f"drive_{model.law}",
         text=f"Motors of {len(model.joints)} joints under friction: torque in, speed and angle "
         "out.",

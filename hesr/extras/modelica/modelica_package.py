@@ -13,7 +13,7 @@ from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages import datasheet
 from fmu_src.pages.datasheet import figure, spelled
-from fmu_src.pages.friction_page import title, training
+from fmu_src.pages.friction_page import model_title, title, training
 from fmu_src.pages.html import code_templates, rendered
 from hesr.extras.modelica.printer import FUNCTIONS, Equations, equations, start_of
 from hesr_model.audit.audit import Audit
@@ -114,6 +114,7 @@ def package(model: FrictionModel, name: str) -> str:
     info = _page(
         "modelica.html.j2",
         model=model,
+        law=model_title(model),
         joints=joints,
         version=version("hesr"),
         euler=any(law.discretisation == "euler" for law in model.laws),
@@ -125,7 +126,7 @@ def package(model: FrictionModel, name: str) -> str:
     )
     return environment.get_template("modelica.mo.j2").render(
         name=name,
-        title=f"Friction of {model.robot} by {model.law}",
+        title=f"Friction of {model.robot} by {model_title(model)}",
         forms=forms,
         joints=joints,
         frequency=_FREQUENCY,

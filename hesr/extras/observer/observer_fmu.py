@@ -15,7 +15,7 @@ from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.block_page import variable_groups
-from fmu_src.pages.friction_page import holding_torque, law_entries, title
+from fmu_src.pages.friction_page import holding_torque, law_entries, model_title, title
 from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.plant.dynamics import dynamics_header, jacobian_header
 from fmu_src.plant.plant_fmu import PlantBody, at_joint, inertial_parameters, require_fitting
@@ -205,7 +205,7 @@ def content(
     }
     about = description_of(
         model,
-        name=f"Observer of {body.robot.name} with {model.law}",
+        name=f"Observer of {body.robot.name} with {model_title(model)}",
         identifier=f"observer_{model.law}",
         text=f"External torque of {len(laws)} joints from their motion and motors. {limits.text}",
         step=model.sample_time,

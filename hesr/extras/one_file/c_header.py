@@ -15,6 +15,7 @@ from fmu_src.export.package import own_source
 from fmu_src.friction.friction_component import joints_of
 from fmu_src.friction.reference import ReferenceMotion, reference_motion, torques
 from fmu_src.friction.validity import require_exportable
+from fmu_src.pages.friction_page import model_title
 from fmu_src.pages.html import code_templates
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -118,7 +119,7 @@ def header(model: FrictionModel, name: str) -> str:
         .get_template("law.h.j2")
         .render(
             name=name,
-            title=_comment(f"Friction of {model.robot} by {model.law}"),
+            title=_comment(f"Friction of {model.robot} by {model_title(model)}"),
             version=version("hesr"),
             sample_time=literal(model.sample_time),
             law_math=own_source("law_math.h"),

@@ -10,6 +10,7 @@ import sympy
 
 from fmu_src.equations.printer import LanguagePrinter
 from fmu_src.friction.validity import discretisation_of, require_exportable
+from fmu_src.pages.friction_page import model_title
 from fmu_src.pages.html import code_templates
 from hesr.extras.one_file.c_header import TEMPLATES, write_beside
 from hesr_model.equations.memory import DT, EULER
@@ -152,8 +153,9 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         for n, (form, joints) in enumerate(groups.items(), start=1)
     ]
     template = code_templates(TEMPLATES).get_template(f"law_{library}.py.j2")
+    title = f"Friction of {model.robot} by {model_title(model)}"
     rendered: str = template.render(
-        title=f"Friction of {model.robot} by {model.law}".replace("\\", "/").replace('"', "'"),
+        title=title.replace("\\", "/").replace('"', "'"),
         library=_TITLES[library],
         version=version("hesr"),
         joints=tuple(model.joints),

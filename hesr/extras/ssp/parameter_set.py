@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 from fmu_src.export.description import si_exponents, to_bytes
 from fmu_src.friction.friction_component import exposed, place, scales
 from fmu_src.friction.validity import require_numbers
+from fmu_src.pages.friction_page import model_title
 from hesr.extras.ssp.contents import UNIT_DEFAULTS, parameter_set
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
@@ -37,7 +38,7 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
     about = {
         "xmlns:hesr": COVARIANCE,
         "version": "1.0",
-        "name": f"{model.law} of {model.robot}",
+        "name": f"{model_title(model)} of {model.robot}",
         "generationTool": f"HESR {installed('hesr')}",
     }
     found = _values(model)
