@@ -134,15 +134,10 @@ def recorded(file_regression: FileRegressionFixture):
 
 def test_loops_of_friction(recorded) -> None:
     laws = {f"law {k}": (DQ, TAU + k) for k in range(7)}
-    recorded(
-        loops((DQ, TAU), laws, x="velocity", y="torque", points=50),
-        loops(
-            (np.tile(DQ, 9), np.tile(TAU, 9)),
-            {"a": (np.tile(DQ, 9), np.tile(TAU, 9))},
-            x="v",
-            y="tau",
-        ),
-    )
+    recorded(loops((DQ, TAU), dict([*laws.items()][:2]), x="velocity", y="torque", points=50))
+    many = loops((DQ, TAU), laws, x="velocity", y="torque", points=50)
+    titles = {axes.get_title(loc="left") for axes in many.axes if axes.get_visible()}
+    assert titles >= set(laws)
 
 
 def test_ratios_with_intervals(recorded) -> None:
@@ -157,34 +152,44 @@ def test_ratios_with_intervals(recorded) -> None:
         ],
     }
     wide = {"a": [Ratio(value=2.0 * k + 0.3, low=0.2 * k + 0.1, high=9.0) for k in range(7)]}
-    one = {"a": [Ratio(value=1.5, low=1.2, high=1.9)]}
     names = [f"J{k}" for k in range(7)]
-    recorded(
-        ratios(narrow, ["J1", "J2"], x="ratio"),
-        ratios(wide, names, x="ratio"),
-        ratios(one, ["J1"], x="ratio"),
-    )
+    recorded(ratios(narrow, ["J1", "J2"], x="ratio"))
+    (axes,) = ratios(wide, names, x="ratio").axes
+    shown_ratios = [float(line.get_xdata()[0]) for line in axes.lines[: len(names)]]
+    assert shown_ratios == [ratio.value for ratio in wide["a"]]
+    low, high = axes.get_xlim()
+    assert low < wide["a"][0].low
+    assert high > wide["a"][-1].value
 
 
-def test_sheets_of_closed_lines(recorded) -> None:
+def test_sheets_of_closed_lines() -> None:
     lines = (LONG, SHORT, Line(name="third", x=DQ, y=TAU, stroke=DESIRED), SHORT)
     panels = [("x", Panel(title=f"s{k}", y="y", lines=lines[: 2 * k + 1])) for k in range(2)]
-    recorded(sheets([*panels, ("x", Panel(title="all", y="y", lines=lines))]))
+    figure = sheets([*panels, ("x", Panel(title="all", y="y", lines=lines))])
+    visible = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes.get_title(loc="left") for axes in visible] == ["s0", "s1", "all"]
+    assert [len(axes.lines) for axes in visible] == [1, 3, 4]
+    np.testing.assert_array_equal(visible[2].lines[2].get_xdata(), DQ)
 
 
-def test_joints_of_logs(recorded) -> None:
+def test_joints_of_logs() -> None:
     view = JointView(
         name="j1", unit="rad/s", velocities=(LONG, SHORT), friction=SHORT, covered=DQ, loads=TAU
     )
     still = JointView(
         name="j2", unit="m/s", velocities=(SHORT,), friction=None, covered=0.0 * T, loads=None
     )
-    recorded(joints([view, still]))
+    figure = joints([view, still])
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
+    assert any("j1" in title for title in titles)
+    assert any("j2" in title for title in titles)
+    drawn_lines = [line for axes in figure.axes for line in axes.lines]
+    assert any(np.array_equal(line.get_ydata(), LONG.y) for line in drawn_lines)
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_pictures_of_designed_motions(
-    count: int, recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The written picture; a joint has a row of its own."""
     ones = np.ones(count)
@@ -209,18 +214,17 @@ def test_pictures_of_designed_motions(
     (figure,) = written
     height, width, _ = imread(tmp_path / "motion.png").shape
     assert (width, height) == (1080, 216 * count)
-    figure.set_layout_engine("constrained")
-    recorded(figure)
+    positions = [line.get_ydata() for axes in figure.axes for line in axes.lines]
+    start = motion.sample(np.zeros(1))[0][0, 0]
+    assert any(values[0] == pytest.approx(start) for values in positions)
 
 
 def test_charts_of_panels(recorded) -> None:
     panel = Panel(title="t", y="y", lines=(LONG, SHORT), marks=((1.0, "here"),))
     rows = ((panel, panel), (panel, panel))
+    recorded(drawn(Chart(x="t [s]", rows=rows, window=(1.0, 2.0))))
     many = ((Panel(title="t", y="y", lines=(LONG,)),),) * 6
-    recorded(
-        drawn(Chart(x="t [s]", rows=rows, window=(1.0, 2.0))),
-        drawn(Chart(x="t [s]", rows=many, height=1.0), width=5.0),
-    )
+    assert drawn(Chart(x="t [s]", rows=many, height=1.0), width=5.0).get_figwidth() == 5.0
 
 
 def test_thinning_keeps_the_extremes_of_columns() -> None:
@@ -236,14 +240,12 @@ def test_thinning_keeps_the_extremes_of_columns() -> None:
     assert thinned(-x, y, 10)[1] is y
 
 
-def test_styles_are_distinct_and_recorded(file_regression: FileRegressionFixture) -> None:
+def test_styles_of_laws_are_distinct() -> None:
     found = strokes([f"law {k}" for k in range(6)])
     assert len({(one.colour, one.dash) for one in found.values()}) == 6
     assert strokes([*found, "next"])["next"] == found["law 0"]
     with styled():
-        style = [f"{key}: {rcParams[key]}" for key in sorted(_RC)]
-    lines = [f"{name}: {one}" for name, one in {**found, "m": MEASURED, "d": DESIRED}.items()]
-    file_regression.check("\n".join([*lines, *style]) + "\n", encoding="utf-8")
+        assert {key: rcParams[key] for key in _RC} == _RC
 
 
 # --- SVG --------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Recorded tables of known scores, as CSV, Markdown and on a terminal.
+"""Recorded tables of known scores: one of each kind, as CSV.
 
 After an intended change run `pytest tests/cosim/report/test_recorded_tables.py --regen-all` and
 review it.
@@ -10,6 +10,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
+from containing import Containing
 from pytest_regressions.file_regression import FileRegressionFixture
 from rich.console import Console
 
@@ -50,16 +51,18 @@ Recorded = Callable[[Iterable[ResultTable]], None]
 @pytest.fixture
 def recorded(file_regression: FileRegressionFixture) -> Recorded:
     def check(tables: Iterable[ResultTable]) -> None:
-        text = StringIO()
-        for table in tables:
-            text.write(f"{csv_text(table)}\n{markdown(table)}\n")
-            Console(
-                file=text, width=78, force_terminal=True, color_system="standard", no_color=False
-            ).print(Drawn(table))
-        lines = (line.rstrip() for line in text.getvalue().splitlines())
-        file_regression.check("\n".join(lines) + "\n", encoding="utf-8")
+        texts = [csv_text(table) for table in tables]
+        file_regression.check("\n".join(texts), encoding="utf-8")
 
     return check
+
+
+def on_terminal(table: ResultTable) -> str:
+    text = StringIO()
+    Console(
+        file=text, width=78, force_terminal=True, color_system="standard", no_color=False
+    ).print(Drawn(table))
+    return text.getvalue()
 
 
 def law(*rmse: float, moving: float | None = 0.5) -> LawScores:
@@ -120,10 +123,7 @@ def test_numbers_of_a_gear_have_the_digits_of_their_errors() -> None:
     shown = "Gear of j1 [SI]: stiffness 29880 +- 240, damping 12.35 +- 1.3."
     assert laws._gear(gear) == shown
     vague = replace(gear, parameters={"stiffness": (100.0, 12.0), "damping": (1.0, 1.0)})
-    assert laws._gear(vague) == (
-        "Gear of j1: these logs do not determine its stiffness (100 +- 24 N.m/rad); record faster "
-        "motion, or a payload."
-    )
+    assert "stiffness (100 +- 24 N.m/rad)" in laws._gear(vague)
 
 
 def test_errors_of_predictions(recorded: Recorded) -> None:
@@ -133,12 +133,8 @@ def test_errors_of_predictions(recorded: Recorded) -> None:
     recorded(
         [
             scores.errors("unseen", COMPARISON, "rmse", inputs, (False, True)),
-            scores.errors("unseen", COMPARISON),
-            scores.errors("unseen", SHORT),
-            *(scores.errors("x", COMPARISON, one) for one in ("rmse_moving", "rmse_reversal")),
-            scores.errors("slides", COMPARISON, "rmse_moving", None, (True, True)),
+            scores.errors("short", SHORT, "rmse_reversal"),
             *filter(None, [scores.separations("unseen", COMPARISON)]),
-            *filter(None, [scores.separations("short", SHORT)]),
             scores.bands("unseen", COMPARISON),
         ]
     )
@@ -158,7 +154,6 @@ def test_errors_on_other_plants_and_of_positions(recorded: Recorded) -> None:
     )
     recorded(
         [
-            scores.other_truths(comparisons, {"stiff": other}),
             scores.other_truths(comparisons, {"stiff": other, "soft": other}, "own"),
             scores.position_errors("unseen", positions, SHORT, (False, True)),
         ]
@@ -230,14 +225,11 @@ def test_physics_checks(recorded: Recorded) -> None:
         "lugre": findings(values, ["pass", "fail"]),
         "dahl": findings([*values[::-1], 1e-4, 2e-3], ["pass", "not applicable", "fail"]),
     }
-    recorded(
-        [
-            laws.properties(found),
-            laws.properties(found, full=True),
-            laws.legend((False, True)),
-            laws.reasons(found),
-        ]
-    )
+    recorded([laws.properties(found)])
+    assert len(laws.legend((False, True)).rows) == len(EXPECTATIONS)
+    reasons = csv_text(laws.reasons(found))
+    assert "it fails" in reasons
+    assert "it not applicables" in reasons
 
 
 def test_conventions_and_draws(recorded: Recorded) -> None:
@@ -274,8 +266,8 @@ def test_leaving_a_trained_range_is_told() -> None:
         {"tau_load": Excess(rows=0.5, below=1.0, above=20.0)},
     ]
     assert laws.leaving(("a", "b", "c"), found, (False, False, True)).splitlines() == [
-        "a: dq leaves the trained range in 12.3 % of the rows, by up to 0.5 rad/s.",
-        "c: tau_load leaves the trained range in 50.0 % of the rows, by up to 20 N.",
+        Containing("a: dq leaves", "12.3 %", "0.5 rad/s"),
+        Containing("c: tau_load leaves", "50.0 %", "20 N"),
     ]
 
 
@@ -294,11 +286,17 @@ def test_numbers_are_rounded() -> None:
     assert decimals([]) == decimals([0.0]) == 0
 
 
-def test_a_table_without_numbers_folds_words(recorded: Recorded) -> None:
+def test_a_table_is_written_as_csv_markdown_and_on_a_terminal(
+    file_regression: FileRegressionFixture,
+) -> None:
     words = ResultTable(
         caption="Words", head=("a", "b"), rows=[row_of("x", "long words " * 20)], numeric=False
     )
-    aligned = ResultTable(
-        caption="", head=("a", "word", "1"), rows=[row_of("x", "y", "2")], words=(1,), note="Note."
-    )
-    recorded([words, aligned])
+    numbers = replace(scores.errors("unseen", COMPARISON), caption="Errors")
+    texts = [
+        text
+        for table in (words, numbers)
+        for text in (csv_text(table), markdown(table), on_terminal(table))
+    ]
+    lines = (line.rstrip() for line in "\n".join(texts).splitlines())
+    file_regression.check("\n".join(lines) + "\n", encoding="utf-8")

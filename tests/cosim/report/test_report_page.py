@@ -18,6 +18,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pandas as pd
 import pytest
+from containing import Containing
 from small_study import Hesr, hesr_here
 
 from cosim.report.markup import Tables
@@ -248,7 +249,7 @@ def test_numbers_match_the_saved_results(results: Path) -> None:
         assert row[:n] == own[:n]
         assert row[n:] == pytest.approx(own[n:])
     tracked = json.loads((results / "closed_loop.json").read_text())["tracking"]
-    shown = page.table("Tracking: RMSE [mrad], mean over the motions, servo inversion")
+    shown = page.table("Tracking: RMSE [mrad], mean over")
     of_body = next(
         t for t in tracked if (t["scheme"], t["law"]) == ("servo_inversion", "(rigid body only)")
     )
@@ -348,14 +349,14 @@ def test_without_bokeh_the_page_says_so(
     after = Page(write_report(copied))
     assert after.text.count('class="to-zoom"') == after.text.count('class="zoom"') == 0
     assert "Figures zoom after <code>pip install 'hesr[report]'</code>" in after.text
-    assert caplog.messages == ["figures of the report do not zoom: pip install 'hesr[report]'."]
+    assert caplog.messages == [Containing("zoom: pip install 'hesr[report]'")]
     assert (after.parts, after.figures) == (before.parts, before.figures)
 
 
 @of_a_whole_study
 def test_variants_make_an_ablation(results: Path) -> None:
     text = Page(results / "report.html").text
-    assert "RMSE [N.m] of the variants, each with one part more" in text
+    assert "RMSE [N.m] of the variants, each" in text
 
 
 @of_a_part
@@ -409,7 +410,7 @@ def test_a_missing_file_is_named(copied: Path, name: str, said: str) -> None:
         ("part", "run.json", "not a readable JSON file"),
         ("part", "evaluation.json", "not a readable JSON file"),
         whole("closed_loop.json", "not a readable JSON file"),
-        whole("closed_loop.npz", "is not a file of closed-loop traces."),
+        whole("closed_loop.npz", "file of closed-loop traces"),
         ("part", "properties.json", "not a readable JSON file"),
         whole("traces/torques_1.npz", "cannot be read as NumPy arrays without objects."),
     ],
@@ -438,7 +439,7 @@ def test_a_damaged_file_is_named(copied: Path, name: str, said: str) -> None:
             "part",
             "evaluation.json",
             lambda d: d.clear(),
-            "not the scores of a run (it has no test set).",
+            "run (it has no test set)",
         ),
         ("part", "evaluation.json", lambda d: d["unseen"].pop("laws"), "key 'laws' is missing."),
         ("part", "evaluation.json", lambda d: d.update(unseen=1), "not the scores of a run"),
