@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from limits_found import at, edge, said, two_joints
+from faulty_logs import at, two_joints
+from limits_found import edge, said
 from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 

@@ -35,6 +35,7 @@ def test_missing_excitation_is_reported(
     q = log.q.copy()
     q[:, 1] = 0.3
     still = replace(log, q=q, dq=None)
-    assert words(still, arm_model)["j2"] == {"it does not move in any log"}
+    (sentence,) = words(still, arm_model)["j2"]
+    assert sentence.startswith("it does not move")
     brief = words(log.rows(slice(0, 250)), arm_model)
     assert "fewer than 4 reversals" in brief["j1"]

@@ -1,0 +1,232 @@
+"""Corrections of a robot file, findings that follow from others, and results that are odd."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from faulty_logs import two_joints, with_units
+
+from hesr_model.findings import Finding
+from hesr_model.health.evidence import Estimate, JointTorque
+from hesr_model.health.examine import (
+    HealthError,
+    _caused,
+    _without_followers,
+    check_body,
+    check_laws,
+    check_owner,
+    hopeless,
+    merged,
+    require_sound,
+)
+from hesr_model.health.joints import changed
+from hesr_model.health.proposal import _changes, _constants, _with_cutoff
+from hesr_model.health.torque import sign_change
+from hesr_model.rigid_body.residual import FrictionRecord
+from hesr_model.robots.robot import Robot, RobotDescription
+
+
+def finding(check: str, joint: str = "", severity: str = "warning", **changes: object) -> Finding:
+    return Finding(
+        check=check,
+        severity=severity,
+        joints=(joint,) if joint else (),
+        logs=("one",),
+        found=f"{check} of {joint}",
+        remedy="cause",
+        changes={key.replace("_", "."): value for key, value in changes.items()},
+    )
+
+
+SIGN = finding("torque-sign", "a", "error")
+SIGNS: dict[str, tuple[dict[str, object], int | None, bool, dict[str, tuple[object, ...]]]] = {
+    "one torque": ({}, 1, False, {"log.units.tau": ("N.m", "-N.m", "N.m")}),
+    "all torques": ({}, None, False, {"log.units.tau": ("-N.m", "-N.m", "-N.m")}),
+    "a torque that counts backwards": (
+        {"tau": ("N.m", "-mN.m", -3.0)}, 1, False, {"log.units.tau": ("N.m", "mN.m", -3.0)},
+    ),
+    "a current": (
+        {"torque_per_ampere": (1.0, -2.5, 3.0)}, 1, False,
+        {"log.torque_per_ampere": (1.0, 2.5, 3.0)},
+    ),
+    "a position": (
+        {"q": ("rad", "-deg", 2.0)}, 2, True,
+        {"log.units.q": ("rad", "-deg", -2.0), "log.units.dq": ("rad/s", "rad/s", "-rad/s")},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SIGNS)
+def test_a_sign_is_corrected_in_the_unit_that_is_declared(case: str, arm: RobotDescription) -> None:
+    units, joint, position, changes = SIGNS[case]
+    assert sign_change(with_units(arm, **units), joint, position=position)[1] == changes
+
+
+def test_changes_of_several_findings_are_combined(arm: RobotDescription) -> None:
+    sign = finding("velocity-sign", "j1", log_units_dq=("-rad/s", "rad/s", "rad/s"))
+    scale = finding("velocity-scale", "j2", log_units_dq=("rad/s", "rpm", "rad/s"))
+    useless = finding("zero", "j2", log_units_q="rad")
+    changes, reasons = _changes(arm, [sign, scale, useless])
+    assert changes == {"log.units.dq": ("-rad/s", "rpm", "rad/s")}
+    assert reasons == {"log.units.dq": "sure: velocity-sign of j1; velocity-scale of j2"}
+    assert _changes(arm, [scale])[1]["log.units.dq"].startswith("likely: ")
+
+
+def test_equal_findings_of_several_logs_and_joints_are_one() -> None:
+    both_logs = [SIGN, replace(SIGN, logs=("two",)), replace(SIGN, joints=("b",))]
+    found = merged([finding("gaps"), *both_logs])
+    assert found[0].check == "torque-sign"
+    assert {log for f in found for log in f.logs} == {"one", "two"}
+    assert {joint for f in found for joint in f.joints} == {"a", "b"}
+
+
+def test_errors_are_refused_unless_they_are_accepted() -> None:
+    lag = finding("torque-lag", "a")
+    with pytest.raises(HealthError) as caught:
+        require_sound([lag, SIGN])
+    assert [f.check for f in caught.value.findings] == ["torque-sign"]
+    assert {f.check for f in require_sound([lag, SIGN], ["torque-sign"])} == {
+        "torque-lag",
+        "torque-sign",
+    }
+
+
+@pytest.mark.parametrize(
+    ("cause", "left"),
+    [
+        (None, {"torque-sign", "torque-lag", "torque-scale", "gaps"}),
+        (finding("zero", "c"), {"gaps", "zero"}),  # any symptom can follow from it
+        (finding("torque-sign", severity="error"), {"gaps", "torque-sign"}),
+        (SIGN, {"torque-lag", "gaps", "torque-sign"}),  # of joint a alone
+    ],
+)
+def test_symptoms_of_a_cause_are_left_out(cause: Finding | None, left: set[str]) -> None:
+    symptoms = [SIGN, finding("torque-lag", "b"), finding("torque-scale", "a"), finding("gaps")]
+    found = _caused(symptoms, [cause] if cause else [])
+    assert {f.check for f in found} == left
+
+
+@pytest.mark.parametrize(
+    ("other", "left"),
+    [
+        (finding("gaps"), {"velocity-match", "speed-limit"}),
+        (finding("velocity-columns", "a"), {"speed-limit"}),
+        (finding("same-column", "a"), {"speed-limit"}),
+        (finding("same-column", "b"), {"velocity-match", "speed-limit"}),
+        (finding("velocity-scale", "b", log_units_dq="rpm"), {"velocity-match"}),
+        (finding("coarse", "c"), {"velocity-match"}),
+    ],
+)
+def test_findings_that_follow_from_others_are_left_out(other: Finding, left: set[str]) -> None:
+    followers = [finding("velocity-match", "a", "error"), finding("speed-limit", "b")]
+    found = _without_followers([*followers, other])
+    assert {f.check for f in found} - {other.check} == left
+
+
+def test_wrong_positions_and_times_hide_other_mistakes() -> None:
+    hiding = [
+        *(finding(check, "a", "error") for check in ("limits", "wrap", "spikes")),
+        finding("time-unit", "", "error", log_units_t="ms"),
+        finding("velocity-scale", "", "error", log_units_q="deg"),
+    ]
+    assert all(hopeless([f]) for f in hiding)
+    assert not any(hopeless([replace(f, severity="warning")]) for f in hiding)
+    assert not hopeless([finding("zero", "a", "error"), SIGN])
+    assert not hopeless([finding("velocity-scale", "", "error", log_units_dq="rpm")])
+
+
+GRAVITY = JointTorque(
+    gravity=Estimate(value=2.0, error=0.01),
+    inertia=Estimate(value=1.0, error=0.1),
+    friction=Estimate(value=0.5, error=0.01),
+    gravity_size=5.0,
+    friction_size=1.0,
+    residual=0.3,
+    deviation=5.0,
+)
+
+
+def of_gravity(value: float, error: float = 0.01) -> JointTorque:
+    return replace(GRAVITY, gravity=Estimate(value=value, error=error))
+
+
+def test_torque_constants_are_proposed_from_gravity(arm: RobotDescription) -> None:
+    """A joint without gravity gets the median of the others."""
+    amperes = changed(arm, {"log.torque_per_ampere": (1.0, 2.0, -3.0)})
+
+    def constants(*explained: dict[int, JointTorque]) -> tuple[float, ...] | None:
+        found = _constants(amperes, SimpleNamespace(explained=explained), {})
+        return found.get("log.torque_per_ampere")
+
+    assert constants({0: of_gravity(0.2), 1: of_gravity(-0.5)}, {0: of_gravity(0.3)}) == (
+        pytest.approx((4.0, 4.0, -9.0))
+    )
+    assert constants({0: of_gravity(2.0)}) == pytest.approx((0.5, 1.0, -1.5))
+    assert constants({0: of_gravity(1.15)}) is None
+    assert constants({0: of_gravity(2.0, error=0.25)}) is None
+
+
+@pytest.mark.parametrize(
+    ("period", "cutoff"), [(0.02, 15.0), (0.03, 10.0), (0.1, 3.0), (0.5, 0.6), (2.0, 15.0)]
+)
+def test_the_cutoff_suits_the_slowest_log(
+    period: float, cutoff: float, arm: RobotDescription
+) -> None:
+    logs = [two_joints(50, step) for step in (0.001, period)]
+    assert _with_cutoff(arm, logs, {}).log.filter_cutoff == pytest.approx(cutoff, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("rotor", "coulomb", "checks"),
+    [
+        (0.1, 1.0, []),
+        (-0.5, 1.0, ["mass-matrix"]),
+        (0.1, -0.45, []),
+        (0.1, -0.55, ["negative-friction"]),
+    ],
+)
+def test_an_impossible_body_is_reported(
+    rotor: float, coulomb: float, checks: list[str], arm_model: Robot
+) -> None:
+    parameters = np.append(arm_model.nominal_parameters[:-1], rotor)
+    friction = np.array([[1.0, 2.0, 0.0], [coulomb, 2.0, 0.0], [1.0, 2.0, 0.0]])
+    body = SimpleNamespace(parameters=parameters, friction=friction, rmse=[1.0, 1.0, 1.0])
+    assert [f.check for f in check_body(body, arm_model)] == checks
+
+
+@pytest.mark.parametrize(
+    ("rmse", "ratio", "checks"),
+    [
+        (0.9, 1.5, []),
+        (1.0, 1.5, ["no-better-than-nothing"]),
+        (0.1, 0.2, ["bound"]),
+        (0.1, 0.21, []),
+        (0.1, 4.8, []),
+        (0.1, 5.0, ["bound"]),
+    ],
+)
+def test_an_odd_law_is_reported(rmse: float, ratio: float, checks: list[str]) -> None:
+    t = 0.01 * np.arange(200)
+    tau = np.where(t < 1.0, 1.0, -1.0)
+    record = FrictionRecord(
+        log="run", joint="a", t=t, dq=tau, q=tau, tau_load=tau, tau=tau, gear_ratio=None
+    )
+    law = SimpleNamespace(values={"F_c": 2.0, "F_s": 2.0 * ratio})
+    model = SimpleNamespace(joints=("a",), training_rmse=[rmse], laws=[law])
+    assert [f.check for f in check_laws({"lugre": model}, [[record]])] == checks
+
+
+@pytest.mark.parametrize(
+    ("robot", "joints", "checks"),
+    [
+        ("arm", ("j1", "j2", "j3"), []),
+        ("other", ("j1", "j2", "j3"), ["other-robot"]),
+        ("other", ("j1",), []),  # refused elsewhere
+    ],
+)
+def test_a_law_of_another_robot_is_reported(
+    robot: str, joints: tuple[str, ...], checks: list[str], arm_model: Robot
+) -> None:
+    owner = SimpleNamespace(robot=robot, joints=joints, law="lugre")
+    assert [f.check for f in check_owner(owner, arm_model)] == checks
