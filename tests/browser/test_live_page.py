@@ -168,9 +168,7 @@ def refused(page: "Page") -> list[str]:
 def test_a_refused_step_is_shown_with_the_message_of_the_fmu(page: "Page") -> None:
     assert refused(page) == []
     field(page, "alpha").fill("300")
-    assert refused(page)[0].startswith(
-        "The FMU refuses these values. h[1]: Euler needs rate * step < 1 but found 1.5 at dq[1] ="
-    )
+    assert "found 1.5 at dq[1] =" in refused(page)[0]
     assert page.locator(".live-figures td").all_inner_texts()[1::2] == ["–", "–"]
     assert np.isnan(saved(page)["tau"][2:]).all()
     field(page, "alpha").fill("11.37")

@@ -297,9 +297,7 @@ def test_a_missing_input_of_the_records_is_named(law: str, need: str) -> None:
     lacking = replace(measured("log", 0), **{need: None})
     with pytest.raises(HesrError) as caught:
         fit_joint(law, [lacking], seed=0)
-    assert str(caught.value) == (
-        f"joint 'j1': law '{law}' needs the key '{need}'; add it to the robot file."
-    )
+    assert f"law '{law}' needs the key '{need}'" in str(caught.value)
 
 
 def test_a_start_in_motion_gives_no_kick(law: FrictionLaw) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import OneSentence
 from small_twin import ALONE, MOTIONS
 
 from hesr_model.fitting.estimator import laws_of_paper, registry
@@ -209,9 +210,7 @@ def test_logs_need_no_optional_package(base: Path, tmp_path: Path) -> None:
     (tmp_path / "log.parquet").write_bytes(b"PAR1")
     found = hesr(base, "inspect", "log.parquet", "--robot", robot, cwd=tmp_path)
     assert found.returncode == 2
-    assert found.stderr == (
-        "hesr: Parquet and Feather need pyarrow: pip install 'hesr[formats]'.\n"
-    )
+    assert found.stderr == OneSentence("hesr: Parquet and Feather need pyarrow")
 
 
 @pytest.mark.ci
@@ -225,9 +224,7 @@ def test_a_twin_needs_no_extra_and_no_optional_package(base: Path, tmp_path: Pat
     ):
         found = hesr(base, *arguments, cwd=tmp_path)
         assert found.returncode == 0, found.stderr
-    assert found.stderr == (
-        "hesr: figures of the report do not zoom: pip install 'hesr[report]'.\n"
-    )
+    assert found.stderr == OneSentence("hesr: figures of the report")
     results = tmp_path / "results" / "uf850"
     assert {path.stem for path in (results / "fmus").glob("*.fmu")} >= {"parfam_h"}
     page = (results / "report.html").read_text(encoding="utf-8")

@@ -79,7 +79,7 @@ def test_the_given_robot_precedes_that_of_the_logs(
     other = arm.model_copy(update={"name": "other"})
     assert robot_of(None, [arm_log, log]).description is arm
     assert robot_of(other, [log]).description is other
-    with pytest.raises(ArgumentError, match="the logs do not name their robot"):
+    with pytest.raises(ArgumentError, match="logs do not name their robot"):
         robot_of(None, [arm_log])
 
 
@@ -153,7 +153,7 @@ def test_a_mapping_names_laws(table1: FrictionModel, table1_fmu: Path) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"law\.txt' is neither a friction model \(\.json\), nor"):
+    with pytest.raises(ConfigError, match=r"neither a friction model \(\.json\), nor"):
         laws_of(tmp_path / "law.txt")
 
 
@@ -170,7 +170,7 @@ def test_one_value_serves_all_joints() -> None:
     assert per_joint("load", [2.0], 3) == (2.0, 2.0, 2.0)
     assert per_joint("load", [1.0, 2.0, 3.0], 3) == (1.0, 2.0, 3.0)
     assert per_joint("load", [4.0], 1) == (4.0,)
-    with pytest.raises(ArgumentError, match="'load': found 2 values, but the model has 3 joints"):
+    with pytest.raises(ArgumentError, match="'load': found 2 values"):
         per_joint("load", [1.0, 2.0], 3)
 
 

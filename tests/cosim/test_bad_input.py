@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing, OneSentence
 from processes import HANG, assert_nothing_runs, started, wait_for, wait_for_line
 from small_study import Hesr, contents, hesr_here, hesr_in_a_process, uf850, write_study
 
@@ -186,32 +187,32 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     "a missing column": (without("q2"), "column 'q2' is missing; it has t, q1, q3, dq1, dq2,"),
     "no torque": (
         without("tau1", "tau2", "tau3"),
-        "column 'tau1' (torque) or 'i1' (current) is missing; it has t, q1,",
+        "column 'tau1' (torque) or 'i1' (current)",
     ),
     "no time": (without("t"), "column 't' is missing; it has q1,"),
     "no velocity": (without("dq1", "dq2", "dq3"), "column 'dq1' is missing; it has t,"),
     "NaN": (cell(17, "dq2", "nan"), "column 'dq2', row 17: an empty cell or NaN where a finite"),
     "an empty cell": (cell(301, "tau3", ""), "column 'tau3', row 301: an empty cell or NaN where"),
-    "infinity": (cell(2, "q1", "inf"), "column 'q1', row 2: infinity where a finite number is"),
+    "infinity": (cell(2, "q1", "inf"), "row 2: infinity where a finite"),
     "minus infinity": (cell(40, "tau1", "-inf"), "column 'tau1', row 40: infinity where a finite"),
-    "text": (cell(99, "tau2", "high"), "column 'tau2', row 99: 'high' where a number is needed."),
+    "text": (cell(99, "tau2", "high"), "row 99: 'high' where a number"),
     "constant time": (
         lambda rows: cell(52, "t", rows[50][0])(rows),
         "column 't', row 52: time must increase, but",
     ),
     "time that goes back": (shifted(500, -0.5), "column 't', row 500: time must increase, but"),
-    "a short row": (lambda rows: rows[41].pop(), "row 42 has 12 cells; the header has 13 columns."),
+    "a short row": (lambda rows: rows[41].pop(), "row 42 has 12 cells"),
     "a long row": (
         lambda rows: rows[41].append("1"),
-        "row 42 has 14 cells; the header has 13 columns.",
+        "row 42 has 14 cells",
     ),
     "more joints than the robot": (
         fourth_joint,
-        "has column 'q4', but the robot has 3 joints; name the columns to use",
+        "has column 'q4', but",
     ),
     "fewer joints than the robot": (
         without("q3", "dq3", "tau3"),
-        "column 'q3' is missing; it has 2 joints, but the robot has 3.",
+        "column 'q3' is missing; it has",
     ),
     "two columns of one name": (
         cell(1, "q3", "q2"),
@@ -219,11 +220,11 @@ LOG_FAULTS: dict[str, tuple[Callable[[Rows], object], str]] = {
     ),
     "time in milliseconds": (
         in_milliseconds,
-        "column 't': rows are 5 s apart, but the robot file's sample_rate of 200 Hz means 0.005 s;",
+        "200 Hz means 0.005 s",
     ),
     "a header alone": (lambda rows: rows.__delitem__(slice(1, None)), "has no rows of data below"),
-    "one row": (lambda rows: rows.__delitem__(slice(2, None)), "has 1 rows of data; at least 2"),
-    "a few rows": (few, "has 19 rows; a low pass at 15 Hz needs more than 42 at this rate."),
+    "one row": (lambda rows: rows.__delitem__(slice(2, None)), "has 1 rows of data"),
+    "a few rows": (few, "15 Hz needs more than 42"),
 }
 
 READERS = ("identify", "fit", "test law", "test fmu", "run")
@@ -259,7 +260,7 @@ def test_a_damaged_log_is_refused(
     change, expected = LOG_FAULTS[fault]
     log = spoiled(bench, tmp_path, change)
     arguments = bench.command(command, output=tmp_path / "output", log=log)
-    assert refused(*arguments).startswith(f"{log}: {expected}")
+    assert refused(*arguments) == OneSentence(f"{log}: ", expected)
 
 
 @pytest.mark.parametrize("command", ["identify", "fit", "test law"])
@@ -278,9 +279,7 @@ def test_a_repeated_log_is_refused(
         again,
         *arguments[arguments.index(log) + 1 :],
     ]
-    assert refused(*arguments) == (
-        f"{again}: has the same content as {log}; leave one of them out."
-    )
+    assert f"same content as {log}; leave one" in refused(*arguments)
 
 
 @pytest.mark.parametrize("command", READERS)
@@ -288,7 +287,7 @@ def test_a_repeated_log_is_refused(
     ("content", "expected"),
     [
         (None, "no such log file."),
-        (b"", "is empty; a log needs a header and rows of data."),
+        (b"", "log needs a header and rows"),
         (b"\x00\xff\xfe\x89PNG", "cannot be read as CSV text."),
     ],
 )
@@ -304,7 +303,7 @@ def test_a_file_other_than_a_log_is_refused(
     if content is not None:
         log.write_bytes(content)
     arguments = bench.command(command, output=tmp_path / "output", log=log)
-    assert refused(*arguments) == f"{log}: {expected}"
+    assert refused(*arguments) == OneSentence(f"{log}: ", expected)
 
 
 def test_an_invalid_parquet_file_is_refused(
@@ -346,7 +345,7 @@ def test_a_log_without_a_velocity_reversal_is_refused(
 ) -> None:
     log = rewritten(bench, tmp_path, one_way)
     sentence = refused(*bench.command(command, output=tmp_path / "output", log=log))
-    assert re.match(r"log log: the velocity of joint 'joint2' never reverses between", sentence)
+    assert sentence == OneSentence("log log", "joint 'joint2' never reverses")
 
 
 def test_a_constant_joint_cannot_be_identified(
@@ -354,10 +353,7 @@ def test_a_constant_joint_cannot_be_identified(
 ) -> None:
     log = rewritten(bench, tmp_path, constant)
     sentence = refused(*bench.command("identify", output=tmp_path / "output", log=log))
-    assert sentence == (
-        f"{log}: the position of joint 'joint3' is constant (it moves by 0 rad); at least one log "
-        "must move it."
-    )
+    assert sentence == Containing(f"{log}: the position", "'joint3' is constant")
 
 
 @pytest.mark.parametrize("command", ["fit", RUN_IN_CI])
@@ -376,9 +372,9 @@ def test_the_friction_of_a_constant_joint_cannot_be_fitted(
         (
             "identify",
             18,
-            "log spoiled: 18 samples cannot determine 25 parameters; longer logs are needed.",
+            "log spoiled: 18 samples cannot determine",
         ),
-        ("fit", 10, "joint 'joint1': 10 rows for 11 coefficients; more data needed."),
+        ("fit", 10, "joint 'joint1': 10 rows for 11"),
     ],
 )
 def test_fewer_samples_than_parameters_are_refused(
@@ -400,7 +396,7 @@ def test_fewer_samples_than_parameters_are_refused(
     robot.write_text(text.replace("filter_cutoff = 15.0", "filter_cutoff = 0.45"))
     arguments = replace(bench, robot=robot).command(command, output=tmp_path / "output", log=log)
     arguments = ["parfam_h" if a == "stribeck" else a for a in arguments]
-    assert refused(*arguments) == expected
+    assert refused(*arguments) == OneSentence(expected)
 
 
 # --- TOML files -------------------------------------------------------------------------------
@@ -441,7 +437,7 @@ def toml_fault(bench: Bench, folder: Path, old: str, new: str, *, source: Path, 
         (
             "[log]",
             "[log]\ntorque_per_ampere = [1.0, 2.0]",
-            "key 'log.torque_per_ampere' of robot 'uf850' has 2 entries; its 3 joints need one",
+            "'log.torque_per_ampere' of robot 'uf850' has 2",
         ),
     ],
 )
@@ -458,7 +454,7 @@ def test_an_invalid_robot_file_is_refused(
     robot = toml_fault(bench, tmp_path, old, new, source=bench.robot, name="robot.toml")
     spoiled_bench = replace(bench, robot=robot)
     sentence = refused(*spoiled_bench.command(command, output=tmp_path / "output"))
-    assert sentence.startswith(f"{robot}: {expected}")
+    assert sentence == OneSentence(f"{robot}: ", expected)
 
 
 @pytest.mark.parametrize(
@@ -489,7 +485,7 @@ def test_a_log_of_another_joint_count_is_refused(
     text = robot.read_text(encoding="utf-8")
     robot.write_text(re.sub(r"(?m)^gear_ratio.*$", "", text), encoding="utf-8")
     sentence = refused(*replace(bench, robot=robot).command("identify", output=tmp_path / "o"))
-    assert sentence.startswith(f"{bench.log}: has column 'q3', but the robot has 2 joints;")
+    assert f"{bench.log}: has column 'q3'" in sentence
 
 
 TRACKING = """
@@ -517,12 +513,12 @@ STUDY_FAULTS = {
     "a loop without an arm": (
         "[logs]\n",
         f"{TRACKING}[logs]\n",
-        "'tracking' needs the keys 'twin' and 'twin.signals'",
+        "'tracking' needs the keys 'twin'",
     ),
     "a loop with a law that the study has not": (
         "[twin]\n",
         f"{TRACKING}[twin]\n{SIGNALS}\n",
-        "key 'tracking.sources': law 'lugre' is not in the study; it has stribeck, parfam_h.",
+        "key 'tracking.sources': law 'lugre'",
     ),
     "an unknown key": ("seed = 3", "sead = 3", "unknown key 'sead'; allowed here: "),
     "an unknown key in a table": (
@@ -549,19 +545,19 @@ STUDY_FAULTS = {
     "an option of no use": (
         "cells = 2",
         "cells = 0",
-        "table 'options.parfam_h': ParFam option 'cells' is 0; expected at least 1.",
+        "ParFam option 'cells' is 0; expected",
     ),
     "a negative seed": ("seed = 3", "seed = -3", "key 'seed' is -3: "),
     "an invalid name": ('"small"', '"../small"', "key 'name' is '../small': "),
     "a test set that is trained on": (
         '["trial"]',
         '["sweep"]',
-        "log 'sweep' of test set 'unseen' is also trained on",
+        "log 'sweep' of test set 'unseen'",
     ),
     "a log that no motion gives": (
         '["trial"]',
         '["tiral"]',
-        "key 'logs': 'tiral' is not a motion of ",
+        "key 'logs': 'tiral'",
     ),
 }
 
@@ -646,19 +642,14 @@ def test_an_unknown_platform_is_refused(
     command: str, bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     arguments = bench.command(command, output=tmp_path / "output")
-    assert refused(*arguments, "--platform", "solaris") == (
-        "platform 'solaris' is unknown; known are linux64, win64, darwin64, aarch64-linux and "
-        "'all'."
-    )
+    assert "platform 'solaris' is unknown" in refused(*arguments, "--platform", "solaris")
 
 
 def test_an_fmu_of_another_name_is_refused(
     bench: Bench, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     output = tmp_path / "Friction.zip"
-    assert refused("export", bench.law, "-o", output) == (
-        f"{output}: the name of an FMU ends in .fmu."
-    )
+    assert f"{output}: the name of an FMU" in refused("export", bench.law, "-o", output)
 
 
 def test_an_unknown_method_is_refused(bench: Bench, hesr: Hesr, tmp_path: Path) -> None:
@@ -677,7 +668,7 @@ def test_an_invalid_counterpart_is_refused(
         "1 logs come with 0 time-reversed ones"
     )
     sentence = refused(*arguments, "--method", "paper", "--reversed", bench.excitation)
-    assert sentence.startswith("log excitation: is not the time-reversed counterpart of sweep;")
+    assert "time-reversed counterpart of sweep" in sentence
 
 
 # --- artifacts --------------------------------------------------------------------------------
@@ -753,9 +744,7 @@ def test_a_model_for_other_joints_is_refused(
         joint["joint"] = name
     path = changed_json(bench.law, tmp_path, joints=data["joints"])
     sentence = refused(*replace(bench, law=path).command("test law", output=tmp_path / "output"))
-    assert sentence == (
-        "friction model 'stribeck' is for the joints a, b, c; the robot has joint1, joint2, joint3."
-    )
+    assert "for the joints a, b, c" in sentence
 
 
 def test_a_rigid_body_of_another_robot_is_refused(
@@ -766,7 +755,7 @@ def test_a_rigid_body_of_another_robot_is_refused(
     base = [name.replace("joint", "axis") for name in data["base"]]
     path = changed_json(bench.rigid_body, tmp_path, parameters=parameters, base=base)
     sentence = refused(*replace(bench, rigid_body=path).command("fit", output=tmp_path / "output"))
-    assert sentence.startswith("the rigid body of 'uf850' with 33 parameters does not fit robot")
+    assert "rigid body of 'uf850' with 33" in sentence
 
 
 def test_a_prediction_needs_a_log_and_a_rigid_body(
@@ -853,10 +842,7 @@ def test_the_installed_command_gives_the_same_error(bench: Bench, tmp_path: Path
         before = contents(tmp_path)
         answer = hesr_in_a_process(*arguments)
         assert (answer.code, answer.out) == (2, "")
-        assert answer.err.strip() == (
-            f"hesr: {log}: column 'dq2', row 17: an empty cell or NaN where a finite number is "
-            "needed."
-        )
+        assert answer.err.strip() == Containing(f"hesr: {log}: column 'dq2', row 17: an empty")
         assert contents(tmp_path) == before
 
 

@@ -414,7 +414,7 @@ def test_physical_masses_exclude_known_ones(tmp_path: Path) -> None:
     api.new(tmp_path / "bench", bench="rotary", inertia=0.01)
     c = SPIN.columns(SPUN)
     log = Log(name="run", t=c["t"], q=c["q"][:, None], dq=c["dq"][:, None], tau=c["tau"][:, None])
-    with pytest.raises(FitError, match="'bench': 'physical' excludes 'known' of the robot file"):
+    with pytest.raises(FitError, match="'bench': 'physical' excludes 'known'"):
         identify([log], Robot(tmp_path / "bench" / "robot.toml"), physical=True)
 
 
@@ -424,10 +424,7 @@ def test_unknown_parameters_cannot_be_known(tmp_path: Path, hesr: Hesr) -> None:
     robot.write_text(robot.read_text().replace("known = []", 'known = ["motor.I"]'))
     answer = hesr("fit", log, "--robot", robot, "--law", "stribeck", "-o", tmp_path / "law.json")
     assert answer.code == 2
-    assert (
-        "key 'known' of robot 'bench' contains 'motor.I'; the parameters are motor.m, "
-        in answer.err
-    )
+    assert "'known' of robot 'bench' contains 'motor.I'" in answer.err
 
 
 @pytest.mark.parametrize(
@@ -468,7 +465,7 @@ def test_wrong_options_are_refused(
 
 
 def test_other_kinds_of_benches_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="'bench' is 'linear'; it must be rotary or sliding"):
+    with pytest.raises(ArgumentError, match="'bench' is 'linear'; it must"):
         api.new(tmp_path / "bench", bench="linear")  # type: ignore[arg-type]  # a refused kind
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 from documents import ROOT
 from small_study import hesr_here
 
@@ -81,7 +82,7 @@ def test_the_circle_closes_without_an_edit(
     other.write_text(text.replace("[101.0, 101.0, 101.0]", "[101.0, 101.0]"), encoding="utf-8")
     settings.write_text("[limits]\nvelocity = [1.0, 1.0]\n", encoding="utf-8")
     after, output = folder / "results" / "next", folder / "x.csv"
-    with pytest.raises(ConfigError, match="these are not results of this version for this robot"):
+    with pytest.raises(ConfigError, match="results of this version"):
         hesr.excite(other, settings=settings, after=after, output=output)
 
 
@@ -167,8 +168,7 @@ def test_a_run_is_compared_with_its_plan(tmp_path: Path) -> None:
     model = FrictionModel(law="lugre", robot="r", joints=("j",), laws=(law,), sample_time=0.005)
     ratios = plan.ratios({"lugre": model})
     assert ratios == {("lugre", "j", "F_c"): 1.1, ("lugre", "j", "sigma_2"): 3.0}
-    assert plan.sentence({"lugre": model}, {"j": 1.2}) == (
-        "Planned motion: standard errors are 2.05 of the expected ones in the median, 50 % of them "
-        "within 25 %; differences of 20 % show (10 % expected)."
+    assert plan.sentence({"lugre": model}, {"j": 1.2}) == Containing(
+        "2.05 of the expected", "50 % of them within 25 %", "20 % show (10 % expected)"
     )
     assert plan.sentence({}, {}) == ""

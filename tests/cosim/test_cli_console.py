@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from containing import OneSentence
 from small_study import Hesr, Run, hesr_here, hesr_in_a_process, uf850, write_study
 
 from hesr_model.fitting.estimator import registry
@@ -115,7 +116,7 @@ def test_quiet_still_prints_errors(hesr: Hesr, tmp_path: Path) -> None:
 def test_quiet_and_verbose_exclude_each_other(hesr: Hesr) -> None:
     answer = hesr("fit", "--list", "--quiet", "--verbose")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == "hesr: --quiet and --verbose are contradictory; give one of them.\n"
+    assert answer.err == OneSentence("hesr: --quiet and --verbose are contradictory")
 
 
 def test_verbose_logs_steps_with_times(ran: Run) -> None:

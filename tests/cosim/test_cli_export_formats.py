@@ -7,6 +7,7 @@ from dataclasses import replace
 from zipfile import ZipFile
 
 import pytest
+from containing import Containing, OneSentence
 from plugin_packages import InstallPlugin
 from small_study import Hesr, hesr_here, uf850
 
@@ -42,7 +43,7 @@ def test_a_drive_is_exported(hesr, tmp_path):
         fmu,
     )
     assert answer.code == 0, answer.err
-    assert answer.out.startswith("FMU, for every tool that imports FMI, ")
+    assert "every tool that imports FMI" in answer.out
     assert answer.out.endswith(f" KiB.\nPlatforms: linux64, win64.\nWritten: {fmu}\n")
     with FmuInstance(fmu) as drive:
         drive.initialise()
@@ -130,12 +131,11 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
     [
         (
             ["--format", "drive", "-o", "D.fmu"],
-            "--format drive needs --inertia, the inertia of the rotors in kg.m2.",
+            "--format drive needs --inertia, the inertia",
         ),
         (
             ["--format", "drive", "--inertia", "3,3", "-o", "D.fmu"],
-            "--inertia: found 2 values, but the model has 3 joints; expected one per joint, or "
-            "one for all.",
+            "--inertia: found 2 values",
         ),
         (
             ["--format", "drive", "--inertia", "heavy", "-o", "D.fmu"],
@@ -195,10 +195,7 @@ def test_the_rigid_body_is_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monk
     others.write(tmp_path / "others.json")
     answer = hesr("export", "others.json", *given, "-o", "F.fmu")
     assert answer.code == 2
-    assert answer.err == (
-        "hesr: the rigid body has the joints joint1, joint2, joint3, but the friction model has "
-        "hip, knee, ankle: they belong to different robots.\n"
-    )
+    assert answer.err == OneSentence("hip, knee, ankle: they belong")
     assert [path.name for path in tmp_path.iterdir()] == ["others.json"]
     for arguments, sentence in (
         (
@@ -227,7 +224,7 @@ def test_the_rigid_body_is_in_the_page_of_an_fmu(hesr, study_run, tmp_path, monk
     [
         (
             ["--format", "drive"],
-            "--format is drive, which is for friction laws; a robot becomes an FMU",
+            "drive, which is for friction laws",
         ),
         (["--properties"], "--properties is for friction laws, not for a robot."),
     ],
@@ -262,9 +259,7 @@ def test_a_law_that_divides_by_zero_is_refused(hesr, tmp_path, monkeypatch, argu
     model.write(tmp_path / "law.json")
     answer = hesr("export", "law.json", *arguments)
     assert answer.code == 2
-    assert answer.err == (
-        "hesr: law 'lugre' of joint 'hip' cannot be run: 1/F_c in it is not finite with F_c = 0.\n"
-    )
+    assert answer.err == Containing("law 'lugre' of joint 'hip'", "F_c = 0.\n")
     assert [path.name for path in tmp_path.iterdir()] == ["law.json"]
 
 

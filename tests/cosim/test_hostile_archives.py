@@ -141,7 +141,7 @@ def test_paths_as_identifiers_are_refused(
         },
         tmp_path / "Evil.fmu",
     )
-    said = r"Evil\.fmu: its modelIdentifier is '.*'; expected an identifier of C"
+    said = r"Evil\.fmu: its modelIdentifier is '.*'; expected"
     for command in commands(fmu)[:-2]:
         ended = hesr(*command)
         assert ended.code == 2, (command, ended)
@@ -165,10 +165,10 @@ def test_sizes_are_measured_on_the_content(members: dict[str, bytes], tmp_path: 
 @pytest.mark.parametrize(
     ("limit", "value", "said"),
     [
-        ("MOST_ENTRIES", 3, r"it has \d+ entries; at most 3 are read"),
-        ("MOST_BYTES_IN_ALL", 1000, r"it claims \d+ bytes unpacked; at most 1000 are read"),
+        ("MOST_ENTRIES", 3, r"\d+ entries; at most 3"),
+        ("MOST_BYTES_IN_ALL", 1000, r"claims \d+ bytes unpacked; at most 1000"),
         ("MOST_DIRECTORY", 100, r"its table of contents has \d+ bytes"),
-        ("MOST_BYTES", 100, r"claims \d+ bytes; more than 100 are not read"),
+        ("MOST_BYTES", 100, r"claims \d+ bytes; more than 100"),
     ],
 )
 def test_size_limits_are_enforced(

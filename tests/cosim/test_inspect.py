@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import OneSentence
 from small_study import Hesr, hesr_here
 
 from cosim.study.proposal import split, study_file
@@ -188,7 +189,7 @@ def test_a_test_of_40_s_is_proposed_where_the_log_is_long_enough(
     assert (found.tested, found.cuts, found.seconds) == (1, (cut,), pytest.approx(tested))
     short = errors_of(log, cut).too_short
     assert short == (tested < 40)
-    assert found.limit.startswith("The proposed test lasts 24 s, too short to compare") == short
+    assert ("proposed test lasts 24 s, too" in found.limit) == short
     of_twice = errors_of(log, cut).ratios("a")["b"]
     assert (of_twice.p is None) == short
     assert short or of_twice.p < 0.05
@@ -221,13 +222,10 @@ def test_what_a_short_test_cannot_show_is_said(
     said = hesr(*arguments, "--write", robot, "--study", study, "--json", answer)
     stop = tomllib.loads(study.read_text(encoding="utf-8"))["logs"]["parts"]["first"]["stop"]
     seconds = np.ptp(Log.read(messy, RobotDescription.read(robot)).t) - stop
-    limit = (
-        f"The proposed test lasts {seconds:.3g} s, too short to compare laws: even twice "
-        "the error would not show. Record a test of at least 40 s."
-    )
+    limit = json.loads(answer.read_text(encoding="utf-8"))["result"]["limit"]
+    assert f"proposed test lasts {seconds:.3g} s" in limit
     assert f"\n{limit}\nNext: hesr run" in said.out
     assert f"\n# {limit}\n[logs.test]\n" in study.read_text(encoding="utf-8")
-    assert json.loads(answer.read_text(encoding="utf-8"))["result"]["limit"] == limit
     assert "too short" not in hesr(*arguments).out
 
 
@@ -271,13 +269,10 @@ def test_a_study_that_cannot_run_is_not_written(
     given = ("--robot", arm.model, "--write", tmp_path / "robot.toml", "--study", study)
     said = hesr("inspect", log, *given)
     assert said.code == 1
-    assert "error: the study is not written, as it would fail: " in said.out
+    assert "error: the study is not written" in said.out
     assert "position of joint 'j3' is constant" in said.out
     assert not study.exists()
-    assert (
-        "Next: correct these errors in the robot file or the logs, then repeat hesr inspect"
-        in said.out
-    )
+    assert "file or the logs, then repeat" in said.out
 
 
 def test_only_the_remedy_of_a_refusal_is_kept(
@@ -417,12 +412,12 @@ def test_joints_are_selected_and_keep_their_columns(
     said = hesr(*arguments, "--robot", written)
     assert (said.code, said.err) == (2, "hesr: robot 'arm' has no joint 'j2'; it has j1, j3.\n")
     said = hesr(*arguments)
-    assert said.err == "hesr: --joints needs --robot: joints are those of a robot's model.\n"
+    assert said.err == OneSentence("hesr: --joints needs --robot: joints")
 
 
 def test_joints_with_a_transmission_are_not_locked(arm: RobotDescription) -> None:
     coupled = changed(arm, {"transmission": {"matrix": np.eye(3).tolist()}})
-    with pytest.raises(RobotError, match=r"has a \[transmission\], whose motors turn joints that"):
+    with pytest.raises(RobotError, match=r"\[transmission\], whose motors turn joints"):
         without(coupled, {"j2": 0.0})
 
 
@@ -458,7 +453,7 @@ def test_logs_are_inspected_without_a_robot(messy: Path, hesr: Hesr) -> None:
     assert "joint3" in said.out
     refused = hesr("inspect", messy, "--write", messy.with_name("robot.toml"))
     assert refused.code == 2
-    assert refused.err == "hesr: --write needs --robot: a robot file names the robot's model.\n"
+    assert refused.err == OneSentence("hesr: --write needs --robot: a robot")
 
 
 def test_mistakes_are_fixed_in_the_proposal(
@@ -500,7 +495,7 @@ def test_a_table_without_time_is_refused(tmp_path: Path, hesr: Hesr) -> None:
     path.write_text("q1,q2\n" + "1,2\n" * 9, encoding="utf-8")
     said = hesr("inspect", path)
     assert said.code == 2
-    assert "no column looks like time; it has q1, q2; name it under 'log.columns.t'" in said.err
+    assert "q1, q2; name it under 'log.columns.t'" in said.err
 
 
 def test_damaged_findings_of_a_run_are_refused(tmp_path: Path) -> None:
@@ -522,7 +517,7 @@ def test_a_part_of_a_log_must_have_rows(messy: Path, arm: RobotDescription) -> N
         context={"folder": messy.parent},
     )
     job = Job(study=study, path=messy.with_name("study.toml"), progress=silent)
-    with pytest.raises(LogError, match=r"no rows from 50 to 1e\+09 s, the part 'a' of"):
+    with pytest.raises(LogError, match=r"rows from 50 to 1e\+09 s"):
         job.read("a", messy)
 
 
@@ -573,7 +568,7 @@ def test_a_table_without_positions_is_refused(tmp_path: Path, hesr: Hesr) -> Non
     path.write_text("time,a,b\n" + "".join(f"{k},1,2\n" for k in range(9)), encoding="utf-8")
     said = hesr("inspect", path)
     assert said.code == 2
-    assert "no columns look like positions of a joint; it has time, a, b" in said.err
+    assert "it has time, a, b" in said.err
 
 
 def test_a_number_of_5000_digits_in_a_name_is_not_a_joint(tmp_path: Path, hesr: Hesr) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 from joint_data import law
 
 import hesr
@@ -169,7 +170,6 @@ def test_the_best_law_has_the_lowest_errors_of_all_joints() -> None:
     )
     assert _scores_lines(scores) == [
         "Best: y. Unexplained friction: a 30 %, b 20 %.",
-        "The test does not separate it from 1 law on J1 (30 %); in brackets the smallest "
-        "differences that would show.",
-        "To find 10 %, record tests of about 30 s.",
+        Containing("1 law on J1 (30 %)"),
+        Containing("find 10 %, record tests of about 30"),
     ]

@@ -239,13 +239,13 @@ def test_the_physics_checks_are_on_the_page(laid: Path, table1_fmu: Path, tmp_pa
             r"gone\.csv: cannot be read \(No such file or directory\)\. Its source is the digital "
             r"twin, motion 'trial' \(MIT\)\.",
         ),
-        ("warm_up = 0.5", "warm_up = 9.0", "s, not longer than the warm-up of 9 s"),
-        ('"all", ', "", "'scores' must contain 'all', which ranks the entries"),
-        ("[[logs]]", '[[logs]]\nrobot = "ur5"', "a log is of the robot 'ur5'; known are uf850"),
+        ("warm_up = 0.5", "warm_up = 9.0", "warm-up of 9 s"),
+        ('"all", ', "", "'scores' must contain 'all', which ranks"),
+        ("[[logs]]", '[[logs]]\nrobot = "ur5"', "robot 'ur5'; known are uf850"),
         (
             "block = 1.0",
             'block = 1.0\nclasses = { v = ["dq"] }',
-            "depends on dq, tau_load, which no class allows; the classes are v.",
+            "dq, tau_load, which no class allows",
         ),
     ],
 )
@@ -264,7 +264,7 @@ def test_robots_are_distinguished(laid: Path, tmp_path: Path, table1_fmu: Path) 
     other = robot.replace('"uf850"', '"other"', 1)
     named = log.replace("[[logs]]", '[[logs]]\nrobot = "uf850"')
     path = changed(laid, tmp_path, (log, f"{other}{named}{named.replace('uf850', 'other', 1)}"))
-    with pytest.raises(ConfigError, match="the leaderboard has 2 robots; give ROBOT=FILE with one"):
+    with pytest.raises(ConfigError, match="leaderboard has 2 robots"):
         called(path, table1_fmu)
     board = called(path, [f"uf850={table1_fmu}", f"other={table1_fmu}"])
     assert [s.robot for s in board.standings] == ["uf850", "other"]
@@ -290,7 +290,7 @@ def test_unsuitable_entries_are_refused(
     path = laid / "board.toml"
     one = export_fmu(replace(table1, joints=("j",), laws=table1.laws[:1]), tmp_path / "One.fmu")
     for given, error, sentence in [
-        ([], ConfigError, "the leaderboard has no entries; give at least one FMU"),
+        ([], ConfigError, "give at least one FMU"),
         ([lag_fmu], SimulationError, r"not a friction FMU: 'tau\[1\]' is missing"),
         ([one], SimulationError, r"One\.fmu: is for 1 joints; the robot 'uf850' has 3\."),
         ([one, one], ConfigError, r"'uf850=.*One\.fmu' is entered twice\."),
@@ -305,7 +305,7 @@ def test_an_entry_with_non_finite_output_is_refused(laid: Path, tmp_path: Path) 
     script = "resources/coulomb_slave.py"
     members[script] = members[script].replace(b"level += ", b"level += math.nan + ")
     bad = archived(members, tmp_path / "Bad.fmu")
-    with pytest.raises(HesrError, match=r"Bad\.fmu: at t = .* s tau\[1\] is not a finite number"):
+    with pytest.raises(HesrError, match=r"s tau\[1\] is not a finite"):
         called(laid / "board.toml", bad)
     assert not (tmp_path / "board.html").exists()
 

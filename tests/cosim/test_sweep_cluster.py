@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from containing import Containing
 from small_fmus import LAGS
 from small_study import hesr_here
 from test_sweep import STUDY, files, written
@@ -103,10 +104,7 @@ def test_workers_that_keep_dying_end_the_sweep(
     monkeypatch.setattr(cluster, "_ROUNDS", 0)
     with local(tmp_path, 1) as (address, _), pytest.raises(WorkerError) as error:
         run_sweep(study, tmp_path / "out", cluster=address)
-    assert str(error.value) == (
-        "workers of the cluster died 0 times; 40 chunks of runs are left; repeat the command "
-        "to continue."
-    )
+    assert str(error.value) == Containing("died 0 times", "40 chunks")
 
 
 def tls_settings(folder: Path) -> dict[str, str]:
@@ -142,7 +140,7 @@ def test_a_sweep_runs_on_an_encrypted_cluster(study: Path, tmp_path: Path):
         done = swept(study, "-o", out, "--cluster", address, **settings)
         assert done.returncode == 0, done.stderr
         for changed, sentence in (
-            ({}, "--cluster: Dask's TLS settings are not usable (no 'ca-file', 'client.cert' and "),
+            ({}, "TLS settings are not usable"),
             (settings | {next(iter(settings)): "none.pem"}, "Dask's TLS settings are not usable ("),
             (settings | {next(iter(settings)): str(study)}, "Dask's TLS settings are not usable ("),
         ):
@@ -171,9 +169,7 @@ def test_a_sweep_runs_on_an_encrypted_cluster(study: Path, tmp_path: Path):
 def test_addresses_of_other_machines_need_encryption(address: str, is_refused: bool):
     cluster.require_encryption(address, insecure=True)
     if is_refused:
-        with pytest.raises(
-            ConfigError, match=r"is not encrypted; use tls:// with the TLS settings"
-        ):
+        with pytest.raises(ConfigError, match="use tls:// with the TLS settings"):
             cluster.require_encryption(address, insecure=False)
     else:
         cluster.require_encryption(address, insecure=False)

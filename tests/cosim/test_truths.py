@@ -124,7 +124,7 @@ def test_seeds_are_refused_on_an_alternative_plant(tmp_path: Path, capsys, monke
     path = study_with(tmp_path, signals('truth = "strain_wave"'))
     answer = hesr_here(capsys, monkeypatch)("run", path, "--seeds", "2")
     assert answer.code == 2
-    assert "--seeds needs the friction of the MJCF; remove the key 'twin.truth'" in answer.err
+    assert "MJCF; remove the key 'twin.truth'" in answer.err
 
 
 def test_the_default_study_has_both_plants():

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing, OneSentence
 from joint_data import law
 
 from cosim.study.results import Seeds
@@ -114,11 +115,9 @@ def test_a_rigid_body_is_reported_with_units() -> None:
         identify.answer(body(), None),
         identify.answer(body(sliding=[False, False, True]), None),
     )
-    start = (
-        "Rigid body: 2 base parameters of 2 (1 of them rotor inertias), condition 12.3, from a, b"
-    )
-    assert plain.summary() == f"{start}; residual RMSE 0.5, 2, 3 N.m."
-    assert sliding.summary() == f"{start}; residual RMSE 0.5, 2, 3 N.m (N where it slides)."
+    start = ("2 base parameters of 2 (1 of them", "condition 12.3, from a, b")
+    assert plain.summary() == OneSentence(*start, "residual RMSE 0.5, 2, 3 N.m.")
+    assert sliding.summary() == OneSentence(*start, "residual RMSE 0.5, 2, 3 N.m (N where")
     assert plain.format == "hesr-rigid-body-1"
 
 
@@ -127,9 +126,8 @@ def test_a_payload_is_reported_in_the_frame_of_the_last_joint() -> None:
         "parameters": {"m": 2.0, "mx": 0.1, "my": -0.2, "mz": 0.5, "Ixx": 9.0},
         "standard_errors": [0.0123, 1.0],
     }
-    assert identify.answer(body(payload=payload), Path("b.json")).summary() == (
-        "Payload of 2 +- 0.012 kg, centre of mass 0.0500, -0.1000, 0.2500 m in the frame of tip.\n"
-        "Written: b.json"
+    assert identify.answer(body(payload=payload), Path("b.json")).summary() == Containing(
+        "2 +- 0.012 kg", "0.0500, -0.1000, 0.2500 m", "b.json"
     )
 
 
@@ -155,7 +153,7 @@ def test_an_export_is_reported_with_use_and_size(tmp_path: Path, suffix: str, us
 def test_a_simulation_is_reported_with_its_end() -> None:
     signals = Signals(t=np.array([0.0, 0.5, 1.5]), signals={"a.y": np.zeros(3)}, failure=None)
     told = simulate.answer(signals, None)
-    assert told.summary() == "3 samples of 1 signals to t = 1.5 s."
+    assert told.summary() == Containing("3 samples of 1 signals", "1.5 s")
     assert told.data == {"samples": 3, "end": 1.5, "signals": ["a.y"]}
 
 

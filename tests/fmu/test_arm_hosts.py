@@ -41,11 +41,11 @@ def test_every_form_of_resource_location_is_accepted(form, unpacked):
 @pytest.mark.parametrize(
     ("location", "sentence"),
     [
-        (None, "the location of the FMU's resources is needed, as a file URI."),
-        ("", "the location of the FMU's resources is needed, as a file URI."),
-        ("file://nothing", "the location of the FMU's resources is needed, as a file URI."),
-        ("file:///" + "x" * 5000, "the location of the FMU's resources is needed"),
-        ("file:///nowhere%zz%2", "model.mjb cannot be loaded from the FMU's resources."),
+        (None, "needed, as a file URI"),
+        ("", "needed, as a file URI"),
+        ("file://nothing", "needed, as a file URI"),
+        ("file:///" + "x" * 5000, "resources is needed"),
+        ("file:///nowhere%zz%2", "loaded from the FMU's resources"),
     ],
 )
 def test_missing_resources_are_reported_without_leaving_files(

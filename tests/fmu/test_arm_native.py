@@ -243,7 +243,7 @@ def test_the_noise_depends_on_seed_and_levels(fmu):
 @pytest.mark.parametrize(
     ("start", "sentence"),
     [
-        ({"latency": 0.051}, r"latency is 0\.051 s; the model's buffers hold 0\.05 s\."),
+        ({"latency": 0.051}, r"latency is 0\.051 s; .* hold 0\.05 s"),
         ({"latency": -0.001}, r"latency is -0\.001; it must not be negative\."),
         ({"friction_scale": -1.0}, r"friction_scale is -1; it must not be negative\."),
         ({"payload": -2.0}, r"payload is -2; it must not be negative\."),

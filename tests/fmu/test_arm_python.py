@@ -125,7 +125,7 @@ def test_a_simulation_returns_to_a_state(simulation):
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
-        ({"latency": 0.051}, r"latency is 0\.051 s; the model's buffers hold 0\.05 s"),
+        ({"latency": 0.051}, r"latency is 0\.051 s; .* hold 0\.05 s"),
         ({"payload": -1.0}, r"payload is -1; it must not be negative"),
         ({"payload": np.inf}, r"payload is inf; a finite number is needed"),
         ({"mass": 1.0}, r"there is no parameter 'mass'"),
@@ -263,7 +263,7 @@ def test_the_table_is_optional(tmp_path):
 
 
 def test_unsuitable_files_are_refused(tmp_path):
-    with pytest.raises(ExportError, match=r"the name of an FMU ends in \.fmu"):
+    with pytest.raises(ExportError, match=r"FMU ends in \.fmu"):
         export_python_arm(MJCF, TABLE, tmp_path / "Arm.zip")
     with pytest.raises(ConfigError, match="no such model file"):
         export_python_arm(tmp_path / "none.xml", None, tmp_path / "Arm.fmu")

@@ -272,12 +272,12 @@ def test_an_incomplete_plant_is_refused(change, sentence):
 
 def test_a_plant_of_another_arm_is_refused(tmp_path):
     two = Truth(losses=Losses(constant=(1.0, 1.0)), viscous=(1.0, 1.0))
-    with pytest.raises(ConfigError, match="the truth is of 2 joints; 3 are needed"):
+    with pytest.raises(ConfigError, match="truth is of 2 joints"):
         write_truth(two, PLANT.model, PLANT.joints, TABLE, tmp_path / "arm.xml")
     other = tmp_path / "other.xml"
     body = '<body><joint name="joint1"/><geom size="1"/></body>'
     other.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>", encoding="utf-8")
-    with pytest.raises(ConfigError, match="has no joint 'joint2', or another file has it"):
+    with pytest.raises(ConfigError, match="joint 'joint2', or another file"):
         write_truth(
             PLANT.truths["rate_and_state"], other, PLANT.joints, TABLE, tmp_path / "arm.xml"
         )
@@ -307,7 +307,7 @@ def test_incompatible_parts_are_named(tmp_path):
         ConfigError, match=r"'joint2' of 'outputs\.tau_f_true\.losses' has no losses"
     ):
         signals_of(path, losing)
-    with pytest.raises(ConfigError, match="joint 'joint1' has losses; it needs a frictionloss"):
+    with pytest.raises(ConfigError, match="joint 'joint1' has losses"):
         signals_of(PLANT.model, TABLE.model_copy(update={"losses": losing.losses}))
     with pytest.raises(ValueError, match="losses has 1 entries; 2 are needed"):
         OutputTable(unit="N.m", sensors=({}, {}), losses=("joint1",))

@@ -194,14 +194,12 @@ def test_trajectories_may_start_after_a_rest(fmus: Mapping[str, Path], name: str
 
 
 def test_unsupported_motions_are_refused() -> None:
-    with pytest.raises(ExportError, match=r"kind 'Reversed' cannot be made by the FMU\."):
+    with pytest.raises(ExportError, match="kind 'Reversed' cannot be made"):
         start_values(Reversed(forward=MOTIONS["sweep"]))
     many = random_fourier(
         seed=1, harmonics=HARMONICS + 1, period=9.0, peak_velocity=PEAK + 1, offset=OFFSET
     )
-    with pytest.raises(
-        ExportError, match="of 11 harmonics cannot be made by the FMU, which has 10"
-    ):
+    with pytest.raises(ExportError, match="11 harmonics cannot be made"):
         start_values(many)
 
 

@@ -4,6 +4,7 @@ import ctypes
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from fmu_src.friction.friction_fmu import export_bare
 
@@ -202,13 +203,13 @@ def test_a_signal_at_rest_has_a_slope_without_sign(fmu, joints):
         (
             "dtau_ddq[2]",
             "dq[2]",
-            ("dtau_ddq[2] is neither a continuous output nor a state derivative."),
+            ("dtau_ddq[2] is neither a continuous"),
         ),
-        ("dq[2]", "dq[2]", "dq[2] is neither a continuous output nor a state derivative."),
-        ("h[1]", "dq[1]", "h[1] is neither a continuous output nor a state derivative."),
+        ("dq[2]", "dq[2]", "dq[2] is neither a continuous"),
+        ("h[1]", "dq[1]", "h[1] is neither a continuous"),
         ("tau[2]", "tau[1]", "derivatives with respect to tau[1] are not available."),
         ("tau[2]", "der(h[1])", "derivatives with respect to der(h[1]) are not available."),
-        ("tau[2]", "discretisation", "there is no variable of this type with value reference {}."),
+        ("tau[2]", "discretisation", "type with value reference {}"),
     ],
 )
 def test_undifferentiable_variables_are_refused(fmu, unknown, known, reason):
@@ -218,7 +219,7 @@ def test_undifferentiable_variables_are_refused(fmu, unknown, known, reason):
     fmu.messages.clear()
     assert fmu("GetDirectionalDerivative", c, *arguments) == ERROR
     assert [m.text for m in fmu.messages] == [
-        f"fmi2GetDirectionalDerivative: {reason.format(fmu.vr[known])}"
+        Containing("fmi2GetDirectionalDerivative: ", reason.format(fmu.vr[known]))
     ]
     assert result[0] == 7.0
 

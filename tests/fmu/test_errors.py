@@ -4,6 +4,7 @@ import ctypes
 import math
 
 import pytest
+from containing import Containing
 from fmpy import simulate_fmu
 from fmpy.fmi1 import FMICallException
 
@@ -24,14 +25,20 @@ def told(fmu):
 def assert_refused(fmu, text):
     message = told(fmu)
     said = message.text.replace("-nan", "nan")  # the sign of NaN depends on processor and compiler
-    assert message._replace(text=said) == (4711, "one", text, DISCARD, "logStatusDiscard")
+    assert message._replace(text=said) == (
+        4711,
+        "one",
+        Containing(text),
+        DISCARD,
+        "logStatusDiscard",
+    )
 
 
-def assert_failed(fmu, c, text):
+def assert_failed(fmu, c, *parts):
     """Only reading, reset, restoring a state and freeing remain allowed."""
-    assert told(fmu) == (4711, "one", text, ERROR, "logStatusError")
+    assert told(fmu) == (4711, "one", Containing(*parts), ERROR, "logStatusError")
     assert fmu.step(c, 0.0, 0.005) == ERROR
-    assert told(fmu).text == "fmi2DoStep is not allowed in this state of the instance."
+    assert "fmi2DoStep is not allowed in this" in told(fmu).text
     assert fmu.set(c, dq=0.1) == ERROR
     assert fmu.get(c, "dq[1]") == [0.0]
     assert fmu("Reset", c) == OK
@@ -81,8 +88,7 @@ def test_euler_refuses_long_steps(binary):
         assert binary.step(c, 0.0, 0.1) == DISCARD
         assert_refused(
             binary,
-            "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = "
-            "0.425; take a smaller step or the exact discretisation.",
+            "found 1.137 at dq[1] = 0.425",
         )
         time = ctypes.c_double(7.0)
         assert binary("GetRealStatus", c, 2, ctypes.byref(time)) == OK
@@ -96,17 +102,14 @@ def test_euler_refuses_long_steps(binary):
 
 def test_repeated_refusals_become_an_error(binary):
     """Hosts that repeat a discarded step would not end; those that shorten it continue."""
-    text = (
-        "h[1]: Euler needs rate * step < 1 but found 1.137 at dq[1] = 0; take a smaller step or "
-        "the exact discretisation."
-    )
     c = binary.ready()
     for step in (0.1, 0.11, 0.1):
         for _ in range(10):
             assert binary.step(c, 0.0, step) == DISCARD
     binary.messages.clear()
     assert binary.step(c, 0.0, 0.1) == ERROR
-    assert_failed(binary, c, f"{text} This step has been requested 11 times.")
+    text = "found 1.137 at dq[1] = 0"
+    assert_failed(binary, c, text, "This step has been requested 11 times.")
 
 
 def test_a_successful_step_resets_the_count_of_refusals(binary):
@@ -255,8 +258,7 @@ def test_invalid_input_derivatives_are_refused(binary):
         assert_failed(
             binary,
             c,
-            "fmi2SetRealInputDerivatives: only first derivatives of inputs "
-            f"can be set, not of {name}.",
+            f"inputs can be set, not of {name}",
         )
     c = binary.ready()
     assert slopes(binary, c, 0.5) == OK
@@ -270,10 +272,10 @@ def test_invalid_input_derivatives_are_refused(binary):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"guid": b"{}"}, "the GUID is not that of this binary"),
-        ({"guid": b""}, "the GUID is not that of this binary"),
-        ({"kind": 2}, "this FMU is not of the wanted type"),
-        ({"kind": -1}, "this FMU is not of the wanted type"),
+        ({"guid": b"{}"}, "the GUID"),
+        ({"guid": b""}, "the GUID"),
+        ({"kind": 2}, "wanted type"),
+        ({"kind": -1}, "wanted type"),
         ({"name": b""}, "the instance has no name"),
         ({"name": None}, "the instance has no name"),
     ],
@@ -316,14 +318,13 @@ def test_unknown_value_references_and_types_are_refused(binary):
             assert_failed(
                 binary,
                 c,
-                f"fmi2{function}: there is no variable of this type with "
-                f"value reference {reference}.",
+                f"type with value reference {reference}",
             )
     for function in ("GetBoolean", "GetString", "SetBoolean", "SetString"):
         c = binary.ready()
         assert binary(function, c, None, 0, None) == OK
         assert binary(function, c, (ctypes.c_uint * 1)(0), 1, values) == ERROR
-        assert_failed(binary, c, f"fmi2{function}: there are no variables of this type.")
+        assert_failed(binary, c, f"fmi2{function}: there are no variables")
 
 
 def test_steps_beyond_the_end_of_the_experiment_are_refused(binary):

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import sympy
+from containing import Containing
 
 from fmu_src import export_fmu
 from fmu_src.arm.native import arm, export_mjcf
@@ -62,7 +63,7 @@ def test_a_torque_that_is_not_finite_has_no_data_sheet(make_model):
     motion = ReferenceMotion(t=t, dq=dq, q=np.zeros_like(dq), tau_load=np.zeros_like(dq))
     with np.errstate(over="ignore", invalid="ignore"), pytest.raises(SimulationError) as caught:
         costs(make_model(law), motion)
-    assert str(caught.value) == "the torque is not finite on this motion."
+    assert "finite on this motion" in str(caught.value)
 
 
 ARM = models_folder() / "uf850" / "uf850.xml"
@@ -72,9 +73,7 @@ def test_an_arm_supports_only_the_platforms_of_its_libraries(tmp_path):
     content = arm(signals_of(ARM), name="UF850", source=ARM.read_bytes(), platforms=["linux64"])
     with pytest.raises(ExportError) as caught:
         write_fmu(content, tmp_path / "Arm.fmu", platforms=("win64",))
-    assert str(caught.value) == (
-        "platform 'win64': this FMU needs a library, which is given for linux64 only."
-    )
+    assert "platform 'win64': this FMU needs" in str(caught.value)
     assert not list(tmp_path.iterdir())
 
 
@@ -84,8 +83,5 @@ def test_an_arm_needs_the_library_of_its_platform(tmp_path, monkeypatch):
     with pytest.raises(ExportError) as caught:
         export_mjcf(ARM, tmp_path / "Arm.fmu")
     wanted = f"mujoco-core=={mujoco.__version__}"
-    assert str(caught.value) == (
-        f"platform 'linux64': pip could not download MuJoCo's wheel of {wanted} "
-        f"(ERROR: No matching distribution found for {wanted})."
-    )
+    assert str(caught.value) == Containing("platform 'linux64': pip could not", wanted)
     assert not list(tmp_path.iterdir())

@@ -12,6 +12,7 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
+from containing import Containing
 from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
@@ -490,7 +491,7 @@ def test_each_joint_of_a_drive_has_a_flange(drive3) -> None:
     }
     report = check(drive3)
     assert report.problems == ()
-    assert report.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
+    assert report.skipped == (Containing("FMI 2.0, this is FMI 3.0"),)
 
 
 def test_messages_name_the_functions_of_fmi_3(drive3, tmp_path) -> None:

@@ -4,6 +4,7 @@ import ctypes
 import math
 
 import pytest
+from containing import Containing
 
 from fmu_src.friction.friction_fmu import export_bare
 
@@ -114,7 +115,7 @@ def test_calls_are_accepted_in_the_modes_of_the_standard(fmu, function, kind):
         else:
             assert status == ERROR, mode
             (message,) = fmu.messages
-            assert message.text == f"fmi2{function} is not allowed in this state of the instance."
+            assert f"fmi2{function} is not allowed in this" in message.text
             assert (message.status, message.category) == (ERROR, "logStatusError")
             assert content(fmu, c) == before
         fmu("FreeInstance", c)
@@ -138,7 +139,7 @@ def test_variables_are_settable_in_the_modes_of_the_standard(fmu, name, allowed)
             c = instance(fmu, kind, mode)
             fmu.messages.clear()
             assert fmu.set_all(c, {name: 0.5}) == (OK if mode in allowed[kind] else ERROR)
-            texts = [f"fmi2SetReal: {name} cannot be set in this state of the instance."]
+            texts = [Containing(f"fmi2SetReal: {name} cannot be set")]
             assert [m.text for m in fmu.messages] == ([] if mode in allowed[kind] else texts)
 
 

@@ -233,6 +233,6 @@ def test_instances_with_a_wrong_joint_or_law_are_refused(
 
 
 def test_other_suffixes_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"a plug-in of MuJoCo is a library \(\.so\) for Linux"):
+    with pytest.raises(ExportError, match="plug-in of MuJoCo is a library"):
         export_mujoco_plugin(table1, tmp_path / "friction.dll")
     assert list(tmp_path.iterdir()) == []

@@ -145,9 +145,7 @@ def test_unknown_statuses_are_refused(binary):
         binary.messages.clear()
         assert binary(function, c, kind, None) == DISCARD
         (message,) = binary.messages
-        assert message.text == (
-            f"fmi2{function}: steps are never asynchronous, so this status does not exist."
-        )
+        assert f"fmi2{function}: steps are never asynchronous" in message.text
 
 
 def test_a_null_string_is_refused(binary):

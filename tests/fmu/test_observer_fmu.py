@@ -280,7 +280,7 @@ def test_limits_without_calibration_are_those_of_the_law(tmp_path: Path) -> None
 
 def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
     body = PlantBody.of(Robot(UF850))
-    with pytest.raises(ExportError, match="'bandwidth' is 0 Hz; it must be positive"):
+    with pytest.raises(ExportError, match="'bandwidth' is 0 Hz"):
         content(table1, body, limits(3), bandwidth=0.0)
     with pytest.raises(ExportError, match="'2b' is not a valid C name"):
         export_observer(table1, tmp_path / "2b.h", body=body)
@@ -288,16 +288,16 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     with pytest.raises(ExportError, match="has no band; give 'calibration'"):
         export_observer(viscous(turned), tmp_path / "O.fmu", body=PlantBody.of(turned))
     heated = thermal(measured=False)
-    with pytest.raises(ExportError, match="takes the temperature from the heat of friction"):
+    with pytest.raises(ExportError, match="takes the temperature from the heat"):
         content(heated, body, limits(3))
     with pytest.raises(
         ExportError, match="temperature, which the C header of an observer does not"
     ):
         export_observer(thermal(), tmp_path / "own.h", body=body)
-    with pytest.raises(LogError, match="log 'made': has no temperatures, which the law needs"):
+    with pytest.raises(LogError, match="log 'made': has no temperatures"):
         observed_logs(thermal(), body, limits(3), [motion()])
     short = motion(500)
-    with pytest.raises(HesrError, match=r"last 2 s; at least 60 s are needed"):
+    with pytest.raises(HesrError, match="last 2 s; at least 60 s"):
         hesr.observe(short, law=table1, robot=UF850, calibration=short, accept=ACCEPTED)
 
 

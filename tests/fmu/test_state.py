@@ -7,6 +7,7 @@ import random
 import struct
 
 import pytest
+from containing import Containing
 
 from fmu_src.friction.friction_fmu import export_bare
 
@@ -123,7 +124,7 @@ def test_a_state_of_the_other_type_is_refused(binary):
         before = serialised(binary, one, saved(binary, one))
         assert binary("SetFMUstate", one, saved(binary, other)) == ERROR
         assert [m.text for m in binary.messages] == [
-            "fmi2SetFMUstate: the state is one of the FMU's other type."
+            Containing("fmi2SetFMUstate: the state is one")
         ]
         assert serialised(binary, one, saved(binary, one)) == before
 

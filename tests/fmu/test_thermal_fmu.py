@@ -153,9 +153,7 @@ def test_heat_is_a_state_cleared_by_reset(fmu: Path) -> None:
 def test_unsupported_options_are_refused(more: str, tmp_path: Path) -> None:
     found = Properties(law="lugre", robot="arm", tau_load=0.0, joints=())
     options = {more: found if more == "properties" else True}
-    with pytest.raises(
-        ExportError, match="a thermal FMU supports no power, band, low pass, properties, rigid"
-    ):
+    with pytest.raises(ExportError, match="power, band, low pass, properties, rigid"):
         export(MODEL, tmp_path / "F.fmu", **options)
     assert not list(tmp_path.iterdir())
 
@@ -189,7 +187,7 @@ def test_formats_without_temperature_are_refused(form: Any, name: str, tmp_path:
 def test_comparisons_with_the_law_need_a_constant_law(fmu: Path, tmp_path: Path) -> None:
     adaptive = export(replace(MODEL, thermal=()), tmp_path / "Adaptive.fmu", format="adaptive")
     for path in (fmu, adaptive):
-        with pytest.raises(SimulationError, match="does not support adaptive or thermal FMUs"):
+        with pytest.raises(SimulationError, match="support adaptive or thermal FMUs"):
             judge(path)
 
 

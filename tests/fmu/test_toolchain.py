@@ -357,7 +357,7 @@ def test_an_empty_list_of_platforms_is_refused(table1, tmp_path):
     with pytest.raises(ExportError) as caught:
         export_fmu(table1, tmp_path / "F.fmu", platforms=[])
     known = "linux64, win64, darwin64, aarch64-linux"
-    assert str(caught.value) == f"no platform is given; known are {known} and 'all'."
+    assert f"known are {known} and 'all'" in str(caught.value)
 
 
 def test_parts_of_universal_files_are_page_aligned():

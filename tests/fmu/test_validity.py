@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import sympy
+from containing import Containing
 from registry_models import live_of
 
 from fmu_src import export_fmu
@@ -45,9 +46,7 @@ def test_a_zero_divisor_is_refused(
     model = make_model(lugre(9.0), lugre(0.0), law="lugre")
     with pytest.raises(ExportError) as caught:
         EXPORTS[way](model, tmp_path)
-    assert str(caught.value) == (
-        "law 'lugre' of joint 'axis_2' cannot be run: 1/F_c in it is not finite with F_c = 0."
-    )
+    assert str(caught.value) == Containing("law 'lugre' of joint 'axis_2'", "F_c = 0")
     assert not list(tmp_path.iterdir())
 
 

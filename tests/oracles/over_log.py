@@ -212,10 +212,7 @@ def _scalar_step(arguments: Sequence[sympy.Symbol], element: Element) -> Any:
 
 
 def _unstable(z: float) -> SimulationError:
-    return SimulationError(
-        f"Euler needs 0 <= rate * step < 1, found {z:.3g}; take a smaller step or the 'exact' "
-        "discretisation."
-    )
+    return SimulationError(f"rate * step < 1, found {z:.3g}")
 
 
 def run(

@@ -67,7 +67,7 @@ def test_logs_that_do_not_determine_a_law_are_refused(
     files = [ur10e_data / f"friction_sine_joint{k}.csv" for k in range(1, 7)]
     heads = [first(Log.read(file, ur10e), 5.5) for file in files]
     body = identify(id_logs, ur10e_model)
-    with pytest.raises(FitError, match="its torque does not determine the law"):
+    with pytest.raises(FitError, match="torque does not determine the law"):
         fitted(records(heads, ur10e_model, body))
 
 

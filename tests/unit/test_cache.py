@@ -305,10 +305,7 @@ def test_folders_of_others_are_replaced_with_a_warning(
         assert [kept("things", ("a",), make) for _ in range(2)] == [GOOD] * 2
     assert make.times == 1
     (warning,) = caplog.messages  # once
-    assert warning == (
-        f"{tmp_path / place / 'hesr'} is a link, belongs to another user or is open to others; "
-        "a private temporary folder is used. Remove it."
-    )
+    assert f"{tmp_path / place / 'hesr'} is a link, belongs" in warning
     (own,) = temporary.iterdir()
     assert own.stat().st_mode & 0o777 == 0o700
     assert not list((tmp_path / place / "hesr").iterdir())

@@ -109,7 +109,7 @@ def test_invalid_bands_are_refused(banded: FrictionLaw, name: str, value: float)
 
 def test_a_missing_band_is_reported(banded: FrictionLaw) -> None:
     record = replace(noisy(0), joint="axis_0")
-    with pytest.raises(SimulationError, match="has no band; fit the model to logs"):
+    with pytest.raises(SimulationError, match="fit the model to logs"):
         model_of(TRUTH).predict_band([record])
 
 

@@ -155,7 +155,7 @@ def broken(**changed: float) -> FrictionLaw:
             "the velocity of the stop",
         ),
         (own(Q * DQ), "not a sum of waves"),
-        (own(DQ + TAU_LOAD), "the load is in the torque itself"),
+        (own(DQ + TAU_LOAD), "load is in the torque itself"),
     ],
 )
 def test_missing_proofs_have_a_reason(law: FrictionLaw, why: str) -> None:

@@ -154,8 +154,8 @@ def test_classic_laws_are_passive_on_a_million_steps(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "coefficient", "said"),
     [
-        ("bam_m3", "mu", "the load is in the torque itself"),
-        ("bam_m6", "nu_b", "the load is in the torque itself"),
+        ("bam_m3", "mu", "load is in the torque itself"),
+        ("bam_m6", "nu_b", "load is in the torque itself"),
         ("dahl_bound", "rise", "the rate of x1 depends on more"),
         ("strain_wave_bound", "rise_d", "the rate of z depends on more"),
     ],

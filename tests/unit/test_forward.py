@@ -215,10 +215,10 @@ def test_rounded_times_add_no_inner_steps() -> None:
 
 def test_impossible_simulations_are_refused(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
-    with pytest.raises(SimulationError, match="log trial: too short for a window of 9 s"):
+    with pytest.raises(SimulationError, match=r"log trial: too short .* 9 s"):
         windows_of([log], 9.0)
     hollow = Simulator(robot=robot, parameters=-robot.nominal_parameters, friction=twin["law"])
-    with pytest.raises(SimulationError, match="mass matrix is not positive; identify with"):
+    with pytest.raises(SimulationError, match="mass matrix is not positive; identify"):
         hollow.run(windows_of([log], 0.2))
 
 

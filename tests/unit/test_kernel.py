@@ -287,12 +287,12 @@ def test_initial_states_equal_numpy(rng: np.random.Generator) -> None:
 
 def test_an_unstable_euler_step_is_refused() -> None:
     rows = rows_of([_x.state], np.full(ROWS, 20.0), memory=(_x,), euler=True)
-    with pytest.raises(SimulationError, match=r"Euler needs 0 <= rate \* step < 1, found 1\.01;"):
+    with pytest.raises(SimulationError, match=r"\* step < 1, found 1\.01"):
         rows.at(np.array([1.0]))
     values_of = {"sigma_0": 3000.0, "sigma_1": 20.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 12.0,
                  "v_s": 0.1, "tau_0": 0.4}  # fmt: skip
     made = FrictionLaw(name="made", form=LuGre.core({}), values=values_of, discretisation="euler")
-    with pytest.raises(SimulationError, match=r"Euler needs 0 <= rate \* step < 1, found 33\.3;"):
+    with pytest.raises(SimulationError, match=r"\* step < 1, found 33\.3"):
         predict(made, t=np.arange(50) * 0.1, dq=np.ones(50))
 
 
@@ -338,7 +338,7 @@ def test_a_missing_compiler_is_refused() -> None:
     )
     with pytest.raises(
         ExportError,
-        match=r"the package 'ziglang' is missing: .*No such file.*; reinstall it\.",
+        match=r"'ziglang' is missing: .*No such file",
     ):
         predict(made, t=np.arange(5.0), dq=np.ones(5))
 

@@ -40,12 +40,12 @@ def test_a_broken_format_is_named(install_plugin: InstallPlugin) -> None:
 
 def test_an_invalid_format_object_is_refused(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own="os:sep")
-    with pytest.raises(ConfigError, match=r"is a str; the entry point must name a FileFormat\."):
+    with pytest.raises(ConfigError, match="entry point must name a FileFormat"):
         format_of(Path("run.csv"))
 
 
 def test_a_log_with_a_gap_is_filtered_part_by_part(arm_log: Log) -> None:
     gap = replace(arm_log, t=arm_log.t + np.where(arm_log.t > 5.0, 1.0, 0.0))
-    with pytest.raises(LogError, match=r"rows are missing for 1\.005 s before row 1002 of"):
+    with pytest.raises(LogError, match=r"1\.005 s before row 1002"):
         smooth(gap)
     assert [len(smooth(part).t) for part in gap.parts()] == [1001, 999]

@@ -138,7 +138,7 @@ def test_vectors_of_one_joint_are_named_one_by_one(tmp_path: Path, save: Save) -
         ),
         (
             lambda d: {"note": f"nothing but {', '.join(d)}"},
-            r"run\.mat: has no arrays of numbers; save tables and timeseries as",
+            r"run\.mat: has no arrays of numbers",
         ),
         (
             lambda d: {**d, "q": d["q"][:-1]},
@@ -146,7 +146,7 @@ def test_vectors_of_one_joint_are_named_one_by_one(tmp_path: Path, save: Save) -
         ),
         (
             lambda d: {**d, "dq": np.where(np.arange(N)[:, None] == 3, np.nan, d["dq"])},
-            r"run\.mat: column 'dq1', row 4: an empty cell or NaN where a finite number is needed",
+            "column 'dq1', row 4: an empty",
         ),
         (
             lambda d: {**d, "t": d["t"][::-1].copy()},

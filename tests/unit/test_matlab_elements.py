@@ -5,6 +5,7 @@ import zlib
 from pathlib import Path
 
 import pytest
+from containing import Containing
 
 from hesr_model.logs.readers.matlab import require_sound
 
@@ -71,7 +72,7 @@ def test_known_elements_are_accepted(tmp_path: Path, order: str) -> None:
         if kind == 15:  # a packed element, but these bytes are not
             assert said == "its compressed data are corrupt"
         else:
-            assert said == ("" if kind in KNOWN else f"an element is of the unknown type {kind}")
+            assert said == ("" if kind in KNOWN else Containing(f"unknown type {kind}"))
 
 
 def test_matrices_are_of_known_classes_and_begin_with_flags(tmp_path: Path) -> None:
@@ -85,7 +86,7 @@ def test_matrices_are_of_known_classes_and_begin_with_flags(tmp_path: Path) -> N
     assert of_5(tmp_path, element(14, struct.pack("<IIII", 6, 8, 6, 0)[:15])) == begin
     assert of_5(tmp_path, matrix(element(14), order="<")) == ""
     assert of_5(tmp_path, matrix(matrix(element(5, b"\0" * 4)))) == ""
-    assert of_5(tmp_path, matrix(element(99))) == "an element is of the unknown type 99"
+    assert "unknown type 99" in of_5(tmp_path, matrix(element(99)))
     assert of_5(tmp_path, matrix(order=">"), order=">") == ""
 
 
@@ -117,16 +118,14 @@ def test_elements_end_within_their_parent(tmp_path: Path) -> None:
 def test_short_elements_hold_at_most_four_bytes(tmp_path: Path) -> None:
     for length in (1, 4, 5):
         short = struct.pack("<I", length << 16 | 1) + b"abcd"
-        expected = "" if length <= 4 else "a short element has too many bytes"
+        expected = "" if length <= 4 else Containing("short element has too many bytes")
         assert of_5(tmp_path, matrix(short)) == expected
         assert of_5(tmp_path, matrix(short, element(99))) == (
-            expected or "an element is of the unknown type 99"
+            expected or Containing("unknown type 99")
         )
-        assert of_5(tmp_path, short, element(99)) == (
-            expected or "an element is of the unknown type 99"
-        )
+        assert of_5(tmp_path, short, element(99)) == (expected or Containing("unknown type 99"))
     unknown = struct.pack("<I", 2 << 16 | 11) + b"abcd"
-    assert of_5(tmp_path, unknown) == "an element is of the unknown type 11"
+    assert "unknown type 11" in of_5(tmp_path, unknown)
 
 
 def test_packed_data_are_limited_in_total(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_a_body_selects_one_of_two_arms(tmp_path: Path) -> None:
         ("left", r"arm\.xml: has no joint 'right1'; it has left1, left2\.$"),
         (
             "leg",
-            r"arm\.xml: 'root' is 'leg', and no body of that name carries a joint; it is the ",
+            "'root' is 'leg', and no body",
         ),
     ):
         with pytest.raises(RobotError, match=message):
@@ -172,8 +172,7 @@ def test_followers_by_an_equality_limit_their_leader(tmp_path: Path) -> None:
         (
             arm("a", "", *FOUR),
             '<equality><connect body1="a_link3" body2="a_link1" anchor="0 0 0"/></equality>',
-            "the bodies 'a_link3' and 'a_link1' are tied to each other, which closes a chain over "
-            "joint 'a2', whose torque is then undetermined; remove the equality.",
+            "bodies 'a_link3' and 'a_link1' are tied",
         ),
         (
             arm("a", "", 'axis="0 1 0"').replace(

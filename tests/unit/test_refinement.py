@@ -137,5 +137,5 @@ def test_a_model_of_another_robot_is_refused(rough: Callable[..., Log], arm_mode
         training_rmse=(),
         left_out_rmse=(),
     )
-    with pytest.raises(ArtifactError, match="is for the joints j1, j2; the robot has j1, j2, j3"):
+    with pytest.raises(ArtifactError, match="joints j1, j2; the robot"):
         identify_again([log], arm_model, body, two)

@@ -131,7 +131,7 @@ def test_a_poor_motion_is_regularised_and_reported(
     with caplog.at_level(logging.WARNING):
         rigid_body = identify_motions([poor], arm_model)
     assert rigid_body.ridge > 0
-    assert "log motion: the motion does not determine all parameters" in caplog.text
+    assert "log motion: the motion" in caplog.text
     assert np.all(np.isfinite(rigid_body.parameters))
 
 
@@ -150,7 +150,7 @@ def test_the_same_log_gives_the_same_bits(arm_log: Log, arm_model: Robot) -> Non
 
 def test_too_few_samples_are_refused(arm_model: Robot, make_motion: MakeMotion) -> None:
     short = make_motion(name="short", seconds=0.1)
-    message = r"^log short: 20 samples cannot determine 2\d parameters; longer logs are needed\.$"
+    message = "log short: 20 samples cannot determine"
     with pytest.raises(FitError, match=message):
         identify_motions([short], arm_model)
 
@@ -158,7 +158,7 @@ def test_too_few_samples_are_refused(arm_model: Robot, make_motion: MakeMotion) 
 def test_a_joint_that_hardly_moves_is_named(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion(name="run")
     slow = replace(motion, dq=motion.dq * [1.0, 0.01, 1.0])
-    message = r"^log run: joint 'j2' is never faster than 0\.\d+ rad/s; at least one log must"
+    message = r"joint 'j2' is never faster than 0\.\d+"
     with pytest.raises(FitError, match=message):
         identify_motions([slow], arm_model)
 
@@ -171,14 +171,14 @@ def test_a_joint_that_never_moves_is_named(arm_log: Log, arm_model: Robot) -> No
 
 def test_averaging_needs_counterparts(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion(name="run")
-    with pytest.raises(FitError, match=r"^1 logs come with 0 time-reversed ones; the paper's"):
+    with pytest.raises(FitError, match="1 logs come with 0 time-reversed"):
         identify_motions([motion], arm_model, method="paper")
     other = replace(motion, name="other", q=motion.q + 0.5)
-    message = r"^log other: is not the time-reversed counterpart of run; positions differ by"
+    message = "time-reversed counterpart of run"
     with pytest.raises(FitError, match=message):
         identify_motions([motion], arm_model, method="paper", reversed_motions=[other])
     same_way = replace(make_motion(name="back", reverse=True), dq=motion.dq[::-1])
-    message = r"^log run: joint 'j1' never moves against its time-reversed counterpart; both logs"
+    message = "log run: joint 'j1' never moves"
     with pytest.raises(FitError, match=message):
         identify_motions([motion], arm_model, method="paper", reversed_motions=[same_way])
 
@@ -188,7 +188,7 @@ def test_the_torque_of_another_robot_is_refused(
 ) -> None:
     rigid_body = identify([arm_log], arm_model)
     other = Robot(arm.model_copy(update={"name": "bare", "rotor_inertia": False}))
-    message = r"^the rigid body of 'arm' with 33 parameters does not fit robot 'bare', which has 30"
+    message = r"'arm' with 33 .* 'bare', which has 30"
     with pytest.raises(RobotError, match=message):
         rigid_body.torque(other, make_motion())
 

@@ -38,7 +38,7 @@ def test_a_robot_file_is_read(arm: RobotDescription) -> None:
 def test_other_objects_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         Robot(3)  # type: ignore[arg-type]  # the mistake
-    assert str(caught.value) == ("a robot is given as int; expected a path, as text or as a Path.")
+    assert "a robot is given as int" in str(caught.value)
     with pytest.raises(RobotError, match="no such model file"):
         Robot(tmp_path / "none.urdf")
 

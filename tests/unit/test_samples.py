@@ -55,7 +55,7 @@ def test_fewer_rows_than_coefficients_are_refused() -> None:
     assert len(samples.tau) == 5
     with pytest.raises(FitError) as caught:
         JointRows.of([record(5), record(2)], coefficients=8)
-    assert str(caught.value) == "joint 'j1': 7 rows for 8 coefficients; more data needed."
+    assert "joint 'j1': 7 rows for 8" in str(caught.value)
 
 
 def test_a_joint_must_reverse_in_one_of_the_records() -> None:

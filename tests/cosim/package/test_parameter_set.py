@@ -55,5 +55,5 @@ def test_values_and_covariance_are_written(model: FrictionModel, tmp_path: Path)
 
 
 def test_the_suffix_is_ssv(model: FrictionModel, tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"a parameter set of SSP must end in \.ssv"):
+    with pytest.raises(ExportError, match="parameter set of SSP must end"):
         export_ssv(model, tmp_path / "law.xml")

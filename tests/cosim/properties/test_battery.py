@@ -64,7 +64,7 @@ def test_the_reversal_error_of_a_bristle_matches_its_closed_form(
     back = 1.0 - e * (2.0 - (1.0 + at_turn) * e)
     found = finding(bristles, "memory")
     assert found.verdict == "fail"
-    assert found.reason.endswith("One first-order state cannot have non-local memory.")
+    assert "One first-order state cannot have non-local" in found.reason
     assert value(bristles, "memory") == pytest.approx(abs(back - at_turn) / (2 * turned), rel=0.01)
 
 
@@ -79,14 +79,12 @@ def test_spring_sliders_remember_their_reversal(slip_fmu: Path) -> None:
 def test_a_static_map_has_no_loop_memory_or_lag(maps: Properties) -> None:
     for joint in (1, 2):
         assert finding(maps, "presliding", joint).verdict == "fail"
-        assert finding(maps, "presliding", joint).reason.startswith(
-            "No pre-sliding: the torque reverses at once."
+        assert (
+            "pre-sliding: the torque reverses at once" in finding(maps, "presliding", joint).reason
         )
         assert finding(maps, "memory", joint).verdict == "fail"
         assert finding(maps, "memory", joint).figures[0].value is None
-        assert finding(maps, "memory", joint).reason.endswith(
-            "A law without a state has no memory."
-        )
+        assert "law without a state" in finding(maps, "memory", joint).reason
         assert finding(maps, "lag", joint).verdict == "fail"
         assert value(maps, "lag", joint) == 0.0
 
@@ -152,7 +150,7 @@ def test_a_discontinuous_torque_chatters_at_every_step(maps: Properties) -> None
     found = finding(maps, "coupling", 1)
     assert found.verdict == "fail"
     assert found.figures[0].value is None
-    assert found.reason == "It chatters even at the smallest step tried, 0.05 ms."
+    assert "smallest step tried, 0.05 ms" in found.reason
     assert finding(maps, "chatter", 1).verdict == "fail"
 
 
@@ -184,9 +182,7 @@ def test_only_break_away_of_bristles_falls_with_the_rate(
     slow, fast = (value(bristles, "breakaway", 2, figure=k) for k in (1, 2))
     assert 8.0 < fast < slow < 12.0
     assert value(maps, "breakaway", 1, figure=1) == pytest.approx(12.0, rel=1e-3)
-    assert (
-        finding(maps, "breakaway", 1).reason == "The break-away torque does not fall with the rate."
-    )
+    assert "break-away torque does not fall" in finding(maps, "breakaway", 1).reason
     assert finding(maps, "breakaway", 2).reason.startswith("No break-away: ")
 
 
@@ -238,9 +234,7 @@ def test_driven_checks_need_an_inertia() -> None:
     found = measure(Subject(name="bench", model=model(bristle())))
     for key in ("breakaway", "stick_slip", "dither", "hold", "drive", "coupling"):
         assert finding(found, key).verdict == "not run"
-        assert finding(found, key).reason == (
-            "Not run: the inertia of the joints is unknown; give it with --inertia."
-        )
+        assert "run: the inertia of the joints" in finding(found, key).reason
     assert found.joints[0].inertia is None
     uf850 = measure(Subject(name="uf850", model=model(*[bristle()] * 3, robot="uf850")))
     assert [joint.inertia for joint in uf850.joints] == [3.0, 3.0, 0.6]
@@ -251,9 +245,7 @@ def test_checks_that_need_a_law_are_reported_as_skipped(slip_fmu: Path) -> None:
     assert (found.law, found.robot) == ("slip", "")
     for key in ("breakaway", "stick_slip", "dither", "hold", "drive"):
         assert finding(found, key).verdict == "not run"
-        assert finding(found, key).reason == (
-            "Not run: the FMU contains no law, which a JointDrive needs."
-        )
+        assert "run: the FMU contains no law" in finding(found, key).reason
     assert finding(found, "work").verdict == "pass"
     assert finding(found, "coupling").verdict in ("pass", "fail")
 
@@ -285,9 +277,7 @@ def test_a_load_factor_supplies_energy_while_it_varies() -> None:
     assert "while the load swings by 10 N.m." in work.reason
     drive = finding(found, "drive")
     assert (drive.verdict, drive.figures[0].unit) == ("fail", "J")
-    assert re.fullmatch(
-        r"Under a torque of 0\.\d+ levels it generates \S+ J per cycle\.", drive.reason
-    )
+    assert re.search(r"0\.\d+ levels it generates \S+ J", drive.reason)
     assert value(found, "drive") > 1e-6
 
 
@@ -317,9 +307,7 @@ def test_starting_in_motion_from_relaxed_states_is_wrong_at_once(
     slowest = 0.05 * found.joints[0].speed
     missing = 10.0 / (10.0 + 5.0 * slowest)
     assert value(found, "start") == pytest.approx(missing, rel=1e-9)
-    assert finding(found, "start").reason == (
-        f"At {slowest:.3g} rad/s the first torque is off by -{missing:.0%}."
-    )
+    assert f"first torque is off by -{missing:.0%}" in finding(found, "start").reason
     for of_laws in (bristles, maps):
         for joint in (1, 2):
             assert finding(of_laws, "start", joint).verdict == "pass"
@@ -329,7 +317,7 @@ def test_starting_in_motion_from_relaxed_states_is_wrong_at_once(
 def test_two_loops_of_one_bristle_miss_their_reversals(bristles: Properties) -> None:
     found = finding(bristles, "nested")
     assert found.verdict == "fail"
-    assert found.reason.endswith("One first-order state cannot have non-local memory.")
+    assert "One first-order state cannot have non-local" in found.reason
     assert value(bristles, "nested") >= value(bristles, "memory")
 
 

@@ -48,7 +48,7 @@ def test_table_and_plots_are_in_the_documentation(bristles: Properties, tmp_path
     for e in EXPECTATIONS.values():
         assert e.title in found.text
         assert e.sources[0] in found.text
-    assert "One first-order state cannot have non-local memory." in found.text
+    assert "One first-order state cannot have non-local" in found.text
     for tag, attributes in found.tags:
         if tag == "polyline":
             points = [p.split(",") for p in (attributes["points"] or "").split()]
@@ -73,4 +73,4 @@ def test_skipped_checks_have_no_plot_and_names_are_escaped(tmp_path: Path) -> No
     found = measure(Subject(name="hostile", model=named))
     sheet = page(export_fmu(named, tmp_path / "hostile.fmu", properties=found))
     assert not any(tag == "b" for tag, _ in sheet.tags)
-    assert "the inertia of the joints is unknown" in sheet.text
+    assert "inertia of the joints is unknown" in sheet.text

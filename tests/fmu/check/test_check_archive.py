@@ -7,6 +7,7 @@ import zipfile
 import zlib
 
 import pytest
+from containing import Containing
 from fmu_files import MODEL, members, said, texts, write
 
 from fmu_src.check import archive
@@ -14,8 +15,8 @@ from fmu_src.check.run import check
 from fmu_src.run.archive import opened
 from hesr_model.errors import ArtifactError
 
-LEADS_OUT = "leads out of the archive; expected a relative name without '..'."
-NOTHING_ELSE = ("All other checks: not run; the archive could not be read.",)
+LEADS_OUT = "leads out of the archive"
+NOTHING_ELSE = (Containing("All other checks: not run"),)
 
 
 @pytest.fixture
@@ -56,14 +57,14 @@ def test_a_file_other_than_a_zip_is_reported(tmp_path):
     path = tmp_path / "F.fmu"
     path.write_bytes(b"not a zip at all\n" * 100)
     found = check(path)
-    assert texts(found) == ["it is not a readable ZIP archive (File is not a zip file)."]
+    assert texts(found) == [Containing("(File is not a zip file)")]
     assert found.skipped == NOTHING_ELSE
 
 
 def test_an_empty_file_is_reported(tmp_path):
     path = tmp_path / "F.fmu"
     path.touch()
-    assert said(path) == ["it is not a readable ZIP archive (File is not a zip file)."]
+    assert said(path) == [Containing("(File is not a zip file)")]
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
@@ -71,7 +72,7 @@ def test_a_truncated_zip_is_reported(part, table1_fmu, tmp_path):
     path = tmp_path / "F.fmu"
     data = table1_fmu.read_bytes()
     path.write_bytes(data[: int(part * len(data))])
-    assert said(path) == ["it is not a readable ZIP archive (File is not a zip file)."]
+    assert said(path) == [Containing("(File is not a zip file)")]
 
 
 def test_an_empty_zip_is_reported(tmp_path):
@@ -84,31 +85,27 @@ def test_an_empty_zip_is_reported(tmp_path):
 def test_names_outside_the_archive_are_reported(name, entry, tmp_path):
     found = entry(name)
     shown = name.replace("\\", "\\")
-    assert f"the entry '{shown}' {LEADS_OUT}" in found
-    backslash = f"the entry '{shown}' has a backslash in its name; FMI separates folders by '/'."
+    assert Containing(f"the entry '{shown}' {LEADS_OUT}") in found
+    backslash = Containing(f"entry '{shown}' has a backslash")
     assert (backslash in found) == ("\\" in name)
     assert not (tmp_path.parent / "x").exists()
 
 
 def test_a_backslash_is_reported(entry):
-    assert entry("resources\\x") == [
-        "the entry 'resources\\x' has a backslash in its name; FMI separates folders by '/'."
-    ]
+    assert entry("resources\\x") == [Containing("entry 'resources\\x' has a backslash")]
 
 
 @pytest.mark.parametrize(
     ("name", "shown"), [("a\nb", "a\\nb"), ("a\x1b[31mb", "a\\x1b[31mb"), ("a\u202eb", "a\\u202eb")]
 )
 def test_control_characters_in_names_are_escaped(name, shown, entry):
-    assert entry(name) == [f"the entry '{shown}' has control characters in its name."]
+    assert entry(name) == [Containing(f"entry '{shown}' has control characters")]
 
 
 def test_a_name_with_a_null_byte_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content | {"resources/abc": b""})
     path.write_bytes(path.read_bytes().replace(b"resources/abc", b"resources/a\0c"))
-    assert said(path, "archive")[0] == (
-        "the entry 'resources/a\\x00c' has control characters in its name."
-    )
+    assert "entry 'resources/a\\x00c' has control characters" in said(path, "archive")[0]
 
 
 def test_an_entry_without_a_name_is_reported(content, tmp_path):
@@ -129,9 +126,7 @@ def test_entries_other_than_files_are_reported(kind, what, entry, tmp_path):
     info = zipfile.ZipInfo("resources/link")
     info.create_system = 3
     info.external_attr = (kind | 0o777) << 16
-    assert entry(info, b"/etc/passwd") == [
-        f"the entry 'resources/link' is {what}; an FMU holds ordinary files only."
-    ]
+    assert entry(info, b"/etc/passwd") == [Containing(f"entry 'resources/link' is {what}; an FMU")]
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -141,8 +136,7 @@ def test_duplicate_entries_are_reported(entry):
 
 def test_names_differing_only_in_case_are_reported(entry):
     assert entry("modeldescription.XML") == [
-        "the entries 'modelDescription.xml' and 'modeldescription.XML' are the same file on "
-        "Windows, which ignores case."
+        Containing("entries 'modelDescription.xml' and 'modeldescription.XML'")
     ]
 
 
@@ -151,16 +145,15 @@ def test_an_entry_of_two_gigabytes_is_refused(content, tmp_path):
     patched(path, MODEL, 16, struct.pack("<I", 2 << 30))
     found = check(path)
     assert texts(found) == [
-        "the entry 'modelDescription.xml' claims 2147483648 bytes; more than 536870912 are not "
-        "read."
+        Containing("'modelDescription.xml' claims 2147483648 bytes", "536870912")
     ]
-    assert found.skipped == ("All other checks: modelDescription.xml could not be read.",)
+    assert found.skipped == (Containing("All other checks: modelDescription.xml could"),)
 
 
 def test_a_zip_bomb_is_refused(entry):
     found = entry("resources/zeros", bytes(20 << 20))
     assert len(found) == 1
-    assert "bytes to 20971520, as in a zip bomb; it is not read." in found[0]
+    assert "20971520, as in a zip bomb" in found[0]
     assert found[0].startswith("the entry 'resources/zeros' claims to unpack 20")
 
 
@@ -172,46 +165,40 @@ def test_too_much_content_is_refused(content, tmp_path, monkeypatch):
     total = sum(map(len, content.values()))
     monkeypatch.setattr(archive, "MOST_BYTES_IN_ALL", total - 1)
     assert said(write(tmp_path / "F.fmu", content), "archive") == [
-        f"its entries claim {total} bytes unpacked; more than {total - 1} are not read; left "
-        f"out: '{list(content)[-1]}'."
+        Containing(f"claim {total} bytes", f"more than {total - 1}", f"'{list(content)[-1]}'")
     ]
 
 
 def test_too_many_entries_are_refused(content, tmp_path, monkeypatch):
     monkeypatch.setattr(archive, "MOST_ENTRIES", 3)
     found = check(write(tmp_path / "F.fmu", content))
-    assert texts(found) == [f"it has {len(content)} entries; more than 3 are not checked."]
+    assert texts(found) == [Containing(f"has {len(content)} entries", "more than 3")]
     assert found.skipped == NOTHING_ELSE
 
 
 def test_a_huge_table_of_contents_is_refused(content, tmp_path, monkeypatch):
     monkeypatch.setattr("fmu_src.run.archive.MOST_DIRECTORY", 100)
     (text,) = said(write(tmp_path / "F.fmu", content))
-    assert text.startswith("it is not a readable ZIP archive (its table of contents has ")
+    assert "readable ZIP archive" in text
 
 
 def test_an_encrypted_entry_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     patched(path, "sources/all.c", 0, b"\1")
-    assert said(path, "archive") == [
-        "the entry 'sources/all.c' is encrypted, so that no importer can read it."
-    ]
+    assert said(path, "archive") == [Containing("entry 'sources/all.c' is encrypted")]
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
 def test_other_compression_is_reported(method, entry):
     assert entry("resources/x", b"x" * 1000, method=method) == [
-        f"the entry 'resources/x' is compressed by method {method}; FMI uses 8 (deflate) or 0 "
-        "(none)."
+        Containing(f"'resources/x' is compressed by method {method}")
     ]
 
 
 def test_unknown_compression_is_reported(content, tmp_path):
     path = write(tmp_path / "F.fmu", content)
     patched(path, "sources/all.c", 2, struct.pack("<H", 77))
-    assert said(path, "archive") == [
-        "the entry 'sources/all.c' is compressed by method 77; FMI uses 8 (deflate) or 0 (none)."
-    ]
+    assert said(path, "archive") == [Containing("'sources/all.c' is compressed by method 77")]
 
 
 def test_a_wrong_checksum_is_reported(content, tmp_path):
@@ -272,8 +259,7 @@ def test_overlapping_entries_are_reported(tmp_path, monkeypatch):
     own = "the entry 'a' cannot be read (Overlapped entries: 'a' (possible zip bomb))."
     assert [text for text in found if text != own] == [
         "the entry 'a' is duplicated.",
-        f"its entries claim {300 * (9 << 20)} bytes unpacked; more than {50 << 20} are not read; "
-        "left out: 'a'.",
+        Containing(f"claim {300 * (9 << 20)} bytes", f"more than {50 << 20}", "'a'"),
     ]
 
 
@@ -281,7 +267,7 @@ def test_a_missing_model_description_is_reported(content, tmp_path):
     del content[MODEL]
     found = check(write(tmp_path / "F.fmu", content))
     assert texts(found) == ["modelDescription.xml is missing."]
-    assert found.skipped == ("All other checks: modelDescription.xml could not be read.",)
+    assert found.skipped == (Containing("All other checks: modelDescription.xml could"),)
 
 
 def test_a_folder_around_the_whole_content_is_reported(content, tmp_path):

@@ -2,6 +2,7 @@
 
 import pytest
 from c_hosts import LINUX
+from containing import Containing
 from fmu_files import BINARY, changed, check, members, said, texts
 
 from fmu_src.check import binaries
@@ -67,63 +68,64 @@ def test_a_wrong_name_is_reported(table1_fmu, tmp_path):
         only_co_simulation,
         {BINARY: None, "binaries/linux64/other.so": members(table1_fmu)[BINARY]},
     )
-    assert said(path) == [
-        "binaries/linux64: it lacks 'friction_parfam_h.so', the name that modelIdentifier of "
-        "CoSimulation requires."
-    ]
+    assert said(path) == [Containing("binaries/linux64: it lacks 'friction_parfam_h.so', the name")]
 
 
 @pytest.mark.parametrize(
-    ("target", "folder", "text"),
+    ("target", "folder", "found", "needed"),
     [
         (
             "aarch64-linux-gnu.2.17",
             "linux64",
-            "it is ELF for AARCH64; needed in this folder is ELF for X86_64.",
+            "ELF for AARCH64",
+            "ELF for X86_64",
         ),
         (
             "x86-linux-gnu.2.17",
             "linux64",
-            "it is ELF for I386; needed in this folder is ELF for X86_64.",
+            "ELF for I386",
+            "ELF for X86_64",
         ),
         (
             "x86_64-windows-gnu",
             "linux64",
-            "it is PE for AMD64; needed in this folder is ELF for X86_64.",
+            "PE for AMD64",
+            "ELF for X86_64",
         ),
         (
             "x86_64-linux-gnu.2.17",
             "win64",
-            "it is ELF for X86_64; needed in this folder is PE for AMD64.",
+            "ELF for X86_64",
+            "PE for AMD64",
         ),
         (
             "x86_64-linux-gnu.2.17",
             "darwin64",
-            "it is ELF for X86_64; needed in this folder is Mach-O for X86_64 or ARM64.",
+            "ELF for X86_64",
+            "Mach-O for X86_64 or ARM64",
         ),
-        ("x86_64-linux-gnu.2.17", "x86_64-linux", None),
+        ("x86_64-linux-gnu.2.17", "x86_64-linux", None, None),
     ],
 )
-def test_a_wrong_machine_type_is_reported(target, folder, text, library, of):
+def test_a_wrong_machine_type_is_reported(target, folder, found, needed, library, of):
     suffix = binaries.PLATFORMS[2][folder].suffix
     name = f"binaries/{folder}/friction_parfam_h{suffix}"
     export = ("-DEXPORT=__declspec(dllexport)", "-Wl,--no-entry")
     more = export if "windows" in target else ("-fPIC",)
     flags = ("-target", target, "-shared", "-nostdlib", *more)
-    assert of(library(flags=flags), name) == ([f"{name}: {text}"] if text else [])
+    expected = [Containing(name, found, needed)] if found else []
+    assert of(library(flags=flags), name) == expected
 
 
 @pytest.mark.parametrize("data", [b"", b"no library", b"MZ" + bytes(99)])
 def test_other_files_than_libraries_are_reported(data, of):
     (text,) = of(data)
-    assert text == (
-        f"{BINARY}: it is not a readable library; needed in this folder is ELF for X86_64."
-    )
+    assert f"{BINARY}: it is not a readable library" in text
 
 
 def test_a_broken_library_is_reported(of):
     (text,) = of(b"\x7fELF" + bytes(100))
-    assert text == f"{BINARY}: it is ELF for NONE; needed in this folder is ELF for X86_64."
+    assert f"{BINARY}: it is ELF for NONE" in text
 
 
 def test_a_program_is_reported(library, of):
@@ -133,7 +135,7 @@ def test_a_program_is_reported(library, of):
         last=("-rdynamic",),
     )
     found = of(program)
-    assert f"{BINARY}: it is a program or object file; expected a shared library." in found
+    assert Containing(f"{BINARY}: it is a program") in found
 
 
 def test_missing_functions_are_reported(library, of):
@@ -144,9 +146,8 @@ def test_missing_functions_are_reported(library, of):
         xml.find("CoSimulation").set("canGetAndSetFMUstate", "true")
 
     assert of(library(names=names), change=change) == [
-        f"{BINARY}: it does not export 'fmi2SetFMUstate', though canGetAndSetFMUstate is 'true'.",
-        f"{BINARY}: it does not export 'fmi2GetReal', 'fmi2DoStep'; FMI 2.0 requires all functions "
-        "of co-simulation.",
+        Containing(f"{BINARY}: it does not export 'fmi2SetFMUstate'", "canGetAndSetFMUstate"),
+        Containing("export 'fmi2GetReal', 'fmi2DoStep'; FMI 2.0", "co-simulation"),
     ]
 
 
@@ -161,31 +162,27 @@ def test_functions_of_model_exchange_are_required_for_it(library, of):
         xml.find("CoSimulation").tag = "ModelExchange"
 
     assert of(library(names=sorted(KNOWN - {"fmi2SetTime"})), change=change) == [
-        f"{BINARY}: it does not export 'fmi2SetTime'; FMI 2.0 requires all functions of model "
-        "exchange."
+        Containing("'fmi2SetTime'", "functions of model exchange")
     ]
 
 
 def test_names_with_the_source_code_prefix_are_reported(library, of):
     names = [f"friction_parfam_h_{name}" for name in sorted(KNOWN)]
     assert of(library(names=names), change=only_co_simulation) == [
-        f"{BINARY}: it exports 'friction_parfam_h_fmi2GetTypesPlatform' and the like; the prefix "
-        "is for source code and static libraries only."
+        Containing("exports 'friction_parfam_h_fmi2GetTypesPlatform' and the like")
     ]
 
 
 def test_unknown_functions_are_reported(library, of):
     more = {"fmi2Foo", "fmi3DoStep", "fmiDoStep", "fmin_of_mine", "helper"}
     assert of(library(names=sorted(KNOWN | more))) == [
-        f"{BINARY}: it exports 'fmi2Foo', which FMI 2.0 does not have."
+        Containing("exports 'fmi2Foo', which FMI 2.0")
     ]
 
 
 def test_dependency_on_python_is_reported(library, of):
     extra = "void PyRun_SimpleString(void); void helper(void) { PyRun_SimpleString(); }"
-    assert of(library(extra)) == [
-        f"{BINARY}: it needs a Python interpreter in the host ('PyRun_SimpleString' undefined)."
-    ]
+    assert of(library(extra)) == [Containing(f"{BINARY}: it needs a Python interpreter")]
 
 
 @pytest.fixture
@@ -202,22 +199,21 @@ def needy(library, tmp_path):
 
 def test_a_missing_library_is_reported(needy, of):
     assert of(needy("libother.so.3")) == [
-        f"{BINARY}: it needs 'libother.so.3', neither part of the system nor in the FMU."
+        Containing(f"{BINARY}: it needs 'libother.so.3', neither part")
     ]
 
 
 def test_a_library_outside_the_search_path_is_reported(needy, of):
     other = {"binaries__linux64__libother.so.3": b"x"}
     assert of(needy("libother.so.3"), **other) == [
-        f"{BINARY}: it needs 'libother.so.3' in its folder, but its run path lacks $ORIGIN to "
-        "find it."
+        Containing("'libother.so.3' in its folder", "$ORIGIN")
     ]
     assert of(needy("libother.so.3", "-Wl,-rpath,$ORIGIN"), **other) == []
 
 
 def test_the_python_library_is_reported(needy, of):
     assert of(needy("libpython3.11.so.1.0")) == [
-        f"{BINARY}: it needs a Python interpreter in the host ('libpython3.11.so.1.0' undefined)."
+        Containing(f"{BINARY}: it needs a Python interpreter")
     ]
 
 
@@ -235,10 +231,7 @@ def test_static_libraries_and_their_folders_are_ignored(table1_fmu, tmp_path):
 
 def test_a_library_that_hangs_is_reported(of, monkeypatch, table1_fmu):
     monkeypatch.setattr(binaries, "SECONDS", 0.001)
-    assert of(members(table1_fmu)[BINARY]) == [
-        f"{BINARY}: its content could not be read: its reader gave no answer within 0.001 s and "
-        "was ended."
-    ]
+    assert of(members(table1_fmu)[BINARY]) == [Containing("gave no answer within 0.001 s")]
 
 
 @pytest.mark.parametrize(
@@ -255,13 +248,10 @@ def test_a_reader_crash_is_reported(of, monkeypatch, table1_fmu, tmp_path, deed,
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(binaries, "_READER", "readers:read")
     assert of(members(table1_fmu)[BINARY]) == [
-        f"{BINARY}: its content could not be read: its reader {how}."
+        Containing(f"{BINARY}: its content", f"its reader {how}")
     ]
 
 
 def test_a_missing_reader_is_reported(of, monkeypatch, table1_fmu, tmp_path):
     monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
-    assert of(members(table1_fmu)[BINARY]) == [
-        f"{BINARY}: its content could not be read: its reader has no process: it cannot be started "
-        "(No such file or directory)."
-    ]
+    assert of(members(table1_fmu)[BINARY]) == [Containing("reader has no process", "No such file")]

@@ -1,6 +1,7 @@
 """Changes that FMPy or the schema detects, so that our rules need not repeat them."""
 
 import pytest
+from containing import Containing
 from fmu_files import MODEL, Xml, changed, said, write
 from lxml import etree
 from rule_changes import NUMBER, PARAMETER, both, new, own, put, sentences, unknown, var
@@ -10,10 +11,7 @@ from fmu_src.check import external, readers
 OUTPUTS = "ModelStructure/Outputs must have exactly one entry for each variable with causality"
 INITIAL = "ModelStructure/InitialUnknowns does not contain the expected set of variables."
 KINDS = "dependencies and dependenciesKind attributes"
-LOOPS = (
-    "ModelStructure/Outputs gives no dependencies for 'tau[1]', so importers assume all inputs and "
-    "find false algebraic loops."
-)
+LOOPS = Containing("ModelStructure/Outputs gives no dependencies for 'tau[1]'")
 
 FMPY = {
     "name twice": (

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from containing import Containing
 from fmpy import read_model_description
 from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable, Unknown
 from fmpy.validation import validate_fmu
@@ -78,18 +79,14 @@ def test_findings_of_fmpy_for_a_broken_fmu_are_reported(change, source_fmu, tmp_
 
 def test_further_findings_are_reported(decay):
     found = check(decay)
-    assert {
-        "CoSimulation has needsExecutionTool='true', so the FMU runs only where its tool is "
-        "installed.",
-        "ModelStructure/Outputs gives no dependencies for 'x', 'n', so importers assume all "
-        "inputs and find false algebraic loops.",
-    } <= set(texts(found, RULES))
+    rules = texts(found, RULES)
+    assert Containing("CoSimulation has needsExecutionTool='true'") in rules
+    assert Containing("dependencies for 'x', 'n'") in rules
     (initial,) = (t for t in texts(found, "fmpy") if "InitialUnknowns" in t)
     assert initial.endswith("It lacks 'n', 'x'.")
-    needs = "it needs a Python interpreter in the host ('"
+    needs = "needs a Python interpreter"
     for library in ("linux64/Decay.so", "win64/Decay.dll"):
-        name = f"binaries/{library}: "
-        assert any(t.startswith(name + needs) for t in texts(found, "binary"))
+        assert Containing(f"binaries/{library}: ", needs) in texts(found, "binary")
     assert any(t.startswith('The variable "n"') for t in texts(found, "fmpy"))
     assert found.verdict == "2 errors, 2 warnings, 4 advice."
 
@@ -127,9 +124,9 @@ def container(table1_fmu, tmp_path):
 
 def test_a_container_of_fmpy_is_checked(container):
     found = check(container)
-    loops = "gives no dependencies for 'tau', so importers assume all inputs and find false"
+    loops = "for 'tau', so importers assume"
     assert texts(found, RULES) == [
-        f"ModelStructure/{name} {loops} algebraic loops." for name in ("Outputs", "InitialUnknowns")
+        Containing(f"ModelStructure/{name}", loops) for name in ("Outputs", "InitialUnknowns")
     ]
     assert not texts(found, "archive") + texts(found, "fmpy")
     # Its library also serves FMI 3, whose function names are allowed.

@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from containing import Containing
 from fmpy import read_model_description
 from fmpy.model_description import ValidationError
 from fmu_files import MODEL, changed, texts
@@ -98,8 +99,8 @@ def test_missing_java_is_reported(source_fmu, vdmcheck, monkeypatch):
     ("script", "problems", "skipped"),
     [
         ("echo 'No errors found.'", [], []),
-        ("echo boom; exit 3", [], ["VDMCheck2: it gave no verdict but said 'boom'."]),
-        ("true", [], ["VDMCheck2: it gave no verdict but said 'no message'."]),
+        ("echo boom; exit 3", [], [Containing("gave no verdict but said 'boom'")]),
+        ("true", [], [Containing("verdict but said 'no message'")]),
         ("echo 'Errors found.'", ["it found unnamed errors."], []),
         ("echo 'validGenerationDateAndTime: bad'; echo 'Errors found.'", [], []),
         (
@@ -136,7 +137,7 @@ def test_a_hanging_validator_is_ended_with_its_children(
 
 def test_hanging_fmpy_is_reported(source_fmu, monkeypatch):
     monkeypatch.setattr(external, "FMPY_SECONDS", 0.01)
-    assert "FMPy gave no answer within 0.01 s and was ended." in check(source_fmu).skipped
+    assert Containing("FMPy gave no answer within 0.01 s") in check(source_fmu).skipped
 
 
 def test_a_name_that_makes_fmpy_hang_is_bounded(source_fmu, tmp_path, monkeypatch):
@@ -148,7 +149,7 @@ def test_a_name_that_makes_fmpy_hang_is_bounded(source_fmu, tmp_path, monkeypatc
         lambda xml: xml.variable("joint[1].alpha").set("name", "a" * 100_000 + "!"),
     )
     found = check(path)
-    assert found.skipped[0] == "FMPy gave no answer within 2 s and was ended."
+    assert "within 2 s and was ended" in found.skipped[0]
 
 
 def test_only_the_first_of_several_lines_is_reported(source_fmu, tmp_path):
@@ -172,7 +173,7 @@ def test_validators_get_only_checked_xml(content, source_fmu, vdmcheck, tmp_path
     terminals = "terminalsAndIcons/terminalsAndIcons.xml"
     path = changed(source_fmu, tmp_path / "F.fmu", files={terminals: content})
     found = check(path, vdmcheck=folder)
-    refused = f"{terminals}: it has a DOCTYPE, which FMI does not use; it is not read any further."
+    refused = Containing(f"{terminals}: it has a DOCTYPE")
     assert texts(found) == ([refused] if content == BOMB else [])
     with zipfile.ZipFile(tmp_path / "seen.fmu") as seen, zipfile.ZipFile(path) as original:
         assert seen.namelist() == original.namelist()

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from containing import Containing
 from fmu_files import changed, texts
 from pythonfmu.builder import FmuBuilder
 
@@ -116,10 +117,7 @@ def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]
 
 def test_refusal_of_a_dummy_state_is_reported(reworked):
     fmu = reworked("viscous", "n != own && (own > 0 || n > 1)", "n != own")
-    assert found(fmu) == [
-        "fmi2SetContinuousStates with one state is refused by an FMU without states; solvers that "
-        "need one state add it."
-    ]
+    assert found(fmu) == [Containing("solvers that need one state add")]
 
 
 @pytest.mark.ci
@@ -135,10 +133,10 @@ def test_endless_events_are_reported(reworked):
         "lugre", "{.nextEventTimeDefined = fmi2False}", "{.newDiscreteStatesNeeded = fmi2True}"
     )
     assert found(fmu) == [
-        f"{way}: fmi2NewDiscreteStates requests iterations endlessly."
+        Containing(way, "fmi2NewDiscreteStates requests iterations endlessly.")
         for way in (
-            "model exchange with inputs held over each step of the solver",
-            "model exchange with inputs set after events only",
+            "inputs held over each step",
+            "inputs set after events only",
             "fmi2SetContinuousStates with one state too many",
         )
     ]
@@ -150,10 +148,7 @@ def test_a_refused_last_step_is_reported(reworked):
         "lugre", "if (is_rounding(step)) {", "if (is_rounding(step)) {\n return fmi2Discard;"
     )
     first, second = found(fmu)
-    assert first.startswith(
-        "a last step of rounding size, as summed times leave it: fmi2DoStep of 1e-14 s at 1 s is "
-        "discarded each of 20 times"
-    )
+    assert first == Containing("1e-14 s at 1 s is discarded", "20 times")
     assert second.endswith("canHandleVariableCommunicationStepSize is true.")
 
 
@@ -167,11 +162,11 @@ def test_a_lag_passes(python_fmu):
 def test_a_division_by_the_step_is_reported(python_fmu):
     sentences = found(python_fmu("self.x, self.last = (self.u - self.last) / step, self.u"))
     assert [s.partition(":")[0] for s in sentences] == [
-        "a last step of rounding size, as summed times leave it",
+        Containing("rounding size, as summed times leave"),
         "steps of rounding size between others",
     ]
     for sentence in sentences:
-        match = re.search(r"'y' is (\S+) at \S+ s after a step of 1e-14 s, where", sentence)
+        match = re.search(r"'y' is (\S+) at \S+ s after a step", sentence)
         assert match
         assert abs(float(match[1])) > 1e9
 
@@ -195,10 +190,7 @@ def test_only_declared_step_sizes_are_used(python_fmu, tmp_path):
 
     report = check(changed(python_fmu(LAG), tmp_path / "Fixed.fmu", fixed), kinds=["hostile"])
     assert texts(report, "hostile") == []
-    assert (
-        "Hostile steps: canHandleVariableCommunicationStepSize is false, so only steps of 0.01 s "
-        "were tried." in report.skipped
-    )
+    assert Containing("only steps of 0.01 s") in report.skipped
 
 
 def test_reading_with_side_effects_is_reported(python_fmu):
@@ -209,12 +201,12 @@ def test_reading_with_side_effects_is_reported(python_fmu):
 def test_a_crash_ends_only_its_own_scenario(python_fmu):
     sentences = found(python_fmu(f"step > 1e-9 or os.kill(os.getpid(), 11)\n        {LAG}"))
     assert sentences == [
-        f"{name}: the FMU crashed with signal 11 (SIGSEGV){claim}."
+        Containing(name, "signal 11 (SIGSEGV)", claim)
         for name, claim in (
-            ("a last step of rounding size, as summed times leave it", ""),
+            ("a last step of rounding size", ""),
             (
                 "steps of rounding size between others",
-                "; canHandleVariableCommunicationStepSize is true",
+                "canHandleVariableCommunicationStepSize",
             ),
         )
     ]
@@ -224,14 +216,11 @@ def test_a_crash_ends_only_its_own_scenario(python_fmu):
 def test_an_endless_step_is_reported(python_fmu, monkeypatch):
     monkeypatch.setattr(hostile, "SECONDS", 8.0)
     sentences = found(python_fmu(f"while step < 1e-9: pass\n        {LAG}"))
-    assert sentences[0] == (
-        "a last step of rounding size, as summed times leave it: the FMU gave no answer within 8 s "
-        "and was ended."
-    )
+    assert sentences[0] == Containing("last step of rounding size", "within 8 s")
     assert len(sentences) == 2
 
 
 def test_a_missing_binary_is_reported(source_fmu):
     report = check(source_fmu, kinds=["hostile"])
     assert report.problems == ()
-    assert "Hostile master: a binary for this platform, linux64, is missing." in report.skipped
+    assert Containing("platform, linux64, is missing") in report.skipped

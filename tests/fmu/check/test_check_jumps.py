@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from containing import Containing
 
 from fmu_src.check.description import ParsedVariable
 from hesr.extras.hostile.master import _excitation, _Master, _Run, _run, _scale
@@ -61,9 +62,7 @@ def jumps(master: _Master, nominal: _Run | None = None, **runs: _Run) -> list[st
 def test_jumps_above_2_percent_of_the_range_are_reported(master: _Master, name: str) -> None:
     assert jumps(master, **{name: run(0.02, y=0.0199)}) == []
     (found,) = jumps(master, **{name: run(0.02, y=0.0201)})
-    assert found.endswith(
-        ": 'y' is 0.0201 at 1 s after a step of 0.02 s, where steps of 0.1 s and less give 0."
-    )
+    assert found == Containing("'y' is 0.0201 at 1 s", "0.02 s", "0.1 s and less give 0.")
     assert jumps(master, **{name: run(0.02, y=-0.0199)}) == []
     assert len(jumps(master, **{name: run(0.02, y=-0.0201)})) == 1
     assert jumps(master, **{name: run(0.02, d=9.0)}) == []
@@ -82,10 +81,7 @@ def test_outputs_may_have_any_value_of_the_two_steps_around(master: _Master) -> 
     """From 0.15 to 0.35 at 2.5 s."""
     assert jumps(master, fifth=run(0.02, at=2.5, y=0.1199, z=-0.1199)) == []
     (found,) = jumps(master, fifth=run(0.02, at=2.5, y=0.1201))
-    assert found.endswith(
-        "'y' is 0.3701 at 2.5 s after a step of 0.02 s, where steps of 0.1 s and "
-        "less give from 0.15 to 0.35."
-    )
+    assert found == Containing("'y' is 0.3701 at 2.5 s", "0.02 s", "0.1 s", "from 0.15 to 0.35.")
     assert len(jumps(master, fifth=run(0.02, at=2.5, z=-0.1201))) == 1
 
 

@@ -5,6 +5,7 @@ from tempfile import TemporaryDirectory
 
 import fmpy.container_fmu
 import pytest
+from containing import Containing
 from fmu_files import BINARY, changed, members, said
 
 from fmu_src.check.archive import unpack
@@ -43,9 +44,7 @@ def of(source_fmu, tmp_path):
 )
 def test_machine_paths_are_detected(text, path, of):
     path = path.replace(r"\\", "\\")
-    assert of(text) == [
-        f"resources/x: it holds '{path}', a path of the machine where the FMU was built."
-    ]
+    assert of(text) == [Containing(f"resources/x: it holds '{path}', a path")]
 
 
 @pytest.mark.parametrize(
@@ -68,8 +67,7 @@ def test_other_text_is_not_a_path(text, of):
 
 def test_several_are_one_problem(of):
     assert of(b"/home/anna/a /home/anna/b /home/anna/b /tmp/x/y", "documentation/index.html") == [
-        "documentation/index.html: it holds '/home/anna/a' and 2 more of its kind, a path of the "
-        "machine where the FMU was built."
+        Containing("documentation/index.html", "'/home/anna/a' and 2 more")
     ]
 
 
@@ -81,8 +79,11 @@ def test_binaries_and_the_description_are_searched(table1_fmu, tmp_path):
         lambda xml: xml.root.set("description", "from /home/anna/robot"),
         files={BINARY: binary},
     )
-    rest = "it holds '/home/anna/robot', a path of the machine where the FMU was built."
-    assert said(path, "machine-path") == [f"modelDescription.xml: {rest}", f"{BINARY}: {rest}"]
+    rest = "holds '/home/anna/robot', a path"
+    assert said(path, "machine-path") == [
+        Containing("modelDescription.xml: ", rest),
+        Containing(f"{BINARY}: ", rest),
+    ]
 
 
 def test_third_party_binaries_are_skipped(source_fmu, tmp_path):
@@ -92,7 +93,7 @@ def test_third_party_binaries_are_skipped(source_fmu, tmp_path):
     for name, problems in zip(names, (0, 0, 1), strict=True):
         fmu = changed(source_fmu, tmp_path / "F.fmu", files={name: text, "resources/z": text})
         assert len(said(fmu, "machine-path")) == problems + 1  # that of the last file
-        skipped = f"paths in {name}: a library that the FMU carries, built elsewhere."
+        skipped = Containing(f"paths in {name}: a library that")
         assert (skipped in check(fmu).skipped) == (problems == 0)
 
 
@@ -101,9 +102,7 @@ def test_libraries_of_fmpy_are_skipped(source_fmu, tmp_path):
     own = Path(fmpy.container_fmu.__file__).parent / "binaries/x86_64-linux/container_fmu.so"
     library = own.read_bytes()
     other = library[:-1] + bytes([library[-1] ^ 1])
-    told = (
-        "paths in resources/x.so: container_fmu.so of FMPy as it is distributed, built elsewhere."
-    )
+    told = Containing("container_fmu.so of FMPy", "built elsewhere")
     for name, data, passed in (
         ("resources/x.so", library, True),
         ("resources/x.so", other, False),

@@ -1,6 +1,7 @@
 """Sources in an FMU: all listed and included files exist."""
 
 import pytest
+from containing import Containing
 from fmu_files import changed, said
 from lxml import etree
 
@@ -34,7 +35,7 @@ def test_a_missing_listed_file_is_reported(source_fmu, tmp_path):
         lambda xml: xml.find("CoSimulation/SourceFiles/File").set("name", "b/none.c"),
     )
     assert said(path, ("source", "binary-none")) == [
-        "CoSimulation lists the source file 'b/none.c', which is not in sources/."
+        Containing("CoSimulation lists the source file 'b/none.c'")
     ]
 
 
@@ -42,7 +43,7 @@ def test_paths_of_listed_files_are_normalised(of):
     """OpenModelica lists './util/list.c'."""
     files = {"m.c": b"", "util/list.c": b'#include "none.h"\n'}
     assert of(files, ["m.c", "./util/list.c"]) == [
-        "sources/util/list.c: includes 'none.h', which is not in the archive."
+        Containing("sources/util/list.c: includes 'none.h', which")
     ]
 
 
@@ -52,25 +53,25 @@ def test_headers_of_files_that_nothing_lists_may_be_anywhere(of):
         "src/lib/a.cpp": b'#include "lib/a.hpp"\n#include "fmi/fmi3Functions.h"\n',
         "src/lib/a.hpp": b'#include "none.hpp"\n',
     }
-    missing = "sources/src/lib/a.hpp: includes 'none.hpp', which is not in the archive."
+    missing = Containing("sources/src/lib/a.hpp: includes 'none.hpp'")
     assert missing in of(files)
     assert not any("a.cpp" in text for text in of(files))
 
 
 def test_an_fmu_needs_binaries_or_sources(of):
-    assert of({}) == ["binaries and a list of source files are both missing."]
+    assert of({}) == [Containing("source files are both missing")]
 
 
 def test_a_missing_include_is_reported(of):
     code = b'#include <stdio.h>\n  #  include "sub/own.h" /* "x" */\n#include "none.h"\n'
     found = of({"m.c": code, "sub/own.h": b'#include "other.h"\n', "sub/other.h": b""}, ["m.c"])
-    assert found == ["sources/m.c: includes 'none.h', which is not in the archive."]
+    assert found == [Containing("sources/m.c: includes 'none.h', which")]
 
 
 def test_missing_includes_are_reported_in_the_order_of_their_files(of):
     files = {f"{name}.c": f'#include "{name}.h"\n'.encode() for name in "bca"}
     assert of(files, list(files)) == [
-        f"sources/{name}.c: includes '{name}.h', which is not in the archive." for name in "abc"
+        Containing(f"sources/{name}.c: includes '{name}.h'") for name in "abc"
     ]
 
 
@@ -81,7 +82,7 @@ def test_includes_are_followed(of):
         "b.h": b'#include "missing.h"\n',
         "unused.c": b'#include "unused_missing.h"\n',
     }
-    assert of(files, ["m.c"]) == ["sources/b.h: includes 'missing.h', which is not in the archive."]
+    assert of(files, ["m.c"]) == [Containing("sources/b.h: includes 'missing.h', which")]
 
 
 def test_includes_are_relative_to_the_including_file(of):
@@ -110,7 +111,7 @@ def test_optional_includes_may_be_missing(line, of):
 
 def test_comment_marks_in_strings_are_ignored(of):
     assert of({"m.c": b'char s[] = "/*";\n#include "x.h"\nchar t[] = "*/";\n'}, ["m.c"]) == [
-        "sources/m.c: includes 'x.h', which is not in the archive."
+        Containing("sources/m.c: includes 'x.h', which")
     ]
 
 
@@ -127,7 +128,7 @@ def test_all_sources_are_checked_without_a_list(table1_fmu, tmp_path):
     files = {"sources/extra.c": b'#include "none.h"\n'}
     path = changed(table1_fmu, tmp_path / "F.fmu", change, files)
     assert said(path, ("source", "binary-none")) == [
-        "sources/extra.c: includes 'none.h', which is not in the archive."
+        Containing("sources/extra.c: includes 'none.h', which")
     ]
 
 

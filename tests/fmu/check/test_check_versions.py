@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from containing import Containing
 from fmu_files import MODEL, texts, write
 from lxml import etree
 
@@ -10,7 +11,7 @@ from fmu_src.check import description_rules, readers
 from fmu_src.check.description import read_description
 from fmu_src.check.run import check
 
-NOTHING_RUNS = "binaries and a list of source files are both missing."
+NOTHING_RUNS = Containing("source files are both missing")
 
 FMI_3 = b"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="Line" instantiationToken="{1}">
@@ -39,15 +40,15 @@ def test_fmi_1_is_checked_in_part(tmp_path):
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_1}))
     assert texts(found) == []
     assert found.skipped == (
-        "Rules, sources and binaries: not checked in FMI 1.0.",
-        "VDMCheck2: it is for FMI 2.0, this is FMI 1.0.",
+        Containing("Rules, sources and binaries", "FMI 1.0"),
+        Containing("FMI 2.0, this is FMI 1.0"),
     )
 
 
 def test_fmi_3_is_checked(tmp_path):
     found = check(write(tmp_path / "F.fmu", {MODEL: FMI_3}))
     assert texts(found) == [NOTHING_RUNS]
-    assert found.skipped == ("VDMCheck2: it is for FMI 2.0, this is FMI 3.0.",)
+    assert found.skipped == (Containing("FMI 2.0, this is FMI 3.0"),)
 
 
 TWO_INPUTS = """<Float64 name="y" valueReference="1" causality="output" initial="calculated">
@@ -73,15 +74,12 @@ FULL = re.sub(rb'<Float64 name="y".*?/>', TWO_INPUTS.encode(), FMI_3)
         (
             'derivative="4"',
             'derivative="3"',
-            "'rate' is the derivative of 'k', which is not "
-            "another continuous variable of type Float32 or "
-            "Float64 and of its size",
+            "type Float32 or Float64 and of",
         ),
         (
             OUTPUT,
             OUTPUT.replace('""', '"7"'),
-            "ModelStructure/Output gives 'y' a dependency on "
-            "value reference 7, which does not exist",
+            "'y' a dependency on value reference 7",
         ),
         (
             'instantiationToken="{1}"',
@@ -140,13 +138,10 @@ def test_sources_and_binaries_of_fmi_3_are_checked(tmp_path):
     }  # fmt: skip
     found = check(write(tmp_path / "F.fmu", members))
     assert texts(found, ("source", "binary-none")) == [
-        "CoSimulation lists the source file 'none.c', which is not in sources/.",
-        "sources/all.c: includes 'mine.h', which is not in the archive.",
+        Containing("CoSimulation lists the source file 'none.c'"),
+        Containing("sources/all.c: includes 'mine.h', which"),
     ]
-    assert texts(found, "binary") == [
-        "binaries/x86_64-linux/Line.so: it is not a readable library; needed in this folder is ELF "
-        "for X86_64."
-    ]
+    assert texts(found, "binary") == [Containing("folder is ELF for X86_64")]
     assert "binaries/linux64: not checked; the platform is unknown." in (found.skipped)
 
 
@@ -166,9 +161,7 @@ def test_names_outside_the_archive_are_reported_for_any_version(tmp_path):
     path = write(tmp_path / "F.fmu", {MODEL: FMI_3, "../x": b"/home/anna/robot"})
     found = check(path)
     assert [p.check for p in found.problems] == ["archive-entry", "binary-none", "machine-path"]
-    assert found.skipped[-1] == (
-        "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
-    )
+    assert "FMPy and VDMCheck2: not run" in found.skipped[-1]
 
 
 CONNECTED = b"""<?xml version="1.0" encoding="UTF-8"?>
@@ -191,8 +184,8 @@ def test_terminals_are_checked(tmp_path):
     assert texts(found, "terminal") == [
         "the terminal 'a' is there 2 times.",
         "the member of the terminal 'a', 'm' is there 2 times.",
-        "the terminal 'a' has the member 'none', which is not a variable.",
-        "it declares an icon, but terminalsAndIcons/icon.png is missing.",
+        Containing("terminal 'a' has the member 'none'"),
+        Containing("declares an icon, but terminalsAndIcons/icon.png"),
     ]
     wrong = CONNECTED.replace(b' matchingRule="plug"', b"")
     found = check(write(tmp_path / "G.fmu", {MODEL: FMI_3, file: wrong}))

@@ -3,16 +3,15 @@
 import sys
 
 import pytest
+from containing import Containing
 from fmu_files import MODEL, RULES, changed, said, texts
 
 from fmu_src.check import archive
 from fmu_src.check.run import check
 
 PROLOG = b'<?xml version="1.0" encoding="UTF-8"?>\n'
-DOCTYPE = (
-    "modelDescription.xml: it has a DOCTYPE, which FMI does not use; it is not read any further."
-)
-NO_MODEL = ("All other checks: modelDescription.xml could not be read.",)
+DOCTYPE = Containing("modelDescription.xml: it has a DOCTYPE")
+NO_MODEL = (Containing("All other checks: modelDescription.xml"),)
 
 
 @pytest.fixture
@@ -49,7 +48,7 @@ def test_a_doctype_is_refused(data, of_xml):
 
 def test_an_undeclared_entity_is_reported(of_xml):
     assert texts(of_xml(PROLOG + b"<x>&e;</x>")) == [
-        "modelDescription.xml: it is not well-formed XML (undefined entity in line 2, column 4)."
+        Containing("undefined entity in line 2, column 4")
     ]
 
 
@@ -69,13 +68,16 @@ def test_malformed_xml_is_reported(data, why, of_xml):
 
 def test_other_encodings_are_reported(source_fmu, of_xml):
     text = "<?xml version='1.0' encoding='{}'?><fmiModelDescription fmiVersion='2.0' x='ä'/>"
-    no_utf8 = "modelDescription.xml: it is not valid UTF-8, which FMI requires (byte {})."
+
+    def no_utf8(byte: int) -> Containing:
+        return Containing("UTF-8", f"(byte {byte})")
+
     latin = text.format("ISO-8859-1").encode("latin-1")
-    assert texts(of_xml(latin)) == [no_utf8.format(latin.index(b"\xe4") + 1)]
-    assert texts(of_xml(text.format("UTF-16").encode("utf-16"))) == [no_utf8.format(1)]
-    assert texts(of_xml(text.format("cp037").encode("cp037"))) == [no_utf8.format(3)]
+    assert texts(of_xml(latin)) == [no_utf8(latin.index(b"\xe4") + 1)]
+    assert texts(of_xml(text.format("UTF-16").encode("utf-16"))) == [no_utf8(1)]
+    assert texts(of_xml(text.format("cp037").encode("cp037"))) == [no_utf8(3)]
     ascii_only = text.format("UTF-16").replace("ä", "").encode("utf-16-le")
-    assert texts(of_xml(ascii_only)) == [no_utf8.format(2)]
+    assert texts(of_xml(ascii_only)) == [no_utf8(2)]
 
 
 def test_a_missing_declaration_of_the_encoding_is_advice(of_xml):
@@ -83,9 +85,7 @@ def test_a_missing_declaration_of_the_encoding_is_advice(of_xml):
         report = of_xml(declaration + b"<fmiModelDescription fmiVersion='2.0'/>")
         (found,) = (p for p in report.problems if p.check.startswith("xml"))
         assert (found.check, found.severity) == ("xml-undeclared", "advice")
-        assert found.found == (
-            "modelDescription.xml: its first line declares no encoding; FMI asks for UTF-8."
-        )
+        assert "first line declares no encoding" in found.found
 
 
 @pytest.mark.parametrize(
@@ -97,9 +97,7 @@ def test_a_missing_declaration_of_the_encoding_is_advice(of_xml):
 )
 def test_another_declaration_of_the_encoding_is_reported(declaration, declares, source_fmu, of_xml):
     data = declaration + b"<fmiModelDescription fmiVersion='2.0'/>"
-    assert texts(of_xml(data), "xml") == [
-        f"modelDescription.xml: its first line declares {declares}; FMI needs UTF-8."
-    ]
+    assert texts(of_xml(data), "xml") == [Containing(f"first line declares {declares}; FMI needs")]
 
 
 def test_a_byte_order_mark_is_harmless(source_fmu, tmp_path, xml):
@@ -110,13 +108,10 @@ def test_a_byte_order_mark_is_harmless(source_fmu, tmp_path, xml):
 def test_xml_that_exhausts_memory_is_refused(of_xml, monkeypatch):
     monkeypatch.setattr(archive, "MOST_NODES", 10)
     assert texts(of_xml(PROLOG + b"<a b='1'>" + b"<a/>" * 9 + b"</a>")) == [
-        "modelDescription.xml: it has more than 10 elements and attributes; it is not read any "
-        "further."
+        Containing("more than 10 elements and attributes")
     ]
     monkeypatch.setattr(archive, "MOST_BYTES", 20)
-    assert texts(of_xml(PROLOG + b"<a/>")) == [
-        "modelDescription.xml: it has more than 20 bytes; it is not read."
-    ]
+    assert texts(of_xml(PROLOG + b"<a/>")) == [Containing("more than 20 bytes")]
 
 
 def test_deeply_nested_xml_is_refused(of_xml):
@@ -127,7 +122,7 @@ def test_deeply_nested_xml_is_refused(of_xml):
 
 def test_another_root_element_is_reported(of_xml):
     assert texts(of_xml(PROLOG + b"<a:model xmlns:a='urn:x'/>")) == [
-        "modelDescription.xml: its root is '{urn:x}model'; it must be 'fmiModelDescription'."
+        Containing("modelDescription.xml: its root is '{urn:x}model'")
     ]
 
 
@@ -152,7 +147,7 @@ def test_violations_of_the_schema_are_reported(source_fmu, tmp_path):
     for part in ("'inpud'", "'yesterday'", "'colour'"):
         assert any(part in text for text in schema)
     assert all(text.startswith("modelDescription.xml, line ") for text in schema)
-    others = "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
+    others = Containing("FMPy and VDMCheck2: not run")
     assert found.skipped == (others,)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_hosts import Wine, build_host
+from containing import Containing
 from drive_runs import model_of
 from fmpy import read_model_description
 
@@ -196,8 +197,8 @@ def test_the_page_documents_the_holding_torque(make_law, tmp_path: Path) -> None
     model = model_of({"a": make_law("lugre"), "b": make_law("viscous")})
     text = page(export_drive(model, tmp_path / "D.fmu", inertia=[1.0, 1.0]))
     # Break-away at 12 N.m; 9 N.m and the lost damping of the bristle remain at speed.
-    assert "At rest this law holds up to 12 N.m without load; a torque below 9 N.m lets" in text
-    assert "At rest this law holds up to 4.5 N.m without load; a torque below 4.5 N.m lets" in text
+    assert text == Containing("holds up to 12 N.m", "below 9 N.m")
+    assert text == Containing("holds up to 4.5 N.m", "below 4.5 N.m")
     assert "load on the joint, used by b" in text
 
 

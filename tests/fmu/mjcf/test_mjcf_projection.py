@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy
+from containing import Containing
 from mujoco_joints import Joints
 
 from fmu_src import model_file
@@ -102,10 +103,12 @@ def test_the_stated_error_is_that_of_mujoco(name, make_law, make_model, tmp_path
     assert joint.unseen.relative == pytest.approx(worst, rel=1e-9)
     assert joint.fitted.rmse != joint.unseen.rmse
     assert report.lines() == [
-        f"axis_1: projected, since {joint.missing}; RMSE {joint.fitted.rmse:.3g} N.m where fitted "
-        f"and {joint.unseen.rmse:.3g} N.m on another motion, at most "
-        f"{100 * joint.fitted.relative:.3g} and {100 * joint.unseen.relative:.3g} % of the largest "
-        "torque"
+        Containing(
+            f"axis_1: projected, since {joint.missing}",
+            f"{joint.fitted.rmse:.3g} N.m where fitted",
+            f"{joint.unseen.rmse:.3g} N.m on another",
+            f"{100 * joint.fitted.relative:.3g} and {100 * joint.unseen.relative:.3g} %",
+        )
     ]
     assert report.lines()[0].partition("RMSE")[2] in (tmp_path / "friction.xml").read_text()
 
@@ -164,10 +167,7 @@ def test_a_law_without_a_finite_torque_is_refused(make_model, tmp_path):
     for project in (True, False):
         with pytest.raises(ExportError) as refusal:
             export_mjcf_law(make_model(law), tmp_path / "friction.xml", project=project)
-        assert str(refusal.value) == (
-            "law 'by_hand' of joint 'axis_1' is not expressible in MJCF: its torque has the term "
-            "exp(a*dq**2), which is neither a bristle's nor viscous nor a ripple in the joint's "
-            "angle alone; nor can it be projected: law 'wild': its torque is not finite at speeds "
-            "up to 1.2 rad/s, so it cannot be projected."
+        assert str(refusal.value) == Containing(
+            "law 'by_hand' of joint 'axis_1'", "term exp(a*dq**2)", "law 'wild'", "up to 1.2 rad/s"
         )
         assert not list(tmp_path.iterdir())

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import sympy
+from containing import Containing
 
 from hesr.extras.modelica.modelica_package import export_modelica, package
 from hesr_model.equations.functions import absolute, sgn
@@ -103,10 +104,7 @@ def test_origin_and_findings_are_documented(table1):
         text[text.index("<p>Friction torque of 3 joints") :],
     )
     assert "tau = 16.24*h - 0.163*h&#39; + 37.72*tanh(" in joint
-    assert (
-        "It is not passive: over a closed cycle of 0.4 rad/s at 0.05 Hz it generates 12.4 J."
-        in joint
-    )
+    assert joint == Containing("0.4 rad/s at 0.05 Hz", "generates 12.4 J")
     assert "Table I of the paper" in whole
     assert "explicit Euler steps of 0.005 s" in whole
     assert (
@@ -166,12 +164,11 @@ def test_the_export_is_complete_and_reproducible(make_law, make_model, tmp_path)
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("Friction.txt", "a Modelica package ends in .mo, found '.txt'."),
-        ("Friction", "a Modelica package ends in .mo, found ''."),
+        ("Friction.txt", "package ends in .mo, found '.txt'"),
+        ("Friction", "package ends in .mo, found ''"),
         (
             "my-law.mo",
-            "'my-law' is not a valid name in Modelica; start with a letter, then use letters, "
-            "digits and underscores",
+            "'my-law' is not a valid name",
         ),
         ("3law.mo", "'3law' is not a valid name in Modelica"),
         ("naïve.mo", "'naïve' is not a valid name in Modelica"),
@@ -215,7 +212,4 @@ def test_names_invalid_in_modelica_are_refused(name, reason, make_model):
     odd = law(absolute(DQ) * sympy.Symbol(name, real=True), **{name: 1.0})
     with pytest.raises(ExportError) as found:
         package(make_model(odd), "F")
-    assert str(found.value) == (
-        f"law 'odd': the name '{name}' is {reason}; use distinct names of letters, digits "
-        "and underscores."
-    )
+    assert f"'odd': the name '{name}' is {reason}" in str(found.value)

@@ -284,7 +284,7 @@ def test_a_bare_metal_cortex_m7_matches(table1, tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("law.c", "a C header ends in .h, found '.c'"),
+        ("law.c", "header ends in .h, found '.c'"),
         ("my-law.h", "'my-law' is not a valid C name"),
     ],
 )
@@ -306,7 +306,7 @@ def test_a_law_without_finite_torques_is_refused(make_model, make_law, tmp_path)
     law = make_law("viscous")
     law = replace(law, values=law.values | {"sigma_2": 1e99, "F_c": 1e99})
     law = replace(law, form=replace(law.form, output=law.form.output**5))
-    with pytest.raises(ExportError, match="torque is not finite at speeds up to"):
+    with pytest.raises(ExportError, match="finite at speeds up"):
         export_c(make_model(law), tmp_path / "law.h")
     assert not list(tmp_path.iterdir())
 

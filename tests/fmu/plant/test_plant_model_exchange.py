@@ -134,10 +134,7 @@ def test_friction_beyond_any_load_is_refused(load, tmp_path: Path) -> None:
     assert fmu("SetupExperiment", c, 0, 0.0, 0.0, 0, 0.0) == 0
     assert fmu("EnterInitializationMode", c) == 0
     assert fmu("ExitInitializationMode", c) == 3
-    assert fmu.messages[-1].text == (
-        "tau_friction[1]: no load was found that balances friction and torque; look at the "
-        "coefficients."
-    )
+    assert "tau_friction[1]: no load was found" in fmu.messages[-1].text
 
 
 def test_a_plant_with_a_servo_is_for_co_simulation_only(make_law, tmp_path: Path) -> None:

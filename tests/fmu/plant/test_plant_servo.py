@@ -225,13 +225,13 @@ def test_bad_parameters_are_refused(start, sentence: str, servo_arm: Path) -> No
 
 def test_bad_gains_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
     body, path = PlantBody.of(Robot(UF850)), tmp_path / "Arm.fmu"
-    sentence = "plant: 'kv' of joint 2 is -1; it must not be negative."
+    sentence = "plant: 'kv' of joint 2 is -1"
     with pytest.raises(ExportError, match=re.escape(sentence)):
         export_plant(table1, path, body=body, kv=(1.0, -1.0, 1.0))
-    sentence = "plant: 'ki' needs 'kv', the proportional gain of the servo."
+    sentence = "plant: 'ki' needs 'kv', the proportional"
     with pytest.raises(ExportError, match=re.escape(sentence)):
         export_plant(table1, path, body=body, ki=KI)
-    sentence = "plant: 'kp' needs 'kv', the proportional gain of the servo."
+    sentence = "plant: 'kp' needs 'kv', the proportional"
     with pytest.raises(ExportError, match=re.escape(sentence)):
         export_plant(table1, path, body=body, kp=KP)
 
