@@ -27,8 +27,6 @@ VALUE = ""
 
 PLACEHOLDER = re.compile(r"\{[^{} ]*\}|\.[*+]\??")
 EXEMPT = {
-    "cosim/package/test_container.py": "to be removed with containers",
-    "cosim/package/test_container_of_others.py": "to be removed with containers",
     "fmu/modelica/test_modelica_package.py": "generated Modelica",
     "fmu/plant/test_plant_states.py": "a program in C, which calls the functions it compares",
     "fmu/test_modelica_printer.py": "a pattern of generated Modelica",
