@@ -97,6 +97,24 @@ def export_contact(path: Path, fmi: Version) -> Path:
     return export_observer(banded(), path, body=PlantBody.of(robot()), fmi=fmi)
 
 
+SIX_JOINTS = (
+    """<mujoco model="six"><compiler angle="radian"/><worldbody>{links}</worldbody></mujoco>"""
+)
+LINK = """<body pos="0 0 0.3"><joint name="j{k}" axis="{axis}" armature="0.5"/>
+<geom size=".05 .2" type="capsule" pos=".1 0 .1" mass="2"/>"""
+
+
+def export_wrench(path: Path, fmi: Version) -> Path:
+    """Write the observer of a chain of six joints, which shows force and moment."""
+    links = [LINK.format(k=k, axis="0 1 0" if k % 2 else "0 0 1") for k in range(1, 7)]
+    file = path.with_suffix(".xml")
+    file.write_text(SIX_JOINTS.format(links="".join(links) + "</body>" * 6), encoding="utf-8")
+    names = tuple(f"j{k}" for k in range(1, 7))
+    chain = Robot(RobotDescription(name="six", model=file, joints=names))
+    laws = replace(model(*(replace(lugre(), band=BAND),) * 6), joints=names)
+    return export_observer(laws, path, body=PlantBody.of(chain), fmi=fmi)
+
+
 def export_block(block: Callable[[], Content], path: Path, fmi: Version) -> Path:
     return write_fmu(block(), path, fmi=fmi)
 
@@ -149,6 +167,9 @@ KINDS = {
     "plant": Kind(export=export_arm_plant, integers=LAW),
     "plant with servo": Kind(export=export_servo_plant, integers=LAW),
     "observer": Kind(export=export_contact, booleans=frozenset({"contact"}), integers=LAW),
+    "observer of six joints": Kind(
+        export=export_wrench, booleans=frozenset({"contact"}), integers=LAW
+    ),
     "controller": Kind(
         export=partial(export_block, partial(controller, 3)),
         integers=frozenset({"compensation"}),

@@ -68,7 +68,11 @@ def test_a_payload_missing_in_the_body_appears_as_its_weight(
         np.concatenate([WEIGHT, np.cross(robot.places(q)[-1][0] @ CENTRE, WEIGHT)])
         for q in log.q[rest]
     ]
-    errors, covariance = found - known, run.outputs["wrench_covariance"][rest]
+    errors = found - known
+    force, moment, both = (
+        run.outputs[f"{name}_covariance"][rest] for name in ("force", "moment", "force_moment")
+    )
+    covariance = np.block([[force, both], [both.transpose(0, 2, 1), moment]])
     distance = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariance), errors)
     assert np.mean(distance < 12.6) >= 0.95  # of chi squared with six degrees of freedom
     # The weight is known far better than the limits promise, and well apart from zero.

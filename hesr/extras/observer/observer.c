@@ -108,7 +108,13 @@ static void put_wrench(double *v, const double *squares) {
         }
     }
     invert(covariance);
-    memcpy(&v[WRENCH_COVARIANCE], covariance, sizeof covariance);
+    for (int a = 0; a < 3; a++) {
+        for (int b = 0; b < 3; b++) {
+            v[FORCE_COVARIANCE + 3 * a + b] = covariance[a][b];
+            v[MOMENT_COVARIANCE + 3 * a + b] = covariance[a + 3][b + 3];
+            v[FORCE_MOMENT_COVARIANCE + 3 * a + b] = covariance[a][b + 3];
+        }
+    }
     for (int a = 0; a < 6; a++) {
         double *one = a < 3 ? &v[FORCE + a] : &v[MOMENT + a - 3];
         *one = 0.0;

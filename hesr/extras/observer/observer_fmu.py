@@ -85,7 +85,9 @@ _OUTPUTS = (
 _WRENCH = (
     ("force", "N", (3,), "external force on the flange, in axes of the base"),
     ("moment", "N.m", (3,), "external moment about the origin of the last joint, in base axes"),
-    ("wrench_covariance", "1", (6, 6), "covariance of force and moment in N2, N2.m and N2.m2"),
+    ("force_covariance", "N2", (3, 3), "covariance of the force"),
+    ("moment_covariance", "N2.m2", (3, 3), "covariance of the moment"),
+    ("force_moment_covariance", "N2.m", (3, 3), "covariance of force (row) and moment (column)"),
 )
 
 
