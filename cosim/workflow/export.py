@@ -123,7 +123,7 @@ def export(
         FMU: no event indicators in model exchange; where a law jumps at reversals, the jump is a
         steep line below 0.001 rad/s.
     no_documentation : bool
-        FMU: no page, picture and reference results, for pipelines: half the time.
+        FMU, adaptive: no page, picture and reference results, for pipelines: half the time.
     robot : robot or path
         Plant and observer: the robot of the law. FMU: with --rigid-body, its page computes the
         friction in a dropped log.

@@ -64,6 +64,9 @@ _PAGE = BlockPage(
         "instant of the motion. The arm must begin there: start it at the q of this FMU after its "
         "initialisation, q(0). Only a sweep begins at its offset.",
         "A sweep without swing is a chirp.",
+        "For a controller that inverts the servo of the arm, preview = latency of the servo + half "
+        "a step of the loop. For every other controller preview = 0. A rest_time above the preview "
+        "makes the first command one of rest.",
         "fourier uses period, offset, a and b; sine uses first, offset and amplitude; sweep uses "
         "first, last, length, offset, amplitude, swing, swing_period and swing_phase.",
     ),
