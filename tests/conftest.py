@@ -116,9 +116,9 @@ def _is_named(item: pytest.Item, config: pytest.Config) -> bool:
 def _require_known_entries(node_ids: list[str]) -> None:
     """Refuse entries of nightly groups that name no test: renamed tests would run in every gate."""
     for group in NIGHTLY.values():
-        unknown = group.unknown_entries(node_ids)
+        unknown = group.missing_files(TESTS.parent) + group.unknown_entries(node_ids)
         if unknown:
-            raise pytest.UsageError(f"tests/nightly.toml, {group.name}: no test {unknown[0]}")
+            raise pytest.UsageError(f"tests/nightly.toml, {group.name}: there is no {unknown[0]}")
 
 
 def _select_nightly(config: pytest.Config, items: list[pytest.Item]) -> None:

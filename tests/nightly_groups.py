@@ -29,6 +29,11 @@ class Group(NamedTuple):
             or without_case(node_id) in self.tests
         )
 
+    def missing_files(self, root: Path) -> list[str]:
+        """Return the files of entries that are not there."""
+        files = self.files | {file_of(entry) for entry in self.entries}
+        return sorted(file for file in files if not (root / file).is_file())
+
     def unknown_entries(self, node_ids: Collection[str]) -> list[str]:
         """Return the node ids that name no test of the files that were collected entirely."""
         known = {*node_ids, *map(without_case, node_ids)}

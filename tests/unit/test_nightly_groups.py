@@ -38,3 +38,11 @@ def test_an_entry_is_unknown_only_if_its_file_was_collected(tmp_path: Path) -> N
         "tests/test_it.py::test_kill[once]",
     ]
     assert group.unknown_entries(["tests/test_other.py::test_it"]) == []
+
+
+def test_files_of_entries_must_be_there(tmp_path: Path) -> None:
+    path = tmp_path / "nightly.toml"
+    path.write_text(RECORD, encoding="utf-8")
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_it.py").touch()
+    assert read_groups(path)["kills"].missing_files(tmp_path) == ["tests/test_long.py"]
