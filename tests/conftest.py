@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, settings
 from nightly_groups import read_groups
 from plugin_packages import InstallPlugin, lay_package
 from registry_models import everyday, models_of_registry
+from threadpoolctl import threadpool_limits
 
 from fmu_src import export_fmu, model_file
 from hesr_model.friction.model import FrictionModel
@@ -61,6 +62,11 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("MPLCONFIGDIR", str(home / "matplotlib"))
     # Programs in Java run for seconds: optimising them would take as long again.
     os.environ.setdefault("JAVA_TOOL_OPTIONS", "-XX:TieredStopAtLevel=1")
+    # More threads of linear algebra than cores wait for each other, here and in programs that tests
+    # start.
+    if "OMP_NUM_THREADS" not in os.environ:
+        os.environ["OMP_NUM_THREADS"] = "1"
+        threadpool_limits(1)
     # Test processes use all cores: jobs stay in them, except in commands that tests start.
     os.cpu_count = lambda: 1
     # Shells start background jobs with SIGINT ignored, which test processes would inherit.
