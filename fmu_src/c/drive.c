@@ -60,7 +60,10 @@ static bool advance(const Step *step, int i, Motion *motion, Message *why) {
 static Motion motion_of(const Component *component, int i) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
-    Motion motion = {.q = v[Q + i], .dq = v[DQ + i]};
+    Motion motion;
+    memset(&motion, 0, sizeof motion);
+    motion.q = v[Q + i];
+    motion.dq = v[DQ + i];
     memcpy(motion.x, &v[joint->first_state], (size_t)joint->states * sizeof motion.x[0]);
     return motion;
 }

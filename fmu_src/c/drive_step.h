@@ -9,19 +9,19 @@
 static Step step_of(const Component *component, int i, double h, double time) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
-    Step step = {
-        .joint = joint,
-        .k = parameters_of(v, joint),
-        .inertia = v[INERTIA + i],
-        .gear = 1.0 / v[RATIO + i],
-        .stiffness = v[STIFFNESS + i],
-        .damping = v[DAMPING + i],
-        .tau_motor = input_at(component, TAU_MOTOR + i, time),
-        .q_link = mixed_at(component, false, Q_LINK, i, time),
-        .dq_link = mixed_at(component, false, DQ_LINK, i, time),
-        .h = h,
-        .euler = v[DISCRETISATION] == EULER,
-    };
+    Step step;
+    memset(&step, 0, sizeof step);
+    step.joint = joint;
+    step.k = parameters_of(v, joint);
+    step.inertia = v[INERTIA + i];
+    step.gear = 1.0 / v[RATIO + i];
+    step.stiffness = v[STIFFNESS + i];
+    step.damping = v[DAMPING + i];
+    step.tau_motor = input_at(component, TAU_MOTOR + i, time);
+    step.q_link = mixed_at(component, false, Q_LINK, i, time);
+    step.dq_link = mixed_at(component, false, DQ_LINK, i, time);
+    step.h = h;
+    step.euler = v[DISCRETISATION] == EULER;
     for (int j = 2; j < joint->inputs; j++) {
         step.u[j] = j == LOAD ? mixed_at(component, true, TAU_LOAD, i, time)
                               : input_at(component, joint->input[j], time);

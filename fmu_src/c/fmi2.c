@@ -56,7 +56,7 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
         deny(&why, "fmi2Instantiate: the GUID is not that of this binary, %s.", own);
         return not_instantiated(functions, name, why.text);
     }
-    Instance *instance = calloc(1, sizeof *instance + strlen(name) + 1);
+    Instance *instance = (Instance *)calloc(1, sizeof *instance + strlen(name) + 1);
     if (!instance) {
         return not_instantiated(functions, name, "fmi2Instantiate: out of memory.");
     }
@@ -69,13 +69,14 @@ FMI2_EXPORT fmi2Component FMI2_NAME(fmi2Instantiate)(fmi2String name, fmi2Type t
         instance->host = *functions;
     }
     instance->telling_events = logging;
+    instance->name = (char *)(instance + 1);
     memcpy(instance->name, name, strlen(name) + 1);
     set_start_values(&instance->memory, type);
     return instance;
 }
 
 FMI2_EXPORT void FMI2_NAME(fmi2FreeInstance)(fmi2Component c) {
-    Instance *instance = c;
+    Instance *instance = (Instance *)c;
     if (instance) {
         component_close(instance->workspace);
         free(instance);
@@ -125,7 +126,7 @@ FMI2_STATUS(fmi2Terminate)(fmi2Component c) {
 }
 
 FMI2_STATUS(fmi2Reset)(fmi2Component c) {
-    Instance *instance = c; /* in any state */
+    Instance *instance = (Instance *)c; /* in any state */
     if (!instance) {
         return fmi2Error;
     }

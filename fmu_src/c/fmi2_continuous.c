@@ -15,7 +15,7 @@ FMI2_STATUS(fmi2NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
         instance->memory.stale = true;
         report(instance, "%s (%.9g s)", what.text, instance->memory.component.time);
     }
-    *info = (fmi2EventInfo){.nextEventTimeDefined = fmi2False};
+    memset(info, 0, sizeof *info);
     return fmi2OK;
 }
 
@@ -86,7 +86,7 @@ FMI2_STATUS(fmi2GetDerivatives)(fmi2Component c, fmi2Real dx[], size_t n) {
     ENTER(with_array(c, MAY_GET_CONTINUOUS, "fmi2GetDerivatives", dx, n, STATES));
     const fmi2Status status = refreshed(instance);
     for (size_t i = 0; status == fmi2OK && i < n; i++) {
-        dx[i] = i < STATES ? instance->memory.component.v[derivatives[i]] : 0.0;
+        dx[i] = (int)i < STATES ? instance->memory.component.v[derivatives[i]] : 0.0;
     }
     return status;
 }
@@ -103,7 +103,7 @@ FMI2_STATUS(fmi2GetEventIndicators)(fmi2Component c, fmi2Real indicator[], size_
 FMI2_STATUS(fmi2GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n) {
     Instance *instance = with_array(c, MAY_GET_CONTINUOUS, "fmi2GetContinuousStates", x, n, STATES);
     for (size_t i = 0; instance && i < n; i++) {
-        x[i] = i < STATES ? instance->memory.component.v[states[i]] : 0.0;
+        x[i] = (int)i < STATES ? instance->memory.component.v[states[i]] : 0.0;
     }
     return instance ? fmi2OK : fmi2Error;
 }
@@ -113,7 +113,7 @@ FMI2_STATUS(fmi2GetNominalsOfContinuousStates)
     Instance *instance =
         with_array(c, MAY_GET_NOMINALS, "fmi2GetNominalsOfContinuousStates", nominal, n, STATES);
     for (size_t i = 0; instance && i < n; i++) {
-        nominal[i] = i < STATES ? nominals[i] : 1.0;
+        nominal[i] = (int)i < STATES ? nominals[i] : 1.0;
     }
     return instance ? fmi2OK : fmi2Error;
 }

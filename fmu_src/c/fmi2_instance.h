@@ -66,7 +66,7 @@ typedef struct {
     void *workspace;
     fmi2CallbackFunctions host;
     int telling_events;
-    char name[];
+    char *name; /* stored behind the instance */
 } Instance;
 
 /* Message categories. Reasons for a failed call are always reported. */
@@ -115,7 +115,7 @@ SELDOM static void report(const Instance *instance, const char *format, ...) {
 
 /* Return the instance if it accepts a call now, else NULL. */
 static Instance *entered(fmi2Component c, int modes, const char *function) {
-    Instance *instance = c;
+    Instance *instance = (Instance *)c;
     if (!instance) {
         return NULL;
     }

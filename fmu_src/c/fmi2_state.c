@@ -38,7 +38,7 @@ static bool is_mode(int mode, int type) {
 SELDOM static bool in_range(const Component *component, Message *why) {
     for (int i = 0; i < VARIABLES; i++) {
         const double value = component->v[i], slope = i < SLOPES ? component->slope[i] : 0.0;
-        const Role role = variables[i].role;
+        const int role = variables[i].role;
         const bool whole = value >= numbers.of[i].low && value <= numbers.of[i].high &&
                            (variables[i].type == REAL || value == floor(value));
         const bool set = role == INPUT || role == STATE || role == FIXED || role == TUNABLE;
@@ -70,7 +70,7 @@ SELDOM static bool is_possible(const Memory *memory, Message *why) {
 
 FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
     ENTER(entered_with(c, ANY, "fmi2GetFMUstate", state));
-    Saved *saved = *state ? *state : calloc(1, sizeof *saved);
+    Saved *saved = (Saved *)(*state ? *state : calloc(1, sizeof *saved));
     if (!saved) {
         return complain(instance, "fmi2GetFMUstate: out of memory.");
     }
@@ -83,7 +83,7 @@ FMI2_STATUS(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state) {
 
 FMI2_STATUS(fmi2SetFMUstate)(fmi2Component c, fmi2FMUstate state) {
     static const char function[] = "fmi2SetFMUstate";
-    const Saved *saved = state;
+    const Saved *saved = (const Saved *)state;
     ENTER(entered_with(c, ANY, function, state));
     if (saved->memory.type != instance->memory.type) {
         return complain(instance, "%s: the state is one of the FMU's other type.", function);
@@ -120,7 +120,7 @@ FMI2_STATUS(fmi2SerializeFMUstate)
         return complain(instance, "%s: %lu bytes for a state of %lu.", function,
                         (unsigned long)size, (unsigned long)sizeof(Saved));
     }
-    const uint64_t sum = sum_of(state);
+    const uint64_t sum = sum_of((const Saved *)state);
     memcpy(bytes, state, sizeof(Saved));
     memcpy(bytes + offsetof(Saved, sum), &sum, sizeof sum);
     return fmi2OK;
@@ -151,7 +151,7 @@ FMI2_STATUS(fmi2DeSerializeFMUstate)
         return complain(instance, "%s: the %lu bytes are not a state of this model.", function,
                         (unsigned long)size);
     }
-    Saved *saved = malloc(sizeof *saved);
+    Saved *saved = (Saved *)malloc(sizeof *saved);
     if (!saved) {
         return complain(instance, "%s: out of memory.", function);
     }

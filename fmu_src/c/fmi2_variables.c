@@ -1,7 +1,7 @@
 /* FMI 2.0: getting and setting variables; a call processes all of its values or none. */
 #include "fmi2_instance.h"
 
-static int settable(Role role) {
+static int settable(int role) {
     switch (role) {
     case INPUT:
         return MAY_SET;
@@ -312,7 +312,7 @@ static bool differentiable(const Instance *instance, const char *function,
                            const fmi2ValueReference knowns[], size_t n_known) {
     const bool initialising = instance->memory.mode == INITIALISING;
     for (size_t i = 0; i < n_unknown; i++) {
-        const Role role = variable_of(unknowns[i])->role;
+        const int role = variable_of(unknowns[i])->role;
         if (role != OUTPUT && role != LOCAL && role != DERIVATIVE &&
             !(role == STATE && initialising)) {
             complain(instance, "%s: %s is neither a continuous output nor a state derivative.",
@@ -321,7 +321,7 @@ static bool differentiable(const Instance *instance, const char *function,
         }
     }
     for (size_t i = 0; i < n_known; i++) {
-        const Role role = variable_of(knowns[i])->role;
+        const int role = variable_of(knowns[i])->role;
         if (role != INPUT && role != TUNABLE &&
             !(initialising ? role == FIXED : is_state(knowns[i]))) {
             complain(instance, "%s: derivatives with respect to %s are not available.", function,

@@ -6,15 +6,17 @@
 static fmi3Instance instantiate(fmi2Type type, fmi3String name, fmi3String token, fmi3String path,
                                 fmi3Boolean logging, fmi3InstanceEnvironment environment,
                                 fmi3LogMessageCallback log) {
-    Outer *outer = calloc(1, sizeof *outer);
+    Outer *outer = (Outer *)calloc(1, sizeof *outer);
     if (!outer) {
         return NULL;
     }
     outer->environment = environment;
     outer->log = log;
-    const fmi2CallbackFunctions host = {.logger = log ? pass_on : NULL,
-                                        .componentEnvironment = outer};
-    outer->inner = fmi2Instantiate(name, type, token, path, &host, fmi2False, logging);
+    fmi2CallbackFunctions host;
+    memset(&host, 0, sizeof host);
+    host.logger = log ? pass_on : NULL;
+    host.componentEnvironment = outer;
+    outer->inner = (Instance *)fmi2Instantiate(name, type, token, path, &host, fmi2False, logging);
     if (!outer->inner) {
         free(outer);
         return NULL;
@@ -37,7 +39,8 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(
     size_t n_intermediate, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3Callback update) {
     (void)visible, (void)intermediate, (void)n_intermediate, (void)update;
-    Outer *outer = instantiate(fmi2CoSimulation, name, token, path, logging, environment, log);
+    Outer *outer =
+        (Outer *)instantiate(fmi2CoSimulation, name, token, path, logging, environment, log);
     if (outer) {
         outer->events = events;
         outer->early = early;

@@ -6,7 +6,7 @@
 #include "fmi3.h"
 
 typedef struct {
-    fmi2Component inner;
+    Instance *inner;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
     bool events; /* whether the host enabled event mode */
@@ -27,7 +27,7 @@ typedef struct {
     }
 
 static Memory *memory_of(fmi3Instance c) {
-    return &((Instance *)((Outer *)c)->inner)->memory;
+    return &((Outer *)c)->inner->memory;
 }
 
 /* Functions of FMI 2.0 with other names in FMI 3.0, then the prefix of all others. */
@@ -51,7 +51,7 @@ static const char *const renamed[][2] = {
 /* Forward a message of the inner instance, renaming the function that it starts with. */
 static void pass_on(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
                     fmi2String category, fmi2String message, ...) {
-    const Outer *outer = environment;
+    const Outer *outer = (const Outer *)environment;
     char text[sizeof(Message) + 512];
     (void)name;
     for (size_t i = 0; i < sizeof renamed / sizeof renamed[0]; i++) {

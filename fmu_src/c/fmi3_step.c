@@ -72,7 +72,7 @@ FMI3_STATUS(fmi3DoStep)
         complain(instance, "%s: an argument is NULL.", function);
         return fmi3Error;
     }
-    const Outer *outer = c;
+    const Outer *outer = (const Outer *)c;
     Component *component = &instance->memory.component;
     component->may_end_early = outer->early;
     *event = *terminate = *early = false;

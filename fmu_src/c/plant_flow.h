@@ -20,7 +20,6 @@ static void open_solver(const Component *component, double h, Solver *solver);
 enum { MOST_LOADS = 50 };
 
 static const double no_change[MAX_PARAMETERS + MAX_INPUTS + MAX_STATES] = {0.0};
-static const double along_load[MAX_INPUTS] = {[LOAD] = 1.0};
 
 /* Set friction, stop and the derivatives dx of an axis under a load, or, in model exchange, under
  * what friction and stop leave of the torque. */
@@ -28,11 +27,13 @@ static bool rub(Solver *solver, int i, double load, double *dx, Message *why) {
     const double torque = mixed_at(solver->component, true, TAU, i, 0.0);
     const Joint *joint = &joints[i];
     double u[MAX_INPUTS], y[MAX_OUTPUTS], tdx[MAX_STATES], ty[MAX_OUTPUTS], unused = 0.0;
+    double along_load[MAX_INPUTS] = {0.0};
     Step step;
     Motion at;
     open_axis(solver, i, &step, &at);
     see(&step, at.q, at.dq, u);
     u[LOAD] = load;
+    along_load[LOAD] = 1.0;
     const double stop = solver->stop[i] = stop_torque(&step, u, u, &unused);
     for (int n = 0; n < MOST_LOADS; n++) {
         joint->flow(step.k, u, at.x, dx, y);
@@ -165,11 +166,12 @@ SELDOM static void component_tangent(const Component *component, const double *s
     double tq[JOINTS], tdq[JOINTS], tp[10 * LINKS];
     double moved[JOINTS], settled[JOINTS], rest[JOINTS], load[JOINTS], torque[JOINTS];
     double friction[JOINTS], stop[JOINTS], slope[MAX_OUTPUTS], y[MAX_OUTPUTS];
-    double zero[JOINTS] = {0.0};
+    double zero[JOINTS] = {0.0}, along_load[MAX_INPUTS] = {0.0};
     Component at = *component;
     Solver solver;
     Message why;
     at.continuous = started ? 1.0 : component->continuous;
+    along_load[LOAD] = 1.0;
     if (!flow(&at, &solver, &why)) {
         for (int i = 0; i < VARIABLES; i++) {
             tangent[i] = NAN;

@@ -103,13 +103,12 @@ static bool solve(const Step *step, const Motion *from, Trial *trial, const char
                   Message *why) {
     const bool jumps = step->joint->switches_of_joint > 0;
     balance(step, from, from->dq, trial);
-    Search search = {
-        .near = from->dq,
-        .far = NAN,
-        .outward = trial->residual > 0.0 ? -1.0 : 1.0,
-        .stride = step->h / step->inertia * fabs(trial->residual),
-        .before = INFINITY,
-    };
+    Search search;
+    search.near = from->dq;
+    search.far = NAN;
+    search.outward = trial->residual > 0.0 ? -1.0 : 1.0;
+    search.stride = step->h / step->inertia * fabs(trial->residual);
+    search.before = INFINITY;
     for (int n = 0; n < MOST_TRIALS && isfinite(trial->size); n++) {
         if (balanced(trial)) {
             trial->v = fabs(trial->v) <= BESIDE_ZERO ? 0.0 : trial->v;

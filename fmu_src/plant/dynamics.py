@@ -449,10 +449,10 @@ static const Entry regrouped[] = {{
 }};
 
 /* The mass matrix, and the torque at zero acceleration. */
-QUICK void dynamics(const double *restrict p, const double *restrict rotor,
-                    const double *restrict spring, const double *restrict gravity,
-                    const double *restrict q, const double *restrict dq,
-                    double mass[restrict][{width}], double *restrict bias) {{
+QUICK void dynamics(const double *__restrict p, const double *__restrict rotor,
+                    const double *__restrict spring, const double *__restrict gravity,
+                    const double *__restrict q, const double *__restrict dq,
+                    double (*__restrict mass)[{width}], double *__restrict bias) {{
 {angles}
     (void)p, (void)rotor, (void)spring, (void)gravity, (void)dq; /* a robot need not use all */
 {statements}
@@ -478,7 +478,7 @@ SELDOM static void torque_change(const Component *component, const double *seed,
 
 _JACOBIAN = """\
 /* Jacobian of the origin of the last joint's frame, in axes of the base. */
-static void flange_jacobian(const double *restrict q, double jacobian[restrict][JOINTS]) {{
+static void flange_jacobian(const double *__restrict q, double (*__restrict jacobian)[JOINTS]) {{
 {angles}
 {statements}
 }}
