@@ -44,11 +44,10 @@ typedef struct {
 static Place place_of(const Component *component, int i) {
     const Joint *joint = &joints[i];
     const double *v = component->v;
-    Place at = {
-        .joint = joint,
-        .k = parameters_of(component->v, &joints[i]),
-        .s = &component->own[HELD + joint->first_switch],
-    };
+    Place at;
+    at.joint = joint;
+    at.k = parameters_of(component->v, &joints[i]);
+    at.s = &component->own[HELD + joint->first_switch];
     for (int j = 0; j < joint->inputs; j++) {
         at.u[j] = input_of(v, i, j);
     }
@@ -159,7 +158,7 @@ SELDOM static void update_invariants(Component *component, double step, double e
 /* Outputs of a joint after a step, when component_output does not compute its derivatives later. */
 QUICK void put_sample(Component *component, int i, double step, double *y) {
     double r[MAX_REMEMBERED + 1], *x = states_of(component, i);
-    if (HOLDS || SAMPLED) {
+    if (HOLDS != 0 || SAMPLED != 0) {
         joints[i].read(parameters_of(component->v, &joints[i]), inputs_before(component, i),
                        signs_of(component, i), x, previous_of(component, i), step,
                        x + joints[i].states, y, r);
@@ -206,6 +205,8 @@ static void sample(Component *component, double step) {
 #ifdef TOGETHER
     double moved[MAX_STATES][LANES], found[MAX_OUTPUTS][LANES];
     TOGETHER(v, &own[INVARIANTS], step, euler, moved, found);
+    KEEP_LANES(moved);
+    KEEP_LANES(found);
 #endif
     EACH_JOINT(STEP)
     put_ends(component->v, component->v);

@@ -46,6 +46,9 @@ static void open_solver(const Component *component, double h, Solver *solver) {
     for (Lanes *row = solver->mass; row < &solver->weight; row++) {
         memset(&(*row)[JOINTS], 0, (LANES - JOINTS) * sizeof **row);
     }
+    for (int l = JOINTS; l < LANES; l++) {
+        solver->diagonal[l] = 1.0; /* a divisor */
+    }
     solver->component = component, solver->h = h, solver->holding = false;
     mixed(forward, false, &v[Q], solver->q);
     mixed(forward, false, &v[DQ], solver->v);
@@ -184,7 +187,7 @@ static bool component_step(Component *component, void *workspace, double step, M
     for (int i = 0; i < JOINTS; i++) {
         fastest = larger(fabs(component->v[DQ + i]), fastest);
     }
-    const double longest = fmin(component->v[SUBSTEP], LONGEST_MOTION / fastest);
+    const double longest = fmin(component->v[SUBSTEP], LONGEST_MOTION / fmax(fastest, TINY));
     const double parts = fmax(1.0, ceil(step / longest * (1.0 - ROUNDING)));
     if (!(parts <= MOST_PARTS)) {
         return deny(

@@ -33,6 +33,9 @@ enum { MOST_ITERATIONS = 200, PATIENCE = 6, SWEEPING = 20, SWEEPS_ONLY = 60, HAL
 /* Slope of friction that holds, or is not known yet. */
 #define NEVER_SMOOTH 1e100
 
+/* Shortest change of speed [rad/s or m/s] to which another one is compared. */
+#define CLOSE 1e-100
+
 /* Penetration depth for the full damping of a stop [rad or m]. */
 #define DEPTH 1e-3
 
@@ -271,7 +274,7 @@ INLINED bool slide(Solver *solver, const double *speed, double least) {
     double bend = 0.0;
     for (int i = 0; i < JOINTS; i++) {
         const double move = speed[i] - solver->u[i], way = fabs(solver->u[i] - solver->v[i]);
-        bend += fabs(solver->slope[0][i] - solver->steep[i]) * (move * move) / (way + TINY);
+        bend += fabs(solver->slope[0][i] - solver->steep[i]) * (move * move) / fmax(way, CLOSE);
     }
     if (!(solver->h * bend < STRAIGHT_SHARE * least)) {
         return false;
@@ -406,6 +409,7 @@ INLINED bool predict(Solver *solver) {
     Lanes first;
     for (int l = 0; l < LANES; l++) {
         const double v = solver->v[l], constant = h * solver->a[l], next = v + constant;
+        /* TINY: compilers may read 0 where only the other branch of `weight` is needed. */
         const double z = h * solver->steep[l] / (solver->diagonal[l] + TINY);
         const double weight = v * next > 0.0 ? 1.0 - 0.5 / (1.0 + z * z) : 1.0;
         const double linear = v + weight * (2.0 * constant - h * solver->last[l]);

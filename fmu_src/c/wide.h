@@ -15,6 +15,14 @@
 #define PAIRED
 #endif
 
+/* Spare lanes count as read: otherwise a compiler may leave out their constants, among them those
+ * that keep divisors from 0. */
+#ifdef __GNUC__
+#define KEEP_LANES(lanes) __asm__ volatile("" : : "r"(lanes) : "memory")
+#else
+#define KEEP_LANES(lanes)
+#endif
+
 #if defined(__GNUC__) && defined(__x86_64__)
 #include <cpuid.h>
 

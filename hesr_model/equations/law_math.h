@@ -210,9 +210,16 @@ static inline double clip(double x, double b) {
     return above > b ? b : above;
 }
 
-/* a / b for b > 0, else `otherwise`. */
+/* x as a divisor. Compilers divide before they choose between a quotient and a limit, and hosts may
+ * trap invalid operations. */
+static inline double not_zero(double x) {
+    return fabs(x) > TINY ? x : TINY;
+}
+
+/* a / b for b > 0, else `otherwise`; b is limited as in `not_zero`. */
 static inline double over(double a, double b, double otherwise) {
-    return b > 0.0 ? a / b : otherwise;
+    const double quotient = a / larger(b, TINY);
+    return b > 0.0 ? quotient : otherwise;
 }
 
 /* exp(-z) - 1, the relative decay of a state over a step; -z for Euler's method. */
@@ -251,8 +258,8 @@ static inline double share_slope(double z, double e, double euler) {
 /* sin(x) / x, continued by 1 at 0, from x and its sine. */
 static inline double cardinal(double x, double sine_of_x) {
     const double z = x * x, series = 1.0 - z * (1.0 / 6.0) * (1.0 - z * (1.0 / 20.0));
-    const bool small = fabs(x) < SERIES_BELOW;
-    return small ? series : sine_of_x / (small ? 1.0 : x);
+    const double quotient = sine_of_x / not_zero(x);
+    return fabs(x) < SERIES_BELOW ? series : quotient;
 }
 
 static inline double even_cardinal_sine(double x) {
@@ -276,9 +283,9 @@ static inline double cardinal_sine(double x) {
 
 /* Derivative of cardinal. */
 static inline double cardinal_slope(double x) {
-    const bool small = fabs(x) < SERIES_BELOW;
     const double series = -x * (1.0 / 3.0) * (1.0 - x * x * (1.0 / 10.0));
-    return small ? series : (cosine(x) - cardinal_sine(x)) / (small ? 1.0 : x);
+    const double quotient = (cosine(x) - cardinal_sine(x)) / not_zero(x);
+    return fabs(x) < SERIES_BELOW ? series : quotient;
 }
 
 #endif
