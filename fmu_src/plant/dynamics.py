@@ -480,6 +480,7 @@ _JACOBIAN = """\
 /* Jacobian of the origin of the last joint's frame, in axes of the base. */
 static void flange_jacobian(const double *__restrict q, double (*__restrict jacobian)[JOINTS]) {{
 {angles}
+    (void)q, (void)sine, (void)cosine; /* a frame need not move with all joints */
 {statements}
 }}
 """
@@ -488,12 +489,14 @@ _TOOL = """\
 /* Pose of the last joint's frame, in axes of the base. */
 static void store_tool(double *v, const double *q) {{
 {angles}
+    (void)q, (void)sine, (void)cosine;
 {statements}
 }}
 
 /* Store the change along tq. */
 SELDOM static void change_tool(double *v, const double *q, const double *tq) {{
 {angles}
+    (void)q, (void)tq, (void)sine, (void)cosine;
 {changes}
 }}
 """

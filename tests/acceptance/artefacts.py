@@ -14,11 +14,7 @@ from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from hesr.extras.adaptive.monitor import export_adaptive
 from hesr.extras.drive.drive_fmu import export_drive
-from hesr.extras.modelica.modelica_package import export_modelica
-from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
 from hesr.extras.observer.observation import export_observer
-from hesr.extras.one_file.c_header import export_c
-from hesr.extras.one_file.tensors import export_jax, export_torch
 from hesr_model.equations.memory import Stop
 from hesr_model.fitting.estimator import Estimator, registry
 from hesr_model.friction.band import Band
@@ -176,16 +172,13 @@ FMUS: Mapping[str, Export] = {
 }
 """Formats that are one FMU."""
 
-FILES: Mapping[str, Callable[[FrictionModel, Path], Path]] = {
-    "mujoco-plugin": lambda model, folder: export_mujoco_plugin(
-        model, folder / f"{folder.name}.so"
-    ),
-    "modelica": lambda model, folder: export_modelica(model, folder / "Law.mo"),
-    "c": lambda model, folder: export_c(model, folder / "law.h"),
-    "torch": lambda model, folder: export_torch(model, folder / "law.py"),
-    "jax": lambda model, folder: export_jax(model, folder / "law.py"),
+LOWERED: Mapping[str, str] = {
+    "mujoco-plugin": "mujoco",
+    "c": "c_header",
+    "torch": "torch",
+    "jax": "jax",
 }
-"""Formats without FMI."""
+"""Formats without FMI whose torques are compared with the law, by their names in `LOWERINGS`."""
 
 LAWS = tuple(registry())
 _EVERY = tuple(STRUCTURES)
@@ -195,8 +188,11 @@ _OF_THREE_JOINTS = tuple(name for name in STRUCTURES if name not in ("one joint"
 SCOPES: Mapping[str, Scope] = {
     **dict.fromkeys(FMUS, Scope(_EVERY)),
     "adaptive": Scope(_UNCOUPLED, refused_laws=tuple(law for law in LAWS if not adapts(law))),
+    "observer": Scope(_UNCOUPLED),
     "loop": Scope(_OF_THREE_JOINTS, versions=(2,), corners=("defaults",)),
-    **dict.fromkeys(FILES, Scope(_UNCOUPLED, versions=(NO_FMI,), corners=("defaults",))),
+    **dict.fromkeys(
+        (*LOWERED, "modelica"), Scope(_UNCOUPLED, versions=(NO_FMI,), corners=("defaults",))
+    ),
 }
 """What each format can be asked for."""
 

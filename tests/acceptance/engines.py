@@ -18,6 +18,9 @@ from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
 
+FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
+"""An engine in Rust, if `make interop` has installed it."""
+
 REST, STEPS = 10, 40
 """Steps with all inputs at 0, and all steps."""
 
@@ -154,6 +157,15 @@ def run_in_libcosim(fmu: Path, starts: Starts) -> Array:
         assert execution.step()
         found.append(observer.last_real_values(slave, outputs))
     return np.array(found)
+
+
+def run_in_fmi_sim(fmu: Path) -> None:
+    """Run an FMU of FMI 3.0 in fmi-sim, which asks for outputs of one element, at its defaults."""
+    command = [FMI_SIM, "--model", fmu, "-o", "out.csv", "-q", "co-simulation"]
+    command += ["--output-interval", str(STEP), "-f", str(STEP * STEPS)]
+    answer = subprocess.run(command, cwd=fmu.parent, capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert len((fmu.parent / "out.csv").read_text(encoding="utf-8").splitlines()) >= STEPS
 
 
 # --- compilers ------------------------------------------------------------------------------------

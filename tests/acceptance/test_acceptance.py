@@ -4,38 +4,36 @@ The gate runs the cells that cover most pairs, `--nightly laws` all. The outcome
 property `outcome` of its test in JUnit's report (`--junitxml FILE`).
 """
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 from acceptance.artefacts import (
-    FILES,
     FMUS,
     LAWS,
+    LOWERED,
     SCOPES,
-    STEP,
     STRUCTURES,
     structures_of,
     write_loop,
 )
 from acceptance.engines import (
+    FMI_SIM,
     compile_sources,
     corner_of,
-    input_rows,
     require_valid,
+    run_in_fmi_sim,
     run_in_fmpy,
     run_in_libcosim,
 )
 from acceptance.matrix import Cell, chosen_cells, possible_cells
-from compiled_header import CompiledHeader
+from lowerings import EVEN_ROWS, LOWERINGS, Case, Motion
 from modelica_truth import open_compilers
 
 from cosim.systems.simulation import Master
+from hesr.extras.modelica.modelica_package import export_modelica
 from hesr_model.friction.model import FrictionModel
 
 GATE = 24
@@ -55,7 +53,7 @@ def test_every_pair_of_values_occurs() -> None:
     possible = {pair for cell in POSSIBLE for pair in cell.pairs}
     assert {pair for cell in CELLS for pair in cell.pairs} == possible
     values = {value for cell in POSSIBLE for value in cell}
-    assert values >= {*LAWS, *STRUCTURES, *FMUS, *FILES, "loop"}
+    assert values >= {*LAWS, *STRUCTURES, *FMUS, *LOWERED, "modelica", "loop"}
 
 
 @pytest.mark.parametrize("cell", tuple(marked_cells()))
@@ -65,9 +63,10 @@ def test_an_artefact_runs(cell: Cell, tmp_path: Path, record_property) -> None:
         outcome = try_fmu(cell, model, tmp_path)
     elif cell.format == "loop":
         outcome = try_loop(model, tmp_path)
+    elif cell.format == "modelica":
+        outcome = try_modelica(model, tmp_path)
     else:
-        path = FILES[cell.format](model, tmp_path)
-        outcome = TRIALS[cell.format](model, path)
+        outcome = try_lowering(LOWERED[cell.format], cell, model, tmp_path)
     record_property("outcome", outcome)
 
 
@@ -97,6 +96,8 @@ def try_fmu(cell: Cell, model: FrictionModel, folder: Path) -> str:
         elsewhere = run_in_libcosim(fmu, starts)
         scale = np.abs(together.outputs).max(axis=0) + 1e-3
         assert (np.abs(elsewhere - together.outputs) / scale).max() <= 1e-12
+    if cell.fmi == 3 and cell.structure == "one joint" and FMI_SIM.exists():
+        run_in_fmi_sim(fmu)
     return f"runs, {len(starts)} start values" + (f", refuses {refused}" if refused else "")
 
 
@@ -107,72 +108,23 @@ def try_loop(model: FrictionModel, folder: Path) -> str:
     return "runs"
 
 
-def try_plugin(model: FrictionModel, path: Path) -> str:
-    mujoco.mj_loadPluginLibrary(str(path))
-    bodies = "".join(
-        f'<body><joint name="{name}" axis="0 1 0" armature="0.5"/>'
-        '<inertial pos="0.1 0 0.1" mass="2" diaginertia="1 1 1"/></body>'
-        for name in model.joints
-    )
-    scene = mujoco.MjModel.from_xml_string(
-        f'<mujoco><include file="{path.with_suffix(".xml")}"/>'
-        f"<worldbody>{bodies}</worldbody></mujoco>"
-    )
-    data = mujoco.MjData(scene)
-    for _ in range(40):
-        mujoco.mj_step(scene, data)
-    assert np.isfinite(data.qpos).all()
-    assert np.abs(data.qfrc_passive).max() > 0.0
-    return "runs in MuJoCo"
+def try_lowering(name: str, cell: Cell, model: FrictionModel, folder: Path) -> str:
+    """Compare the torques of a format with those of the law in Python."""
+    lowering = LOWERINGS[name]
+    case = Case(cell.law, model, folder / "unused.fmu")
+    motion = Motion.reference(len(model.joints)).first_rows(EVEN_ROWS)
+    [torques] = lowering.compute([case], [motion], folder / name)
+    [expected] = LOWERINGS["python"].compute([case], [motion], folder / "python")
+    difference = np.abs(torques.stepped - expected.stepped).max(axis=0)
+    worst = float((difference / np.abs(expected.stepped).max(axis=0)).max())
+    assert worst <= max(lowering.tolerance, LOWERINGS["fmi2"].tolerance)
+    return f"equals the law to {worst:.0e}"
 
 
-def try_header(model: FrictionModel, path: Path) -> str:
-    header = CompiledHeader(model, path.parent)
-    state = header.state()
-    rows = input_rows(header.joints)
-    found = [header.step(state, row, row, row, STEP) for row in rows]
-    assert np.isfinite(np.array(found, dtype=float)).all()
-    return "runs, compiled"
-
-
-def try_modelica(_model: FrictionModel, path: Path) -> str:
-    with open_compilers(path.parent) as open_compiler:
+def try_modelica(model: FrictionModel, folder: Path) -> str:
+    path = export_modelica(model, folder / "Law.mo")
+    with open_compilers(folder) as open_compiler:
         rumoca = open_compiler("rumoca")
         text = path.read_text(encoding="utf-8")
         assert rumoca.Session().loads(text, model="Law.Joint1") is not None
     return "compiles in Rumoca"
-
-
-def try_tensors(model: FrictionModel, path: Path, python: str, library: str) -> str:
-    rows = input_rows(len(model.joints))
-    np.savez(path.with_name("rows.npz"), dq=rows, q=rows, tau_load=rows, step=STEP, begins=[0, 20])
-    host = Path(__file__).parents[1] / "tensor_host.py"
-    answer = subprocess.run(
-        [python, host, library, path.parent], capture_output=True, text=True, check=False
-    )
-    assert answer.returncode == 0, answer.stderr
-    with np.load(path.with_name("torques.npz")) as torques:
-        assert all(np.isfinite(torques[name]).all() for name in torques)
-    return f"runs in {library}"
-
-
-def try_torch(model: FrictionModel, path: Path) -> str:
-    python = "/usr/bin/python3"
-    if subprocess.run([python, "-c", "import torch"], capture_output=True, check=False).returncode:
-        pytest.skip("Debian's python3-torch is not installed")
-    return try_tensors(model, path, python, "torch")
-
-
-def try_jax(model: FrictionModel, path: Path) -> str:
-    if find_spec("jax") is None:
-        pytest.skip("JAX is not installed: run `make jax` first")
-    return try_tensors(model, path, sys.executable, "jax")
-
-
-TRIALS = {
-    "mujoco-plugin": try_plugin,
-    "c": try_header,
-    "modelica": try_modelica,
-    "torch": try_torch,
-    "jax": try_jax,
-}

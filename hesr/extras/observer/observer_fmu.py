@@ -56,7 +56,12 @@ def law_limits(model: FrictionModel) -> ObserverLimits:
     rows, factors = [], []
     tries = HOUR / model.sample_time * len(model.laws)
     for law in model.laws:
-        if law.band is None or model.coupling:  # bands are those of motors
+        if model.coupling:
+            raise ExportError(
+                f"friction model '{model.law}': its bands are those of coupled motors, not of "
+                "joints; give 'calibration'."
+            )
+        if law.band is None:
             raise ExportError(f"friction model '{model.law}' has no band; give 'calibration'.")
         own = list(astuple(law.band)[: len(NAMES)])
         if law.band.envelope:  # without measured rests friction is anywhere between both directions

@@ -73,6 +73,10 @@ class _Printer(LanguagePrinter):
     def _print_decay(self, expr: sympy.Function) -> str:
         return f"_decay({self._print(expr.args[0])})"
 
+    def _print_cardinal_sine(self, expr: sympy.Function) -> str:
+        """Print sin(x) / x by the libraries' sinc(u), which is sin(pi u) / (pi u)."""
+        return f"xp.sinc({self._print(expr.args[0] / sympy.pi)})"
+
     def _print_share(self, expr: sympy.Function) -> str:
         z, e, _ = map(self._print, expr.args)
         return f"_share({z}, {e})"
