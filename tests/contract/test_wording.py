@@ -111,6 +111,7 @@ def strings(path: Path) -> Iterator[tuple[int, str]]:
             yield getattr(node, "lineno", 0), text
 
 
+@pytest.mark.ci
 def test_tests_do_not_repeat_sentences(product: Runs) -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {run}"
@@ -122,6 +123,7 @@ def test_tests_do_not_repeat_sentences(product: Runs) -> None:
     assert not found, "\n".join(found)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("path", EXEMPT)
 def test_exempt_files_need_to_be(path: str, product: Runs) -> None:
     assert any(repeated(text, product) for _, text in strings(TESTS / path))
