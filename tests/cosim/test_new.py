@@ -292,7 +292,7 @@ def test_public_arm_models_are_accepted(
     tmp_path: Path, path: Path, joints: tuple[str, str]
 ) -> None:
     if not path.is_file():
-        pytest.skip(f"{path} is not there")
+        pytest.skip(f"the model is not next to the repository, at {path}")
     made = start(tmp_path / "new", path)
     assert (made.joints[0], made.joints[-1], len(made.joints)) == (*joints, 6)
     description = RobotDescription.read(tmp_path / "new" / "robot.toml")
