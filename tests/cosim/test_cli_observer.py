@@ -39,7 +39,10 @@ def test_an_observer_is_calibrated_on_logs(
     options = ("--format", "observer", "--robot", robot)
     calibration = [part for log in logs for part in ("--calibration", log)]
     out = tmp_path / "Observer.fmu"
-    answer = hesr("export", "uf850-table1", *options, *calibration, "-o", out)
+    answer = hesr(
+        *("export", "uf850-table1", *options, *calibration),
+        *("--platform", "linux64", "-o", out),
+    )
     assert answer.code == 0, answer.err
     with zipfile.ZipFile(out) as archive:
         page = " ".join(archive.read("documentation/index.html").decode().split())

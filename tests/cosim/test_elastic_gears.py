@@ -285,7 +285,7 @@ def test_a_drive_has_the_identified_gears(
 ) -> None:
     body = body_of(1)
     body.write(tmp_path / "body.json")
-    options = {"format": "drive", "rigid_body": tmp_path / "body.json"}
+    options = {"format": "drive", "rigid_body": tmp_path / "body.json", "platform": ["linux64"]}
     drive = hesr.export("uf850-table1", tmp_path / "D.fmu", **options)
     found = {v.name: v.start for v in fmpy.read_model_description(drive).modelVariables}
     for i, gear in enumerate(body.gears, start=1):

@@ -116,7 +116,7 @@ def test_a_run_names_the_purpose_of_each_law(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, hesr = write(tmp_path, "bristles", 12.0), hesr_here(capsys, monkeypatch)
-    answer = hesr("run", path, "-o", tmp_path / "results")
+    answer = hesr("run", path, "--platform", "linux64", "-o", tmp_path / "results")
     assert answer.code == 0, answer.err
     words = read_verdict(tmp_path / "results")
     assert words is not None

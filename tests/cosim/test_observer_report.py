@@ -104,7 +104,7 @@ def test_pushes_of_the_twin_are_in_the_report(
     robot = MODELS / "uf850" / "robot.toml"
     study, results = tmp_path / "study.toml", tmp_path / "results"
     study.write_text(STUDY.format(robot=robot), encoding="utf-8")
-    answer = hesr("run", study, "-o", results)
+    answer = hesr("run", study, "--platform", "linux64", "-o", results)
     assert answer.code == 0, answer.err
     found = external_torque(Results.read(results))
     assert found is not None
