@@ -29,19 +29,23 @@ _OTHER_XML = (TERMINALS, _BUILD)
 class Report:
     """Findings of all checks in one FMU, and reasons for validators that were not run.
 
-    `platforms` are those that have a binary; for an SSP, those of all its FMUs.
+    `platforms` are those that have a binary; for an SSP, those that all its FMUs share. None if
+    the archive has no FMU.
     """
 
     path: Path
     problems: tuple[Finding, ...]
     skipped: tuple[str, ...]
-    platforms: tuple[str, ...] = ()
+    platforms: tuple[str, ...] | None = None
 
     @property
     def coverage(self) -> str:
-        """Platforms that have a binary, and operating systems that have none; "" if none is."""
-        if not self.platforms:
+        """Platforms that have a binary, and operating systems that have none; "" if unknown."""
+        if self.platforms is None:
             return ""
+        if not self.platforms:
+            is_system = self.path.suffix.lower() == ".ssp"
+            return "none that all its FMUs share." if is_system else "none."
         without = binaries.systems_without(self.platforms)
         lack = f"; no binary for tools on {' and '.join(without)}" if without else ""
         return f"{', '.join(self.platforms)}{lack}."
@@ -63,7 +67,7 @@ class Report:
             "fmu": str(self.path),
             "problems": [to_json(finding) for finding in self.problems],
             "skipped": list(self.skipped),
-            "platforms": list(self.platforms),
+            "platforms": list(self.platforms or ()),
         }
 
 
@@ -85,7 +89,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         path=path,
         problems=tuple(errors_first(found.problems)),
         skipped=tuple(found.skipped),
-        platforms=binaries.platforms(contents),
+        platforms=binaries.platforms(contents) if _MODEL in contents.names else None,
     )
 
 

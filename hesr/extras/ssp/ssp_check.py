@@ -30,24 +30,24 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         found = findings([*contents.problems, *_described(contents, folder)])
         if not any(finding.severity == "error" for finding in found):
             found += findings(_structure(path))
-        platforms: list[tuple[str, ...]] = []
+        platforms: list[tuple[str, ...]] = []  # of each FMU
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
                 inner = check(file, vdmcheck=vdmcheck)
-                platforms.append(inner.platforms)
+                platforms.append(inner.platforms or ())
                 found += [replace(one, found=f"{name}: {one.found}") for one in inner.problems]
                 skipped |= dict.fromkeys(f"{name}: {reason}" for reason in inner.skipped)
     return Report(
         path=path,
         problems=tuple(errors_first(found)),
         skipped=tuple(skipped),
-        platforms=_shared(platforms),
+        platforms=_shared(platforms) if platforms else None,
     )
 
 
 def _shared(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the platforms of all FMUs."""
-    first, *others = platforms or [()]
+    first, *others = platforms
     return tuple(name for name in first if all(name in other for other in others))
 
 

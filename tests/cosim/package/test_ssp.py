@@ -17,9 +17,12 @@ from small_study import Hesr
 
 from cosim.systems.simulation import System
 from cosim.systems.system import SystemSpec, opened_system
+from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.ssp.contents import SystemContents, Version, read_contents
 from hesr.extras.ssp.ssp import write_ssp
+from hesr.extras.ssp.ssp_check import check_ssp
 from hesr_model.errors import ConfigError
+from hesr_model.friction.model import FrictionModel
 
 Write = Callable[..., Path]
 
@@ -113,6 +116,24 @@ def test_every_connector_is_connected_or_observed(either: SystemContents, tmp_pa
         *wiring.sources.values(),
         *wiring.observed,
     }
+
+
+def test_a_check_lists_the_platforms_of_all_fmus(
+    opened: SystemContents, table1: FrictionModel, tmp_path: Path
+) -> None:
+    path = write_ssp(opened, tmp_path / "open.ssp")
+    assert check_ssp(path).coverage == "linux64; no binary for tools on Windows and macOS."
+    both = export_bare(table1, tmp_path / "Friction.fmu", platforms=["linux64", "win64"])
+    trajectory, friction = opened.spec.components
+    components = (trajectory, friction.model_copy(update={"fmu": both}))
+    spec = opened.spec.model_copy(update={"components": components})
+    path = write_ssp(read_contents(spec, opened.path), tmp_path / "open.ssp")
+    assert check_ssp(path).platforms == ("linux64",)
+    windows = export_bare(table1, tmp_path / "Friction.fmu", platforms=["win64"])
+    components = (trajectory, friction.model_copy(update={"fmu": windows}))
+    spec = opened.spec.model_copy(update={"components": components})
+    path = write_ssp(read_contents(spec, opened.path), tmp_path / "open.ssp")
+    assert check_ssp(path).coverage == "none that all its FMUs share."
 
 
 def test_units_are_those_of_the_fmus(closed: SystemContents, tmp_path: Path) -> None:

@@ -54,9 +54,11 @@ def test_problems_are_printed(source_fmu, bad, tmp_path):
     assert found.code == 0
     assert found.out == [
         f"{source_fmu}: no finding.",
+        "  platforms: none.",
         f"  {NO_VDMCHECK}",
         f"{bad}: 1 advice.",
         Containing(f"  advice: {PROBLEM}", "[machine-path]"),
+        "  platforms: none.",
         f"  {NO_VDMCHECK}",
     ]
     written = json.loads((tmp_path / "deep" / "o.json").read_text(encoding="utf-8"))
