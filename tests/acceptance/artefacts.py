@@ -24,23 +24,36 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
+from hesr_model.support.files import models_folder
 
 STEP = 0.005
 """Communication step [s]."""
 
 _SMALL = {"lag", "smoothing", "v_s", "v_a", "deflection"}
 _ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>{links}</worldbody></mujoco>"""
-_LINK = """<body pos="0 0 0.3"><joint name="j{k}" axis="0 1 0" armature="0.5"/>
-<geom size=".05 .2" type="capsule" pos=".1 0 .1" mass="2"/>"""
+_LINK = """<body pos="0.1 0 0.3" euler="0.4 0.3 0.2">
+<joint name="j{k}" axis="{axis}" armature="0.5"/>
+<geom size=".05 .2" type="capsule" pos=".13 .02 .11" mass="2.3"/>"""
+_AXES = ("0 0 1", "0 1 0", "0 1 0")
 _TRAINED = TrainedRange(
     sample_time=STEP, dq=(-1.0, 1.0), q=(-1.0, 1.0), tau_load=(-9.0, 9.0), tau=(-9.0, 9.0)
 )
 _BAND = Band(
     floor=0.7, slow=1.3, slow_speed=0.02, rest=0.4, fast=0.5, load=0.05, tail=0.7, envelope=1.0
 )
+_KV = (90.5, 150.8, 52.8)
 _TURNS = ((1.0, 0.0, 0.0), (0.25, 1.0, 0.0), (0.0, -0.8, 1.0))
 
 # --- laws and structures --------------------------------------------------------------------------
+
+
+def _usual_size(coefficient: str) -> float:
+    """Return a value of a usual size; without an offset a servo carries all torques at rest."""
+    if coefficient == "tau_0":
+        return 0.0
+    if coefficient == "sigma_0" or coefficient.startswith("kappa"):
+        return 300.0
+    return 0.01 if coefficient in _SMALL else 0.5
 
 
 def typical_law(name: str) -> FrictionLaw:
@@ -48,17 +61,18 @@ def typical_law(name: str) -> FrictionLaw:
     estimator: type[Estimator] = registry()[name]
     structure = dict(estimator.typical)
     form = estimator.form(structure)
-    values = {c.name: 0.01 if c.name in _SMALL else 0.5 for c in form.coefficients}
+    values = {c.name: _usual_size(c.name) for c in form.coefficients}
     return FrictionLaw(name=name, structure=structure, form=form, values=values, band=_BAND)
 
 
 def model_of(law: str, others: tuple[str, ...] = (), joints: int = 3) -> FrictionModel:
     """Return a model with one law on all joints, or with others on the last joints."""
     names = (law,) * (joints - len(others)) + others
+    of_uf850 = RobotDescription.read(models_folder() / "uf850" / "robot.toml").joints
     return FrictionModel(
         law="recommended" if others else law,
         robot="arm",
-        joints=tuple(f"j{k}" for k in range(1, joints + 1)),
+        joints=of_uf850 if joints == 3 else tuple(f"j{k}" for k in range(1, joints + 1)),
         laws=tuple(typical_law(name) for name in names),
         sample_time=STEP,
         trained=(_TRAINED,) * joints,
@@ -94,15 +108,17 @@ def adapts(law: str) -> bool:
 
 
 def arm_of(model: FrictionModel, folder: Path) -> Robot:
-    """Return a chain of equal links with the joints of a model."""
+    """Return the UF850 for three joints, else a chain of links, with the coupling of a model."""
     joints = len(model.joints)
-    links = "".join(_LINK.format(k=k) for k in range(1, joints + 1)) + "</body>" * joints
-    path = folder / "arm.xml"
-    path.write_text(_ARM.format(links=links), encoding="utf-8")
-    transmission = None if model.coupling is None else Transmission(matrix=_TURNS)
-    description = RobotDescription(
-        name="arm", model=path, joints=model.joints, transmission=transmission
-    )
+    description = RobotDescription.read(models_folder() / "uf850" / "robot.toml")
+    if joints != len(description.joints):
+        opened = [_LINK.format(k=k, axis=_AXES[k % 3]) for k in range(1, joints + 1)]
+        path = folder / "arm.xml"
+        links = "".join(opened) + "</body>" * joints
+        path.write_text(_ARM.format(links=links), encoding="utf-8")
+        return Robot(RobotDescription(name="arm", model=path, joints=model.joints))
+    if model.coupling is not None:
+        description = description.model_copy(update={"transmission": Transmission(matrix=_TURNS)})
     return Robot(description)
 
 
@@ -150,8 +166,8 @@ def _plant(model: FrictionModel, folder: Path, fmi: Version) -> Path:
 
 def _servo_plant(model: FrictionModel, folder: Path, fmi: Version) -> Path:
     body = PlantBody.of(arm_of(model, folder))
-    one = [1.0] * len(model.joints)
-    gains = {"kv": [20.0 * x for x in one], "ki": [50.0 * x for x in one]}
+    joints = range(len(model.joints))
+    gains = {"kv": [_KV[j % 3] for j in joints], "ki": [10.0 * _KV[j % 3] for j in joints]}
     return export_plant(model, folder / "Plant.fmu", body=body, bare=True, fmi=fmi, **gains)
 
 

@@ -79,6 +79,20 @@ def corner_of(fmu: Path, corner: str) -> dict[str, float]:
     return {name: value for name, value in values.items() if value is not None}
 
 
+def postures_of(fmu: Path) -> list[dict[str, float]]:
+    """Return positions at rest of an FMU with start positions: all or one at 0, and others."""
+    with FmuInstance(fmu) as component:
+        variables = start_variables(component.description)
+    names = [v.name for v in variables if v.name.startswith("q_start[")]
+    rng = np.random.default_rng(5)
+    if not names:
+        return []
+    postures = [np.zeros(len(names)), *rng.uniform(-1.2, 1.2, (4, len(names)))]
+    for posture in postures[1:3]:
+        posture[rng.integers(len(posture))] = 0.0
+    return [dict(zip(names, map(float, posture), strict=True)) for posture in postures]
+
+
 def moving_inputs(about: ModelDescription) -> list[str]:
     return [v.name for v in about.modelVariables if v.causality == "input" and is_real(v)]
 

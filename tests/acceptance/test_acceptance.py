@@ -23,6 +23,7 @@ from acceptance.engines import (
     FMI_SIM,
     compile_sources,
     corner_of,
+    postures_of,
     require_valid,
     run_in_fmi_sim,
     run_in_fmpy,
@@ -87,6 +88,9 @@ def try_fmu(cell: Cell, model: FrictionModel, folder: Path) -> str:
         else:
             assert np.isfinite(alone.outputs).all(), name
             starts[name] = value
+    for posture in postures_of(fmu):
+        at_rest = run_in_fmpy(fmu, posture)
+        assert at_rest.outputs is not None, (posture, at_rest.refusal)
     together = run_in_fmpy(fmu, starts)
     if together.outputs is None:
         assert starts, together.refusal
