@@ -169,7 +169,7 @@ def export(
     --------
     On the command line::
 
-        $ hesr export law.json -o Friction.fmu --platform linux64 --platform win64
+        $ hesr export law.json -o Friction.fmu --platform all
         $ hesr export law.json --format drive --inertia 3,3,0.6 -o Drive.fmu
         $ hesr export law.json --format plant --robot robot.toml --rigid-body body.json -o Arm.fmu
         $ hesr export robot.xml -o Arm.fmu --signals arm.toml --platform win64

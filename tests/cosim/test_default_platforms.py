@@ -1,5 +1,6 @@
 """Platforms of FMUs by default: Linux, Windows and this machine, and where they are stated."""
 
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,17 @@ def test_a_run_states_its_platforms(study_run: Run) -> None:
         assert sorted(set(of_fmu)) == expected, name
     line = f"FMUs: {study_run.results}/fmus, for linux64, win64 (Arm.fmu with MuJoCo: linux64 only)"
     assert line in study_run.answer.out.splitlines()
+
+
+def test_the_readme_states_the_size_of_an_fmu(study_run: Run) -> None:
+    """Of three joints with these platforms, its pages and its physics checks."""
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"FMU of three\s+joints\s+is\s+(\d+)\s+to\s+(\d+)\s+KB", text)
+    assert found is not None
+    lowest, highest = map(int, found.groups())
+    for law in ("stribeck", "parfam_h"):
+        size = (study_run.results / "fmus" / f"{law}.fmu").stat().st_size / 1024.0
+        assert 0.9 * lowest < size < highest, law
 
 
 def test_one_platform_remains_selectable(table1: FrictionModel, tmp_path: Path) -> None:
