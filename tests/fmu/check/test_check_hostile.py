@@ -129,9 +129,8 @@ def test_an_additional_state_is_reported(reworked):
 
 
 def test_endless_events_are_reported(reworked):
-    fmu = reworked(
-        "lugre", "{.nextEventTimeDefined = fmi2False}", "{.newDiscreteStatesNeeded = fmi2True}"
-    )
+    answer = "memset(info, 0, sizeof *info);"
+    fmu = reworked("lugre", answer, f"{answer} info->newDiscreteStatesNeeded = fmi2True;")
     assert found(fmu) == [
         Containing(way, "fmi2NewDiscreteStates requests iterations endlessly.")
         for way in (
