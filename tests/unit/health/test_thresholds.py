@@ -17,6 +17,7 @@ from hesr_model.health.positions import (
     check_columns,
     check_jumps,
     check_limits,
+    check_sliding,
     check_steps,
     check_time,
 )
@@ -192,6 +193,16 @@ def test_limits_of_a_model_are_compared_with_its_log(mistake: str, model: Robot)
     check, spoil, harmless, wrong = LIMITS[mistake]
     assert check not in checks(spoil(harmless)(model))
     assert check in checks(spoil(wrong)(model))
+
+
+@pytest.mark.parametrize(("length", "is_reported"), [(90.0, False), (110.0, True)])
+def test_lengths_in_another_unit_are_reported(
+    length: float, is_reported: bool, model: Robot
+) -> None:
+    """A sliding joint does not travel 100 m."""
+    q = np.linspace([0.0, -1.0], [length, 1.0], 100)
+    found = check_sliding(as_part(replace(two_joints(100), q=q)), model)
+    assert ("sliding-unit" in checks(found)) == is_reported
 
 
 SOUND = JointTorque(
