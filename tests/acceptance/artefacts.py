@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from acceptance.matrix import NO_FMI, Scope
+from acceptance.cells import NO_FMI, Scope
 from closed_loop import build
 
 from cosim.loop.closed_loop import Scheme

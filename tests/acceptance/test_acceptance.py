@@ -19,6 +19,7 @@ from acceptance.artefacts import (
     structures_of,
     write_loop,
 )
+from acceptance.cells import Cell, chosen_cells, possible_cells
 from acceptance.engines import (
     FMI_SIM,
     compile_sources,
@@ -29,7 +30,6 @@ from acceptance.engines import (
     run_in_fmpy,
     run_in_libcosim,
 )
-from acceptance.matrix import Cell, chosen_cells, possible_cells
 from lowerings import EVEN_ROWS, LOWERINGS, Case, Motion
 from modelica_truth import open_compilers
 

@@ -263,7 +263,7 @@ def test_incomplete_models_are_refused() -> None:
     coupled = replace(known, coupling=Coupling(((2.0,),)))
     with pytest.raises(SimulationError, match="adaptation does not support coupled joints"):
         adaptive_components(coupled)
-    with pytest.raises(SimulationError, match="joints none, not j1"):
+    with pytest.raises(SimulationError, match="none, not j1"):
         Follower(known).follow([])
 
 
