@@ -43,7 +43,7 @@ DISCRETISATION = Enumeration(
 _NONE = 1e-12  # round-off of the inverse of a coupling; smaller coefficients count as zero
 _STEADY = (
     "in the steady state of the first inputs, faded in from the start values at rest up to "
-    f"{MOVING:g} rad/s or m/s"
+    f"a speed of {MOVING:g} in SI units"
 )
 START = Enumeration(name="Start", items=(("steady", _STEADY), ("given", "at their start values")))
 
