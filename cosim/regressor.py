@@ -118,20 +118,23 @@ class FrictionRegressor:
                 f"the target of a friction regressor is '{self.target}'; allowed are "
                 f"{' and '.join(_TARGETS)}."
             )
-        if (logs := self._logs(X)) is not None:
+        logs = self._logs(X)
+        if logs is not None:
             if y is not None:
                 raise TableError("y was given with logs, which contain the measured torque.")
             robot = robot_of(self.robot, logs)
             self.robot_ = robot.description
             self.rigid_body_ = body_of(self.rigid_body, logs, robot)
-            name, records = robot.description.name, self._records(parts_of(logs))
+            name = robot.description.name
+            records = self._records(parts_of(logs))
             self.__dict__.pop("n_features_in_", None)
         else:
             values, names = numbers(X)
             measured = torques(y, len(values))
             moved = self._motion(values, names)
             load = moved.load if self.target == "torque" else 0.0
-            name, records = "table", [moved.records(measured - load)]
+            name = "table"
+            records = [moved.records(measured - load)]
             for known in ("robot_", "rigid_body_"):
                 self.__dict__.pop(known, None)
             self.n_features_in_ = values.shape[1]
@@ -159,7 +162,8 @@ class FrictionRegressor:
             If the log has other joints.
         """
         model = self._fitted()
-        if (logs := self._logs(X)) is not None:
+        logs = self._logs(X)
+        if logs is not None:
             if len(logs) != 1:
                 raise TableError(f"predict() was given {len(logs)} logs; expected one.")
             (records,) = self._records(logs)
@@ -175,7 +179,8 @@ class FrictionRegressor:
         Logs are predicted separately; rows in their gaps do not count.
         """
         model = self._fitted()
-        if (logs := self._logs(X)) is not None:
+        logs = self._logs(X)
+        if logs is not None:
             records = self._records(parts_of(logs))
             found = np.vstack([self._whole(model.predict(r), r) for r in records])
             wanted = np.vstack(
@@ -201,15 +206,19 @@ class FrictionRegressor:
         from cosim.report.figures.chart import Chart, Line, Panel, drawn
         from cosim.report.figures.style import MEASURED, strokes
 
-        model, title = self._fitted(), estimator(self.law).title
+        model = self._fitted()
+        title = estimator(self.law).title
         found = self.predict(X)
         found = found.reshape(len(found), -1)
-        if (logs := self._logs(X)) is not None:
+        logs = self._logs(X)
+        if logs is not None:
             (records,) = self._records(logs)
-            t, tau = records[0].t, np.column_stack([r.tau for r in records])
+            t = records[0].t
+            tau = np.column_stack([r.tau for r in records])
             wanted = self._whole(tau, records)
         else:
-            t, wanted = self._table(X).t, torques(y, len(found))
+            t = self._table(X).t
+            wanted = torques(y, len(found))
         rows = []
         for k, joint in enumerate(model.joints):
             lines = (
@@ -228,7 +237,8 @@ class FrictionRegressor:
         from fmu_src import export_fmu
         from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
-        model, fmu = self._fitted(), path_of(path, "an FMU")
+        model = self._fitted()
+        fmu = path_of(path, "an FMU")
         body = page_body(self.robot_, self.rigid_body_) if hasattr(self, "robot_") else None
         built_for = DEFAULT_PLATFORMS if platforms is None else platforms
         return export_fmu(model, fmu, platforms=built_for, body=body)

@@ -31,7 +31,9 @@ class HesrError(Exception):
         if len(sentence) > _LONGEST:
             sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
         super().__init__("\n".join(map(escaped, sentence.split("\n"))))
-        self.code, self.where, self.key = code, str(where), key
+        self.code = code
+        self.where = str(where)
+        self.key = key
 
     def at(self, where: str | Path) -> Self:
         """Return the same error, with a place in front of its sentence."""
@@ -46,7 +48,8 @@ class RuleError(ValueError):
 
     def __init__(self, reason: str, *, code: str, key: str = "") -> None:
         super().__init__(reason)
-        self.code, self.key = code, key
+        self.code = code
+        self.key = key
 
 
 class ConfigError(HesrError):

@@ -100,7 +100,8 @@ class Scheme:
     @classmethod
     def of_name(cls, name: str) -> Self:
         """Return the scheme of a `name`, or raise ValueError."""
-        if (found := _NAME.fullmatch(name)) is None:
+        found = _NAME.fullmatch(name)
+        if found is None:
             raise RuleError(f"'{name}' is not a scheme", code="loop.scheme")
         parts = {key: text for key, text in found.groupdict().items() if text}
         return TypeAdapter(cls).validate_python(parts)
@@ -165,7 +166,9 @@ def system(
 
     A run of `duration` [s] ends early outside `limits` (n, 2) [rad].
     """
-    fmus, scheme, gains = setting.fmus, setting.scheme, setting.gains
+    fmus = setting.fmus
+    scheme = setting.scheme
+    gains = setting.gains
     measured = scheme.source != "desired"
     filtered = setting.time_constant if scheme.source == "filtered" else 0.0
     ahead = {"preview": preview(scheme, gains, setting.step), "rest_time": _REST}

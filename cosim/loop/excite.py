@@ -92,7 +92,8 @@ class TwinArm:
         Returns the arm at the start of each command, without the first `unlogged` ones. The servo's
         integral holds gravity and ripple at `q0`.
         """
-        fmu, noise = self._component, self.plant.noise
+        fmu = self._component
+        noise = self.plant.noise
         if fmu.used:
             fmu.reset()
         start: dict[str, Value] = {

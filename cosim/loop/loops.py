@@ -70,7 +70,9 @@ def _tracked(
     row: LoopRow, motions: Sequence[LoopMotion], duration: float, limits: Array, traced: bool
 ) -> Tracked:
     spec = closed_loop.system(row.setting, duration=duration, limits=limits)
-    rmse, last, failures = [], [], []
+    rmse = []
+    last = []
+    failures = []
     trace: Trace | None = None
     with Master(spec, loaded=POOL) as master:
         for motion in motions:
@@ -303,7 +305,8 @@ def example(
     tracking = loop.tracking
     law = (tracking.sources or tuple(loop.friction))[-1]
     scheme = Scheme(compensation=compensation, Kx=tracking.Kx)
-    setting, motion = loop.setting(law, scheme), motions(tracking)[0]
+    setting = loop.setting(law, scheme)
+    motion = motions(tracking)[0]
     return closed_loop.system(
         replace(setting, arm={**setting.arm, "q0": motion.q0}),
         duration=duration or tracking.duration,
@@ -314,7 +317,8 @@ def example(
 
 def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked], list[Tracked]]:
     """Run all rows on all motions, and selected ones on a long motion unless `quick`."""
-    tracking, rows = loop.tracking, loop.rows()
+    tracking = loop.tracking
+    rows = loop.rows()
     if quick:  # only rows of the desired velocity without outer loop
         rows = (row for row in rows if row.scheme.source == "desired" and not row.scheme.Kx)
     tracked = loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True)

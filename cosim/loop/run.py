@@ -78,7 +78,8 @@ def run_loop(
     Writes one loop with the arm and one with the generated plant, and the positions along the first
     motion as `TRACES`. A `quick` run has few rows, see `run_tracking`, and no robustness.
     """
-    robot, body = run.robot, run.rigid_body
+    robot = run.robot
+    body = run.rigid_body
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
@@ -93,8 +94,10 @@ def run_loop(
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, quick=quick)
     write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in tables if t.trace])
-    sweeps, overcompensation = [], []
-    if robustness := None if quick else plugins.load("hesr.studies").get("robustness"):
+    sweeps = []
+    overcompensation = []
+    robustness = None if quick else plugins.load("hesr.studies").get("robustness")
+    if robustness:
         sweeps, overcompensation = robustness.load()(loop, robot, body, fmus, tables)
     return LoopOutcome(
         tracking=tables,
@@ -115,7 +118,8 @@ def write_loops(
     platforms: Sequence[str] = HOST,
 ) -> list[Finding]:
     """Write the loops; return a finding if no plant can be built."""
-    spec, gains = example(loop), loop.tracking.gains
+    spec = example(loop)
+    gains = loop.tracking.gains
     write_system(spec, folder / "closed_loop.toml")
     try:
         known = list(models.values())
@@ -157,7 +161,8 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
             spec = example(own, compensation="torque_error", duration=_SECONDS)
             with Master(spec, native=native) as master:
                 runs.append(master.run().signals)
-    if (worst := max(_difference(run, runs[0]) for run in runs[1:])) <= _AGREEMENT:
+    worst = max(_difference(run, runs[0]) for run in runs[1:])
+    if worst <= _AGREEMENT:
         return []
     return [
         caution(

@@ -39,7 +39,8 @@ def _loops(folder: Path) -> list[Path]:
 
 def copy_loops(results: Path, output: Path) -> Path:
     """Copy the loops of results with all their FMUs into a folder that needs nothing else."""
-    if not (loops := _loops(results)):
+    loops = _loops(results)
+    if not loops:
         raise ArtifactError(
             f"{results}: has no {_LOOPS[0]}; 'hesr run' writes it for a study with [twin] and "
             "[tracking]."
@@ -58,7 +59,8 @@ def copy_loops(results: Path, output: Path) -> Path:
     return output
 
 
-TRACES, FOLLOWING = "closed_loop.npz", "following.json"
+TRACES = "closed_loop.npz"
+FOLLOWING = "following.json"
 _Errors = tuple[float, ...]  # by joint
 
 
@@ -167,7 +169,8 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         values = np.column_stack([np.asarray(table[name], dtype=float) for name in names])
         runs = list(zip(map(str, table["scheme"]), map(str, table["law"]), strict=True))
         order = {run: k for k, run in enumerate(dict.fromkeys(runs))}
-        places, joints = np.array([order[run] for run in runs]), len(names) // 2
+        places = np.array([order[run] for run in runs])
+        joints = len(names) // 2
         return {
             (Scheme.of_name(scheme), law): Trace(
                 t=part[:, 0], q_d=part[:, 1 : 1 + joints], q=part[:, 1 + joints :]

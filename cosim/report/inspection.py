@@ -78,7 +78,8 @@ def _logs(proposal: Proposal) -> ResultTable:
     rows = []
     for log in proposal.logs:
         numbers = (f"{log.t[-1] - log.t[0]:.1f}", f"{log.rate:.4g}", f"{100 * log.jitter:.0f}")
-        gaps, dropped = str(len(log.gaps)), str(log.dropped)
+        gaps = str(len(log.gaps))
+        dropped = str(log.dropped)
         rows.append(row_of(log.name, str(len(log.t)), *numbers, gaps, dropped))
     head = ("log", "rows", "length in s", "rate in Hz", "jitter in %", "gaps", "rows left out")
     return ResultTable(caption="Logs", head=head, rows=rows)
@@ -133,7 +134,9 @@ def _velocities(part: Motionwise, j: int) -> Sequence[Line]:
 def _friction(examination: Examination, k: int, j: int) -> Line | None:
     if not examination.torques or j not in examination.explained[k]:
         return None
-    part, of_model, fit = examination.parts[k], examination.torques[k], examination.explained[k][j]
+    part = examination.parts[k]
+    of_model = examination.torques[k]
+    fit = examination.explained[k][j]
     left = part.tau[:, j].copy()
     for estimate, torque in ((fit.gravity, of_model.gravity), (fit.inertia, of_model.inertial)):
         if np.isfinite(estimate.error):

@@ -22,7 +22,8 @@ from hesr_model.support import parallel, plugins
 from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import Stages, counted, silent
 
-REPORT, FIGURES = "report.html", "figures"
+REPORT = "report.html"
+FIGURES = "figures"
 
 _log = logging.getLogger(__name__)
 
@@ -148,8 +149,10 @@ def _link_from(place: Path, folder: Path) -> str:
 
 
 def _made(part: Chapter, results: Results, folder: Path, home: str, brief: bool) -> Made | None:
-    pictures, tables = Pictures(folder / FIGURES, brief), Tables(folder / TABLES)
-    if (values := part.values(results)) is None:
+    pictures = Pictures(folder / FIGURES, brief)
+    tables = Tables(folder / TABLES)
+    values = part.values(results)
+    if values is None:
         return None
     values |= {
         "home": home,

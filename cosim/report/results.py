@@ -95,7 +95,8 @@ class Results:
         Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
         """
         test = self.tests[0]
-        scores, law = self.comparisons[test], self.recommended[joint]
+        scores = self.comparisons[test]
+        law = self.recommended[joint]
         pair = law, scores.ratios.of(law, joint)
         of_laws = [scores.laws[one] for one in pair]
         models = [self.models[one] for one in pair]
@@ -161,13 +162,17 @@ class Results:
             what = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {what}.")
         run = SavedRun.read(folder / RUN)
-        body, battery = RigidBody.read(folder / "rigid_body.json"), folder / "properties.json"
+        body = RigidBody.read(folder / "rigid_body.json")
+        battery = folder / "properties.json"
         positions = folder / SIMULATION
         truths = read_json(folder / TRUTHS) if (folder / TRUTHS).is_file() else {}
-        plants, path = "the errors on alternative plants", folder / FOLLOWING
+        plants = "the errors on alternative plants"
+        path = folder / FOLLOWING
         follow = read_json(path) if path.is_file() else {}
-        scores, loop = folder / "evaluation.json", folder / "closed_loop.json"
-        if not (comparisons := _by_test(Comparison, scores, "the scores of a run")):
+        scores = folder / "evaluation.json"
+        loop = folder / "closed_loop.json"
+        comparisons = _by_test(Comparison, scores, "the scores of a run")
+        if not comparisons:
             raise ArtifactError(f"{scores}: not the scores of a run (it has no test set).")
         return cls(
             folder=folder,

@@ -9,7 +9,8 @@ import numpy as np
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.typed_files import from_json, read_json
 
-SUFFIX, FORMAT = ".plan.json", "hesr-plan-1"  # of the file next to a log of the planned motion
+SUFFIX = ".plan.json"
+FORMAT = "hesr-plan-1"  # of the file next to a log of the planned motion
 _NEAR = 0.25  # difference of widths that agree
 
 
@@ -33,22 +34,23 @@ class Forecast:
             model = models.get(law)
             for joint, own in zip(model.joints, model.laws, strict=True) if model else ():
                 for name, error in own.standard_errors.items():
-                    if (expected := joints.get(joint, {}).get(name)) and error > 0.0:
+                    expected = joints.get(joint, {}).get(name)
+                    if expected and error > 0.0:
                         found[law, joint, name] = error / expected
         return found
 
     def sentence(self, models: Mapping[str, FrictionModel], shown: Mapping[str, float]) -> str:
         """Compare with fits, and with the detectable ratios that a test has `shown` by joint."""
-        parts, ratios = [], np.array(list(self.ratios(models).values()))
+        parts = []
+        ratios = np.array(list(self.ratios(models).values()))
         if len(ratios):
             near = 100 * np.mean(np.abs(ratios - 1.0) < _NEAR)
             parts.append(
                 f"standard errors are {np.median(ratios):.2f} of the expected ones in the median, "
                 f"{near:.0f} % of them within 25 %"
             )
-        if both := [
-            (shown[joint], own) for joint, own in self.detectable.items() if joint in shown
-        ]:
+        both = [(shown[joint], own) for joint, own in self.detectable.items() if joint in shown]
+        if both:
             found, planned = 100 * np.expm1(np.log(both).mean(axis=0))
             parts.append(f"differences of {found:.0f} % show ({planned:.0f} % expected)")
         return f"Planned motion: {'; '.join(parts)}." if parts else ""

@@ -60,7 +60,9 @@ def simulate_tests(
             _warn(errors)
             return {}
         parts[law] = iter(errors)
-    joints, kinds, found = tuple(robot.description.joints), len(LENGTHS), {}
+    joints = tuple(robot.description.joints)
+    kinds = len(LENGTHS)
+    found = {}
     for test, of_test in cut.items():
         own = {law: tuple(islice(part, len(of_test))) for law, part in parts.items()}
         logs = of_test[kinds:]

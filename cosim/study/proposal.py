@@ -24,7 +24,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import silent
 
-_TRAINED, _MOST_TRAINED = 0.6, 0.8
+_TRAINED = 0.6
+_MOST_TRAINED = 0.8
 """Share of a single log for training, and its maximum if a joint reverses late."""
 _LEAST_TRAINED = 0.5  # share of all logs, if the test would otherwise be too short
 _BEYOND = 0.02  # share trained beyond a joint's first reversal
@@ -86,7 +87,8 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     ]
     plan = split(proposal.logs)
     at = len(files) - plan.tested
-    trained, tested = files[:at], files[at:]
+    trained = files[:at]
+    tested = files[at:]
     if plan.cuts:
         numbers = [str(k) for k in range(1, len(files) + 1)] if len(files) > 1 else [""]
         trained, tested = ([f"{part}{k}" for k in numbers] for part in ("first", "rest"))
@@ -125,7 +127,8 @@ def laws_of(proposal: Proposal) -> list[str]:
 def dry_run(proposal: Proposal) -> None:
     """Read, split and check the logs of the proposed study, fit a small law; raises HesrError."""
     with scratch_folder() as folder:
-        robot_path, path = folder / "robot.toml", folder / "study.toml"
+        robot_path = folder / "robot.toml"
+        path = folder / "study.toml"
         robot_path.write_text(robot_file(proposal, robot_path), encoding="utf-8")
         path.write_text(study_file(proposal, robot_path, path), encoding="utf-8")
         job = Job(study=Study.read(path), path=path, progress=silent)
@@ -143,7 +146,8 @@ def _share(log: Log, seconds: float) -> float:
     """Return the share of a log for training, of logs that last `seconds` together."""
     dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
     found = [reversals(np.asarray(v)) for v in dq.T]
-    whole, first = log.t[-1] - log.t[0], [rows[0] for rows in found if len(rows)]
+    whole = log.t[-1] - log.t[0]
+    first = [rows[0] for rows in found if len(rows)]
     late = float(np.max(log.t[first] - log.t[0], initial=0.0) / whole)
     left = 1.0 - LEAST_SECONDS / seconds
     trained = left if _LEAST_TRAINED <= left < _TRAINED else _TRAINED

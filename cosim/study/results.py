@@ -26,8 +26,12 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
-RUN, TRACES, TRUTHS, HEALTH = "run.json", "traces", "truths.json", "health.json"
-RUN_FORMAT, HEALTH_FORMAT = "hesr-run-1", "hesr-health-1"
+RUN = "run.json"
+TRACES = "traces"
+TRUTHS = "truths.json"
+HEALTH = "health.json"
+RUN_FORMAT = "hesr-run-1"
+HEALTH_FORMAT = "hesr-health-1"
 MOST_ROWS = 20_000  # rows per trace
 
 
@@ -103,7 +107,9 @@ class _Findings:
 
 def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
     """Write `run.json`, and the torques of training logs and of the first log of each role."""
-    study, robot, files = run.study, run.robot.description, run.files
+    study = run.study
+    robot = run.robot.description
+    files = run.files
     traces = _save_torques(folder / TRACES, run)
     stems = Counter(log.name for log in run.logs.values())
     twin = {"mujoco": version("mujoco")} if study.twin else {}

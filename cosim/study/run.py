@@ -77,11 +77,13 @@ def run_study(
     with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
         with folder_written_whole(output) as folder:
             run = score_study(job, folder, accepted=accepted)
-            models, records = run.models, run.records
+            models = run.models
+            records = run.records
             tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
             simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
             write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
-            if truths := job.other_truths([law for law in models if law not in study.variants]):
+            truths = job.other_truths([law for law in models if law not in study.variants])
+            if truths:
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run, folder, quick=quick)
             complete_loops(folder)
@@ -153,7 +155,8 @@ def _report(
 
 def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scored:
     """Identify, fit, write the FMUs into an existing folder and score them; see `run_study`."""
-    study, model = job.study, Robot(job.robot)
+    study = job.study
+    model = Robot(job.robot)
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
     findings = log_findings(checked(list(logs.values()), model, accepted))
@@ -242,7 +245,8 @@ def recommended(
     model = mixed([models[law] for law in words.laws])
     model.write(folder / "laws" / f"{MIXED}.json")
     audit = None
-    if all(known := [audits.get(law) for law in words.laws]):
+    known = [audits.get(law) for law in words.laws]
+    if all(known):
         joints = list(enumerate(audit for audit in known if audit))
         audit = ModelAudit(
             certificates=tuple(one.certificates[k] for k, one in joints),

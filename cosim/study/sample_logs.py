@@ -32,11 +32,14 @@ _FINER = 10  # steps of simulated friction per sample
 _NO_LIMIT = 1e12  # [N.m] because effort limits of model files are often invented
 
 # Shares of the joint's largest rigid-body torque, at least that of the robot / 20.
-_COULOMB, _VISCOUS, _TORQUE_NOISE = 0.15, 0.15, 0.005
+_COULOMB = 0.15
+_VISCOUS = 0.15
+_TORQUE_NOISE = 0.005
 _STATIC = 1.3  # ratio to Coulomb friction
 _STRIBECK = 0.05  # share of the peak velocity
 _DEFLECTION = 1e-3  # share of the travel
-_POSITION_NOISE, _VELOCITY_NOISE = 5e-6, 5e-4  # shares of travel and peak velocity
+_POSITION_NOISE = 5e-6
+_VELOCITY_NOISE = 5e-4  # shares of travel and peak velocity
 
 
 def sample_logs(model: Robot) -> tuple[Log, Log]:
@@ -86,7 +89,8 @@ def is_sample(file: Path) -> bool:
 def plausible_friction(model: Robot, motion: Fourier) -> list[FrictionLaw]:
     """Return LuGre laws scaled by the torques of a motion; raise RobotError for a slow joint."""
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
-    speed, travel = np.abs(dq).max(axis=0), np.ptp(q, axis=0)
+    speed = np.abs(dq).max(axis=0)
+    travel = np.ptp(q, axis=0)
     for joint, peak in zip(model.description.joints, speed, strict=True):
         if peak <= LEAST_PEAK:
             raise RobotError(
@@ -138,7 +142,8 @@ def simulated(
     q, dq, ddq = motion.sample(t)
     tau = model.torque(model.nominal_parameters, q, dq, ddq) + friction
     size = np.array([law.values["F_c"] for law in laws]) / _COULOMB
-    streams, rows = np.arange(3 * model.n), np.arange(len(t))
+    streams = np.arange(3 * model.n)
+    rows = np.arange(len(t))
     noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, model.n)
     return Log(
         name=name,

@@ -274,7 +274,8 @@ def _reference(
     """
     if law not in inputs:
         return fallback
-    own, suffix = set(inputs[law].split(", ")), MEASURED_START * law.endswith(MEASURED_START)
+    own = set(inputs[law].split(", "))
+    suffix = MEASURED_START * law.endswith(MEASURED_START)
 
     def error(row: str) -> float:
         model = models.get(row.removesuffix(MEASURED_START))
@@ -299,7 +300,8 @@ def within(
 
     Raises ConfigError if no log has such rows.
     """
-    kept_records, kept_torques = [], []
+    kept_records = []
+    kept_torques = []
     for of_joint, predicted in zip(records, torques, strict=True):
         rows = [time_band(r.t - r.t[0], start, stop) for r in of_joint]
         kept = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]

@@ -50,7 +50,8 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         )
     used = driven_joints(model, joints) if joints else arm(model)
     others = [joint for joint in joints_of(model) if joint not in used]
-    rest, springs = locked(others), load(model).springs
+    rest = locked(others)
+    springs = load(model).springs
     name = project_name(folder)
     last = f"..{{}}{len(used)}" if len(used) > 1 else ""
     with folder_written_whole(folder) as temporary:

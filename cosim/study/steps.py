@@ -117,7 +117,8 @@ class Job:
             )
         options = options or {}
         allowed = signature(estimator(law)).parameters
-        if unknown := [name for name in options if name not in allowed]:
+        unknown = [name for name in options if name not in allowed]
+        if unknown:
             raise self._error(
                 f"unknown key '{key}.{unknown[0]}'; allowed here: {', '.join(allowed) or 'none'}.",
                 code="key.unknown",
@@ -209,7 +210,8 @@ class Job:
         """Run the physics checks, if present, on all laws and write the results."""
         from hesr_model.audit.properties import Subject, write_properties
 
-        if (battery := plugins.load("hesr.tests").get("properties")) is None:
+        battery = plugins.load("hesr.tests").get("properties")
+        if battery is None:
             return {}
         listed = battery.load()(
             [Subject(name=name, model=model) for name, model in run.models.items()],
@@ -250,7 +252,8 @@ class Job:
         self, run: Scored, models: Mapping[str, FrictionModel], law: str, folder: Path
     ) -> Following:
         """Predict and write the following error with feed-forward, at last of `law`, if offered."""
-        if (predict := plugins.load("hesr.studies").get("following")) is None:
+        predict = plugins.load("hesr.studies").get("following")
+        if predict is None:
             return Following()
         names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
         logs = [run.logs[name] for name in names]
@@ -280,10 +283,12 @@ class Job:
         self.progress("identifying the rigid body", 0, 1)
         found = identify(forward, model, reversed_logs=backward, physical=self.study.physical)
         self.progress("identifying the rigid body", 1, 1)
-        refinement, refined = self.study.refinement, {}
+        refinement = self.study.refinement
+        refined = {}
         if refinement is None:
             return found, {}
-        training, law = {name: logs[name] for name in self.study.logs.training}, refinement.law
+        training = {name: logs[name] for name in self.study.logs.training}
+        law = refinement.law
         laws = self.laws
         if not law and model.n > 1:
             return found, {}
@@ -302,7 +307,8 @@ class Job:
             friction = self.fit(records, (law,), what, {})[law]
             if refinement.kind == "output_error":
                 together = refine(model, found, friction, smoothed(list(training.values()), model))
-                found, refined = together.body, {law: together.friction}
+                found = together.body
+                refined = {law: together.friction}
             else:
                 found = identify_again(forward, model, found, friction, reversed_logs=backward)
         return found, refined
@@ -318,7 +324,8 @@ class Job:
     ) -> dict[str, Refined]:
         """Refine laws by output error on the training logs."""
         motions = smoothed([logs[name] for name in self.study.logs.training], model)
-        seed, progress = self.study.seed, partial(self.progress, "refining by output error")
+        seed = self.study.seed
+        progress = partial(self.progress, "refining by output error")
         own = partial(refine, model, body, motions=motions, with_body=with_body, seed=seed)
         return of_each(models, lambda _, friction: own(friction), progress)
 
@@ -379,7 +386,8 @@ class Job:
         With `per_log`, a second comparison has the offsets of each test log fitted. `records` are
         the last rows of `runs`.
         """
-        comparisons, predictions = {}, {}
+        comparisons = {}
+        predictions = {}
         inputs = input_classes(models)
         tests = self.study.logs.test
         every = product(tests, rows_of(models).items(), (True, False))
@@ -403,12 +411,14 @@ class Job:
                     for of_joint in zip(next(results), tested, strict=True)
                 ]
         for name, logs in tests.items():
-            tested, predicted = records_of(logs, records), replayed[name, True]
+            tested = records_of(logs, records)
+            predicted = replayed[name, True]
             if self.study.twin:
                 predicted[ORACLE] = self._true_friction([files[log] for log in logs])
             comparisons[name] = compare(tested, predicted, inputs, models, replayed[name, False])
             predictions[name] = predicted
-            if per_log := self.study.per_log:
+            per_log = self.study.per_log
+            if per_log:
                 comparisons[name] = replace(comparisons[name], per_log=())
                 fitted = {
                     law: [with_own(p, r, per_log) for p, r in zip(whole, tested, strict=True)]

@@ -155,7 +155,8 @@ class Study(Config):
             ],
         }
         for (what, key), names in rows.items():
-            if twice := [name for name, count in Counter(names).items() if count > 1]:
+            twice = [name for name, count in Counter(names).items() if count > 1]
+            if twice:
                 raise RuleError(
                     f"more than one {what} is named '{twice[0]}'", code="study.names", key=key
                 )

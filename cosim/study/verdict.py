@@ -22,7 +22,8 @@ from hesr_model.rigid_body.residual import all_at_friction
 from hesr_model.robots.description import statements
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
-VERDICT, VERDICT_FORMAT = "verdict.json", "hesr-verdict-1"
+VERDICT = "verdict.json"
+VERDICT_FORMAT = "hesr-verdict-1"
 
 CLOSE = 1.05  # ratio of errors; smaller ones are due to coefficients
 _SHORT = "the test is too short to compare laws"
@@ -230,18 +231,21 @@ def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int
 
 def percent_above(low: float, high: float) -> str:
     """Return a range of ratios as percentages above 1."""
-    first, last = f"{100 * (low - 1):.0f}", f"{100 * (high - 1):.0f}"
+    first = f"{100 * (low - 1):.0f}"
+    last = f"{100 * (high - 1):.0f}"
     return f"{first} %" if first == last else f"{first} to {last} %"
 
 
 def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
     """Yield sentences on the limits of a test of each joint's law."""
     named = dict(zip(short_names(len(joints)), joints, strict=True))
-    if short := [name for name, one in named.items() if one.detectable is None and one.tied]:
+    short = [name for name, one in named.items() if one.detectable is None and one.tied]
+    if short:
         where = f" on {', '.join(short)}" if len(short) < len(joints) else ""
         seconds = max(named[name].seconds for name in short)
         yield f"{test} is too short to compare laws{where}; record at least {seconds:.0f} s."
-    parts, wide = [], []
+    parts = []
+    wide = []
     for name, one in named.items():
         laws = {one.best, *one.tied}
         if one.detectable is not None and one.law in laws and len(laws) > 1:
@@ -260,7 +264,8 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
 
 def _weak(own: LawScores, percent: Mapping[str, float], checks: Properties | None) -> Iterable[str]:
     short = short_names(len(percent))
-    if much := [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]:
+    much = [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]
+    if much:
         yield f"Poorly modelled: {', '.join(much)} (more than {_MUCH:g} % of friction unexplained)."
     pairs = zip(short, own.rmse_reversal, own.rmse, strict=True)
     turning = [name for name, at, over in pairs if at is not None and at > _AT_REVERSALS * over]
@@ -275,7 +280,10 @@ def _improve(
 ) -> Iterable[str]:
     trained, tested = all_at_friction(trained), all_at_friction(tested)
     short = short_names(len(trained))
-    faster, heavier, resting, loaded = [], [], [], []
+    faster = []
+    heavier = []
+    resting = []
+    loaded = []
     rows = zip(short, model.laws, model.trained, trained, tested, strict=True)
     for name, law, seen, learnt, new in rows:
         beyond = {k: e for k, e in outside(seen, new).items() if e.rows > _BEYOND}

@@ -53,7 +53,8 @@ class SampledInputs:
         self.name = SOURCE
         self.time = float(points[0])
         self.variables = _as_outputs(variables, columns)
-        self._target, self._exchange = target, exchange
+        self._target = target
+        self._exchange = exchange
         self._points = points
         self._names = list(columns)
         self._linear = [name for name in columns if is_linear(variables[name])]
@@ -62,7 +63,8 @@ class SampledInputs:
         for name in columns:
             if name not in self._linear:
                 samples[name] = _hold(t, columns[name], points)
-        self._samples, self._slopes = samples, slopes
+        self._samples = samples
+        self._slopes = slopes
         self._set_slopes: Callable[[Array], None] | None = None
         self._k = 0
 

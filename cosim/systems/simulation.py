@@ -246,7 +246,9 @@ class Master:
 
         `start` adds start values of components to those of the system.
         """
-        steps, step, stepper = self.spec.steps, self.spec.step, self._stepper
+        steps = self.spec.steps
+        step = self.spec.step
+        stepper = self._stepper
         kept = np.empty((steps + 1, len(self._layout.rows)))
         failure = None
         stepper.begin(kept)
@@ -261,7 +263,8 @@ class Master:
         except SimulationError as error:
             failure = error
         done = stepper.done
-        if not (finite := np.isfinite(self._layout.values)).all():
+        finite = np.isfinite(self._layout.values)
+        if not finite.all():
             # a NaN may make another component fail
             ended = self._layout.time(min(done, steps))
             failure = self._layout.not_finite(int(np.argmin(finite)), ended)
@@ -280,7 +283,8 @@ class Master:
         return element[1] if self.single else ".".join(element)
 
     def _typed(self, element: Element, values: Array) -> Array:
-        if (kind := self._slaves[element[0]].variables[element[1]].type) == "String":
+        kind = self._slaves[element[0]].variables[element[1]].type
+        if kind == "String":
             return np.array([numbered_text(value) for value in values])
         if kind in ("Real", "Float32"):
             return values

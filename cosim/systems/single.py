@@ -91,7 +91,9 @@ def communication_points(
 
     An FMU that takes any step also has points at the jumps of its inputs and at the end.
     """
-    begin, end, step = experiment.begin, experiment.end, experiment.step
+    begin = experiment.begin
+    end = experiment.end
+    step = experiment.step
     count = int(np.floor((end - begin) / step * (1.0 + _CLOSE)))
     points: Array = begin + step * np.arange(count + 1, dtype=float)
     if not any_step:

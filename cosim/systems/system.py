@@ -152,7 +152,8 @@ def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
         if component.start:
             yield from ("", "[components.start]", *_pairs(component.start))
     for table in ("connections", "limits"):
-        if pairs := getattr(spec, table):
+        pairs = getattr(spec, table)
+        if pairs:
             yield from ("", f"[{table}]", *_pairs(pairs))
 
 

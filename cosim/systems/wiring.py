@@ -29,7 +29,8 @@ class Wiring:
     """
 
     def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
-        self._slaves, self._path = slaves, path
+        self._slaves = slaves
+        self._path = path
         self._converted = frozenset(spec.conversions)
         self.sources: dict[Element, Element] = {}
         for target, source in spec.connections.items():
@@ -107,7 +108,8 @@ class Wiring:
         yield from zip(elements, pairs, strict=True)
 
     def _connect(self, target: str, source: str, where: str) -> None:
-        inputs, outputs = self.elements(target, where), self.elements(source, where)
+        inputs = self.elements(target, where)
+        outputs = self.elements(source, where)
         if len(inputs) != len(outputs):
             raise self._error(
                 f"{where}: '{target}' has {len(inputs)} element{'s'[: len(inputs) > 1]}, "
@@ -128,7 +130,8 @@ class Wiring:
 
     def _require_fit(self, into: Element, out: Element, where: str) -> None:
         for (name, variable), wanted in ((into, "input"), (out, "output")):
-            if (found := self._slaves[name][variable].causality) != wanted:
+            found = self._slaves[name][variable].causality
+            if found != wanted:
                 raise self._error(
                     f"{where}: the causality of '{name}.{variable}' is {found}; it must be "
                     f"{wanted}.",

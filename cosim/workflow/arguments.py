@@ -42,7 +42,8 @@ FmuArgs = PathArg | Sequence[PathArg]
 ResultArgs = PathArg | Sequence[PathArg]
 PerJoint = float | Sequence[float]  # one number for each joint, or one for all
 
-MOST_CELLS, _CELL = 2**22, 8  # numbers of logs held in memory, and their size [B]
+MOST_CELLS = 2**22
+_CELL = 8  # numbers of logs held in memory, and their size [B]
 MOST_ROWS = 10**6  # rows of a fit or test
 
 
@@ -72,13 +73,15 @@ class CheckedLogs:
         """
         if not self.longs:
             return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
-        sample, rows = Sample(MOST_ROWS, seed), 0
+        sample = Sample(MOST_ROWS, seed)
+        rows = 0
         for log in self.longs:
             for motion in log.motions():
                 sample.add(motion, follows=float(motion.t[0]) not in log.starts)
                 rows += len(motion.t)
         motions = sample.motions()
-        if (used := sum(len(motion.t) for motion in motions)) < rows:
+        used = sum(len(motion.t) for motion in motions)
+        if used < rows:
             _log.warning(
                 "The logs have %d rows; %d are used, in whole stretches that cover speed, load and "
                 "rest.",
@@ -244,7 +247,8 @@ def _law(law: LawArg) -> Subject:
     if isinstance(law, FrictionModel):
         return Subject(name="", model=law)
     path = path_of(law, "a law")
-    if (suffix := path.suffix.lower()) == ".fmu":
+    suffix = path.suffix.lower()
+    if suffix == ".fmu":
         from fmu_src.friction.embedded_model import embedded_model
 
         return Subject(name="", model=embedded_model(path), fmu=path)

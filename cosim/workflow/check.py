@@ -171,7 +171,8 @@ def check(
         try:
             conventions[path] = measure(path)
         except HesrError as error:
-            if not (broken := reports[place]).problems:
+            broken = reports[place]
+            if not broken.problems:
                 raise
             reports[place] = replace(broken, skipped=(*broken.skipped, f"Convention: {error}"))
     files = []

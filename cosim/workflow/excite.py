@@ -120,7 +120,8 @@ def excite(
     from cosim.workflow.arguments import require_choice
 
     require_choice("purpose", purpose, get_args(Purpose))
-    path, file = path_of(output, "a motion"), path_of(robot, "a robot")
+    path = path_of(output, "a motion")
+    file = path_of(robot, "a robot")
     chosen = None if settings is None else path_of(settings, "a file of settings")
     if purpose != "body" or time is not None or after is not None or format:
         planned: Answer = plugins.find("hesr.motions", "plan")(
@@ -158,7 +159,8 @@ def excite(
     with threadpool_limits(1):  # threads cost more than they save
         random = random_motions(model, limits, _COMPARED, limits.seed)
         conditions = [condition(model, base, motion) for motion in random]
-    backward, picture = path.with_stem(f"{path.stem}_reversed"), path.with_suffix(".png")
+    backward = path.with_stem(f"{path.stem}_reversed")
+    picture = path.with_suffix(".png")
     t, q, dq, ddq = found.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
     with written_together(path) as new:
         write_table(new(path), {"t": t} | numbered(q=q, dq=dq, ddq=ddq))
@@ -176,7 +178,8 @@ def excite(
 
 def answer(found: ExcitationDesign, _: PathArg | None) -> Answer:
     """Return the answer of a designed motion: condition number, start and peak torques."""
-    motion, torque = found.excitation.motion, found.excitation.peak_torque
+    motion = found.excitation.motion
+    torque = found.excitation.peak_torque
     start = ", ".join(f"{q:.3f}" for q in found.excitation.setpoints()[1][0])
     peaks = ", ".join(f"{peak:.3g}" for peak in torque)
     return Written(

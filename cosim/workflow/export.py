@@ -56,7 +56,8 @@ class ExportOptions(TypedDict, total=False):
 _PER_JOINT = ("inertia", "stiffness", "damping", "ratio", "kv", "ki", "kp", "torque_constants")
 _OF_ROBOTS = ("plant", "observer")  # formats with the dynamics of the robot
 _BATTERY = ("hesr.tests", "properties")
-_OF_ARMS, _OF_SYSTEMS = ("signals",), ("ssp",)
+_OF_ARMS = ("signals",)
+_OF_SYSTEMS = ("ssp",)
 _log = logging.getLogger(__name__)
 
 
@@ -221,7 +222,8 @@ def _write_arm(model: Path, to: _Request) -> None:
     from fmu_src.export.toolchain import HOST
 
     _refuse_others(to.given, _OF_ARMS, "friction laws, not for a robot")
-    signals, format_ = to.given.get("signals"), to.format or "fmu"
+    signals = to.given.get("signals")
+    format_ = to.format or "fmu"
     signals = None if signals is None else Path(signals)
     if format_ == "python-arm":
         if to.platform is not None:
@@ -284,7 +286,8 @@ def _write_system(system: Path, to: _Request) -> None:
     if to.format not in (None, "ssp"):
         raise ArgumentError(f"'format' is {to.format}; a system becomes an SSP (ssp).")
     with opened_system(system) as spec:
-        if note := plugins.find("hesr.systems", "ssp")(spec, system, to.output, **to.given):
+        note = plugins.find("hesr.systems", "ssp")(spec, system, to.output, **to.given)
+        if note:
             _log.warning("%s", note)
 
 
@@ -294,7 +297,9 @@ def _write_law(law: LawArg, to: _Request) -> None:
     from fmu_src.export.cache import copied, exported
     from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
-    output, format_, given = to.output, to.format or "fmu", dict(to.given)
+    output = to.output
+    format_ = to.format or "fmu"
+    given = dict(to.given)
     platforms = list(DEFAULT_PLATFORMS if to.platform is None else to.platform)
     plain = all(isinstance(value, str | int | float) for value in given.values())
     if (
@@ -382,7 +387,8 @@ def _completed(
     if done.get("properties"):
         from hesr_model.audit.properties import Subject
 
-        subject, battery = Subject(name=model.law, model=model), plugins.find(*_BATTERY)
+        subject = Subject(name=model.law, model=model)
+        battery = plugins.find(*_BATTERY)
         [done["properties"]] = battery([subject], progress=partial(progress, "testing the law"))
     return done
 

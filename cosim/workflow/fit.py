@@ -128,7 +128,8 @@ def fit(
     records = read.records(read.body(rigid_body), seed)
     joined = by_joint(records)
     if fitted is None:
-        own, source = str(law), _provenance(read, rigid_body, seed, options or {})
+        own = str(law)
+        source = _provenance(read, rigid_body, seed, options or {})
         model = fit_models(
             [own],
             joined,
@@ -138,7 +139,8 @@ def fit(
             provenance=source,
             progress=partial(progress, f"fitting {own}"),
         )[own]
-        if found := list(check_laws({own: model}, joined)):
+        found = list(check_laws({own: model}, joined))
+        if found:
             health = [*source["health"], *map(to_json, found)]
             model = replace(model, provenance={**model.provenance, "health": health})
     else:
@@ -203,7 +205,8 @@ def _provenance(
         source["created"] = newest(logs)
     description = read.robot.description
     source |= description.constants
-    if owner := description.owner.known:
+    owner = description.owner.known
+    if owner:
         source["owner"] = owner
     return source
 

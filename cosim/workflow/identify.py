@@ -109,7 +109,8 @@ def identify(
     several = [*forward_logs, *arguments.listed(reversed_logs)]
     plain = method == "stacked" and not physical and friction is None and payload is None
     read = arguments.checked_logs(several, robot, accept, progress, in_pieces=plain)
-    forward, backward = read.logs[: len(forward_logs)], read.logs[len(forward_logs) :]
+    forward = read.logs[: len(forward_logs)]
+    backward = read.logs[len(forward_logs) :]
     progress("identifying", 0, 1)
     others = (one for one in (payload, friction, rigid_body) if isinstance(one, str | PathLike))
     files = [*read.files, *map(Path, others)]
@@ -129,7 +130,8 @@ def identify(
         found = identify_body(
             forward, read.robot, method=method, reversed_logs=backward, physical=physical
         )
-    if any(slides := read.robot.slides):
+    slides = read.robot.slides
+    if any(slides):
         more["sliding"] = slides
     impossible = list(check_body(found, read.robot))
     health = [to_json(finding) for finding in (*read.findings, *impossible)]

@@ -186,7 +186,8 @@ def inspect(
     if None in files:
         raise ArgumentError("logs are inspected as files; give their paths.")
     progress("inspecting logs", 0, 1)
-    if (names := joint_names(joints)) and robot is None:
+    names = joint_names(joints)
+    if names and robot is None:
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
     proposal = inspected([file for file in files if file], robot, names)
     constants: Sequence[Constant] = ()
@@ -230,7 +231,8 @@ def _write(
         try:
             dry_run(proposal)
         except HesrError as error:
-            plan, failure = None, str(error)
+            plan = None
+            failure = str(error)
     if robot:
         with written_together(plan or robot) as file:
             file(robot).write_text(robot_file(proposal, robot), encoding="utf-8")

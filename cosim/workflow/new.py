@@ -97,7 +97,8 @@ def new(
     from cosim.study.starter import Bench, start, start_bench, start_twin
     from cosim.workflow.arguments import joint_names, per_joint
 
-    place, names = path_of(folder, "a folder"), tuple(joint_names(joints))
+    place = path_of(folder, "a folder")
+    names = tuple(joint_names(joints))
     numbers = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     if twin:
         if robot is not None or bench is not None:
@@ -125,7 +126,8 @@ def new(
 def answer(made: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
     if made.bench:
-        file, study = made.folder / "robot.toml", made.folder / "study.toml"
+        file = made.folder / "robot.toml"
+        study = made.folder / "study.toml"
         next_ = f"hesr inspect LOG --robot {file} --write {file} --study {study}"
         if made.bench == "twin":
             next_ = f"the commands in {made.folder / 'README.txt'}"

@@ -50,7 +50,8 @@ class RunResult(Answer):
         lines = list(located.sentences)
         if self.outcome.following.rows:
             lines.append(loop.benefit(self.outcome.following, self._sliding))
-        if count := len(self.findings):
+        count = len(self.findings)
+        if count:
             lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")
         lines.append(f"FMUs: {self.folder / 'fmus'}, {self._platforms}")
         lines.append(f"Report: {self.folder / 'report.html'}")
@@ -227,7 +228,8 @@ def run(
     shipped = models_folder() / "studies" / f"{path.name}.toml"
     if path == Path(path.name) and not path.is_file() and shipped.is_file():
         path = shipped
-    if job := find_job(path, "run"):
+    job = find_job(path, "run")
+    if job:
         given = {"quick": quick, "seeds": seeds, "accept": accept}
         given["platform"] = platform is not None
         return job.run(path, output=output and Path(output), progress=progress, **given)

@@ -104,7 +104,8 @@ def simulate(
     path = path_of(system, "a system")
     file = None if output is None else path_of(output, "an output")
     given = {"only": only, "workers": workers, "cluster": cluster, "insecure": insecure or None}
-    if job := find_job(path, "simulate"):
+    job = find_job(path, "simulate")
+    if job:
         if isolate:
             raise ArgumentError(f"'isolate' is for a system; {path} is a sweep.")
         if only is not None and file is not None:

@@ -49,10 +49,12 @@ class LawReport(Answer):
         """Return the best law, then passivity and failed checks of each law."""
         lines = _scores_lines(self.scores) if self.scores else []
         for law in self.laws:
-            if found := self.audits.get(law.name):
+            found = self.audits.get(law.name)
+            if found:
                 joints = law.model.joints if law.model else ()
                 lines.append(f"{law.name}: passivity {passivity(joints, found.certificates)}.")
-            if checks := self.properties.get(law.name):
+            checks = self.properties.get(law.name)
+            if checks:
                 lines.append(f"{law.name}: {_failed(checks)}")
         lines += [other.summary() for other in self.others.values()]
         return shortened(lines, self.files)
@@ -90,7 +92,8 @@ class LawReport(Answer):
 
         shown: list[ResultTable | str] = []
         for law in self.laws:
-            if (found := self.audits.get(law.name)) is None or law.model is None:
+            found = self.audits.get(law.name)
+            if found is None or law.model is None:
                 continue
             shown.append(audit(law.name, found.audits, law.model.sliding))
             shown += [
@@ -289,7 +292,8 @@ def _certified(report: LawReport, *, alone: bool) -> LawReport:
     from fmu_src.pages.datasheet import ModelAudit, ranges
     from hesr_model.findings import Finding, errors_first
 
-    audits, refuted = {}, []
+    audits = {}
+    refuted = []
     for law in report.laws:
         if law.model is None:
             if alone:
@@ -370,7 +374,8 @@ def _leaving(law: Subject, records: Records) -> list[str]:
     if model is None or not model.trained or model.joints != tuple(r[0].joint for r in records):
         return []
     coupled = [[replace(r, coupling=model.coupling) for r in of_joint] for of_joint in records]
-    warm, moved = model.thermal or (None,) * len(coupled), all_at_friction(coupled)
+    warm = model.thermal or (None,) * len(coupled)
+    moved = all_at_friction(coupled)
     found = [
         {
             k: v

@@ -34,7 +34,8 @@ from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, silent
 
 _SMALL = 0.1  # amplitude of controls in the reference results
-_OWN, _OF_LOSS = 4, 2  # state variables of mjcf.c without MuJoCo's, and per loss
+_OWN = 4
+_OF_LOSS = 2  # state variables of mjcf.c without MuJoCo's, and per loss
 _SOURCES = (
     *("mjcf.c", "mjcf_losses.h", "mjcf_parameters.h", "beside.h", "guard.h"),
     *("mujoco_library.h", "noise.h", "resource.h"),

@@ -65,7 +65,8 @@ class Plant(Config):
     @field_validator("servo", "noise")
     @classmethod
     def _one_entry_per_joint(cls, table: Config, info: ValidationInfo) -> Config:
-        if joints := info.data.get("joints"):
+        joints = info.data.get("joints")
+        if joints:
             require_entries(table, len(joints))
         return table
 
@@ -88,7 +89,8 @@ def servo_signals(
     """
     joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))
-    force, of = mujoco.mjtSensor.mjSENS_ACTUATORFRC, mujoco.mjtObj
+    force = mujoco.mjtSensor.mjSENS_ACTUATORFRC
+    of = mujoco.mjtObj
     for i, actuator in enumerate(spec.actuators):
         actuator.name = own = actuator.name or f"/actuator{i}"
         spec.add_sensor(name=f"/{own}", type=force, objtype=of.mjOBJ_ACTUATOR, objname=own)
@@ -125,7 +127,9 @@ def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> Signa
     rows = zip(forces, speeds, damping, strict=True)
     lost = tuple(own | {speed: rate} for own, speed, rate in rows)
     streams = tuple(range(2 * len(plant.joints)))
-    noise, servo, q = plant.noise, plant.servo, joints("q")
+    noise = plant.noise
+    servo = plant.servo
+    q = joints("q")
     start = StartTable(unit="rad", joints=plant.joints, integrals=servo.integral, hold=True)
     return SignalTable(
         seed=noise.seed % 2**64,

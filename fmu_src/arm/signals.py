@@ -23,7 +23,8 @@ from fmu_src.arm.table import (
 from hesr_model.errors import ConfigError
 from hesr_model.robots.mjcf import compiled, compiled_spec
 
-_S, _J = mujoco.mjtSensor, mujoco.mjtJoint
+_S = mujoco.mjtSensor
+_J = mujoco.mjtJoint
 
 SINGLE = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)  # types of joints with a scalar position
 
@@ -85,7 +86,8 @@ def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignal
 
 def _add_joint_signals(spec: Any) -> None:
     """Add sensors of position, speed and torque to all joints, and motors to a file without."""
-    passive, of_joint = not list(spec.actuators), mujoco.mjtObj.mjOBJ_JOINT
+    passive = not list(spec.actuators)
+    of_joint = mujoco.mjtObj.mjOBJ_JOINT
     for number, joint in enumerate(spec.joints, start=1):
         if joint.type in SINGLE:
             joint.name = joint.name or f"joint{number}"
@@ -99,7 +101,8 @@ def _add_joint_signals(spec: Any) -> None:
 
 class _Lookup:
     def __init__(self, model: Any, file: Path) -> None:
-        self._model, self._file = model, file
+        self._model = model
+        self._file = file
 
     def signals(self, table: SignalTable) -> ArmSignals:
         model = self._model
@@ -253,7 +256,8 @@ class _Names:
 
 
 def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[ArmInput]:
-    size, address = int(model.actuator_ctrlnum[actuator]), int(model.actuator_ctrladr[actuator])
+    size = int(model.actuator_ctrlnum[actuator])
+    address = int(model.actuator_ctrladr[actuator])
     name = names.of(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
     for k in range(size):
         yield ArmInput(name + _index(k, size), _unit_of_control(model, actuator), (address + k,))
@@ -272,7 +276,8 @@ def _unit_of_control(model: Any, actuator: int) -> str:
 
 def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[ArmOutput]:
     name = names.of(model.sensor(sensor).name, f"sensor{sensor + 1}")
-    size, address = int(model.sensor_dim[sensor]), int(model.sensor_adr[sensor])
+    size = int(model.sensor_dim[sensor])
+    address = int(model.sensor_adr[sensor])
     for k in range(size):
         reads = ((address + k, 1.0, False),)
         yield ArmOutput(name + _index(k, size), _unit(model, sensor), reads)
@@ -283,7 +288,8 @@ def _index(k: int, size: int) -> str:
 
 
 def _unit(model: Any, sensor: int) -> str:
-    if (kind := _S(model.sensor_type[sensor])) in _UNITS_AT_JOINT:
+    kind = _S(model.sensor_type[sensor])
+    if kind in _UNITS_AT_JOINT:
         hinge = _J(model.jnt_type[model.sensor_objid[sensor]]) == _J.mjJNT_HINGE
         return _UNITS_AT_JOINT[kind][0 if hinge else 1]
     return _UNITS.get(kind, "1")

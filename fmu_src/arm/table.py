@@ -13,7 +13,10 @@ from fmu_src.export.interface import Variable
 from hesr_model.errors import RuleError
 from hesr_model.support.typed_files import Config
 
-SCALE, PAYLOAD, LATENCY, SEED = "friction_scale", "payload", "latency", "noise_seed"
+SCALE = "friction_scale"
+PAYLOAD = "payload"
+LATENCY = "latency"
+SEED = "noise_seed"
 
 _KINDS = {
     "N.m": "torque",
@@ -116,7 +119,8 @@ class ArmSignals:
         times = set(model.actuator_delay[delayed].tolist())
         if len(times) != 1:
             return None
-        time, step = times.pop(), float(model.opt.timestep)
+        time = times.pop()
+        step = float(model.opt.timestep)
         samples, interpolation = model.actuator_history[delayed].T
         if not interpolation.any():
             time = float(np.ceil(time / step - 1e-6)) * step

@@ -111,7 +111,8 @@ def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
     relaxations: list[Relaxation] = []
     torque = sympy.Integer(0)
     for number, i in enumerate(actuators, start=1):
-        bias, dynamics = model.actuator_biasprm[i], model.actuator_dynprm[i]
+        bias = model.actuator_biasprm[i]
+        dynamics = model.actuator_dynprm[i]
         numbers = (dynamics[5], *bias[3:6], model.actuator_damping[i], *bias[:3])
         own = [
             Coefficient(name=f"{name}_{number}", unit=unit, description=f"{text}, element {number}")
@@ -186,7 +187,8 @@ def write_truth(
     root = tree.getroot()
     gone = _without_elements(root, compiled_model)
     for i, name in enumerate(joints):
-        if (joint := root.find(f".//worldbody//joint[@name='{name}']")) is None:
+        joint = root.find(f".//worldbody//joint[@name='{name}']")
+        if joint is None:
             raise ConfigError(f"{model}: has no joint '{name}', or another file has it.")
         if truth.transmission:
             joint = _divided(root, joint, compiled_model.joint(name), i, truth.transmission)
@@ -225,7 +227,8 @@ def _divided(
 
     In link coordinates the rotor's reaction is that of a gear, up to one part in the gear ratio.
     """
-    name, link = known.name, _link(known.name)
+    name = known.name
+    link = _link(known.name)
     joint.attrib |= {"name": link, "armature": "0"}
     body = SubElement(_section(root, "worldbody"), "body", name=f"{name}_rotor")
     SubElement(body, "inertial", _LIGHT)

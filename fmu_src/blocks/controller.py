@@ -111,7 +111,9 @@ def controller_equations(step: float) -> Component:
     """Return the equations of one joint, with `step` [s] as the default sample time."""
     q_d, dq_d, tau_rb, tau_f, tau_g, tau_meas, q = (i.symbol for i in _INPUTS)
     kp, kd, kx, kv, ki = (gain.symbol for gain in _GAINS)
-    sample, decay, gain = _SAMPLE_TIME.symbol, _LAMBDA.symbol, _FRICTION_GAIN.symbol
+    sample = _SAMPLE_TIME.symbol
+    decay = _LAMBDA.symbol
+    gain = _FRICTION_GAIN.symbol
     tau_d = Quantity(name="tau_d", unit="N.m", description="desired torque").symbol
     e, integral = sympy.symbols("e integral", real=True)
     rate = (e - previous("e")) / sample

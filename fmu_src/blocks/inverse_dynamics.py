@@ -86,7 +86,8 @@ def inverse_dynamics(
 
 def _tree(robot: Robot) -> str:
     rows = []
-    motors, gravity = robot.description.motors, robot.gravity.tolist()
+    motors = robot.description.motors
+    gravity = robot.gravity.tolist()
     for joint in robot.tree:
         numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
         rows.append(f"    {{{joint.parent}, {int(joint.prismatic)}, {', '.join(numbers)}}},")

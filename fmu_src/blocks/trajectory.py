@@ -146,7 +146,8 @@ def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...
 
 
 def _series(motion: Fourier) -> dict[str, float]:
-    if (harmonics := motion.a.shape[1]) > HARMONICS:
+    harmonics = motion.a.shape[1]
+    if harmonics > HARMONICS:
         raise ExportError(
             f"a Fourier motion of {harmonics} harmonics cannot be made by the FMU, which has "
             f"{HARMONICS}."

@@ -83,7 +83,8 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
         text = f"{name}: it has more than {MOST_BYTES} bytes; it is not read."
         return None, [("xml-unreadable", text)]
     data = file.read_bytes()
-    if (place := _not_utf8(data)) is not None:
+    place = _not_utf8(data)
+    if place is not None:
         text = f"it is not valid UTF-8, which FMI requires (byte {place + 1})."
         return None, [("xml-encoding", f"{name}: {text}")]
     guard = _Guard()

@@ -225,14 +225,16 @@ def _exports(
         yield "binary-functions", text
     # One library may serve several versions of FMI.
     own = f"fmi{about.fmi}"
-    if strange := sorted(n for n in exports if n.startswith(own) and n not in KNOWN):
+    strange = sorted(n for n in exports if n.startswith(own) and n not in KNOWN)
+    if strange:
         text = f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
         yield "binary-unknown", text
 
 
 def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
     missing = [name for name in REQUIRED[kind.element] if name not in exports]
-    if prefixed := [name for name in missing if f"{kind.identifier}_{name}" in exports]:
+    prefixed = [name for name in missing if f"{kind.identifier}_{name}" in exports]
+    if prefixed:
         yield (
             "binary-functions",
             f"it exports {listed([f'{kind.identifier}_{prefixed[0]}'])} and the like; the prefix "
@@ -246,7 +248,8 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
             promised.update(broken)
             text = f"it does not export {listed(broken)}, though {capability} is 'true'."
             yield "binary-functions", text
-    if rest := [name for name in missing if name not in promised]:
+    rest = [name for name in missing if name not in promised]
+    if rest:
         yield (
             "binary-functions",
             f"it does not export {listed(rest)}; FMI 2.0 requires all functions of "

@@ -65,7 +65,8 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
 
 def judge(fmu: Path) -> FrictionModel:
     """Return the model in a friction FMU; raise SimulationError unless it can be measured."""
-    if (model := embedded_model(fmu)) is None:
+    model = embedded_model(fmu)
+    if model is None:
         raise SimulationError(f"{fmu}: contains no friction model to compare with.")
     try:
         variables = model_description(fmu).modelVariables

@@ -153,13 +153,16 @@ class _Reader:
     fmi = 2
     kinds = tuple(KINDS)
     lists: Mapping[str, str] = {name: f"ModelStructure/{name}" for name in STRUCTURE}
-    variables, types = "ModelVariables/ScalarVariable", "TypeDefinitions/SimpleType"
-    unknown, reference = "/Unknown", "index"
+    variables = "ModelVariables/ScalarVariable"
+    types = "TypeDefinitions/SimpleType"
+    unknown = "/Unknown"
+    reference = "index"
 
     def __init__(self, root: etree._Element) -> None:
         self.root, self.elements = root, root.findall(self.variables)
         types = tuple(map(self._type, root.findall(self.types)))
-        self._types, self._by_name = types, {t.name: t for t in types}
+        self._types = types
+        self._by_name = {t.name: t for t in types}
 
     def description(self) -> ParsedDescription:
         root = self.root
@@ -219,7 +222,8 @@ class _Reader:
 
     def _unknowns(self, place: str) -> Iterator[Unknown]:
         for element in self.root.findall(place + self.unknown):
-            if (index := self.number(element.get(self.reference))) is None:
+            index = self.number(element.get(self.reference))
+            if index is None:
                 continue
             known = element.get("dependencies")
             numbers = map(self.number, (known or "").split())
@@ -239,8 +243,10 @@ class _Reader3(_Reader):
         "Derivatives": "ModelStructure/ContinuousStateDerivative",
         "InitialUnknowns": "ModelStructure/InitialUnknown",
     }
-    variables, types = "ModelVariables/*", "TypeDefinitions/*"
-    unknown, reference = "", "valueReference"
+    variables = "ModelVariables/*"
+    types = "TypeDefinitions/*"
+    unknown = ""
+    reference = "valueReference"
 
     def __init__(self, root: etree._Element, build: etree._Element | None) -> None:
         super().__init__(root)

@@ -151,7 +151,8 @@ def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
         bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
         text = f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}."
         yield "variable-range", text
-    if (nominal := real(v.get("nominal"))) is not None and nominal <= 0:
+    nominal = real(v.get("nominal"))
+    if nominal is not None and nominal <= 0:
         yield "variable-nominal", f"has the nominal value {nominal:.15g}; it must be positive."
     if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
         value = integer(v.own.get("start"))
@@ -184,7 +185,8 @@ def _types(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
 
 @_of_each
 def _display_units(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    if (display := v.own.get("displayUnit")) is not None and v.get("unit") is None:
+    display = v.own.get("displayUnit")
+    if display is not None and v.get("unit") is None:
         yield "variable-unit", f"has the display unit {quoted(display)} but no unit."
 
 
@@ -244,7 +246,8 @@ def _settable(v: ParsedVariable) -> bool:
 def _listed_derivatives(about: ParsedDescription) -> Iterator[Problem]:
     if all(kind.element != "ModelExchange" for kind in about.kinds):
         return
-    place, found = about.lists["Derivatives"], {u.index for u in about.structure["Derivatives"]}
+    place = about.lists["Derivatives"]
+    found = {u.index for u in about.structure["Derivatives"]}
     declared = [v for v in about.variables if "derivative" in v.own]
     wrong = {
         ("structure-states", "lacks"): [
@@ -278,7 +281,8 @@ def _order(about: ParsedDescription) -> Iterator[Problem]:
 def _indices(about: ParsedDescription) -> Iterator[Problem]:
     for name in STRUCTURE:
         for index, times in Counter(u.index for u in about.structure[name]).items():
-            if (variable := about.variable(index)) is None:
+            variable = about.variable(index)
+            if variable is None:
                 text = f"{about.lists[name]} lists {about.shown(index)}, which does not exist."
                 yield "structure-index", text
             elif times > 1:
@@ -290,7 +294,8 @@ def _dependencies(about: ParsedDescription) -> Iterator[Problem]:
     inputs = any(v.causality == "input" and v.kind != "Clock" for v in about.variables)
     for name in STRUCTURE:
         unknowns = about.structure[name]
-        if silent := [_named(about, u) for u in unknowns if u.dependencies is None and inputs]:
+        silent = [_named(about, u) for u in unknowns if u.dependencies is None and inputs]
+        if silent:
             yield (
                 "structure-loops",
                 f"{about.lists[name]} gives no dependencies for {listed(silent)}, "
@@ -299,7 +304,8 @@ def _dependencies(about: ParsedDescription) -> Iterator[Problem]:
         for unknown in unknowns:
             who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
             known = unknown.dependencies or ()
-            if missing := [i for i in known if about.variable(i) is None]:
+            missing = [i for i in known if about.variable(i) is None]
+            if missing:
                 text = f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
                 yield "structure-dependency", text
             elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):
@@ -327,7 +333,8 @@ def terminal_problems(
         nested = names_of(terminal.findall("Terminal"))
         yield from repeated("terminal-twice", f"nested terminal of the {who},", nested, "there")
         for member in members:
-            if (variable := member.get("variableName", "")) not in known:
+            variable = member.get("variableName", "")
+            if variable not in known:
                 yield (
                     "terminal-member",
                     f"the {who} has the member {quoted(variable)}, which is not a variable.",

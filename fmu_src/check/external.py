@@ -50,12 +50,14 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[Problem], list[str]]:
 
 
 def _with_difference(text: str) -> str:
-    sentence, sets = _sentence(text), _SETS.search(text)
+    sentence = _sentence(text)
+    sets = _SETS.search(text)
     if not sets:
         return sentence
     expected, found = (dict.fromkeys(names.split(", ")) for names in sets.groups())
     for verb, one, other in (("lacks", expected, found), ("must not list", found, expected)):
-        if names := [name for name in one if name and name not in other]:
+        names = [name for name in one if name and name not in other]
+        if names:
             sentence += f" It {verb} {listed(names)}."
     return sentence
 

@@ -35,7 +35,8 @@ def validate(file: str) -> tuple[list[str], str]:
         found = validate_model_description(about, validate_model_structure=True)
         exempt = {v.name for v in about.modelVariables if v.alias or v.type == "Clock"}
         odd = (v for v in about.modelVariables if not _LEGAL.fullmatch(v.name))
-        about.modelVariables, about.fmiVersion = list(islice(odd, MOST_NAMES)), ""
+        about.modelVariables = list(islice(odd, MOST_NAMES))
+        about.fmiVersion = ""
         found = validate_model_description(about, validate_variable_names=True) + found
     except Exception as error:
         # FMPy raises bare exceptions for violations; others are its own faults.
@@ -52,7 +53,8 @@ _INITIAL = re.compile(r"ModelStructure/InitialUnknowns .*Expected \{(.*)\} but w
 
 def _of_fmi_3(problem: str, exempt: set[str]) -> bool:
     """Whether FMPy only misses aliases and clocks of FMI 3, which are no initial unknowns."""
-    if not (sets := _INITIAL.fullmatch(problem)):
+    sets = _INITIAL.fullmatch(problem)
+    if not sets:
         return False
     expected, found = (set(names.split(", ")) for names in sets.groups())
     return expected - exempt == found - exempt
@@ -63,7 +65,8 @@ def compare(file: str) -> list[tuple[int, str, str]]:
     from lxml import etree
 
     root = etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).getroot()
-    if (place := schema_of(root.tag, root.attrib)) is None:
+    place = schema_of(root.tag, root.attrib)
+    if place is None:
         return []
     schema = etree.XMLSchema(file=str(place))
     schema.validate(root)
@@ -77,7 +80,8 @@ def schema_of(tag: str, attributes: Mapping[str, str]) -> Path | None:
     """Return the schema for a root element, None if it is not installed."""
     tag, version = tag.rpartition("}")[2], attributes.get("fmiVersion", "")
     name = _SCHEMAS.get(tag) or _SCHEMAS["3" if version.startswith("3.") else version]
-    package, folder = "fmpy", ""
+    package = "fmpy"
+    folder = ""
     if name.startswith("ssp/") and attributes.get("version", "").startswith("2."):
         package, folder, name = "pyssp_standard", "resources/ssp2", Path(name).name
     spec = find_spec(package)

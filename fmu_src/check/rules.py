@@ -38,12 +38,18 @@ _ANCHORS = {
 }  # fmt: skip
 
 
-_ARCHIVE, _XML = "FMI 2: 2.3; FMI 3: 2.5", "FMI 2: 2.2; FMI 3: 2.4"
-_TYPES, _ROOT = "FMI 2: 2.2.3; FMI 3: 2.4.4", "FMI 2: 2.2.1; FMI 3: 2.4.1"
-_UNITS, _EXPERIMENT = "FMI 2: 2.2.2; FMI 3: 2.4.3", "FMI 2: 2.2.5; FMI 3: 2.4.6"
-_VARIABLES, _STRUCTURE = "FMI 2: 2.2.7; FMI 3: 2.4.7", "FMI 2: 2.2.8; FMI 3: 2.4.8"
-_KINDS, _SOURCES = "FMI 2: 3.3.1, 4.3.1; FMI 3: 2.4.2", "FMI 2: 2.3; FMI 3: 2.5.1.3"
-_BINARIES, _TERMINALS = "FMI 2: 2.1.1, 2.3; FMI 3: 2.2, 2.5.1.4", "FMI 3: 2.4.9"
+_ARCHIVE = "FMI 2: 2.3; FMI 3: 2.5"
+_XML = "FMI 2: 2.2; FMI 3: 2.4"
+_TYPES = "FMI 2: 2.2.3; FMI 3: 2.4.4"
+_ROOT = "FMI 2: 2.2.1; FMI 3: 2.4.1"
+_UNITS = "FMI 2: 2.2.2; FMI 3: 2.4.3"
+_EXPERIMENT = "FMI 2: 2.2.5; FMI 3: 2.4.6"
+_VARIABLES = "FMI 2: 2.2.7; FMI 3: 2.4.7"
+_STRUCTURE = "FMI 2: 2.2.8; FMI 3: 2.4.8"
+_KINDS = "FMI 2: 3.3.1, 4.3.1; FMI 3: 2.4.2"
+_SOURCES = "FMI 2: 2.3; FMI 3: 2.5.1.3"
+_BINARIES = "FMI 2: 2.1.1, 2.3; FMI 3: 2.2, 2.5.1.4"
+_TERMINALS = "FMI 3: 2.4.9"
 
 RULES: Mapping[str, Rule] = {
     "archive-damaged": Rule("error", "archives or entries that cannot be read", _ARCHIVE),

@@ -79,7 +79,8 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
     if vdmcheck is not None and not (vdmcheck / external.JAR).is_file():
         raise ConfigError(f"--vdmcheck is '{vdmcheck}', which does not contain {external.JAR}.")
     with scratch_folder() as temporary:
-        files, folder = Path(temporary, "files"), Path(temporary, "work")
+        files = Path(temporary, "files")
+        folder = Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
         found = _Found(folder, vdmcheck, kinds)

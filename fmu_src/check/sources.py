@@ -61,7 +61,8 @@ def machine_paths(contents: Contents) -> Iterator[Problem]:
     for name, file in contents.files.items():
         if _built_elsewhere(name, file):
             continue
-        if found := list(dict.fromkeys(islice(_paths(_code(name, file)), MOST_PATHS))):
+        found = list(dict.fromkeys(islice(_paths(_code(name, file)), MOST_PATHS)))
+        if found:
             more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""
             yield (
                 "machine-path",

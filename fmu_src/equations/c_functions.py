@@ -187,7 +187,8 @@ class Functions:
 
     def start(self) -> str:
         """Write y and r before the first step, and the previous values p for it."""
-        own, starts = first_readings(self.component), self.component.starts
+        own = first_readings(self.component)
+        starts = self.component.starts
         targets = self._reading_targets | _array("p", starts)
         places = {s: place for s, place in self._arguments.places.items() if s not in starts}
         return function(self._head("start"), self.jumps.held(own), targets, places)
@@ -328,7 +329,8 @@ class Functions:
 
     def prepare(self) -> str:
         """Write the prepared terms into c."""
-        once, targets = self._attempted.once, _array("c", self.prepared)
+        once = self._attempted.once
+        targets = _array("c", self.prepared)
         return printed(self._head("prepare"), once, {}, targets, self._arguments.places)
 
     def attempts(self) -> str:

@@ -120,7 +120,8 @@ def printed(
     widths = "IN_PAIRS" if paired else "IN_WIDTHS"
     after = f"{widths}({wide[1]}, {wide[2]}, ({', '.join(arguments)}))\n" if wide else ""
     if wide:
-        kind, signature = "INLINED", f"{wide[1]}_inlined{wide[2]}"
+        kind = "INLINED"
+        signature = f"{wide[1]}_inlined{wide[2]}"
     content: Iterable[str] = (*reads, *body, *writes)
     if lanes:
         kinds = tuple(_OF_ANGLES.values())

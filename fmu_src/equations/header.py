@@ -104,7 +104,9 @@ def equations_header(
         for i, c in enumerate(distinct, start=1)
     }
     texts, names = _written(functions.values(), wanted)
-    arrays, rows, before = [], [], 0
+    arrays = []
+    rows = []
+    before = 0
     for i, joint in enumerate(joints, start=1):
         own = functions[joint.component]
         rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, names[own.name]))}}},")

@@ -191,7 +191,8 @@ def add_units(root: ET.Element, table: Interface) -> None:
         if name in OFFSETS:
             base["offset"] = repr(OFFSETS[name])
         ET.SubElement(unit, "BaseUnit", base)
-        if display := DISPLAY.get(name):
+        display = DISPLAY.get(name)
+        if display:
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(DEGREES))
 
 

@@ -226,7 +226,8 @@ def _alike(variable: Variable) -> tuple[str, object]:
 
 def to_c(interface: Interface, guid: str, step: float) -> str:
     """Return interface.h: GUID, preferred step [s] and the table of variables for the C side."""
-    variables, places = interface.variables, interface.places
+    variables = interface.variables
+    places = interface.places
     used = {
         name
         for v in variables
@@ -234,7 +235,10 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
         for name in (*v.dependencies, *v.initial_dependencies)
     }
     rows: list[str] = []
-    inputs, watched, kinds, numbers = [0], [], [], []
+    inputs = [0]
+    watched = []
+    kinds = []
+    numbers = []
     for i, v in enumerate(variables):
         bounds = _bounds(v)
         numbers.append(f"    {{{literal(v.start)}, {bounds}}},")
@@ -354,7 +358,8 @@ NUMBERS = b"hesr numbers 01\0"
 
 def without_numbers(text: str) -> tuple[str, bytes]:
     """Return an interface.h with zeros for its numbers and GUID, and the bytes of its table."""
-    table, guid = _TABLE.search(text), _GUID.search(text)
+    table = _TABLE.search(text)
+    guid = _GUID.search(text)
     if table is None or guid is None:
         raise ValueError("no interface.h of this version")
     rows = table[2].replace("INFINITY", "inf").translate(str.maketrans("{},", "   ")).split()

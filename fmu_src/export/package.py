@@ -125,7 +125,8 @@ def write_fmu(
             f"platform '{missing[0]}': this FMU needs a library, which is given for "
             f"{', '.join(content.libraries)} only."
         )
-    table, about = content.table, content.about
+    table = content.table
+    about = content.about
     guid, sources = translation_unit(content, fmi)
     members: dict[str, bytes] = {
         "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(table, about, guid),
@@ -135,11 +136,11 @@ def write_fmu(
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
     if fmi == 3:
         members["sources/buildDescription.xml"] = description3.build_description(about)
-        if picture := members.pop("model.png", None):
+        picture = members.pop("model.png", None)
+        if picture:
             members[description3.ICON] = picture
-        if connected := description3.to_terminals(
-            table, content.terminals, icon=picture is not None
-        ):
+        connected = description3.to_terminals(table, content.terminals, icon=picture is not None)
+        if connected:
             members[description3.TERMINALS] = connected
     folders = _FOLDERS if fmi == 3 else {}
     with scratch_folder() as home:
@@ -167,7 +168,8 @@ def own_licence() -> dict[str, bytes]:
 
 def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:
     """Return the GUID of an FMU and its C files by name; all.c includes the others."""
-    table, about = content.table, content.about
+    table = content.table
+    about = content.about
     own = content.sources
     patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
     glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
@@ -251,6 +253,7 @@ def _validated(temporary: Path, path: Path) -> bytes:
         plain = all(NAME.fullmatch(v.name) for v in found.modelVariables)
         if plain and not any("\\" in name for name in archive.namelist()):
             return b"valid"
-    if problems := validate_fmu(str(temporary)):
+    problems = validate_fmu(str(temporary))
+    if problems:
         raise ExportError(f"{path}: not a valid FMU: {problems[0]}")
     return b"valid"

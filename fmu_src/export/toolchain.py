@@ -138,7 +138,8 @@ def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
 
 
 _MACH_MAGIC_64 = 0xFEEDFACF
-_SIGNATURE, _DIRECTORY = 0x1D, 0xFADE0C02  # load command, and its blob with hashes of pages
+_SIGNATURE = 0x1D
+_DIRECTORY = 0xFADE0C02  # load command, and its blob with hashes of pages
 
 
 def _sign_again(binary: bytearray) -> None:
@@ -202,7 +203,8 @@ def universal(parts: Sequence[bytes]) -> bytes:
     """Join 64-bit Mach-O files of different architectures into one universal file."""
     page = 1 << _PAGE_BITS
     header = struct.pack(">II", _FAT_MAGIC, len(parts))
-    offset, body = page, b""
+    offset = page
+    body = b""
     for part in parts:
         magic, cpu, subtype = struct.unpack_from("<III", part)
         if magic != _MACH_MAGIC_64:

@@ -157,7 +157,8 @@ def _own(
         known = replace(joint, parameters=joint.parameters[:count])
         elements = dict(zip(joint.derivatives, component.memory, strict=True))
         for variable in friction_component.law_variables(law, i, known):
-            if (element := elements.get(variable.name)) is not None:
+            element = elements.get(variable.name)
+            if element is not None:
                 at_start = friction_component.dependencies(joint, element.derivative, starting=True)
                 variable = replace(variable, initial_dependencies=at_start)
             yield variable

@@ -47,7 +47,8 @@ _STEADY = (
 )
 START = Enumeration(name="Start", items=(("steady", _STEADY), ("given", "at their start values")))
 
-STEADY, GIVEN = 1.0, 2.0
+STEADY = 1.0
+GIVEN = 2.0
 
 START_MODE = "start_mode"  # name of the parameter that selects the initial state
 
@@ -245,7 +246,8 @@ def typed_variable(
         return Variable(name, role, text, unit=unit)
     meanings = ", ".join(f"{number} = {meaning}" for number, meaning in quantity.values)
     numbers = [number for number, _ in quantity.values]
-    least, greatest = min(numbers), max(numbers)
+    least = min(numbers)
+    greatest = max(numbers)
     return Variable(name, role, f"{text}: {meanings}", integer=True, least=least, greatest=greatest)
 
 

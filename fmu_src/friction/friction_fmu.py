@@ -38,7 +38,8 @@ from hesr_model.support import plugins
 from hesr_model.support.progress import Progress, silent
 
 # Range of dates in a ZIP archive.
-_FIRST_DATE, _LAST_DATE = datetime(1980, 1, 1, tzinfo=UTC), datetime(2107, 12, 31, tzinfo=UTC)
+_FIRST_DATE = datetime(1980, 1, 1, tzinfo=UTC)
+_LAST_DATE = datetime(2107, 12, 31, tzinfo=UTC)
 
 
 def export_fmu(

@@ -46,7 +46,8 @@ _PHASE = 0.35
 _DECIMALS = {"dq": 5, "q": 5, "tau_load": 3}
 _HALVINGS = 12
 _SUBSTEPS = 200
-_SAME, _CLOSE = 1e-12, 1e-6
+_SAME = 1e-12
+_CLOSE = 1e-6
 """RelTol of the files: round-off for co-simulation, integration error for model exchange."""
 
 _README = """\
@@ -232,7 +233,9 @@ def _integral(values: Array, t: Array) -> Array:
     steps = np.diff(t)
     if len(steps) < 2:
         return np.append(0.0, np.cumsum(0.5 * steps * (values[1:] + values[:-1])))
-    before, here, after = values[:-2], values[1:-1], values[2:]
+    before = values[:-2]
+    here = values[1:-1]
+    after = values[2:]
     second = 5.0 * after + 8.0 * here - before
     areas = np.append(5.0 * before + 8.0 * here - after, second[-1])
     areas[1::2] = second[: 2 * (len(areas) // 2) : 2]
@@ -249,7 +252,8 @@ def trained_speed(trained: TrainedRange | None) -> float:
 
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     """Return the members of an FMU's folder `extra/`, by their paths in the archive."""
-    if (found := _co_simulation(model)) is None:
+    found = _co_simulation(model)
+    if found is None:
         return {"extra/README.txt": _NONE.encode()}
     step, motion, torque = found
     shown = torques(model, motion, SHOWN)

@@ -15,7 +15,8 @@ def require_numbers(model: FrictionModel) -> None:
     Only causes in the coefficients are found, such as a division by one that is 0.
     """
     for law, joint in zip(model.laws, model.joints, strict=True):
-        if (part := _undefined(law)) is not None:
+        part = _undefined(law)
+        if part is not None:
             at = ", ".join(
                 f"{c.name} = {law.values[c.name]:g}"
                 for c in law.form.coefficients

@@ -27,7 +27,8 @@ from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint, unit_of_joints
 
-RK4, EULER = 2.785, 2.0  # largest stable rate * step of fourth-order Runge-Kutta and forward Euler
+RK4 = 2.785
+EULER = 2.0  # largest stable rate * step of fourth-order Runge-Kutta and forward Euler
 
 _ALMOST_PASSIVE = 1e-6  # [J]; less is round-off
 

@@ -33,7 +33,8 @@ from hesr_model.robots.description import statements
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joints
 
-_CRAWL, _LONG = 1e-9, 1e12
+_CRAWL = 1e-9
+_LONG = 1e12
 """Speed [rad/s] and duration [s] of the crawling motion that reveals the torque held at rest."""
 _HOLDS = 0.01  # [N.m]; less counts as zero
 
@@ -104,7 +105,8 @@ def _sliding(law: FrictionLaw, speeds: Array) -> Array:
 def _rest(law: FrictionLaw, *, slides: bool) -> str:
     effort, unit = ("force", "N") if slides else ("torque", "N.m")
     with np.errstate(all="ignore"):  # non-finite values hold nothing
-        held, stopped = holding_torque(law), stopping_torque(law)
+        held = holding_torque(law)
+        stopped = stopping_torque(law)
     if held > _HOLDS:
         return (
             f"At rest this law holds up to {figure(held, 3)} {unit} without load; a {effort} "
@@ -304,7 +306,9 @@ def _trained_rows(
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
     found: dict[str, Any] = dict.fromkeys(("rates", "certified", "verdicts", "costs"), ())
     found |= {"audit": {}, "refused": "", "costs_refused": ""}
-    motion, slides, known = reference_motion(model), model.slides, bool(model.trained)
+    motion = reference_motion(model)
+    slides = model.slides
+    known = bool(model.trained)
     try:
         seen = datasheet.ranges(model, motion)
         found["rates"] = list(map(_rate_rows, model.laws, seen))

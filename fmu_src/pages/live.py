@@ -168,12 +168,14 @@ def _text(name: str) -> str:
 
 
 _FACTOR = 5.0  # range of a coefficient's slider, as a factor in both directions
-_SLOWEST, _FASTEST = 0.05, 5.0  # [Hz]
+_SLOWEST = 0.05
+_FASTEST = 5.0  # [Hz]
 _FEWEST = 20  # rows of a cycle
 _USUAL = 0.25  # [Hz], as in the FMU's picture
 _UNITS = {"velocity": "rad/s", "position": "rad", "time": "s", "torque": "N.m"}
 _NO_LOAD = 20.0  # default load [N.m]
-_LEAST_ROWS, _MOST_ROWS = 4, 20_000  # rows of a cycle; a browser runs this many within seconds
+_LEAST_ROWS = 4
+_MOST_ROWS = 20_000  # rows of a cycle; a browser runs this many within seconds
 _MOST_CYCLES = 100.0
 
 
@@ -225,7 +227,8 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
     speed = trained_speed(seen)
     digits = 2 - floor(log10(speed))
     within = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
-    low, high = _short(speed / 200.0), _short(2.0 * speed)
+    low = _short(speed / 200.0)
+    high = _short(2.0 * speed)
     yield Knob("amplitude", "velocity amplitude", "rad/s", within, low, high, "log", least=0.0)
     fastest = max(min(_FASTEST, 1.0 / (_FEWEST * step)), 2.0 * _SLOWEST)
     high = _short(fastest)
@@ -237,13 +240,15 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
     yield Knob("cycles", text, "", 3.0, 1.0, 10.0, "whole", least=1.0, most=_MOST_CYCLES)
     if Q in law.form.inputs:
         middle = seen.middle if seen else 0.0
-        low, high = _short(middle - 3.0), _short(middle + 3.0)
+        low = _short(middle - 3.0)
+        high = _short(middle + 3.0)
         yield Knob("centre", "centre of the positions", "rad", middle, low, high)
     if TAU_LOAD in law.form.inputs:
         low, high = seen.tau_load if seen else (0.0, 0.0)
         reach = max(high - low, abs(low), abs(high)) or _NO_LOAD
         middle = 0.5 * (low + high)
-        low, high = _short(middle - reach), _short(middle + reach)
+        low = _short(middle - reach)
+        high = _short(middle + reach)
         yield Knob("load", "load torque, constant", "N.m", middle, low, high)
 
 
@@ -254,7 +259,8 @@ def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Kn
         reference = table.places[name]
         variable = table.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
-        least, most = variable.least, variable.greatest
+        least = variable.least
+        most = variable.greatest
         low, high, kind = ends(variable.start, factor=factor)
         yield Knob(
             coefficient.name if coefficient else name,

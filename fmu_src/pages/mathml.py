@@ -40,7 +40,8 @@ def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
     printer = _Printer(law.form, law.values if numbers else {})
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
     for m in law.form.memory:
-        state, rate = _name(m.name), printer.text(m.parts[1])
+        state = _name(m.name)
+        rate = printer.text(m.parts[1])
         if isinstance(m, Stop):
             lines.append([f"{_dotted(state)}{_EQUALS}", *printer.terms(m.parts[0])])
             lines.append([f"<mo>|</mo>{state}<mo>|</mo><mo>≤</mo>{rate}"])

@@ -47,10 +47,12 @@ def model_png(model: FrictionModel) -> bytes:
     picture = Image.new("RGB", (_FINE * _SIZE[0], _FINE * _SIZE[1]), "white")
     drawing = ImageDraw.Draw(picture)
     left, top, right, bottom = _EDGES
-    width, height = _SIZE[0] - left - right, _SIZE[1] - top - bottom
+    width = _SIZE[0] - left - right
+    height = _SIZE[1] - top - bottom
     for joint, of_joint in enumerate(loops):
         row, column = divmod(joint, columns)
-        x, y = left + column * width / columns, top + row * height / rows
+        x = left + column * width / columns
+        y = top + row * height / rows
         box = [x, y, x + width / columns, y + height / rows]
         inner = (n * sign for n, sign in zip(_INNER, (1, 1, -1, -1), strict=True))
         _draw(drawing, [b + i for b, i in zip(box, inner, strict=True)], of_joint, joint + 1)
@@ -94,7 +96,8 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
         of_joint = []
         with np.errstate(all="ignore"):  # non-finite results are left out
             for share in _SHARES:
-                v, place = share * dq, middle + share * (q - middle)
+                v = share * dq
+                place = middle + share * (q - middle)
                 tau = predict(exact, t=motion.t, dq=v, q=place, tau_load=load)
                 of_joint.append((v[-_PERIOD:], tau[-_PERIOD:]))
         found.append(of_joint)
@@ -110,7 +113,8 @@ def _draw(drawing: "ImageDraw", box: Sequence[float], loops: Sequence[Loop], joi
         curves.append(np.stack((dq, tau), axis=1)[np.append(around, around[:1])])
     seen = np.concatenate((*curves, [[-1e-9, -1e-9], [1e-9, 1e-9]]))
     margin = 0.05 * np.ptp(seen, axis=0)
-    low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
+    low = seen.min(axis=0) - margin
+    high = seen.max(axis=0) + margin
     scale = np.array([right - left, top - bottom]) / (high - low)
 
     def place(points: Array) -> Array:

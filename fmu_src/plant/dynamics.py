@@ -21,7 +21,9 @@ from hesr_model.support.arrays import Array
 _EXACT = 5e-12  # deviation of a direction cosine from 0 or 1 that is the rounding of an angle
 _TENSOR = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])  # of xx, xy, yy, xz, yz, zz
 _ENTRIES = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # rows and columns of these
-_MASS, _FIRST, _INERTIA = 0, slice(1, 4), slice(4, 10)
+_MASS = 0
+_FIRST = slice(1, 4)
+_INERTIA = slice(4, 10)
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ def _rounded(matrix: Array) -> Array:
 
 def moved(parameters: Array, rotation: Array, translation: Array) -> Array:
     """Return a body's ten parameters in another frame, given the pose of its own there."""
-    m, t = parameters[_MASS], translation
+    m = parameters[_MASS]
+    t = translation
     h = rotation @ parameters[_FIRST]
     inertia = rotation @ parameters[_INERTIA][_TENSOR] @ rotation.T
     inertia = inertia + (2.0 * h @ t + m * t @ t) * np.eye(3)
@@ -91,7 +94,8 @@ def table(robot: Robot) -> Array:
         columns = [moved(one, turn.T, np.zeros(3)) for one in unit]
         whole[own[i], own[i]] = np.column_stack(columns)
     for i in reversed(range(count)):
-        link, part = links[i], _carried(links[i])
+        link = links[i]
+        part = _carried(links[i])
         pose = link.rotation, link.translation
         if link.parent >= 0:
             to_parent = np.column_stack([moved(one, *pose) for one in unit])
@@ -136,7 +140,8 @@ class _Joint:
 
     def __init__(self, link: _Link, number: int, graph: Expressions, q: Expression) -> None:
         self.link = link
-        one, zero = graph.constant(1.0), graph.constant(0.0)
+        one = graph.constant(1.0)
+        zero = graph.constant(0.0)
         self.cosine = one if link.prismatic else graph.name(f"cosine[{number}]")
         self.sine = zero if link.prismatic else graph.name(f"sine[{number}]")
         self.arm = np.array([graph.constant(float(x)) for x in link.translation])
@@ -145,20 +150,23 @@ class _Joint:
 
     def up(self, a: Vector) -> Vector:
         """Turn a vector to the parent's frame."""
-        c, s = self.cosine, self.sine
+        c = self.cosine
+        s = self.sine
         x, y, z = a
         turned: Vector = self.link.rotation @ np.array([c * x - s * y, s * x + c * y, z])
         return turned
 
     def down(self, a: Vector) -> Vector:
         """Turn a vector from the parent's frame."""
-        c, s = self.cosine, self.sine
+        c = self.cosine
+        s = self.sine
         x, y, z = self.link.rotation.T @ a
         return np.array([c * x + s * y, c * y - s * x, z])
 
     def tensor_up(self, t: Vector) -> Vector:
         """Turn a symmetric tensor to the parent's frame."""
-        c, s = self.cosine, self.sine
+        c = self.cosine
+        s = self.sine
         xx, xy, yy, xz, yz, zz = t
         x2 = c * c * xx - 2.0 * (c * s) * xy + s * s * yy
         turned = [x2, c * s * (xx - yy) + (c * c - s * s) * xy, xx + yy - x2]
@@ -172,7 +180,8 @@ class _Arm:
     """Symbolic dynamics of a robot in the coordinates of its friction, or of its joints."""
 
     def __init__(self, robot: Robot, *, of_joints: bool) -> None:
-        self.robot, self.graph = robot, Expressions()
+        self.robot = robot
+        self.graph = Expressions()
         self.links, _ = _aligned(robot.tree)
         slopes, self.offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
         coupling = None if of_joints else robot.description.coupling
@@ -215,7 +224,8 @@ class _Arm:
         zeros = np.full(3, zero)
         base = (zeros, zeros, np.array([-graph.name(f"gravity[{k}]") for k in range(3)]))
         states: list[tuple[Vector, Vector, Vector]] = []
-        forces, moments = [], []
+        forces = []
+        moments = []
         for i, joint in enumerate(self.joints):
             w, turn, a = states[joint.link.parent] if joint.link.parent >= 0 else base
             carried = _spin(w, turn) @ joint.arm
@@ -238,9 +248,11 @@ class _Arm:
     def _collected(self, forces: list[Vector], moments: list[Vector]) -> Vector:
         torques = []
         for joint in reversed(self.joints):
-            force, moment = forces.pop(), moments.pop()
+            force = forces.pop()
+            moment = moments.pop()
             torques.append(force[2] if joint.link.prismatic else moment[2])
-            if (parent := joint.link.parent) >= 0:
+            parent = joint.link.parent
+            if parent >= 0:
                 up = joint.up(force)
                 forces[parent] = forces[parent] + up
                 moments[parent] = moments[parent] + (joint.up(moment) + np.cross(joint.arm, up))
@@ -252,8 +264,10 @@ class _Arm:
         found = np.full(len(names), self.graph.constant(0.0))
         for number, term in enumerate(self.robot.springs):
             link = names.index(self.robot.joints[term.joint])
-            c, s = self.joints[link].cosine, self.joints[link].sine
-            one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
+            c = self.joints[link].cosine
+            s = self.joints[link].sine
+            one = self.graph.constant(1.0)
+            zero = self.graph.constant(0.0)
             over = ((one, zero), (c, s), (c * c - s * s, 2.0 * (s * c)))[term.harmonic]
             shape = self.followed("q", link) if term.linear else over[term.sine]
             found[link] = found[link] + self.graph.name(f"spring[{number}]") * shape
@@ -265,7 +279,8 @@ class _Arm:
 
     def mass_matrix(self) -> list[list[Expression]]:
         """Return the mass matrix of all links' joints, by composite bodies."""
-        zero, count = self.graph.constant(0.0), len(self.links)
+        zero = self.graph.constant(0.0)
+        count = len(self.links)
         bodies = [self._body(i) for i in range(count)]
         whole = [[zero] * count for _ in range(count)]
         for i in reversed(range(count)):
@@ -315,7 +330,8 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOIN
     """
     arm = _Arm(robot, of_joints=of_joints)
     n = range(robot.n)
-    torques, mass = arm.torques(), arm.mass_matrix()
+    torques = arm.torques()
+    mass = arm.mass_matrix()
     half = [[arm.on_joints(row, j) for j in n] for row in mass]  # M G
     stores = {f"bias[{i}]": one for i, one in enumerate(torques)}
     for i in n:
@@ -369,12 +385,14 @@ def jacobian_header(robot: Robot) -> str:
     Its rows are those of the linear and of the angular velocity.
     """
     arm = _Arm(robot, of_joints=True)
-    zero, one = arm.graph.constant(0.0), arm.graph.constant(1.0)
+    zero = arm.graph.constant(0.0)
+    one = arm.graph.constant(1.0)
     columns = [[zero] * 6 for _ in arm.links]
     at = _last(robot)
     tip = np.full(3, zero)  # in the frame of link `at`
     while at >= 0:
-        joint, axis = arm.joints[at], np.array([zero, zero, one])
+        joint = arm.joints[at]
+        axis = np.array([zero, zero, one])
         slides = joint.link.prismatic
         linear = axis if slides else np.array([-tip[1], tip[0], zero])
         angular = np.full(3, zero) if slides else axis
@@ -382,7 +400,8 @@ def jacobian_header(robot: Robot) -> str:
         while above >= 0:
             linear, angular = arm.joints[above].up(linear), arm.joints[above].up(angular)
             above = arm.links[above].parent
-        columns[at], at = [*linear, *angular], joint.link.parent
+        columns[at] = [*linear, *angular]
+        at = joint.link.parent
     stores = {
         f"jacobian[{k}][{j}]": arm.on_joints([column[k] for column in columns], j)
         for k in range(6)

@@ -39,7 +39,8 @@ class Expressions:
 
     def add(self, a: int, b: int) -> "Expression":
         """Return the sum of two nodes."""
-        one, two = self.nodes[a], self.nodes[b]
+        one = self.nodes[a]
+        two = self.nodes[b]
         if one.kind == two.kind == "const":
             return self.constant(one.value + two.value)
         if one.kind == "const" and one.value == 0.0:

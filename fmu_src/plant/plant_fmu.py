@@ -43,7 +43,8 @@ from hesr_model.support.progress import Progress, silent
 from hesr_model.units import unit_of_joint
 
 SUBSTEP = 1e-3  # default of the longest inner step [s]
-STIFFNESS, DAMPING = 1e4, 1e2  # defaults of the stops [N.m/rad, N.m.s/rad]
+STIFFNESS = 1e4
+DAMPING = 1e2  # defaults of the stops [N.m/rad, N.m.s/rad]
 _UNLIMITED = 1e6  # limit of a joint without stops [rad or m]
 COMMANDS = 64  # greatest number of commands within the latency of a servo, as in plant_servo.h
 _POSTURES = 100  # random postures in the check of the mass matrix
@@ -234,7 +235,8 @@ def _interface(
     laws = joints_of(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
-    starts, own_parameters = list(_parameters(body)), list(inertial_parameters(body))
+    starts = list(_parameters(body))
+    own_parameters = list(inertial_parameters(body))
     inertial = tuple(v.name for v in own_parameters)
     motion = tuple(f"{name}[{i}]" for name in ("q", "dq") for i in numbers)
     own_servo = list(servo.parameters()) if servo else []
@@ -340,7 +342,8 @@ def export_plant(
     servo = None
     if kv is not None:
         still = (0.0,) * len(kv)
-        integral, position = still if ki is None else ki, () if kp is None else kp
+        integral = still if ki is None else ki
+        position = () if kp is None else kp
         servo = ServoGains(kv=tuple(kv), ki=tuple(integral), kp=tuple(position))
     whole = content(model, body, servo=servo, tool=tool, bare=bare)
     return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)

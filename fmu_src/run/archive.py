@@ -45,7 +45,9 @@ class _Bounded:
     def __init__(self, file: BufferedReader, size: int) -> None:
         self._file = file
         self._size = size
-        self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
+        self.seek = file.seek
+        self.tell = file.tell
+        self.seekable = file.seekable
 
     def read(self, size: int = -1) -> bytes:
         wanted = self._size - self._file.tell() if size < 0 else size
@@ -76,7 +78,8 @@ class Archive:
     """An FMU or SSP for reading; a context manager that raises ArtifactError for hazards."""
 
     def __init__(self, path: Path, kind: str = "FMU") -> None:
-        self.path, self._kind = path, kind
+        self.path = path
+        self._kind = kind
         self._cleanup = ExitStack()
 
     def __enter__(self) -> Self:
@@ -176,7 +179,8 @@ def is_folder(entry: zipfile.ZipInfo) -> bool:
 
 def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
     """Yield a sentence for each reason why an entry is unsafe to unpack."""
-    name, shown = entry.filename, quoted(entry.filename)
+    name = entry.filename
+    shown = quoted(entry.filename)
     parts = name.replace("\\", "/").split("/")
     if not name:
         yield "an entry has no name."
@@ -186,7 +190,8 @@ def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
         )
     if not name.isprintable() or entry.orig_filename.rstrip("\0") != name:
         yield f"the entry {quoted(entry.orig_filename)} has control characters in its name."
-    if reason := unreadable(entry):
+    reason = unreadable(entry)
+    if reason:
         yield f"the entry {shown} {reason}"
 
 

@@ -61,7 +61,9 @@ class FmuInstance:
         self.time = 0.0  # time reached, or start of the step that failed [s]
         self.messages: list[str] = []
         self.used = self.failed = False  # reset before the next initialisation; a call has failed
-        self._seconds, self._unpacked, self._system = seconds, unpacked, system
+        self._seconds = seconds
+        self._unpacked = unpacked
+        self._system = system
         self.trusted = True
         self._complaint: str | None = None
         self._stepping = False
@@ -94,7 +96,8 @@ class FmuInstance:
                     from fmu_src.run.sandbox import SystemSandbox  # slow to import
 
                     system = self._system or cleanup.enter_context(SystemSandbox(self._seconds))
-                    place, sandbox = system.folder, system.sandbox  # starts meanwhile
+                    place = system.folder
+                    sandbox = system.sandbox  # starts meanwhile
                 folder = cleanup.enter_context(scratch_folder(place))
                 self.description, self.declared = description_in(archive)
                 archive.unpack(folder, lambda name: name.startswith(own))
@@ -148,7 +151,8 @@ class FmuInstance:
             self._complaint = text
 
     def _failure(self, error: Exception) -> SimulationError:
-        self._stepping, self.failed = False, True
+        self._stepping = False
+        self.failed = True
         reason, self._complaint = self._complaint or str(error), None
         if isinstance(error, DiedError):  # messages do not explain it
             reason = f"{error}."
@@ -294,7 +298,8 @@ class MixedBuffer:
 
     def __init__(self, slave: FmuInstance, names: Sequence[str], values: Array) -> None:
         self.values = values
-        self._slave, self._instance = slave, slave._instance
+        self._slave = slave
+        self._instance = slave._instance
         self._names = list(names)
         self._groups = []
         kinds = [slave.variables[name].type for name in names]

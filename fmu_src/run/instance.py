@@ -19,7 +19,8 @@ PLATFORM: str = fmpy.platform  # in FMI 2.0
 SUFFIX: str = fmpy.sharedLibraryExtension
 WARNING = 1  # highest status of a call that has succeeded; OK is 0
 _DISCARD = 2
-_FATAL, _STATUSES = 4, range(6)  # after other values, and 4, an instance must not be called
+_FATAL = 4
+_STATUSES = range(6)  # after other values, and 4, an instance must not be called
 
 Call = Callable[..., None]  # calls a function by name with arguments after the instance
 Tell = Callable[[int, str], None]  # receives status and text of a message
@@ -42,7 +43,8 @@ class CallError(Exception):
         super().__init__(
             function if status is None else str(FMICallException(function=function, status=status))
         )
-        self.function, self.status = function, status
+        self.function = function
+        self.status = status
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +108,8 @@ class _Fmi2:
         "terminate": "fmi2Terminate",
         "free": "fmi2FreeInstance",
     }
-    models, slaves = fmi2.FMU2Model, fmi2.FMU2Slave
+    models = fmi2.FMU2Model
+    slaves = fmi2.FMU2Slave
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
         callbacks = fmi2.fmi2CallbackFunctions()
@@ -163,7 +166,8 @@ class _Fmi3(_Fmi2):
         "write": "fmi3SetFloat64",
         "read": "fmi3GetFloat64",
     }
-    models, slaves = fmi3.FMU3Model, fmi3.FMU3Slave
+    models = fmi3.FMU3Model
+    slaves = fmi3.FMU3Slave
 
     def instantiate(self, slave: Any, tell: Tell) -> None:
         slave.instantiate(logMessage=_logger(tell))
@@ -187,7 +191,10 @@ class _Fmi3(_Fmi2):
         return "inputs have no derivatives in FMI 3.0"
 
     def step(self, call: Call, time: float, size: float) -> str:
-        event, end, early, last = c_bool(), c_bool(), c_bool(), c_double()
+        event = c_bool()
+        end = c_bool()
+        early = c_bool()
+        last = c_double()
         results = [byref(result) for result in (event, end, early, last)]
         call("fmi3DoStep", time, size, c_bool(True), *results)
         if end.value:
@@ -307,12 +314,14 @@ class Instance:
 
     def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
         """Set the slopes of Real inputs [unit/s] for the next step."""
-        if why := self.fmi.set_slopes(self.call, list(references), list(slopes)):
+        why = self.fmi.set_slopes(self.call, list(references), list(slopes))
+        if why:
             raise self._failure(CallError(why))
 
     def step(self, time: float, size: float) -> None:
         """Step from a time [s] by a size [s]."""
-        if why := self.fmi.step(self.call, time, size):
+        why = self.fmi.step(self.call, time, size)
+        if why:
             raise self._failure(CallError(why))
 
     def buffer(self, references: Sequence[int], values: Array | None = None) -> "LocalBuffer":
@@ -349,7 +358,8 @@ class LocalBuffer:
     """
 
     def __init__(self, instance: Instance, references: Sequence[int], values: Array) -> None:
-        self.values, self.instance = values, instance
+        self.values = values
+        self.instance = instance
         elements = [element_of(reference) for reference in references]
         sizes = {array: len(instance.held.get(array, (0.0,))) for array, _ in elements}
         self._has_arrays = any(size != 1 for size in sizes.values())
@@ -366,7 +376,8 @@ class LocalBuffer:
         self._whole: Array = values if self.is_plain else np.zeros(count)
         self.references = np.array(self._arrays, dtype=np.uint32)
         functions = instance.fmi.functions
-        self._write, self._read = functions["write"], functions["read"]
+        self._write = functions["write"]
+        self._read = functions["read"]
         pointer = self._whole.ctypes.data_as(POINTER(c_double))
         self._arguments = (
             self.references.ctypes.data_as(POINTER(c_uint)),

@@ -162,7 +162,8 @@ class PythonStepper:
 
     def begin(self, kept: Array) -> None:
         """Begin a run that is recorded in an array (steps + 1, n)."""
-        self._kept, self.done = kept, 0
+        self._kept = kept
+        self.done = 0
 
     def advance(self, stop: int) -> None:
         """Step until `stop` rows are recorded or a value is not finite.
@@ -185,7 +186,8 @@ class PythonStepper:
 
     def _shown(self, time: float) -> Array:
         """Return the values at a communication point [s], with outputs refreshed if required."""
-        layout, values = self._layout, self._layout.values
+        layout = self._layout
+        values = self._layout.values
         if layout.scheme.refreshed == "none":
             return values
         passed_on = values.copy()

@@ -99,8 +99,10 @@ class NativeStepper:
         library: ctypes.CDLL,
         progress: StepRecord,
     ) -> None:
-        self._layout, self._fail = layout, [buffer.instance.fail for buffer in inputs]
-        self._advance, self._progress = library["advance"], progress
+        self._layout = layout
+        self._fail = [buffer.instance.fail for buffer in inputs]
+        self._advance = library["advance"]
+        self._progress = progress
         stations = (_Station * len(inputs))()
         self._held: list[Any] = [stations]  # keeps alive what C points to
         for at, into, out, station in zip(stations, inputs, outputs, layout.stations, strict=True):
@@ -137,11 +139,13 @@ class NativeStepper:
     def begin(self, kept: Array) -> None:
         """See `PythonStepper`."""
         self._kept = kept
-        self._system.kept, self._progress.done = kept.ctypes.data, 0
+        self._system.kept = kept.ctypes.data
+        self._progress.done = 0
 
     def advance(self, stop: int) -> None:
         """See `PythonStepper`."""
-        layout, system = self._layout, self._system
+        layout = self._layout
+        system = self._system
         end = End(self._advance(ctypes.byref(system), ctypes.c_int64(stop)))
         failing = int(self._progress.station) if end in FUNCTIONS else -1
         set_times(layout, self.done, end, failing)
@@ -169,7 +173,8 @@ def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBu
         ctypes.cast(slave.dll[name], ctypes.c_void_p).value
         for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
     )
-    at.inputs, at.outputs = into.values.size, out.values.size
+    at.inputs = into.values.size
+    at.outputs = out.values.size
     at.input_references = into.references.ctypes.data
     at.output_references = out.references.ctypes.data
     return into, out
@@ -192,7 +197,9 @@ def through(
     """
     found = np.empty((len(rows), outputs.values.size))
     if _is_native(inputs) and _is_native(outputs) and (library := _library()):
-        at, done, status = _Station(), ctypes.c_int64(0), ctypes.c_int(0)
+        at = _Station()
+        done = ctypes.c_int64(0)
+        status = ctypes.c_int(0)
         _connect(at, inputs, outputs)
         arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
         places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
@@ -225,7 +232,8 @@ def write_library(folder: Path) -> Path | None:
     """Write the compiled master.c into a folder; return None without a compiler."""
     from fmu_src.export.toolchain import TARGETS, build  # not used in a sandbox
 
-    if (target := TARGETS.get(PLATFORM)) is None:
+    target = TARGETS.get(PLATFORM)
+    if target is None:
         return None
     try:
         for name in ("master.c", "fmi2.h"):

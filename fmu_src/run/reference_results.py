@@ -285,7 +285,8 @@ def play(
     SimulationError if the FMU fails.
     """
     rows = np.column_stack([*inputs.values(), t])[:, :-1]
-    into, out = instance.buffer(list(inputs)), instance.buffer(list(outputs))
+    into = instance.buffer(list(inputs))
+    out = instance.buffer(list(outputs))
     follow = instance.slopes(list(inputs))
     found = np.empty((len(t), out.values.size))
 
@@ -380,7 +381,8 @@ def _experiment(
     stimuli, references = (
         _table(archive, parts[kind], needed="time") for kind in ("Stimuli", "References")
     )
-    t, same = stimuli.pop("time"), references.pop("time")
+    t = stimuli.pop("time")
+    same = references.pop("time")
     if t.shape != same.shape or np.any(np.abs(t - same) > 1e-9 * max(1.0, abs(t[-1]))):
         found.skipped.append(f"Experiment '{name}': its results are at other times.")
         return

@@ -36,12 +36,14 @@ def replay(
             return replay(
                 component, t, dq, q, tau_load, start, temperature=temperature, output=output
             )
-    component, time = fmu, np.asarray(t, dtype=float)
+    component = fmu
+    time = np.asarray(t, dtype=float)
     if not len(time):
         raise SimulationError(f"{component.fmu}: the log to be replayed has no samples.")
     names = {v.name for v in component.description.modelVariables}
     joints = sum(name.startswith("tau[") for name in names)
-    zero, indices = np.zeros((len(time), joints)), range(1, joints + 1)
+    zero = np.zeros((len(time), joints))
+    indices = range(1, joints + 1)
     given = dict(zip([symbol.name for symbol in INPUTS], (dq, q, tau_load), strict=True))
     if f"{TEMPERATURE.name}[1]" in names:
         if temperature is None:

@@ -58,10 +58,13 @@ class Sandbox:
         self, folder: Path, seconds: float, readable: Path, *modules: str, total: float = TOTAL
     ) -> None:
         warn()
-        self.seconds, self.readable = seconds, readable
+        self.seconds = seconds
+        self.readable = readable
         self.tells: list[Tell] = []  # by number of the instance
         self.buffers = 0  # number
-        self._total, self._ended, self._left = total, False, b""
+        self._total = total
+        self._ended = False
+        self._left = b""
         self.begin()
         # Kept open, because the FMU may replace the file.
         self._shared = (folder / sandbox_child.SHARED).open("w+b", buffering=0)
@@ -162,7 +165,8 @@ class Sandbox:
             self._require_time()
 
     def _receive(self, most: int) -> bytes:
-        data, size = bytearray(), sandbox_child.LENGTH.size + most
+        data = bytearray()
+        size = sandbox_child.LENGTH.size + most
         before = self.progress() if self._stepping else None
         while len(data) < size:
             try:
@@ -217,7 +221,8 @@ class SystemSandbox(ExitStack):
 
     def __init__(self, seconds: float, total: float = TOTAL) -> None:
         super().__init__()
-        self._seconds, self._total = seconds, total
+        self._seconds = seconds
+        self._total = total
 
     @cached_property
     def folder(self) -> Path:
@@ -238,7 +243,8 @@ class SandboxedInstance:
     """An FMU in a sandbox, like `Instance`; a failed write surfaces at the next call."""
 
     def __init__(self, fmu: UnpackedFmu, tell: Tell, failure: Failure, sandbox: Sandbox) -> None:
-        self._failure, self.sandbox = failure, sandbox
+        self._failure = failure
+        self.sandbox = sandbox
         self._fmi = VERSIONS[fmu.fmi]
         self._functions = self._fmi.functions
         self._numbers: dict[tuple[int, ...], int] = {}
@@ -400,18 +406,24 @@ class SandboxStepper:
         inputs: Sequence[_SandboxedBuffer],
         outputs: Sequence[_SandboxedBuffer],
     ) -> None:
-        self._layout, self._inputs, self._outputs = layout, inputs, outputs
+        self._layout = layout
+        self._inputs = inputs
+        self._outputs = outputs
         self._sandbox = inputs[0].instance.sandbox
         self._library = write_library(self._sandbox.readable)
         self.begin(np.empty((0, len(layout.rows))))
 
     def begin(self, kept: Array) -> None:
         """See `PythonStepper`."""
-        self._kept, self.done, self._is_prepared = kept, 0, False
+        self._kept = kept
+        self.done = 0
+        self._is_prepared = False
 
     def advance(self, stop: int) -> None:
         """See `PythonStepper`."""
-        layout, failing, end = self._layout, -1, End.DONE
+        layout = self._layout
+        failing = -1
+        end = End.DONE
         error: CallError | DiedError | None = None
         try:
             if not self._is_prepared:
@@ -452,7 +464,8 @@ class SandboxStepper:
 
     def _take(self, done: int) -> None:
         """Copy values and new rows."""
-        values, width = self._layout.values, self._kept.shape[1]
+        values = self._layout.values
+        width = self._kept.shape[1]
         first = sandbox_child.HEAD + values.nbytes + 8 * width * self.done
         for array, begin in ((values, sandbox_child.HEAD), (self._kept[self.done : done], first)):
             data = self._sandbox.shared(begin, array.nbytes)

@@ -64,7 +64,9 @@ class _Slave:
 
 class _Host:
     def __init__(self, connection: socket.socket) -> None:
-        self._connection, self._process, self._who = connection, os.getpid(), 0
+        self._connection = connection
+        self._process = os.getpid()
+        self._who = 0
         self._messages: list[tuple[int, int, str]] = []  # number of the instance, status, text
         self._instances: list[Instance] = []
         self._buffers: list[LocalBuffer] = []
@@ -99,9 +101,11 @@ class _Host:
                 call = getattr(self, f"_{method}", None) or getattr(self._instances[who], method)
                 answer["results"].append(call(*arguments))
         except LoadError as error:
-            answer["unloadable"], ahead = str(error)[:LONGEST_MESSAGE], ()
+            answer["unloadable"] = str(error)[:LONGEST_MESSAGE]
+            ahead = ()
         except CallError as error:
-            answer["failed"], ahead = str(error)[:LONGEST_MESSAGE], ()
+            answer["failed"] = str(error)[:LONGEST_MESSAGE]
+            ahead = ()
         told, self._messages = self._messages, []
         with suppress(CallError):  # it will be read again if needed
             for position, number in enumerate(ahead, start=len(calls)):
@@ -148,10 +152,13 @@ class _Host:
         self._shared = mmap.mmap(self._file.fileno(), 0)
         self._progress = StepRecord.from_buffer(self._shared)
         shared = np.frombuffer(self._shared, dtype=float, offset=HEAD)
-        own, kept = shared[:values], shared[values : values + rows * width].reshape(rows, width)
-        made, first = [], 0
+        own = shared[:values]
+        kept = shared[values : values + rows * width].reshape(rows, width)
+        made = []
+        first = 0
         for i, (who, every, inputs, sources, outputs) in enumerate(stations):
-            instance, part = self._instances[who], own[first : first + len(outputs)]
+            instance = self._instances[who]
+            part = own[first : first + len(outputs)]
             first += len(outputs)
             made.append(
                 Station(

@@ -19,11 +19,14 @@ from pathlib import Path
 _log = logging.getLogger(__name__)
 
 _LANDLOCK = 444  # system calls: create_ruleset, add_rule, restrict_self
-_READ, _EXECUTE = 1 << 2 | 1 << 3, 1  # access rights: files and folders, programs
+_READ = 1 << 2 | 1 << 3
+_EXECUTE = 1  # access rights: files and folders, programs
 _FILE = 1 << 1 | 1 << 2 | 1 << 14 | 1 << 15  # of single files: write, read, truncate, control
 _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # number of rights by version of Landlock
 _SCOPED = 3  # abstract sockets and signals, from version 6
-_NO_NEW_PRIVILEGES, _SECCOMP, _FILTER = 38, 22, 2
+_NO_NEW_PRIVILEGES = 38
+_SECCOMP = 22
+_FILTER = 2
 
 _SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime", "/proc/self",
            "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/sys/devices/system/cpu")  # fmt: skip
@@ -43,12 +46,22 @@ _CALLS = {
         282)),
 }  # fmt: skip
 _CALLS_OF_BOTH = (*range(424, 435), 438, 440, 442, 452, 463, 466)  # pidfds, io_uring, mounts
-_CLONE3, _THREAD = 435, 0x10000
+_CLONE3 = 435
+_THREAD = 0x10000
 _OWNERS = (8, 10, 15)  # commands of fcntl that direct signals: F_SETOWN, F_SETSIG, F_SETOWN_EX
 
-_LOAD, _EQUAL, _AT_LEAST, _ANY, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06  # instructions
-_ALLOW, _REFUSE, _MISSING = 0x7FFF0000, 0x00050001, 0x00050026  # results: EPERM, ENOSYS
-_NUMBER, _PROCESSOR, _FIRST, _SECOND = 0, 4, 16, 24  # places in the data of a filter
+_LOAD = 0x20
+_EQUAL = 0x15
+_AT_LEAST = 0x35
+_ANY = 0x45
+_RETURN = 0x06  # instructions
+_ALLOW = 0x7FFF0000
+_REFUSE = 0x00050001
+_MISSING = 0x00050026  # results: EPERM, ENOSYS
+_NUMBER = 0
+_PROCESSOR = 4
+_FIRST = 16
+_SECOND = 24  # places in the data of a filter
 
 
 @cache

@@ -74,7 +74,8 @@ def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
 def description_of(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Declared]]:
     """Read the description in the folder of an unpacked FMU; see `description_in`."""
     try:
-        about, declared = read_model_description(str(folder), validate=False), list[Declared]()
+        about = read_model_description(str(folder), validate=False)
+        declared = list[Declared]()
         if about.fmiVersion.startswith("3."):
             about, declared = _with_scalars(about)
     except Exception as error:  # FMPy raises bare exceptions
@@ -196,7 +197,8 @@ class Variables:
     """Variables of an FMU by name; `declared` are those of FMI 3.0. Raises SimulationError."""
 
     def __init__(self, fmu: Path, description: Any, declared: Iterable[Declared] = ()) -> None:
-        self._fmu, self._description = fmu, description
+        self._fmu = fmu
+        self._description = description
         self._types = {reference: kind for reference, _, kind, _ in declared}
         self._by_name = {v.name: v for v in description.modelVariables}
         self._units = {unit.name: unit.baseUnit for unit in description.unitDefinitions or ()}

@@ -79,7 +79,8 @@ def _invoke(function: Function, given: dict[str, Any]) -> None:
                 from hesr_model.support.typed_files import write_json
 
                 write_json(wanted, answer.to_json())
-        if summary := answer.summary():
+        summary = answer.summary()
+        if summary:
             click.echo(summary)
         if verbose or answer.shows_tables:
             from cosim.report.tables.terminal import show

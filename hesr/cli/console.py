@@ -44,7 +44,8 @@ _REFUSED = 2
 _UNREAD = 1  # exit code after the reader of the output has closed it, as Click's
 _LONGEST = 4000  # characters of a sentence: file names may be of any length
 
-_LEAST_MEMORY, _LEAST_FILES = 1 << 30, 64  # limits that libraries need [bytes, open at a time]
+_LEAST_MEMORY = 1 << 30
+_LEAST_FILES = 64  # limits that libraries need [bytes, open at a time]
 _LAST_DATE = 253402300799  # [s] of SOURCE_DATE_EPOCH
 
 _PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
@@ -127,7 +128,8 @@ def plain_where_needed() -> None:
     """Let standard output and error accept any text; outputs without UTF-8 get ASCII."""
     codecs.register_error("hesr.plain", _plainly)
     for stream in (sys.stdout, sys.stderr):
-        if reconfigure := getattr(stream, "reconfigure", None):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure:
             reconfigure(errors="hesr.plain")
 
 
@@ -172,9 +174,11 @@ def command_output(
             _log.debug("Origin of the error:", exc_info=True)
             raise
         except KeyboardInterrupt as interrupt:
-            kept, cause = "", interrupt
+            kept = ""
+            cause = interrupt
             if isinstance(interrupt, Interrupted):
-                kept, cause = f", and {interrupt.kept}", interrupt.interrupt
+                kept = f", and {interrupt.kept}"
+                cause = interrupt.interrupt
             ended = isinstance(cause, _Ended)
             who = "ended by another program" if ended else "interrupted"
             click.echo(f"hesr: {who}; no file is half-written{kept}.", err=True)
@@ -222,7 +226,8 @@ def ended_by_signals() -> Iterator[None]:
 
     def end(number: int, _frame: object) -> None:
         nonlocal last
-        if (now := time.monotonic()) - last >= _AGAIN:
+        now = time.monotonic()
+        if now - last >= _AGAIN:
             last = now
             raise KeyboardInterrupt if number == signal.SIGINT else _Ended
 
@@ -290,7 +295,8 @@ def _progress_bar() -> Iterator[Stages]:
     class Block(progress.Progress):
         def get_renderables(self) -> Iterable[RenderableType]:
             yield from super().get_renderables()
-            if at_work := "; ".join(names):
+            at_work = "; ".join(names)
+            if at_work:
                 yield Text(f"  {at_work}", no_wrap=True, overflow="ellipsis")
 
     # Messages above the bar are not wrapped, so that paths in them can be copied.

@@ -16,10 +16,13 @@ from hesr_model.support.arrays import Array
 
 ANGLES = (1e-5, 1e-4, 1e-3, 1e-2)  # [rad] with a moving load
 PHASES = tuple(np.arange(8) * np.pi / 4.0)  # [rad] of the load
-_CYCLES, _FREQUENCY = 40, 1.0  # [Hz]; the last two cycles must agree
+_CYCLES = 40
+_FREQUENCY = 1.0  # [Hz]; the last two cycles must agree
 _DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] between reversals
-_ROWS, _TURNS = 100, 4  # rows per direction; cycles
-_LEAST, _ALIKE = 1e-6, 0.05  # smallest share of the work; tolerance between two cycles
+_ROWS = 100
+_TURNS = 4  # rows per direction; cycles
+_LEAST = 1e-6
+_ALIKE = 0.05  # smallest share of the work; tolerance between two cycles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +64,8 @@ def attack(
 
 
 def _still(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
-    amplitudes, loads = np.multiply(AMPLITUDES, trained.speed), loads_of(law, trained)
+    amplitudes = np.multiply(AMPLITUDES, trained.speed)
+    loads = loads_of(law, trained)
     for response in responses(law, trained, amplitudes, loads, _run):
         for c in cycles(*response):
             given = -c.work if c.share < -_LEAST else 0.0
@@ -73,7 +77,8 @@ def _still(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
 def _ways(
     law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]]
 ) -> Iterator[Attack]:
-    load, given = loads_of(law, trained)[0], 0.0
+    load = loads_of(law, trained)[0]
+    given = 0.0
     for (ahead, back), distance in product(speeds, _DISTANCES):
         if given:
             break  # slower motion would generate slightly more

@@ -73,7 +73,8 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
     dt = 1.0 / (motions.frequency * motions.rows)
     power = (tau * motions.dq)[:, -motions.rows :]
     for amplitude, row in zip(motions.amplitudes, power, strict=True):
-        work, moved = float(row.sum()) * dt, float(np.abs(row).sum()) * dt
+        work = float(row.sum()) * dt
+        moved = float(np.abs(row).sum()) * dt
         share = work / moved if moved > 0.0 else 0.0
         if abs(share) < _ROUNDING:
             work = share = 0.0
@@ -99,7 +100,8 @@ EXPLODES = 2.5  # limit over the largest trained torque; quadratic friction reac
 _STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
 _POSITIONS = 32  # positions to average over
 _NUMERICAL = 1e-9  # [N.m] round-off
-_SMALL, _SMALLER = 1e-6, 1e-9  # [rad/s] distances from rest
+_SMALL = 1e-6
+_SMALLER = 1e-9  # [rad/s] distances from rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +213,8 @@ def _too_large(torque: float, trained: TrainedRange) -> bool:
 def _steady(
     law: FrictionLaw, trained: TrainedRange, loads: Sequence[float]
 ) -> tuple[tuple[Range, ...], tuple[Range, ...]]:
-    linear, slow = np.linspace(0.0, 1.0, 121)[1:], np.geomspace(SLOWEST, 1.0, 61)
+    linear = np.linspace(0.0, 1.0, 121)[1:]
+    slow = np.geomspace(SLOWEST, 1.0, 61)
     speeds = trained.speed * np.union1d(linear, slow)
     velocities = np.concatenate([-speeds[::-1], speeds])
     known = _POSITIONS if Q in law.form.inputs else 1
@@ -245,7 +248,8 @@ def _at_rest(
     law: FrictionLaw, trained: TrainedRange, loads: Sequence[float], dt: float
 ) -> tuple[float, float | None]:
     """Return (jump, slope) of the torque at rest over dt for the worst load, by differences."""
-    t, q = np.array([0.0, dt]), np.full(2, trained.middle)
+    t = np.array([0.0, dt])
+    q = np.full(2, trained.middle)
 
     def difference(speed: float, load: float) -> float:
         loads = np.full(2, load)

@@ -176,11 +176,13 @@ class _Proof:
         x = element.state
         linear = f"the factor of {x} depends on inputs or states"
         _require(not self._curved & {x, element.derivative}, linear)  # avoids slow derivatives
-        factor, rate_factor = self.output.diff(x), self.output.diff(element.derivative)
+        factor = self.output.diff(x)
+        rate_factor = self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
             return 0.0
         _require(factor.is_number and rate_factor.is_number, linear)
-        force, damper = float(factor), float(rate_factor)
+        force = float(factor)
+        damper = float(rate_factor)
         _require(force >= 0.0, f"the factor of {x} is negative, {force:.3g}")
         if isinstance(element, Stop):
             own = element.velocity == DQ and damper == 0.0
@@ -218,7 +220,8 @@ class _Proof:
         constant = TAU_LOAD not in element.rate.free_symbols
         _require(constant, f"the rate of {element.name} with damping depends on the load")
         k = sympy.expand_mul(element.rate / absolute(DQ))
-        low, high = _least_of(k), -_least_of(-k)
+        low = _least_of(k)
+        high = -_least_of(-k)
         _require(low > 0.0, f"{element.name} has no steady deflection at some speed")
         gain = float(element.drive.diff(DQ))
         bound = f"{gain / low:.3g} {element.unit}"
@@ -258,7 +261,8 @@ class _Proof:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
             if wave is None or len(term.atoms(sympy.cos, sympy.sin)) != 1:
                 raise _UnprovenError("the torque of position is not a sum of waves")
-            argument, factor = wave.args[0], term / wave
+            argument = wave.args[0]
+            factor = term / wave
             n = argument.diff(Q)
             lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
             linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
@@ -267,7 +271,8 @@ class _Proof:
             for mean in factor.atoms(cardinal_sine):
                 window = next((-float(f.args[0].subs(DT, 0)) for f in mean.atoms(positive)), 0.0)
                 factor = factor / mean
-            amplitude, smoothing = factor, 0.0
+            amplitude = factor
+            smoothing = 0.0
             if not factor.is_number:
                 amplitude = factor.subs(DQ, 0)
                 slow = sympy.simplify((amplitude / factor - 1) / DQ**2)
@@ -314,7 +319,9 @@ class _Steady:
         self.slack = _ROUNDING * size
         self.offset = 0.0
         ahead, back = self._least(lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b))
-        drop, v, w = -ahead.value - back.value, max(ahead.at, _REST), max(back.at, _REST)
+        drop = -ahead.value - back.value
+        v = max(ahead.at, _REST)
+        w = max(back.at, _REST)
         _require(
             drop <= self.slack,
             f"forward at {v:.3g} rad/s friction is {drop:.3g} N.m less than backward at {w:.3g} "
@@ -329,7 +336,8 @@ class _Steady:
     def least_viscous(self) -> float:
         """Return a lower bound >= 0 of f [N.m.s/rad]."""
         found = self._least(lambda r, p, a, b: self._viscous(r, p, a, b, 0.0))
-        value, bound = (min(one.value for one in found), min(one.bound for one in found))
+        value = min(one.value for one in found)
+        bound = min(one.bound for one in found)
         _require(value >= -self.slack, f"viscous friction is negative, {value:.3g} N.m.s/rad")
         _require(bound >= -self.slack, "viscous friction has no bound >= 0 at all speeds")
         return bound if bound > self.slack else 0.0
@@ -338,7 +346,8 @@ class _Steady:
         """Return a lower bound of f / need, which must not rise with speed."""
 
         def share(r: Array, p: Array, a: Array, b: Array) -> Array:
-            f, needed = self._viscous(r, p, a, b, need(a)), need(a)
+            f = self._viscous(r, p, a, b, need(a))
+            needed = need(a)
             return np.where(needed > 0.0, f / needed, inf)
 
         return min(one.bound for one in self._least(share))

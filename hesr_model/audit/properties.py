@@ -266,7 +266,8 @@ class PropertyResult:
     def at_joint(self, *, slides: bool) -> "PropertyResult":
         """Return the result in the units of its joint, from those of a revolute one."""
         figures = (replace(f, unit=unit_of_joint(f.unit, slides=slides)) for f in self.figures)
-        if plot := self.plot:
+        plot = self.plot
+        if plot:
             x, y = (unit_of_joint(unit, slides=slides) for unit in plot.units)
             plot = replace(plot, units=(x, y))
         return replace(self, figures=tuple(figures), plot=plot)
@@ -280,7 +281,8 @@ _NOT_KNOWN = PropertyResult(
 
 def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResult]:
     known = dict.fromkeys(_NEWER, _NOT_KNOWN) | dict(findings)
-    if missing := EXPECTATIONS.keys() - known.keys():
+    missing = EXPECTATIONS.keys() - known.keys()
+    if missing:
         raise RuleError(f"'{min(missing)}' is missing", code="properties.missing", key=min(missing))
     return {key: known[key] for key in EXPECTATIONS}
 

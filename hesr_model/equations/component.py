@@ -115,7 +115,8 @@ class Component:
         states = [s for m in self.memory for s in (m.state, m.derivative)]
         named = [e.symbol for e in self.equations]
         names = Counter([*given, *states, *named])
-        if twice := [symbol for symbol, count in names.items() if count > 1]:
+        twice = [symbol for symbol, count in names.items() if count > 1]
+        if twice:
             raise ArtifactError(
                 f"equations: '{twice[0]}' is used twice among inputs, coefficients, states and "
                 "names."

@@ -27,7 +27,8 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
         return sympy.Float(float(NUMPY[cls.__name__](*(float(a) for a in arguments))))
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
-        if (slopes := _SLOPES.get(type(self).__name__)) is None:
+        slopes = _SLOPES.get(type(self).__name__)
+        if slopes is None:
             return super().fdiff(argindex)
         return slopes(*self.args)[argindex - 1]
 

@@ -15,7 +15,8 @@ from hesr_model.equations.functions import NUMPY, absolute, positive
 from hesr_model.support.arrays import Array
 
 Enclosure = tuple[Array, Array]
-_ROUNDS, _BOXES = 100, 200_000  # limits of the subdivision
+_ROUNDS = 100
+_BOXES = 200_000  # limits of the subdivision
 _PRECISION = 1e-6  # relative, of the least value
 
 
@@ -35,8 +36,11 @@ def lowest(
     `bound` maps ends of intervals to lower bounds. Intervals are halved until the bound exceeds
     `enough` or is precise to 1e-6 of the least value or of `size`, or until a limit is reached.
     """
-    low, high = edges[:-1], edges[1:]
-    known, value, at = inf, inf, 0.0
+    low = edges[:-1]
+    high = edges[1:]
+    known = inf
+    value = inf
+    at = 0.0
     spent = 0
     for _ in range(_ROUNDS):
         middle = np.sqrt(low) * np.sqrt(high)
@@ -45,7 +49,8 @@ def lowest(
             for found in (bound(low, high), bound(middle, middle))
         )
         if here.min() < value:
-            value, at = float(here.min()), float(middle[here.argmin()])
+            value = float(here.min())
+            at = float(middle[here.argmin()])
         left = below < min(value - _PRECISION * max(abs(value), size), enough)
         known = min(known, float(below[~left].min(initial=inf)))
         spent += len(low)

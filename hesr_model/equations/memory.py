@@ -131,8 +131,11 @@ class Stop(_Element):
         """
         s = positive(self.bound)
         d = larger(s / 100, sympy.Rational(1, 1000))
-        b, m = positive(s - d), larger(s, d)
-        x, w, speed = self.state, self.deflection, absolute(self.velocity)
+        b = positive(s - d)
+        m = larger(s, d)
+        x = self.state
+        w = self.deflection
+        speed = absolute(self.velocity)
         return self.velocity / w - speed / (w * d) * (x - clip(x, b)) - (x - clip(x, m)) / RELEASE
 
 

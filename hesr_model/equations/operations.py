@@ -120,7 +120,9 @@ class Graph:
         return found
 
     def _product(self, e: sympy.Mul) -> int:
-        above, below, sign = [], [], False
+        above = []
+        below = []
+        sign = False
         for factor in e.args:
             if factor.is_Rational and factor < 0:
                 sign, factor = not sign, -factor
@@ -212,7 +214,8 @@ def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
     """Yield first place and end of a relaxation, or of at most `STOPS` independent stops."""
     i = 0
     while i < len(memory):
-        end, states = i + 1, {memory[i].state}
+        end = i + 1
+        states = {memory[i].state}
         most = min(i + STOPS, len(memory))
         while end < most and all(isinstance(memory[k], Stop) for k in (i, end)):
             states.add(memory[end].state)
@@ -235,9 +238,11 @@ def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
 
 
 def _reached(nodes: Sequence[Node], results: Sequence[int], ends: set[int]) -> set[int]:
-    found, waiting = set[int](), list(results)
+    found = set[int]()
+    waiting = list(results)
     while waiting:
-        if (k := waiting.pop()) not in found:
+        k = waiting.pop()
+        if k not in found:
             found.add(k)
             waiting += () if k in ends else nodes[k].operands
     return found
@@ -306,7 +311,9 @@ def _allocate(
     nodes: Sequence[Node], rest: Sequence[int], kept: set[int], places: dict[int, int], first: int
 ) -> int:
     last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
-    own, free, count = set(rest), list[int](), first
+    own = set(rest)
+    free = list[int]()
+    count = first
     for i, k in enumerate(rest):
         # A result must not overwrite operands.
         if free:
@@ -322,7 +329,8 @@ def _allocate(
 def _encoded(
     nodes: Sequence[Node], k: int, places: Mapping[int, int]
 ) -> tuple[int, int, int, int, int]:
-    name, operands = nodes[k].operation, list(nodes[k].operands)
+    name = nodes[k].operation
+    operands = list(nodes[k].operands)
     if name in ("ADD", "MULTIPLY") and nodes[k].dependence is Dependence.ROWS:
         # The uniform operand comes second; it is read once.
         operands.sort(key=lambda o: -nodes[o].dependence)

@@ -114,7 +114,8 @@ class Jumps:
     def expressions(self) -> tuple[sympy.Expr, ...]:
         """Arguments of signs and magnitudes, functions of inputs and parameters alone."""
         own = self.component
-        given, inputs = {q.symbol for q in own.given}, {q.symbol for q in own.inputs}
+        given = {q.symbol for q in own.given}
+        inputs = {q.symbol for q in own.inputs}
         parts = [e.expression for e in own.equations]
         parts += [part for m in own.memory for part in (*m.parts, m.continuous())]
         signs = {(e, node.args[0]) for e in parts for node in e.atoms(sgn)}
@@ -213,7 +214,8 @@ class Invariants:
         lines, names = straight_line(program, wanted)
         once: Definitions = {}
         moving: Definitions = {}
-        known, parts = set(fixed), dict[sympy.Expr, sympy.Symbol]()
+        known = set(fixed)
+        parts = dict[sympy.Expr, sympy.Symbol]()
 
         def symbol_of(part: sympy.Expr) -> sympy.Symbol:
             if part not in parts:

@@ -17,7 +17,8 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
 
-BLOCK, _LANES = 128, 8  # as in rows.c
+BLOCK = 128
+_LANES = 8  # as in rows.c
 
 HOSTS = {
     ("linux", "x86_64"): ("x86_64-linux-gnu.2.17", ".so"),
@@ -93,7 +94,8 @@ def library() -> ctypes.CDLL:
             f"the C compiler of the package 'ziglang' is missing: {str(error).rstrip('.')}; "
             "reinstall it."
         ) from error
-    address, number = ctypes.c_void_p, ctypes.c_int64
+    address = ctypes.c_void_p
+    number = ctypes.c_int64
     found.solve.argtypes = address, number, number, address, address, address
     found.solve.restype = ctypes.c_bool
     return found
@@ -120,7 +122,8 @@ class ProgramRun:
         target: Array | None = None,
         found: Array | None = None,
     ) -> None:
-        self._rows, count = len(arrays[0]), len(own.results)
+        self._rows = len(arrays[0])
+        count = len(own.results)
         self.found = np.empty((count, self._rows)).T if found is None else found
         target = None if target is None else self._column(target)
         used = [arrays[i] for i in own.inputs]
@@ -147,16 +150,21 @@ class ProgramRun:
             name: room[start : start + size]
             for (name, size), start in zip(sizes.items(), starts, strict=False)
         }
-        base, out = _address(room), _address(self.found)
+        base = _address(room)
+        out = _address(self.found)
         at = {name: base + 8 * start for name, start in zip(sizes, starts, strict=False)}
         part["given"][:] = own.given
         part["inputs"].view(np.int64)[:] = [_address(a) for a in used]
         part["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in used]
         part["out"].view(np.int64)[:] = [out + i * self.found.strides[1] for i in range(count)]
-        self.starts, self.gram = part["start"].reshape(states, len(firsts)), part["gram"]
-        self._given, self._numbers = part["given"], own.numbers
-        self._x, self._squares = part["x"], part["squares"]
-        self._at, self._held = at, (own, used, firsts, target)  # keep alive: C uses their addresses
+        self.starts = part["start"].reshape(states, len(firsts))
+        self.gram = part["gram"]
+        self._given = part["given"]
+        self._numbers = own.numbers
+        self._x = part["x"]
+        self._squares = part["squares"]
+        self._at = at
+        self._held = (own, used, firsts, target)  # keep alive: C uses their addresses
         operations, results = own.addresses
         self._program = _Program(
             **{name: at[name] for name in sizes if name in _ADDRESSES},
@@ -185,8 +193,11 @@ class ProgramRun:
     def on(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
         """Write rows of the results, after all earlier rows."""
         own = self._program
-        own.first, own.stop = first, self._rows if stop is None else stop
-        own.weights, own.gram, own.out = None, None, self._at["out"]
+        own.first = first
+        own.stop = self._rows if stop is None else stop
+        own.weights = None
+        own.gram = None
+        own.out = self._at["out"]
         self._run(numbers)
 
     def factors(self, non_negative: int) -> tuple[Array, float] | None:
@@ -202,11 +213,14 @@ class ProgramRun:
 
         `keep` also writes the results.
         """
-        own, at = self._program, self._at
+        own = self._program
+        at = self._at
         column = None if weights is None else self._column(weights)
-        own.first, own.stop = 0, self._rows
+        own.first = 0
+        own.stop = self._rows
         own.weights = None if column is None else _address(column)
-        own.gram, own.out = at["gram"], at["out"] if keep else None
+        own.gram = at["gram"]
+        own.out = at["out"] if keep else None
         self._run(numbers)
         return self.gram.reshape(len(self._x) + 1, -1)
 

@@ -45,7 +45,8 @@ def calibrated(
     dq, load = (np.concatenate([getattr(r, name) for r in records]) for name in ("dq", "tau_load"))
     seen = sum(_rests(r) for r in records) >= RESTS
     some = slice(None, None, -(-len(errors) // _ENOUGH))
-    squares, best = errors[some] ** 2, (np.inf, SLOW_SPEEDS[0], np.zeros(5))
+    squares = errors[some] ** 2
+    best = (np.inf, SLOW_SPEEDS[0], np.zeros(5))
     for speed in SLOW_SPEEDS:
         columns = np.stack(shapes(dq[some], load[some], speed), axis=1)
         if not seen:
@@ -81,7 +82,8 @@ def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Arra
         return errors, np.zeros_like(errors)
     jacobian = _sensitivities(law, records)
     labels = blocks_of_time(log_of_rows(records))
-    hessian, found = jacobian.T @ jacobian, errors.copy()
+    hessian = jacobian.T @ jacobian
+    found = errors.copy()
     for k in range(int(labels[-1]) + 1):
         rows = labels == k
         own = jacobian[rows]
@@ -120,14 +122,16 @@ def variance_shares(columns: Array, squares: Array, known: Array) -> Array:
     found = np.where(mean > 0.0, squares.mean() / (columns.shape[1] * np.maximum(mean, _NONE)), 0.0)
     for _ in range(_ROUNDS if squares.any() else 0):
         variance = columns @ found + known + _NONE
-        gain, cost = columns.T @ (squares / variance**2), columns.T @ (1.0 / variance)
+        gain = columns.T @ (squares / variance**2)
+        cost = columns.T @ (1.0 / variance)
         found = found * np.sqrt(gain / np.maximum(cost, _NONE))
     return np.asarray(found)
 
 
 def _rests(record: FrictionRecord) -> int:
     slow = np.concatenate([[False], np.abs(record.dq) < MOVING, [False]])
-    begins, ends = np.flatnonzero(slow[1:] & ~slow[:-1]), np.flatnonzero(~slow[1:] & slow[:-1])
+    begins = np.flatnonzero(slow[1:] & ~slow[:-1])
+    ends = np.flatnonzero(~slow[1:] & slow[:-1])
     return int(np.count_nonzero(record.t[ends - 1] - record.t[begins] >= _LONG))
 
 

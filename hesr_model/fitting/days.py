@@ -33,7 +33,8 @@ from hesr_model.support.arrays import Array, Integers
 
 Nuisance = Literal["offset", "level"]
 _ROUNDS = 30
-_LEAST, _MOST = 0.2, 5.0  # of a level
+_LEAST = 0.2
+_MOST = 5.0  # of a level
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +52,10 @@ def own_of_logs(
     logs = list(dict.fromkeys(record.log for record in records))
     own = [OwnOfLog() for _ in logs]
     if len(logs) > 1 and wanted:
-        log, torque = log_of_rows(records), np.concatenate([r.tau for r in records])
-        dq, weights = np.concatenate([r.dq for r in records]), np.bincount(log) / len(log)
+        log = log_of_rows(records)
+        torque = np.concatenate([r.tau for r in records])
+        dq = np.concatenate([r.dq for r in records])
+        weights = np.bincount(log) / len(log)
         columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
         for _ in range(_ROUNDS):
             level, offset = _of_rows(own, log)
@@ -78,7 +81,8 @@ def with_own(
     predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> list[Array]:
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
-    log, whole = log_of_rows(records), np.concatenate(predicted)
+    log = log_of_rows(records)
+    whole = np.concatenate(predicted)
     own = _fitted(whole, np.concatenate([r.tau for r in records]), log, wanted)
     ends = np.cumsum([len(torque) for torque in predicted])
     level, offset = _of_rows(own, log)
@@ -171,7 +175,8 @@ def adapt(
 
     Raises FitError if the joints differ.
     """
-    if (joints := tuple(of_joint[0].joint for of_joint in records)) != prior.joints:
+    joints = tuple(of_joint[0].joint for of_joint in records)
+    if joints != prior.joints:
         raise FitError(
             f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
         )
@@ -190,7 +195,8 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
     law = prior.laws[k]
     covariance = law.covariance
     assert covariance is not None
-    if not (limits := _limits(law, covariance.names)):
+    limits = _limits(law, covariance.names)
+    if not limits:
         return law
     names, (low, high) = tuple(limits), np.array(list(limits.values())).T
     first = np.array([law.values[n] for n in names])
@@ -236,11 +242,13 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
 
 def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return bounds of adapted coefficients: half to twice if nonlinear, else of the same sign."""
-    form, found = law.form, {}
+    form = law.form
+    found = {}
     memory = set().union(*(part.free_symbols for m in form.memory for part in m.parts))
     still = {DQ: 0, **{s: 0 for m in form.memory for s in (m.state, m.derivative)}}
     for name in names:
-        symbol, value = sympy.Symbol(name, real=True), law.values[name]
+        symbol = sympy.Symbol(name, real=True)
+        value = law.values[name]
         slope = form.output.diff(symbol)
         if symbol in memory or symbol in slope.free_symbols:
             if set(law.structure) <= {"ripple"}:

@@ -51,7 +51,8 @@ class Described(Estimator):
         core = cls.core({key: value for key, value in structure.items() if key not in others})
         if cls.limited and structure.get("limited"):
             swap = {TAU_LOAD: clip(TAU_LOAD, LOAD_MOST.symbol)}
-            coefficients, memory = core.coefficients, (m.subs(swap) for m in core.memory)
+            coefficients = core.coefficients
+            memory = (m.subs(swap) for m in core.memory)
             core = replace(core, coefficients=(*coefficients, LOAD_MOST), memory=tuple(memory))
         if "ripple" not in structure:
             return core
@@ -59,14 +60,17 @@ class Described(Estimator):
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple if it lowers the error."""
-        whole, samples, chosen = dict(structure), problem.samples, None
+        whole = dict(structure)
+        samples = problem.samples
+        chosen = None
         if self.ripple and samples.gear_ratio is not None:
             columns = problem.columns(point)
             chosen = ripple.select(columns, samples, samples.gear_ratio, samples.folds)
         if chosen:
             waves, times = chosen
             whole["ripple"] = to_json(waves)
-            numbers, space = problem.named(point), waves.extend_space(problem.space)
+            numbers = problem.named(point)
+            space = waves.extend_space(problem.space)
             problem = Separable(waves.extend(problem.form), space, samples)
             point = min(
                 (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),

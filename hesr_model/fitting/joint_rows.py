@@ -104,7 +104,8 @@ def non_negative_least_squares(
 
     Negative ones are set to zero one by one, the worst first: exact for nearly orthogonal columns.
     """
-    gram, moment = columns.T @ columns, columns.T @ target
+    gram = columns.T @ columns
+    moment = columns.T @ target
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     active = np.arange(columns.shape[1])
     while True:
@@ -146,7 +147,9 @@ class Normal:
         return cls([weights[:, None] * columns], Products(tau, folds, weights), free=free)
 
     def __init__(self, blocks: Sequence[Array], products: "Products", *, free: int) -> None:
-        self._blocks, self._products, self._free = blocks, products, free
+        self._blocks = blocks
+        self._products = products
+        self._free = free
         places = np.cumsum([0, *(block.shape[1] for block in blocks)])
         self._places = [slice(a, b) for a, b in pairwise(places)]
         folds = len(products.folds)
@@ -157,7 +160,8 @@ class Normal:
             self._moments[:, a] = products.of(blocks[i], products.tau)[:, :, 0]
             for j, b in enumerate(self._places[: i + 1]):
                 found = products.of(blocks[i], blocks[j])
-                self._grams[:, a, b], self._grams[:, b, a] = found, found.swapaxes(1, 2)
+                self._grams[:, a, b] = found
+                self._grams[:, b, a] = found.swapaxes(1, 2)
         self.gram, self.moment = self._grams.sum(axis=0), self._moments.sum(axis=0)
 
     def solve(self) -> Array:
@@ -195,10 +199,12 @@ class Products:
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     """Minimise x G x / 2 - m x over x (K,) with x >= 0, apart from the last `free` ones."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    g, m = gram * scale * scale[:, None] + _RIDGE * np.eye(len(scale)), moment * scale
+    g = gram * scale * scale[:, None] + _RIDGE * np.eye(len(scale))
+    m = moment * scale
     signed = len(m) - free
     both = np.linalg.solve(g[signed:, signed:], np.c_[m[signed:], g[signed:, :signed]])
-    b, c = both[:, 0], both[:, 1:]
+    b = both[:, 0]
+    c = both[:, 1:]
     root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)
     target = np.linalg.solve(root, m[:signed] - g[:signed, signed:] @ b)
     # With no unknowns SciPy's nnls aborts the process.

@@ -35,11 +35,13 @@ def search_locally(
     evaluations : largest number of steps; SciPy's default if None.
     """
     low, high = bounds
-    last_point, last_residual = np.empty(0), np.empty(0)
+    last_point = np.empty(0)
+    last_residual = np.empty(0)
 
     def evaluate(point: Array) -> Array:
         nonlocal last_point, last_residual
-        last_point, last_residual = point.copy(), residual(point)
+        last_point = point.copy()
+        last_residual = residual(point)
         return last_residual
 
     def slopes(point: Array) -> Array:

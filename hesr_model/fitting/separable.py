@@ -108,7 +108,8 @@ class Separable:
 
     @cached_property
     def _run(self) -> KernelRun:
-        s, euler = self.samples, self.discretisation == "euler"
+        s = self.samples
+        euler = self.discretisation == "euler"
         return KernelRun(
             self._kernel,
             (s.dq, s.q, s.tau_load),
@@ -122,16 +123,19 @@ class Separable:
     def solve(self, point: Array) -> tuple[Array, float]:
         """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
         own = self.space.non_negative
-        if (found := self._run.solved(self.numbers(point), non_negative=own)) is not None:
+        found = self._run.solved(self.numbers(point), non_negative=own)
+        if found is not None:
             return found
         return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
 
     def _residual(self, point: Array, weights: Array | None) -> Array:
-        own, tau = self.space.non_negative, self.samples.tau
+        own = self.space.non_negative
+        tau = self.samples.tau
         found = self._run.solved(self.numbers(point), non_negative=own, weights=weights, keep=True)
         if found is not None:
             return np.asarray(self._run.found @ found[0] - tau)
-        columns, w = self._run.found, np.ones_like(tau) if weights is None else weights
+        columns = self._run.found
+        w = np.ones_like(tau) if weights is None else weights
         x, _ = non_negative_least_squares(w[:, None] * columns, w * tau, non_negative=own)
         return np.asarray(columns @ x - tau)
 
@@ -229,10 +233,12 @@ class Separable:
 
 def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
     """Return the mean square error of a linear law by cross-validation over (N,) masks."""
-    gram, moment = columns.T @ columns, columns.T @ tau
+    gram = columns.T @ columns
+    moment = columns.T @ tau
     total = 0.0
     for fold in map(in_one_piece, folds):
-        out, target = columns[fold], tau[fold]
+        out = columns[fold]
+        target = tau[fold]
         x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
         total += float(np.sum((target - out @ x) ** 2))
     return total / len(tau)

@@ -104,8 +104,11 @@ class _Problem:
         *,
         with_body: bool,
     ) -> None:
-        self._robot, self._body, self._friction = robot, body, friction
-        self._logs, self.sets = logs, sets
+        self._robot = robot
+        self._body = body
+        self._friction = friction
+        self._logs = logs
+        self.sets = sets
         self.whole: list[Windows] = []  # logs whose open loop must not become worse
         self._proven = [proven(law) for law in friction.laws]
         self.columns = [k for k in body.base if with_body and body.parameters[k] != 0.0]
@@ -143,14 +146,16 @@ class _Problem:
         cost = float(found.min())
         for _ in range(rounds):
             residuals, slopes = self.linearised(best)
-            gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
+            gradient = slopes.T @ residuals
+            curvature = slopes.T @ slopes
             scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
             steps = [np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
             tried = np.clip(best - np.array(steps), -_MOST, _MOST)
             found = self.costs(tried)
             if not found.min() < (1.0 - _LEAST) * cost:
                 break
-            best, cost = tried[int(np.argmin(found))], float(found.min())
+            best = tried[int(np.argmin(found))]
+            cost = float(found.min())
         return self._allowed(best)
 
     def costs(self, theta: Array) -> Array:
@@ -180,7 +185,8 @@ class _Problem:
 
     def _open_loop(self, change: Array) -> float:
         """Return the RMS position error over whole logs, relative to that over windows."""
-        body, friction = self._moved_body(change), self._moved(change)
+        body = self._moved_body(change)
+        friction = self._moved(change)
         one = Simulator(robot=self._robot, parameters=body.parameters, friction=friction)
         errors = [(one.run(w) - w.q) / self.position_sizes[0] for w in self.whole]
         found = float(rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
@@ -246,7 +252,8 @@ class _Problem:
         return errors
 
     def _torque(self, theta: Array) -> Array:
-        friction, found = self._moved(theta), []
+        friction = self._moved(theta)
+        found = []
         for log, loads in zip(self._logs, self._loads, strict=True):
             more = loads @ theta[: len(self.columns)]
             own = [replace(r, tau_load=r.tau_load + more[:, k]) for k, r in enumerate(log)]

@@ -221,7 +221,8 @@ class Simulator:
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
     def _at_friction(self, load: Array) -> tuple[Array, Array]:
-        if (coupling := self.friction.coupling) is None:
+        coupling = self.friction.coupling
+        if coupling is None:
             return np.eye(load.shape[1]), load
         return coupling.forward, coupling.torque(load)
 
@@ -229,7 +230,9 @@ class Simulator:
         laws, x, (forward, loads) = now.laws, now.x, self._at_friction(load)
         own = forward @ inverse @ forward.T
         free = now.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
-        a, p, u = free @ forward.T, now.q @ forward.T, now.v @ forward.T
+        a = free @ forward.T
+        p = now.q @ forward.T
+        u = now.v @ forward.T
         force = np.stack(
             [law(h, u[:, i], p[:, i], loads[:, i], x[i])[0] for i, law in enumerate(laws)], axis=1
         )
@@ -248,8 +251,10 @@ class Simulator:
 
     def _explicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
         x, (forward, loads) = now.x, self._at_friction(load)
-        p, u = now.q @ forward.T, now.v @ forward.T
-        force, still = np.empty_like(u), np.zeros_like(h)
+        p = now.q @ forward.T
+        u = now.v @ forward.T
+        force = np.empty_like(u)
+        still = np.zeros_like(h)
         for i, law in enumerate(now.laws):
             force[:, i], _ = law(still, u[:, i], p[:, i], loads[:, i], x[i])
             _, x[i] = law(h, u[:, i], p[:, i], loads[:, i], x[i])
@@ -282,7 +287,8 @@ def _root(
     def residual(s: Array) -> Array:
         return s - target + gain * law(h, s, q + h * s, load, x)[0]
 
-    low, at_low = start, residual(start)
+    low = start
+    at_low = residual(start)
     high = low - 2.0 * at_low
     at_high = residual(high)
     for _ in range(_ITERATIONS):
@@ -294,5 +300,6 @@ def _root(
         crossed = at_middle * at_high < 0.0
         at_low = np.where(crossed, at_high, 0.5 * at_low)
         low = np.where(crossed, high, low)
-        high, at_high = middle, at_middle
+        high = middle
+        at_high = at_middle
     return middle

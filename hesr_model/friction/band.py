@@ -26,8 +26,10 @@ from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
 
 LEVEL = 0.95  # probability of the stored half-widths
 REST = 0.005  # v_rest, the speed [rad/s, m/s] that ends the width of rest
-LEAST, GREATEST = 0.5, 0.999  # limits of the probability
-LOWER, UPPER = "tau_lower", "tau_upper"  # names of the outputs
+LEAST = 0.5
+GREATEST = 0.999  # limits of the probability
+LOWER = "tau_lower"
+UPPER = "tau_upper"  # names of the outputs
 _TINY = sympy.Float(1e-24)  # [(N.m)^2], keeps the root differentiable if all numbers are 0
 
 COVERAGE = Parameter(
@@ -109,14 +111,16 @@ def band_equations(
     parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
     sizes = (floor, slow, rest, fast, load)
     variance = sympy.Add(*(size**2 * part for size, part in zip(sizes, parts, strict=True)))
-    middle, reach = (GREATEST + LEAST) / 2, (GREATEST - LEAST) / 2
+    middle = (GREATEST + LEAST) / 2
+    reach = (GREATEST - LEAST) / 2
     wanted = middle + clip(COVERAGE.symbol - middle, reach)
     tailed = Equation(
         name="band_factor",
         expression=sympy.exp(tail * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL)))),
     )
     half = Equation(name="band", expression=sympy.sqrt(variance + _TINY) * tailed.symbol)
-    torque, resting = sympy.Symbol(TORQUE, real=True), envelope * parts[2]
+    torque = sympy.Symbol(TORQUE, real=True)
+    resting = envelope * parts[2]
     ahead, behind = (sympy.Symbol(name, real=True) for name in ("ahead", "behind"))
 
     def side(name: str, sign: int, text: str) -> Equation:

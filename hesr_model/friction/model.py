@@ -335,7 +335,8 @@ class FrictionModel:
         return rows
 
     def _require_joints(self, records: Sequence[FrictionRecord]) -> None:
-        if (found := tuple(record.joint for record in records)) != self.joints:
+        found = tuple(record.joint for record in records)
+        if found != self.joints:
             raise SimulationError(
                 f"friction model '{self.law}': the records are of the joints "
                 f"{', '.join(found) or 'none'}; expected one record each of "

@@ -68,7 +68,8 @@ class JointEntry:
 
     def friction_law(self) -> FrictionLaw:
         """Rebuild the law; raise ArtifactError if it is too long or something is unknown."""
-        if (count := max(len(self.coefficients), _leaves(self.structure))) > _MOST:
+        count = max(len(self.coefficients), _leaves(self.structure))
+        if count > _MOST:
             raise ArtifactError(
                 f"joint '{self.joint}' has {count} coefficients or terms; at most {_MOST} "
                 "are read.",

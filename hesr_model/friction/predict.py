@@ -197,7 +197,8 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
     grid = np.linspace(-limit, limit, 41)
     nearest = int(np.argmin([error((float(x),)) for x in grid]))
-    low, high = grid[max(nearest - 1, 0)], grid[min(nearest + 1, len(grid) - 1)]
+    low = grid[max(nearest - 1, 0)]
+    high = grid[min(nearest + 1, len(grid) - 1)]
     return law.start if low == high else best(lambda x: (x,), low, high)
 
 

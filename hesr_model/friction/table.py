@@ -53,7 +53,8 @@ def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
         raise TableError(f"{name} is a sparse matrix; expected a dense table.")
     names: tuple[str, ...] = ()
     if isinstance(table, Mapping):
-        names, values = tuple(map(str, table)), _columns(table, name)
+        names = tuple(map(str, table))
+        values = _columns(table, name)
     else:
         columns = getattr(table, "columns", ())
         names = tuple(columns) if all(isinstance(c, str) for c in columns) else ()
@@ -101,7 +102,8 @@ def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
     names are t, then q, dq and load of all joints.
     """
     columns = _by_name(values, names) if names else _in_order(values)
-    t, dq = columns["t"][:, 0], columns["dq"]
+    t = columns["t"][:, 0]
+    dq = columns["dq"]
     if len(t) < 2:
         raise TableError("X has 1 sample; a motion needs at least 2.")
     if np.any(np.diff(t) <= 0.0):
@@ -128,7 +130,8 @@ def _columns(table: Mapping[str, Any], name: str) -> NDArray[Any]:
 
 
 def _by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
-    if missing := {"t", "dq"} - {name.rstrip("0123456789") for name in names}:
+    missing = {"t", "dq"} - {name.rstrip("0123456789") for name in names}
+    if missing:
         raise TableError(
             f"X has no column '{sorted(missing)[0]}', only {', '.join(names)}; {_NEEDED}."
         )

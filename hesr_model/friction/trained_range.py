@@ -76,12 +76,14 @@ def outside(
     trained: TrainedRange, records: Sequence[FrictionRecord], thermal: Thermal | None = None
 ) -> dict[str, Excess]:
     """Return the excess of each input of a joint, and its temperature, that leaves its range."""
-    found, ranges = {}, {name: getattr(trained, name) for name in INPUT_UNITS}
+    found = {}
+    ranges = {name: getattr(trained, name) for name in INPUT_UNITS}
     if thermal and all(record.temperature is not None for record in records):
         ranges[TEMPERATURE.name] = thermal.coldest, thermal.warmest
     for name, (low, high) in ranges.items():
         values = np.concatenate([getattr(record, name) for record in records])
-        below, above = low - values, values - high
+        below = low - values
+        above = values - high
         beyond = (below > 0.0) | (above > 0.0)
         if np.any(beyond):
             found[name] = Excess(

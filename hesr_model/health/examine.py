@@ -104,7 +104,8 @@ def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
 
 def hopeless(findings: Sequence[Finding]) -> bool:
     """Return whether errors of units or positions hide what the model would show."""
-    errors, units = [f for f in findings if f.severity == "error"], {"log.units.t", "log.units.q"}
+    errors = [f for f in findings if f.severity == "error"]
+    units = {"log.units.t", "log.units.q"}
     return any(f.check in ("limits", "wrap", "spikes") or units & set(f.changes) for f in errors)
 
 
@@ -192,7 +193,8 @@ def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> li
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
     """Return all findings, or raise HealthError with errors not accepted."""
-    if refused := [f for f in findings if f.severity == "error" and f.check not in accepted]:
+    refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
+    if refused:
         raise HealthError(_said(refused), refused)
     return list(findings)
 
@@ -206,7 +208,8 @@ def require_known(accepted: Sequence[str], known: Sequence[str]) -> None:
 
 _RESTS = 0.02  # share of rests that shows stiction
 _REVERSALS = 4
-_SLOW, _SLOWLY = 0.1, 0.05  # share of the peak speed, share of slow rows needed
+_SLOW = 0.1
+_SLOWLY = 0.05  # share of the peak speed, share of slow rows needed
 _LOAD = 0.5  # gravity over friction that shows load-dependent friction
 
 

@@ -63,7 +63,8 @@ def torques_of(rows: CandidateRows, model: Robot) -> Torques:
 
 def _by_axis(q: Array, model: Robot) -> Array:
     """Return torques (3, N, n) of unit gravity along each axis."""
-    nothing, masses = np.zeros_like(q), model.nominal_parameters.copy()
+    nothing = np.zeros_like(q)
+    masses = model.nominal_parameters.copy()
     masses[model.inertial :] = 0.0
     with model.under_gravity() as set_gravity:
         parts = []
@@ -75,10 +76,12 @@ def _by_axis(q: Array, model: Robot) -> Array:
 
 def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake]:
     """Yield possible mistakes, the simplest first."""
-    robot, joints = model.description, [int(j) for j in np.flatnonzero(moves)]
+    robot = model.description
+    joints = [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
         key, changes = sign_change(robot, None, position=False)
-        remedy, mended = f"all torques count backwards; set {key}", replace(rows, tau=-rows.tau)
+        remedy = f"all torques count backwards; set {key}"
+        mended = replace(rows, tau=-rows.tau)
         yield Mistake("torque-sign", -1, remedy, changes, mended)
     for j in joints:
         key, changes = sign_change(robot, j, position=False)
@@ -118,7 +121,8 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
     if len(joints) == model.n > 2:
         n = model.n
         orders[-1, -1] = list(reversed(range(n)))
-        orders[-1, 1], orders[-1, 2] = [*range(1, n), 0], [n - 1, *range(n - 1)]
+        orders[-1, 1] = [*range(1, n), 0]
+        orders[-1, 2] = [n - 1, *range(n - 1)]
     for (a, b), order in orders.items():
         changes = {
             f"log.columns.{key}": tuple(column_names(columns, robot.joints)[k] for k in order)
@@ -156,19 +160,25 @@ def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterat
 
 
 def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    by_axis, inertial, v = _by_axis(rows.q, model), torques_of(rows, model).inertial, rows.v
-    if (logged := model.description.logged) is not None:
+    by_axis = _by_axis(rows.q, model)
+    inertial = torques_of(rows, model).inertial
+    v = rows.v
+    logged = model.description.logged
+    if logged is not None:
         by_axis = np.array([logged.torque(one) for one in by_axis])
         inertial, v = logged.torque(inertial), logged.motion(v)
-    rows_of, targets = [], []
+    rows_of = []
+    targets = []
     for place, j in enumerate(joints):
         rubs = [inertial[:, j], rubbing(v[:, j]), np.ones(len(v))]
-        columns, tau = np.column_stack([*by_axis[:, :, j], *rubs]), rows.tau[:, j]
+        columns = np.column_stack([*by_axis[:, :, j], *rubs])
+        tau = rows.tau[:, j]
         left = float(np.std(tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]))
         if left > _SIGNAL * np.std(tau):
             continue
         own = np.zeros((len(tau), 3 + 3 * len(joints)))
-        own[:, :3], own[:, 3 + 3 * place : 6 + 3 * place] = columns[:, :3], columns[:, 3:]
+        own[:, :3] = columns[:, :3]
+        own[:, 3 + 3 * place : 6 + 3 * place] = columns[:, 3:]
         rows_of.append(own / max(left, 1e-9))
         targets.append(tau / max(left, 1e-9))
     if not rows_of:
@@ -237,16 +247,20 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
             f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "
             f"'{model.joints[helped]}' unexplained; with the correction {100 * left[helped]:.0f} %"
         )
-        joint, more = model.joints[best.joint] if best.joint >= 0 else "", best.changes
+        joint = model.joints[best.joint] if best.joint >= 0 else ""
+        more = best.changes
         findings.append(of_joint(best.check, joint, found, best.remedy, logs=logs, changes=more))
-        rows, now = best.mended, left
+        rows = best.mended
+        now = left
     return findings
 
 
 def _best(
     rows: CandidateRows, now: Array, model: Robot, moves: Mask
 ) -> tuple[Mistake | None, Array]:
-    best, left, most = None, now, 0.0
+    best = None
+    left = now
+    most = 0.0
     for mistake in mistakes(rows, model, moves):
         then = _unexplained(mistake.mended, model, moves)
         if _beyond(mistake.mended.q, model) > _beyond(rows.q, model) + BEYOND:
@@ -256,7 +270,9 @@ def _best(
         if not np.any(good) or np.min(gain) < -np.log(_NO_WORSE):
             continue
         if float(gain.sum()) > most * _CLEARLY:
-            best, left, most = mistake, then, float(gain.sum())
+            best = mistake
+            left = then
+            most = float(gain.sum())
         elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
             either = f"{_TURNED}, or its position and velocity do (the logs cannot show which);"
             remedy = best.remedy.replace(f"{_TURNED};", either)
@@ -272,7 +288,8 @@ def _beyond(q: Array, model: Robot) -> float:
 
 def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation."""
-    torques, logged = torques_of(rows, model), model.description.logged
+    torques = torques_of(rows, model)
+    logged = model.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(moves):

@@ -18,8 +18,10 @@ _TURN = 2.0 * np.pi
 _SPIKE = 40.0  # relative distance of a spike
 _LEAST_SPIKE = 0.02  # [rad or m]
 BEYOND = 0.05  # allowed excess over a limit [rad or m]
-_COARSE, _FEW = 8e-4, 20  # reported step [rad or m], steps needed
-_FAR, _QUICK = 100.0, 20.0  # [m], [m/s] of a sliding joint in other units
+_COARSE = 8e-4
+_FEW = 20  # reported step [rad or m], steps needed
+_FAR = 100.0
+_QUICK = 20.0  # [m], [m/s] of a sliding joint in other units
 _SATURATED = 0.01  # share of rows at a limit of the drive
 _LEVELS = 200  # distinct values of a finely quantised torque
 _LONG_RUN = 5
@@ -27,7 +29,8 @@ _LONG_RUN = 5
 
 def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
     """Check the time stamps of a log."""
-    period, steps = log.period, np.diff(log.t)
+    period = log.period
+    steps = np.diff(log.t)
     low, high = _PERIODS
     if not low <= period <= high:
         declared = float(robot.log.units.factors("t", 1)[0])
@@ -112,9 +115,12 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     """Check positions against the model's limits."""
     robot = model.description
     lower, upper, _ = model.limits
-    low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+    low = motion.q.min(axis=0)
+    high = motion.q.max(axis=0)
     beyond = np.maximum(lower - low, high - upper)
-    width, turning, factor = upper - lower, ~np.array(model.slides), np.pi / 180.0
+    width = upper - lower
+    turning = ~np.array(model.slides)
+    factor = np.pi / 180.0
     in_degrees = bool(np.any(turning & (beyond > 3.0 * width))) and bool(
         np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < BEYOND + 0.1)
     )
@@ -150,7 +156,8 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
 def check_sliding(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     """Check that no sliding joint moves as only millimetres can."""
     units = model.description.log.units
-    travel, speed = np.ptp(motion.q, axis=0), np.max(np.abs(motion.v), axis=0)
+    travel = np.ptp(motion.q, axis=0)
+    speed = np.max(np.abs(motion.v), axis=0)
     for j in np.flatnonzero(np.array(model.slides) & ((travel > _FAR) | (speed > _QUICK))):
         alone = all(model.slides) and units.each("q", model.n)[j] in ("m", "rad")
         changes = {"log.units.q": "mm"} if alone else {}
@@ -243,7 +250,8 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
 
 def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:
     """Return speeds (K,), sliding torques and their deviation."""
-    v, tau = motion.v[:, j], motion.tau[:, j]
+    v = motion.v[:, j]
+    tau = motion.tau[:, j]
     speeds = float(np.max(np.abs(v))) * _SPEEDS
     hats = np.stack([np.interp(np.abs(v), speeds, one) for one in np.eye(len(speeds))], axis=1)
     way = np.tanh(v / (_HALF_WAY * speeds[1]))
@@ -254,7 +262,8 @@ def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array
     def estimate(rows: Integers) -> Array:
         return np.asarray(np.linalg.lstsq(columns[rows], tau[rows], rcond=None)[0])
 
-    rng, middle = np.random.default_rng(0), len(v) // 2
+    rng = np.random.default_rng(0)
+    middle = len(v) // 2
     differences = []
     for _ in range(_SPLITS):
         order = rng.permutation(len(v))

@@ -61,7 +61,8 @@ def inspected(
     stated = None if robot is None or is_model(robot) else description_of(robot)
     table = open_table(paths[0], stated.log if stated else LogFormat())
     if robot is not None:
-        found, reason = with_joints(robot, joints, table), ""
+        found = with_joints(robot, joints, table)
+        reason = ""
         if table and not joints and is_model(robot):
             found, reason = selection.with_columns_of(found, table)
         known = {"joints": f"likely: {reason}"} if reason else {}
@@ -74,9 +75,11 @@ def inspected(
 
 def _with_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
     """Return a proposal with reasons, whose findings begin with doubts about the model file."""
-    doubts, own = Robot(proposal.robot).doubts, proposal.examination
+    doubts = Robot(proposal.robot).doubts
+    own = proposal.examination
     own = replace(own, findings=tuple(errors_first([*doubts, *own.findings])))
-    first, known = errors_first([*doubts, *proposal.first]), {**reasons, **proposal.reasons}
+    first = errors_first([*doubts, *proposal.first])
+    known = {**reasons, **proposal.reasons}
     return replace(proposal, first=first, reasons=known, examination=own)
 
 
@@ -101,7 +104,8 @@ def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> P
             if tried and _mends(found, some, tried[2].findings):
                 break
         else:
-            why, tried = {}, None
+            why = {}
+            tried = None
             if not stated and "log.torque_per_ampere" in reasons and known:
                 changes = _constants(robot, examination, reasons)
                 tried = looked(changed(robot, changes)) if changes else None
@@ -166,7 +170,8 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
 
 
 def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
-    columns, log = robot.log.columns, robot.log
+    columns = robot.log.columns
+    log = robot.log
     wanted = [*([] if log.rate else [columns.t]), *column_names(columns.q, robot.joints)]
     if log.cylinder is None:
         effort = columns.tau if log.torque_per_ampere is None else columns.current
@@ -217,7 +222,8 @@ def _changes(
 
 def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence[Finding]) -> bool:
     """Return whether findings with changes are gone, and none is new unless it was hidden."""
-    left, known = _places(after), _places(before)
+    left = _places(after)
+    known = _places(before)
     gone = _places(f for f in mended if f.changes)
     new = _places(f for f in after if f.severity == "error" or f.check not in _HIDDEN) - known
     hidden = hopeless(before) and ("time-unit", "") not in new
@@ -264,7 +270,8 @@ def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposa
     gains = robot.log.torque_per_ampere
     if gains is None or not any(one.determined for one in constants):
         return proposal
-    key, sources = "torque_per_ampere", robot.sources.each("torque_per_ampere", len(gains))
+    key = "torque_per_ampere"
+    sources = robot.sources.each("torque_per_ampere", len(gains))
     pairs = list(zip(constants, gains, sources, strict=True))
     new = [float(f"{c.value:.4g}") if c.determined else gain for c, gain, _ in pairs]
     known = ["identified" if c.determined else source for c, _, source in pairs]
@@ -284,7 +291,8 @@ def robot_text(
 ) -> str:
     """Return the text of a robot file at `path`, with a comment as its head and reasons by key."""
     reasons = reasons or {}
-    data, unusual = robot.model_dump(), robot.model_dump(exclude_defaults=True)
+    data = robot.model_dump()
+    unusual = robot.model_dump(exclude_defaults=True)
     data["model"] = Path(relpath(robot.model, path.resolve().parent)).as_posix()
     log = unusual.pop("log", {})
     if robot.log.cylinder is not None:  # with its usual unit

@@ -26,12 +26,16 @@ from hesr_model.support.arrays import Array, Mask
 
 _WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
 _SLOW = 0.5  # share of the peak speed in which friction falls
-_LATEST, _STEP = 0.25, 0.005  # searched delays, search step [s]
+_LATEST = 0.25
+_STEP = 0.005  # searched delays, search step [s]
 _SHIFTS = _STEP * np.arange(-round(_LATEST / _STEP), round(_LATEST / _STEP) + 1)  # [s]
-_SMOOTH, _EVERY, _BODY = 0.1, 0.02, 5e-3  # averaging window, time between averages, bodies [s]
+_SMOOTH = 0.1
+_EVERY = 0.02
+_BODY = 5e-3  # averaging window, time between averages, bodies [s]
 _MOST = 40_000  # rows of a log, its middle ones
 _SYSTEMATIC = 0.04  # error of a joint's lag by memory of other shapes, over what memory explains
-_NARROW, _LATE = 0.01, 0.06  # reported: half an interval of a small lag, a larger lag [s]
+_NARROW = 0.01
+_LATE = 0.06  # reported: half an interval of a small lag, a larger lag [s]
 _SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # factors of inertial torque: squared stamp rates
 _OFF = 1.4  # reported factor of a wrong time-stamp rate
 _MENDED = 0.5  # left by the right rate of most joints' unexplained squares; a wrong zero leaves .6
@@ -60,7 +64,8 @@ class LagRows:
 
         before = max(len(log.t) - _MOST, 0) // 2
         log = replace(log.rows(slice(before, before + _MOST)), dq=None)
-        motion, logged = smooth(log, model.description.log.filter_cutoff), model.description.logged
+        motion = smooth(log, model.description.log.filter_cutoff)
+        logged = model.description.logged
         times = np.arange(log.t[0] + _LATEST, log.t[-1] - _LATEST, max(_EVERY, log.period))
         some = slice(None, None, max(1, round(_BODY / log.period)))
         q, dq, ddq = (values[some] for values in (motion.q, motion.dq, motion.ddq))
@@ -70,9 +75,11 @@ class LagRows:
         tau = log.tau
         if logged is not None:
             still, whole, tau = logged.torque(still), logged.torque(whole), logged.torque(tau)
-        u, v = onto(logged, log.q), onto(logged, motion.dq)
+        u = onto(logged, log.q)
+        v = onto(logged, motion.dq)
         travelled = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
-        mean, of_body = _means(log.t, times, log.period), _means(log.t[some], times, log.period)
+        mean = _means(log.t, times, log.period)
+        of_body = _means(log.t[some], times, log.period)
         even = np.arange(log.t[0], log.t[-1], log.period)
         torque = make_interp_spline(even, _means(log.t, even, log.period) @ tau, k=1)
         return cls(
@@ -140,7 +147,8 @@ def check_clocks(
     remedy = "torques were filtered or come from another clock; shift their columns in time"
     findings = []
     for j, lag in late.items():
-        way, sure = "late" if lag.value > 0 else "early", 1e3 * _ERRORS * lag.error
+        way = "late" if lag.value > 0 else "early"
+        sure = 1e3 * _ERRORS * lag.error
         found = (
             f"its torque is about {1e3 * abs(lag.value):.0f} ms {way} relative to the motion "
             f"(+- {sure:.0f} ms)"

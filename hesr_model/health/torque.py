@@ -19,7 +19,8 @@ NO_SIGNAL = 0.35  # R^2 below which nothing is explained
 _EXACT = 0.1  # residual share of computed torques
 _SEEN = 0.5  # gravity over the residual to judge its sign
 _WEIGHTLESS = 0.1  # share of the model's gravity in weightless torques
-_ABOVE_LIMIT, _BELOW_OTHERS = 10.0, 30.0  # peak over the model's limit, others over own
+_ABOVE_LIMIT = 10.0
+_BELOW_OTHERS = 30.0  # peak over the model's limit, others over own
 Explained = Mapping[int, JointTorque]  # by index of the joint
 
 
@@ -93,7 +94,8 @@ def sign_change(
     if position:
         changes: dict[str, object] = {f"log.units.{k}": turned(k) for k in ("q", "dq")}
         return f"[log.units] q and dq{whose} with a '-', as {turned('q')[first]!r}", changes
-    if (gains := robot.log.torque_per_ampere) is None:
+    gains = robot.log.torque_per_ampere
+    if gains is None:
         units = turned("tau")
         return f"[log.units] tau{whose} to {units[first]!r}", {"log.units.tau": units}
     mended = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
@@ -108,9 +110,13 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     weightless = fit.bears_gravity and fit.gravity.value + _SURE * fit.gravity.error < 1.0 / _SCALE
     huge = fit.gravity_size > 1e-3 and fit.gravity.value - _SURE * fit.gravity.error > 10.0
     if weightless or (abs(fit.gravity.t) > _SURE and (fit.bears_gravity or huge)):
-        scale, margin, of = abs(fit.gravity.value), _SURE * fit.gravity.error, "gravity"
+        scale = abs(fit.gravity.value)
+        margin = _SURE * fit.gravity.error
+        of = "gravity"
     else:
-        scale, margin, of = fit.inertia.value, _SURE * fit.inertia.error, "inertial"
+        scale = fit.inertia.value
+        margin = _SURE * fit.inertia.error
+        of = "inertial"
     too_small = scale + margin < 1.0 / _SCALE
     too_large = of == "gravity" and scale - margin > _SCALE
     # A rotor may exceed the links many times, but never reduces the inertia.
@@ -121,7 +127,8 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     everywhere = len(bearing) > 1 and all(not 1 / _SCALE <= size <= _SCALE for size in bearing)
     remedy, changes = _why_scaled(robot, j, scale, everywhere=everywhere)
     if scale <= _WEIGHTLESS and weightless and abs(fit.inertia.value) >= 1.0 / _SCALE:
-        remedy, changes = "gravity was removed from it, a spring or counterweight carries the ", {}
+        remedy = "gravity was removed from it, a spring or counterweight carries the "
+        changes = {}
         remedy += "arm, or the file declares another gravity"
     times = f"{max(scale, 0.0):.2g} (+- {margin:.1g}) times"
     said = f"its torque is {times} the {of} torque of the model"
@@ -140,7 +147,8 @@ def _why_scaled(
         return f"its torque_per_ampere is about {about:g} times too {way}", {}
     if scale > 100:
         return "torque is in mN.m; set [log.units] tau = 'mN.m'", {"log.units.tau": "mN.m"}
-    if (gears := robot.gear_ratio) and 1 / _SCALE < scale * gears[j] < _SCALE:
+    gears = robot.gear_ratio
+    if gears and 1 / _SCALE < scale * gears[j] < _SCALE:
         what = "it is the motor torque before the gear"
         return f"{what}; set [log.units] tau = {listed(gears)}", {"log.units.tau": gears}
     if everywhere and scale < 1:
@@ -189,8 +197,10 @@ _WINDOW = 0.1  # averaging window of a speed [s]
 _MOVES = 0.05  # speed of a moving joint [rad/s; m/s]
 _LEVELS = 200  # distinct values of a finely quantised signal
 _HELD = 0.3  # share of repeated rows
-_STUCK, _STUCK_ROWS = 0.3, 15  # duration [s] and rows of a stuck signal
-_RARE, _MOVING = 10.0, 0.25  # stuck run over others, its share in motion
+_STUCK = 0.3
+_STUCK_ROWS = 15  # duration [s] and rows of a stuck signal
+_RARE = 10.0
+_MOVING = 0.25  # stuck run over others, its share in motion
 _SPIKE = 3.0  # torque spike over the range of other rows
 _TOO_FAST = 1.3  # speed over the limit; drives exceed it slightly
 
@@ -225,7 +235,8 @@ def _speeds(log: Log) -> Array:
     """Return speeds (N, n) of raw positions."""
     around = max(1, round(0.5 * _WINDOW / log.period))
     rows = np.arange(len(log.t))
-    before, after = np.maximum(rows - around, 0), np.minimum(rows + around, len(rows) - 1)
+    before = np.maximum(rows - around, 0)
+    after = np.minimum(rows + around, len(rows) - 1)
     return np.asarray((log.q[after] - log.q[before]) / (log.t[after] - log.t[before])[:, None])
 
 
@@ -236,7 +247,8 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
     if rows.sum() < _STUCK_ROWS:
         return
     same = np.all(np.diff(log.tau[:, fine], axis=0) == 0.0, axis=1)
-    if (share := float(np.mean(same[rows]))) > _HELD:
+    share = float(np.mean(same[rows]))
+    if share > _HELD:
         found = f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before"
         remedy = "the log is faster than the robot's data; log at the robot's own rate"
         yield of_joint("held-samples", "", found, remedy, "warning")
@@ -244,11 +256,13 @@ def _repeated(log: Log, moves: Mask, fine: Mask) -> Iterator[Finding]:
 
 def _stands_still(log: Log, values: Array, moves: Mask) -> int | None:
     edges = np.flatnonzero(np.diff(np.r_[False, np.diff(values) == 0.0, False].astype(int)))
-    starts, lengths = edges[::2], edges[1::2] - edges[::2]
+    starts = edges[::2]
+    lengths = edges[1::2] - edges[::2]
     if not len(starts):
         return None
     k = int(np.argmax(lengths))
-    first, last = int(starts[k]), int(starts[k] + lengths[k])
+    first = int(starts[k])
+    last = int(starts[k] + lengths[k])
     usual = float(np.quantile(np.delete(lengths, k), 0.95)) if len(lengths) > 1 else 1.0
     long = last - first >= max(_STUCK_ROWS, _RARE * usual)
     lasts = log.t[last] - log.t[first] > _STUCK

@@ -15,7 +15,8 @@ from hesr_model.units import OTHERS, TURNING, backwards
 
 _ALIKE = 0.9  # correlation of a velocity with its position
 _SURE = 5.0  # significance threshold in standard errors
-_WRONG, _ODD = 0.1, 0.03  # scale errors that are an error and a warning
+_WRONG = 0.1
+_ODD = 0.03  # scale errors that are an error and a warning
 _SAME = 0.04  # tolerance for the factor of a unit
 _LATE = 0.02  # reporting threshold for the lag [s]
 _LATEST = 0.3  # largest lag searched [s]
@@ -65,7 +66,8 @@ def check_velocity(
     dq = motion.dq
     joints = np.array([j for j in np.flatnonzero(motion.moves) if robot.joints[j] not in without])
     matches = {int(j): match(motion.v[:, j], dq[:, j], motion.period) for j in joints}
-    places, derived = _places(motion, joints), {"log.columns.dq": ""}
+    places = _places(motion, joints)
+    derived = {"log.columns.dq": ""}
     for j, found in matches.items():
         name = robot.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
@@ -103,14 +105,16 @@ def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
 
 
 def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int]) -> Finding:
-    name, other = robot.joints[j], places.get(j, j)
+    name = robot.joints[j]
+    other = places.get(j, j)
     what = f"its velocity does not follow its position (correlation {found.correlation:.2f})"
     if other != j:
         columns = column_names(robot.log.columns.dq, robot.joints)
         order = [columns[places.get(k, k)] for k in range(len(columns))]
         listed = ", ".join(f'"{column}"' for column in order)
         place = f"its velocity is in the column of joint '{robot.joints[other]}'; set "
-        remedy, changes = f"{place}[log.columns] dq = [{listed}]", {"log.columns.dq": tuple(order)}
+        remedy = f"{place}[log.columns] dq = [{listed}]"
+        changes = {"log.columns.dq": tuple(order)}
         return of_joint("velocity-columns", name, what, remedy, changes=changes)
     late = f", and is {found.lag * 1e3:.0f} ms late" if abs(found.lag) > _LATE else ""
     remedy = f"the column contains another signal or a filtered one; {_DERIVE}"
@@ -120,7 +124,8 @@ def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int
 def _scale(
     robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
 ) -> Iterator[Finding]:
-    found, name = matches[j], robot.joints[j]
+    found = matches[j]
+    name = robot.joints[j]
     if found.slope < 0:
         declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
@@ -148,7 +153,8 @@ def _cause(
     all_alike = len(matches) > 1 and all(
         abs(np.log(abs(other.slope) / ratio)) < _SAME for other in matches.values()
     )
-    units, n = robot.log.units, len(robot.joints)
+    units = robot.log.units
+    n = len(robot.joints)
     far = np.max(np.ptp(motion.q, axis=0)) > _TURNS
     for quantity in ("q", "dq") if far else ("dq", "q"):
         # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.

@@ -57,7 +57,8 @@ class ErrorRatio:
         if self.p is not None:
             sure = self.p < SIGNIFICANCE
         else:  # short logs; rule of earlier versions
-            low, high = self.low, self.high
+            low = self.low
+            high = self.high
             sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
         if not sure:
             return "alike"
@@ -201,7 +202,8 @@ def law_errors(
     mean = np.maximum(np.asarray(total), 1e-300)
     binned = [_binned(s / (2.0 * mean[:, None]), p) for s, p in zip(squares, periods, strict=True)]
     counted = [laws.index(law) for law in among] or list(range(len(laws)))
-    rows, slow = [], []
+    rows = []
+    slow = []
     for psi, square, period in zip(binned, squares, periods, strict=True):
         degrees = _degrees(psi[counted], square.shape[1] * period)
         n = psi.shape[1]
@@ -213,7 +215,8 @@ def law_errors(
     _, _, directions = np.linalg.svd(sizes[None, :])  # the first is that of the sizes
     means = np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
     apart = directions[1:] @ (sizes[:, None] * means)
-    within, between = sum(map(len, rows)), len(apart)
+    within = sum(map(len, rows))
+    between = len(apart)
     return LawErrors(
         laws=laws,
         log_rmse=0.5 * np.log(mean),

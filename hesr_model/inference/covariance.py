@@ -254,7 +254,8 @@ def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]
     memory = _memory([(log.squares, log.lag1) for log in moments])
     width = 1 + _bandwidth([log.whitened(memory) for log in moments], moments)
     size = len(memory)
-    last, held = np.zeros((len(moments), 1, size)), np.zeros((len(moments), width, size))
+    last = np.zeros((len(moments), 1, size))
+    held = np.zeros((len(moments), width, size))
     totals = np.zeros((len(moments), size, size))
 
     def add(log: int, white: Array) -> None:

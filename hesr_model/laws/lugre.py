@@ -94,7 +94,8 @@ class LuGreLoad(LuGre):
 
     def space(self) -> SearchSpace:
         """Search the bristle; solve for F_c mu, in which the torque is linear."""
-        plain, product = super().space(), sympy.Symbol("F_c_mu", real=True)
+        plain = super().space()
+        product = sympy.Symbol("F_c_mu", real=True)
         return replace(
             plain,
             linear=(*plain.linear, product.name),

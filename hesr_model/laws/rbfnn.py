@@ -44,7 +44,8 @@ class Inputs:
     def of(cls, features: HysteresisFeatures, cell: Cell) -> "Inputs":
         """Run the hysteresis state of eq. 9 over the rows of a joint."""
         x = features.columns(cell.alpha, cell.beta)[:, 1:]
-        mean, spread = x.mean(axis=0), np.maximum(x.std(axis=0), _TINY)
+        mean = x.mean(axis=0)
+        spread = np.maximum(x.std(axis=0), _TINY)
         return cls(cell=cell, z=(x - mean) / spread, mean=mean, spread=spread)
 
 
@@ -71,7 +72,8 @@ class NetworkEstimator(Estimator):
     @classmethod
     def size(cls, structure: Mapping[str, Any]) -> int:
         """Return the size from a structure {key: size}; raises ArtifactError if it is invalid."""
-        found, largest = structure.get(cls.key), cls.sizes[1]
+        found = structure.get(cls.key)
+        largest = cls.sizes[1]
         if set(structure) != {cls.key} or type(found) is not int or not 1 <= found <= largest:
             raise ArtifactError(
                 f"law '{cls.name}': structure is {dict(structure)}; expected only '{cls.key}', a "
@@ -177,7 +179,8 @@ class RbfnnH(NetworkEstimator):
             for x, unit in _INPUTS
         ]
         bias = Coefficient(name="w_0", unit="N.m", description="offset")
-        coefficients, output = [*widths, bias], bias.symbol
+        coefficients = [*widths, bias]
+        output = bias.symbol
         for k in range(1, cls.size(structure) + 1):
             weight = Coefficient(name=f"w_{k}", unit="N.m", description=f"weight of Gaussian {k}")
             centre = [
@@ -252,7 +255,8 @@ def gaussians(z: Array, centres: Array, width: float) -> Array:
 
 def ridge_weights(columns: Array, tau: Array, ridges: Sequence[float]) -> tuple[Array, Array]:
     """Return (R,) offsets and (K, R) weights [N.m] of R ridge regressions, with free offsets."""
-    mean, level = columns.mean(axis=0), float(tau.mean())
+    mean = columns.mean(axis=0)
+    level = float(tau.mean())
     centred = columns - mean
     eigenvalues, vectors = np.linalg.eigh(centred.T @ centred / len(tau))
     moment = vectors.T @ (centred.T @ (tau - level)) / len(tau)

@@ -73,7 +73,8 @@ class Ripple:
         """Return a form with the ripple added to its output."""
         angle = self.gear_ratio * (Q - LAG.symbol * DQ)
         fast = self.gear_ratio * SMOOTHING.symbol * DQ
-        coefficients, torque = list(form.coefficients), sympy.Integer(0)
+        coefficients = list(form.coefficients)
+        torque = sympy.Integer(0)
         waves = product(self.orders, (sympy.cos, sympy.sin))
         for name, (k, wave) in zip(self.names, waves, strict=True):
             description = describe_wave(k, wave)
@@ -120,8 +121,10 @@ def select(
     """
     tau = samples.tau
     gain = max(GAIN, CHANCE / len(tau))
-    chosen, times = Ripple(gear_ratio=gear_ratio, orders=()), _TIMES[0]
-    columns, cost = base, left_out_cost(base, tau, folds)
+    chosen = Ripple(gear_ratio=gear_ratio, orders=())
+    times = _TIMES[0]
+    columns = base
+    cost = left_out_cost(base, tau, folds)
 
     def left_out(ripple: Ripple, at: Times) -> float:
         return left_out_cost(np.hstack([base, ripple.columns(samples, at)]), tau, folds)

@@ -39,7 +39,8 @@ _TIME = re.compile(
 )
 _EMPTY = {"", "#N/A", "#NA", "N/A", "NA", "NULL", "n/a", "null"}
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0, "nan": float("nan")}
-_START, _CONTROL = 2**16, re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that show the encoding
+_START = 2**16
+_CONTROL = re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that show the encoding
 _SWAPPED = str.maketrans(",.", ".,")  # a decimal comma excludes points
 _CHUNK = 2**18  # cells converted at once
 _EXACT = 2.0**53  # larger integers exceed the digits of a float
@@ -93,8 +94,10 @@ def _as_text(path: Path, content: bytes | None, newline: str | None = None) -> T
 def _content(path: Path) -> bytes | None:
     """Return packed text, or text that is not UTF-8, as UTF-8; None for any other file."""
     with path.open("rb") as file:
-        start, content = file.read(_START), None
-    if unpack := next((f for magic, f in _UNPACKERS.items() if start.startswith(magic)), None):
+        start = file.read(_START)
+        content = None
+    unpack = next((f for magic, f in _UNPACKERS.items() if start.startswith(magic)), None)
+    if unpack:
         _require_length(path, path.stat().st_size)
         try:
             with unpack(path) as packed:
@@ -278,7 +281,8 @@ def _chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
 
 
 def _joined(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
-    numbers, names = array("q"), list[str]()
+    numbers = array("q")
+    names = list[str]()
     columns: dict[int, Column] = defaultdict(Column)
     for chunk in chunks:
         names = chunk.names

@@ -82,9 +82,11 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
     count = len(joints) or max((len(g) for _, g in groups if _quantity(g[0]) == "q"), default=0)
     alone = [name for name in table.names if _quantity(name) == "q"]
     if count < 2 and not any(_quantity(g[0]) == "q" for _, g in groups) and len(alone) == 1:
-        groups, count = [("", (name,)) for name in table.names], 1
+        groups = [("", (name,)) for name in table.names]
+        count = 1
     columns: dict[str, str | tuple[str, ...]] = {}
-    units, reasons = {}, {}
+    units = {}
+    reasons = {}
     for quantity in (*_WORDS, *(f"{name}_cmd" for name in _COMMANDED)):
         fitting = [g for _, g in groups if _quantity(g[0]) == quantity and len(g) >= count > 0]
         if not fitting and joints:
@@ -102,7 +104,8 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
             )
             columns[quantity] = tuple(best[:count])
             reasons[quantity] = f"named so: {best[0]}"
-            if unit := _unit(quantity, best[0]):
+            unit = _unit(quantity, best[0])
+            if unit:
                 units[quantity] = unit
     if timed or any(_rises(table, name) for name in _named_as_time(table)):
         columns["t"] = _time(table)
@@ -192,7 +195,8 @@ def _time_unit(table: LogTable, name: str) -> tuple[str, str]:
     step = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     low, high = _RATES
     possible = [u for u, f in OTHERS["t"].items() if low <= 1.0 / max(step * f, 1e-300) <= high]
-    if (said := _unit("t", name)) in possible:
+    said = _unit("t", name)
+    if said in possible:
         return said, f"named so: {name}"
     if not possible:
         return "s", "no unit gives a plausible sample rate"

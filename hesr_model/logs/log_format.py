@@ -159,7 +159,8 @@ class LogCylinder(Config):
     def forces(self, pressures: Array) -> tuple[Array, Array]:
         """Return forces and loads (N, n) [N] for p1 and p2 of each joint in turn, (N, 2 n)."""
         scale = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}[self.unit]
-        first, second = scale * pressures[:, ::2], scale * pressures[:, 1::2]
+        first = scale * pressures[:, ::2]
+        second = scale * pressures[:, 1::2]
         one, other = np.array(self.areas).T
         return one * first - other * second, 0.5 * (one + other) * (first - second)
 

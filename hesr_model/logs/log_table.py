@@ -46,7 +46,8 @@ class LogTable:
     first: "LogTable | None" = None
 
     def __post_init__(self) -> None:
-        if twice := [name for name, count in Counter(self.names).items() if count > 1]:
+        twice = [name for name, count in Counter(self.names).items() if count > 1]
+        if twice:
             raise LogError(
                 f"{self.path}: column '{twice[0]}' occurs twice; names must differ.",
                 code="log.columns_twice",

@@ -17,7 +17,8 @@ from hesr_model.support.arrays import Array, joined
 from hesr_model.support.files import sha256
 
 ROWS = 2**14  # rows of a piece
-_DISTINCT, _DIGITS = 2**20, 2.0**16  # most steps kept exactly; digits of more
+_DISTINCT = 2**20
+_DIGITS = 2.0**16  # most steps kept exactly; digits of more
 _SETTLED = 10.0  # overlap in periods of the cut-off; transients decay to 1e-19
 _SPLINE = 100  # rows after which the ends of a spline do not matter
 _STRETCHES = 8  # most pieces kept for checks
@@ -85,12 +86,15 @@ class LongLog:
 
     def __init__(self, source: Log | Path, robot: RobotDescription, rows: int = ROWS) -> None:
         robot.require_one_per_joint()
-        self._robot, self._rows, self._sha256 = robot, rows, ""
+        self._robot = robot
+        self._rows = rows
+        self._sha256 = ""
         if isinstance(source, Path):
             in_pieces = not robot.log.sort and next(sample_pieces(source, robot, rows), None)
             self._sha256 = sha256(source)
             source = source if in_pieces else Log.read(source, robot)
-        self._source, self._time = source, ""
+        self._source = source
+        self._time = ""
         self._state = _state(source)
         self.stretches: list[Log] = []
         self.travel: Array = np.empty(0)
@@ -109,7 +113,8 @@ class LongLog:
         self.stretches = [
             replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
         ]
-        self.gaps, self.longest_step = len(parts) - 1, float(whole.steps.values[-1])
+        self.gaps = len(parts) - 1
+        self.longest_step = float(whole.steps.values[-1])
         shortest = robot_log.SHORTEST_PART
         self._parts = [p for p in parts if p is whole or p.end - p.start >= shortest]
         if not self._parts:
@@ -129,19 +134,26 @@ class LongLog:
 
     def motions(self) -> Iterator[Motion]:
         """Yield the smooth motion piece by piece, as `signals.smoothed` of the whole log."""
-        cutoff, parts = self._robot.log.filter_cutoff, list(self._parts)
-        held, done, at = None, 0, 0  # rows held from number `at`
+        cutoff = self._robot.log.filter_cutoff
+        parts = list(self._parts)
+        held = None
+        done = 0
+        at = 0  # rows held from number `at`
         for log in self._pieces():
             held = joined([held, log]) if held else log
-            there, margin = at + len(held.t), 0
+            there = at + len(held.t)
+            margin = 0
             while parts:
-                part, grid = parts[0], parts[0].grid
+                part = parts[0]
+                grid = parts[0].grid
                 margin = int(np.ceil(_SETTLED / (cutoff * grid.period))) + _SPLINE
                 complete = there >= part.last
-                first, last = max(done, part.first), part.last if complete else there - margin
+                first = max(done, part.first)
+                last = part.last if complete else there - margin
                 if last <= first:
                     break
-                low, high = max(part.first, first - margin), min(part.last, last + margin)
+                low = max(part.first, first - margin)
+                high = min(part.last, last + margin)
                 window = held.rows(slice(low - at, high - at))
                 yield filtered(window, cutoff, grid).rows(slice(first - low, last - low))
                 done = last
@@ -155,7 +167,9 @@ class LongLog:
 
     def _surveyed(self) -> Iterator[Log]:
         """Yield the pieces, and keep stretches, travel and the number of rows left out."""
-        low, high, every = np.array(np.inf), np.array(-np.inf), 1
+        low = np.array(np.inf)
+        high = np.array(-np.inf)
+        every = 1
         for k, log in enumerate(self._pieces()):
             self._dropped += log.dropped
             low, high = np.minimum(low, log.q.min(axis=0)), np.maximum(high, log.q.max(axis=0))
@@ -174,16 +188,19 @@ class LongLog:
             steps = np.diff(log.t, prepend=parts[-1].end if parts else log.t[0])
             starts = {*np.flatnonzero(steps > longest).tolist(), *([] if parts else [0])}
             for first, last in pairwise(sorted({0, *starts, len(log.t)})):
-                if new := first in starts:
+                new = first in starts
+                if new:
                     parts.append(_Part(first=rows + first, start=float(log.t[first])))
                 part = parts[-1]
                 part.steps.add(steps[first + new : last])
-                part.last, part.end = rows + last, float(log.t[last - 1])
+                part.last = rows + last
+                part.end = float(log.t[last - 1])
             rows += len(log.t)
         return parts
 
     def _pieces(self) -> Iterator[Log]:
-        if isinstance(source := self._source, Log):
+        source = self._source
+        if isinstance(source, Log):
             for first in range(0, len(source.t), self._rows):
                 yield source.rows(slice(first, first + self._rows))
             return

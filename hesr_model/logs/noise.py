@@ -22,7 +22,8 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
     )
     # Scalars warn of overflow, arrays wrap silently.
-    flat, places = streams.reshape(-1), indices.reshape(-1)
+    flat = streams.reshape(-1)
+    places = indices.reshape(-1)
     seeds = np.full(flat.shape, seed & _MASK, dtype=np.uint64)
     base = _finish((_finish(seeds + _GAMMA) ^ flat) + _GAMMA)
     return _finish(base + (places + np.uint64(1)) * _GAMMA).reshape(streams.shape)

@@ -22,7 +22,8 @@ USUAL = 0.95  # share of the shortest steps, whose mean is usual
 SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
 _LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
-_LEAST_TWIST, _MOST_TWIST = 1e-12, 0.1  # of a gear [rad], and over the joint's motion
+_LEAST_TWIST = 1e-12
+_MOST_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
 _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
 _LEAST_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
@@ -133,7 +134,8 @@ class Log:
 
     def parts(self) -> "tuple[Log, ...]":
         """Return the parts between gaps that last at least 1 s; raises LogError if none does."""
-        if len(parts := self.split(self.longest_step)) == 1:
+        parts = self.split(self.longest_step)
+        if len(parts) == 1:
             return (self,)
         kept = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
         if not kept:
@@ -209,7 +211,8 @@ class Log:
 
 def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
     """Convert samples of a file to SI; errors as `Log.read`, but for time stamps."""
-    units, n = robot.log.units, len(robot.joints)
+    units = robot.log.units
+    n = len(robot.joints)
     _require_reasonable(path, samples, robot.joints)
 
     def of_joints(quantity: str, values: Array | None) -> Any:
@@ -218,7 +221,8 @@ def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
         zero = (quantity == "q" and robot.log.zero) or 0.0
         return _of_joints(values * units.factors(quantity, n), robot) + zero
 
-    load, temperature = None, samples.temperature
+    load = None
+    temperature = samples.temperature
     if robot.log.cylinder is None:
         tau = _torque(path, samples, robot)
     else:

@@ -20,7 +20,8 @@ from hesr_model.support.arrays import Array, joined
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
 WINDOW = 1.0  # length [s]; friction forgets its initial state
 _FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
-_LEAST, _MOST = -3, 5  # octaves of torque around the first root mean square
+_LEAST = -3
+_MOST = 5  # octaves of torque around the first root mean square
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +37,12 @@ class Sample:
     """A sample of at most `most` rows, by `seed` and order."""
 
     def __init__(self, most: int, seed: int) -> None:
-        self._most, self._seed = most, seed
+        self._most = most
+        self._seed = seed
         self._windows: list[_Window] = []
         self._seen: Counter[Stratum] = Counter()
-        self._numbers, self._parts = count(), count()
+        self._numbers = count()
+        self._parts = count()
         self._size: Array | None = None
 
     def add(self, motion: Motion, *, follows: bool = False) -> None:
@@ -60,7 +63,8 @@ class Sample:
         return [joined([window.motion for _, window in group]) for _, group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
-        t, n = motion.t, motion.q.shape[1]
+        t = motion.t
+        n = motion.q.shape[1]
         places = np.floor((t - t[0]) / WINDOW).astype(int)
         places = np.minimum(places, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
         near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])

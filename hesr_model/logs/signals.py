@@ -137,7 +137,8 @@ class Grid:
 
     def within(self, t: Array) -> Array:
         """Return the stamps [s] from t[0] to t[-1], with the digits of `np.linspace`."""
-        length, steps = self.end - self.start, self.steps
+        length = self.end - self.start
+        steps = self.steps
         first, last = (t[[0, -1]] - self.start) / length * steps
         k = np.arange(np.ceil(first), np.floor(last) + 1.0)
         return np.where(k == steps, self.end, k * (length / steps) + self.start)
@@ -148,7 +149,8 @@ class Grid:
 
     def require(self, where: str, rows: int, cutoff: float) -> None:
         """Raise LogError unless rows at this rate are enough for a low pass [Hz]."""
-        period, padding = self.period, self.padding(cutoff)
+        period = self.period
+        padding = self.padding(cutoff)
         highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
         if cutoff > highest:
             raise LogError(
@@ -174,7 +176,8 @@ def zero_phase(t: Array, values: Array, cutoff: float, grid: Grid | None = None)
     from scipy.signal import butter, sosfiltfilt
 
     grid = grid or Grid.of(t)
-    stamps, padding = grid.within(t), grid.padding(cutoff)
+    stamps = grid.within(t)
+    padding = grid.padding(cutoff)
     sos = butter(_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
     even = make_interp_spline(t, values, k=3)(stamps)
     longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])

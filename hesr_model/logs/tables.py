@@ -27,7 +27,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     `names` names its columns.
     """
     require_content(path)
-    if kind := _KINDS.get(path.suffix.lower()):
+    kind = _KINDS.get(path.suffix.lower())
+    if kind:
         return _table(path, arrow().concat_tables(_batches(path, kind)))
     return read_text(path, names)
 
@@ -35,7 +36,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
 def table_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
     """Yield the tables of successive rows of such a file; raises LogError."""
     require_content(path)
-    if kind := _KINDS.get(path.suffix.lower()):
+    kind = _KINDS.get(path.suffix.lower())
+    if kind:
         yield from (_table(path, data) for data in _batches(path, kind, rows) if data.num_rows)
     else:
         yield from text_pieces(path, names, rows)
@@ -90,7 +92,8 @@ def arrow() -> Any:
 
 
 def _array(cells: Any) -> Array | TextCell:
-    pa, kind = arrow(), cells.type
+    pa = arrow()
+    kind = cells.type
     is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
     if is_time or (pa.types.is_integer(kind) and not cells.null_count):
         return np.asarray(cells.to_numpy())
@@ -106,7 +109,8 @@ def _array(cells: Any) -> Array | TextCell:
 
 def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
     """Yield tables of up to `rows` rows, the first one maybe empty."""
-    pa, count = arrow(), 0
+    pa = arrow()
+    count = 0
     with readable(path, kind):
         if kind == "Parquet":
             with pa.parquet.ParquetFile(path, pre_buffer=False) as file:

@@ -62,7 +62,8 @@ class Search:
         count = max(_INSTANTS * self.harmonics, 120)
         orders = np.arange(1.0, self.harmonics + 1)
         phase = np.outer(2 * np.pi * np.arange(count) / count, orders)
-        cos, sin = np.cos(phase), np.sin(phase)
+        cos = np.cos(phase)
+        sin = np.sin(phase)
         of_a, of_b = self._at_rest
         return (
             np.hstack([sin / orders @ of_a, -cos / orders @ of_b]),
@@ -94,7 +95,9 @@ class Search:
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period
         series = self._series
-        path, dq, ddq = series[0] @ shape.T / rate, series[1] @ shape.T, series[2] @ shape.T * rate
+        path = series[0] @ shape.T / rate
+        dq = series[1] @ shape.T
+        ddq = series[2] @ shape.T * rate
         state = (path + offset, dq, ddq)
         value, slopes = self._of_regressor(state, weight)
         centred = (state[0] - self._middle, dq, ddq)
@@ -164,7 +167,8 @@ def _log_condition(columns: Array) -> tuple[float, Array]:
     rows = columns.reshape(-1, columns.shape[2])
     values, vectors = np.linalg.eigh(rows.T @ rows)
     values = np.maximum(values, _SINGULAR * values[-1])
-    high, low = (values / values[-1]) ** _ORDER, (values / values[0]) ** -_ORDER
+    high = (values / values[-1]) ** _ORDER
+    low = (values / values[0]) ** -_ORDER
     span = np.log(values[-1] / values[0]) + np.log(high.sum() * low.sum()) / _ORDER
     of_values = 0.5 / values * (high / high.sum() - low / low.sum())
     slopes = 2.0 * rows @ ((vectors * of_values) @ vectors.T)
@@ -172,8 +176,10 @@ def _log_condition(columns: Array) -> tuple[float, Array]:
 
 
 _SAMPLES = 400  # per period; with 100 or more the condition number of W_b changes by a per cent
-_COARSE, _FINE = 1e2, 1e4  # weights of exceeded limits, in the first descents and the last one
-_COARSE_STEPS, _FINE_STEPS = 100, 300
+_COARSE = 1e2
+_FINE = 1e4  # weights of exceeded limits, in the first descents and the last one
+_COARSE_STEPS = 100
+_FINE_STEPS = 300
 _USUAL_RATE = 200.0
 _LARGE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
 
@@ -281,10 +287,12 @@ def random_motions(
     limits = Limits.of(model, settings.limits)
     rest = limits.rest(model)
     rng = np.random.default_rng(seed)
-    shape, motions = (2, model.n, settings.harmonics), []
+    shape = (2, model.n, settings.harmonics)
+    motions = []
     for _ in range(count):
         a, b = _LARGE * limits.velocity[:, None] * rng.standard_normal(shape)
-        offset, period = rng.uniform(limits.lower, limits.upper), rng.uniform(*settings.period)
+        offset = rng.uniform(limits.lower, limits.upper)
+        period = rng.uniform(*settings.period)
         motion = Fourier.from_rest(a, b, offset=offset, period=period)
         motions.append(limits.shrink(motion, model, rest))
     return motions

@@ -129,7 +129,8 @@ class Limits:
 
         if not np.any(np.isfinite(self.torque)) or keeps(1.0):
             return motion
-        low, high = 0.0, 1.0
+        low = 0.0
+        high = 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if keeps(middle) else (low, middle)

@@ -109,7 +109,8 @@ class Fourier(Trajectory):
         """See `Trajectory.sample`."""
         rates = 2 * np.pi / self.period * np.arange(1, self.a.shape[1] + 1)
         phase = np.outer(t, rates)
-        cos, sin = np.cos(phase), np.sin(phase)
+        cos = np.cos(phase)
+        sin = np.sin(phase)
         q = self.offset + sin @ (self.a / rates).T - cos @ (self.b / rates).T
         dq = cos @ self.a.T + sin @ self.b.T
         return q, dq, cos @ (self.b * rates).T - sin @ (self.a * rates).T
@@ -145,7 +146,8 @@ class Sine(Trajectory):
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """See `Trajectory.sample`."""
         rate = 2 * np.pi * self.frequency
-        cos, sin = np.cos(rate * np.asarray(t)), np.sin(rate * np.asarray(t))
+        cos = np.cos(rate * np.asarray(t))
+        sin = np.sin(rate * np.asarray(t))
         q = self.offset - np.outer(cos, self.amplitude / rate)
         return q, np.outer(sin, self.amplitude), np.outer(cos, self.amplitude * rate)
 
@@ -188,7 +190,8 @@ class Sweep(Trajectory):
         asked = np.asarray(t, dtype=float)[:, None]
         time = np.clip(asked, 0.0, self.length)
         moves = np.abs(asked - time) <= _ROUNDING
-        rate, slope = 2 * np.pi * self.first, 2 * np.pi * (self.last - self.first) / self.length
+        rate = 2 * np.pi * self.first
+        slope = 2 * np.pi * (self.last - self.first) / self.length
         slow = 2 * np.pi / self.swing_period
         wave = np.exp(1j * (rate * time + 0.5 * slope * time**2))
         swell = np.exp(1j * (slow * time + self.swing_phase))

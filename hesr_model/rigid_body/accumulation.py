@@ -30,7 +30,8 @@ class Streamed:
     """
 
     def __init__(self, model: Robot, slow: Array | None = None) -> None:
-        self._model, self._base = model, unknown_columns(model)
+        self._model = model
+        self._base = unknown_columns(model)
         self._friction = observations.friction_columns(model, self._base)
         self._used = np.full(model.n, observations.SLOW) if slow is None else slow
         self._peaks = np.zeros(model.n)
@@ -64,7 +65,9 @@ class Streamed:
         self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
     ) -> identification.RigidBody:
         """Return the rigid body, with the covariance of some or all `motions`; raises FitError."""
-        model, base, friction = self._model, self._base, self._friction
+        model = self._model
+        base = self._base
+        friction = self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         identification.require_speed(where, self._peaks, model)
         scale = identification.scale_of(model, base, friction)
@@ -76,7 +79,8 @@ class Streamed:
             if callable(motions):
                 covariance = self._covariance(motions, solution)
             else:
-                blocks, labels = self._blocks(motions), observations.logs_of(motions)
+                blocks = self._blocks(motions)
+                labels = observations.logs_of(motions)
                 covariance = least_squares.covariance_of(blocks, solution, labels)
         return identification.body_of(
             solution,
@@ -107,7 +111,8 @@ class Streamed:
     def _parts(
         self, motions: Callable[[], Iterable[Motion]], solution: Solution, whole: Array
     ) -> Iterator[Gradients]:
-        logs, row = list(self._logs), 0
+        logs = list(self._logs)
+        row = 0
         for motion in motions():
             for first in range(0, len(motion.t), identification.AT_ONCE):
                 some = motion.rows(slice(first, first + identification.AT_ONCE))

@@ -66,7 +66,8 @@ def gear_forms(motions: Sequence[Motion], model: Robot, used: Sequence[Mask]) ->
     parts = [slice(*pair) for pair in pairwise(ends)]
 
     def smooth(values: Array) -> Array:
-        cutoff, pairs = model.description.log.filter_cutoff, zip(motions, parts, strict=True)
+        cutoff = model.description.log.filter_cutoff
+        pairs = zip(motions, parts, strict=True)
         return np.concatenate([zero_phase(m.t, values[rows], cutoff)(m.t) for m, rows in pairs])
 
     data |= {"smooth": smooth(data["tau"]), "link": smooth(np.sign(data["dq_link"]))}
@@ -80,18 +81,23 @@ def _form(
     used: Mask,
     smooth: Callable[[Array], Array],
 ) -> GearForm:
-    twist, rate = data["q"] - data["q_link"], data["dq"] - data["dq_link"]
-    zero, torque = float(np.mean(twist[used])), np.zeros_like(twist)
+    twist = data["q"] - data["q_link"]
+    rate = data["dq"] - data["dq_link"]
+    zero = float(np.mean(twist[used]))
+    torque = np.zeros_like(twist)
     widths = np.max(np.abs(twist[used] - zero)) * _WIDTHS
     free = np.full(FIXED + 1, np.inf)
     most = np.concatenate([free, np.where(widths > 0.0, np.inf, 0.0)])
     least = np.concatenate([-free, np.where(widths > 0.0, 0.0, -np.inf)])
     elements = np.arange(FIXED + 1, len(most))
     for _ in range(_ROUNDS):
-        d, sign = twist - zero, np.sign(data["dq"])
+        d = twist - zero
+        sign = np.sign(data["dq"])
         shapes = [_stop(d / w, parts) if w > 0 else np.clip(-d / w, -1, 1) for w in widths]
         bent = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
-        ones, dq, ddq = np.ones_like(d), data["dq"], data["ddq"]
+        ones = np.ones_like(d)
+        dq = data["dq"]
+        ddq = data["ddq"]
         columns = np.column_stack([d, rate, ones, bent[:, :2], dq, ddq, bent[:, 2:]])
         rows = np.column_stack([columns, data["smooth"]])[used]
         size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
@@ -126,9 +132,12 @@ def with_gears(
     """Return blocks with motor friction; `links` (n, 2) are the columns of each link's friction."""
     first = blocks[0].matrix.shape[1]
     places = first + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
-    whole, motors = [], []
+    whole = []
+    motors = []
     for j, (block, form) in enumerate(zip(blocks, forms, strict=True)):
-        k, at, rotor = block.samples, places[j], 10 * model.links + j
+        k = block.samples
+        at = places[j]
+        rotor = 10 * model.links + j
         tau, smooth, turning = (form.signals[n][k] for n in ("tau", "smooth", "ddq"))
         both, motor = np.zeros((2, len(k), places[-1]))
         both[:, :first] = block.matrix
@@ -148,7 +157,8 @@ def gears_of(
     forms: Sequence[GearForm], joints: Sequence[str], x: Array, errors: Array, links: Integers
 ) -> tuple[ElasticGear, ...]:
     """Return the gears in the last columns of a solution `x` (P,); `links` as in `with_gears`."""
-    at, found = len(x) - sum(form.columns.shape[1] for form in forms), []
+    at = len(x) - sum(form.columns.shape[1] for form in forms)
+    found = []
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
         places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
         del places["offset"]

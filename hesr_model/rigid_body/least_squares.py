@@ -35,7 +35,8 @@ class Factor:
     def with_rows(self, block: Block) -> "Factor":
         """Return the factor with further rows."""
         below = np.column_stack([block.matrix, block.target])
-        both, rows = np.concatenate([self.triangle, below]), self.rows + len(below)
+        both = np.concatenate([self.triangle, below])
+        rows = self.rows + len(below)
         (factor,) = scipy.linalg.qr(both, mode="r", check_finite=False)
         return Factor(triangle=np.asarray(factor[: below.shape[1]]), rows=rows)
 
@@ -88,7 +89,8 @@ def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers)
         (w**2 * b.matrix.T @ b.matrix for b, w in zip(blocks, solution.weights, strict=True)),
         start=np.diag(solution.pull**2),
     )
-    parts, names = parts_of_blocks(blocks, solution, labels, hessian), ("",) * len(hessian)
+    parts = parts_of_blocks(blocks, solution, labels, hessian)
+    names = ("",) * len(hessian)
     return covariance_of_parts(names, lambda: parts, hessian, known=np.diag(solution.pull**2))
 
 
@@ -113,9 +115,11 @@ def parts_of_blocks(
 def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask) -> Solution:
     triangles = [factor.triangle for factor in factors]
     rows = np.concatenate([w * factor for w, factor in zip(weights, triangles, strict=True)])
-    matrix, target = rows[:, :-1] / scale, rows[:, -1]
+    matrix = rows[:, :-1] / scale
+    target = rows[:, -1]
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
-    own, judged = np.zeros(len(scale)), s
+    own = np.zeros(len(scale))
+    judged = s
     if loose.any() and s[0] > _HUGE_CONDITION * s[-1]:
         own[loose] = _LOOSE * s[0]
         judged = np.linalg.svd(np.vstack([matrix, np.diag(own / _LOOSE * _RIDGE)]))[1]

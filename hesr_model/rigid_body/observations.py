@@ -84,7 +84,8 @@ def slow_speeds(peaks: Array) -> Array:
 
 def without_known(motions: Sequence[Motion], model: Robot) -> list[Motion]:
     """Return motions without the torque of known parameters."""
-    if not (known := known_columns(model)):
+    known = known_columns(model)
+    if not known:
         return list(motions)
     own = np.zeros_like(model.nominal_parameters)
     own[known] = model.nominal_parameters[known]
@@ -128,9 +129,11 @@ def stacked(
     """Return a block per friction coordinate, of rows above `slow`; friction columns are last."""
     n = model.n
     states = [np.concatenate(parts) for parts in zip(*(m.states for m in motions), strict=True)]
-    dq, tau = states[1], np.concatenate([motion.tau for motion in motions])
+    dq = states[1]
+    tau = np.concatenate([motion.tau for motion in motions])
     rigid = model.regressor(*states)[:, :, list(base)]
-    if (coupling := model.description.coupling) is not None:
+    coupling = model.description.coupling
+    if coupling is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
     blocks = []
     for joint, rows in enumerate(used_rows(motions, model, slow)):
@@ -158,7 +161,8 @@ def averaged(
     both = ([model.regressor(*motion.states) for motion in pair] for pair in pairs)
     matrix = np.concatenate([0.5 * (a + b) for a, b in both])[:, :, list(base)]
     target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
-    if (coupling := model.description.coupling) is not None:
+    coupling = model.description.coupling
+    if coupling is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
     forward, backward = (rubbing_speeds(each, model) for each in zip(*pairs, strict=True))
     slow = slow_speeds(peak_speeds([*motions, *counterparts], model))

@@ -156,7 +156,8 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
     for block, size, own in zip(blocks, solution.rmse, segments, strict=True):
         residual = (block.target - block.matrix @ solution.x) / size**2
         np.add.at(gradients, own, block.matrix * residual[:, None])
-    inverse, count = _inverse_hessian(blocks, solution), len(gradients)
+    inverse = _inverse_hessian(blocks, solution)
+    count = len(gradients)
     return np.asarray(inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1)))
 
 

@@ -27,7 +27,8 @@ from hesr_model.support.arrays import Array, Integers
 # 0.3 are equally good on measured logs left out in turn.
 _PULL = 0.2
 _WEAK = 1e-2  # share of the pull that chooses among equal torques
-_TINY, _ROUNDING = 1e-12, 1e-9
+_TINY = 1e-12
+_ROUNDING = 1e-9
 _LEAST_PULL = 1e-4  # pull of unknown rotors, which makes them unique
 _REWEIGHTINGS = 2
 _SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
@@ -61,7 +62,8 @@ def link_parameters(pseudo: Array) -> Array:
     """Return the ten parameters (..., 10) of links from their pseudo-inertias (..., 4, 4)."""
     sigma = pseudo[..., :3, :3]
     inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
-    first, second = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+    first = (0, 0, 1, 0, 1, 2)
+    second = (0, 1, 1, 2, 2, 2)
     parts = (pseudo[..., 3, 3:], pseudo[..., :3, 3], inertia[..., first, second])
     return np.concatenate(parts, axis=-1)
 
@@ -82,7 +84,8 @@ def fit(
     weights.
     """
     chart = _Chart.of(model)
-    count, size = sum(len(block.target) for block in blocks), model.inertial
+    count = sum(len(block.target) for block in blocks)
+    size = model.inertial
     x = chart.start
     for _ in range(_REWEIGHTINGS):
         weights = _weights(blocks, rmse, weighted)
@@ -136,7 +139,8 @@ def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     Also returns the largest difference and the largest torque per joint, (n,) [N.m], at random
     states.
     """
-    size, rows = model.inertial, at_random_states(model)
+    size = model.inertial
+    rows = at_random_states(model)
     torque = (rows @ parameters).reshape(-1, model.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
     own = rows[:, :size]
@@ -160,7 +164,8 @@ class _Chart:
 
     @classmethod
     def of(cls, model: Robot) -> Self:
-        nominal, links = model.nominal_parameters[: model.inertial], 10 * model.links
+        nominal = model.nominal_parameters[: model.inertial]
+        links = 10 * model.links
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0
@@ -175,14 +180,16 @@ class _Chart:
     def parameters(self, x: Array) -> Array:
         """Return the standard parameters (P,) at coordinates."""
         links = 10 * len(self.factors)
-        b, u = self.factors, _triangles(x[:links].reshape(-1, 10))
+        b = self.factors
+        u = _triangles(x[:links].reshape(-1, 10))
         own = link_parameters(b @ u @ u.mT @ b.mT)
         return np.concatenate([own.ravel(), x[links:] ** 2])
 
     def slopes(self, x: Array) -> Array:
         """Return the derivatives (P, 10 n + r) of the parameters."""
         links = 10 * len(self.factors)
-        u, changes = _triangles(x[:links].reshape(-1, 10)), np.zeros((len(self.factors), 10, 4, 4))
+        u = _triangles(x[:links].reshape(-1, 10))
+        changes = np.zeros((len(self.factors), 10, 4, 4))
         changes[:, range(10), *_PLACES] = 1.0
         changes[:, range(4), range(4), range(4)] = u[:, range(4), range(4)]
         b, u = self.factors[:, None], u[:, None]
@@ -217,7 +224,8 @@ def _upper_factor(matrix: Array) -> Array:
 
 def _start(link: Array) -> Array:
     pseudo = pseudo_inertia(link if link[0] > 0 else _UNKNOWN_LINK)
-    m, centre = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
+    m = pseudo[3, 3]
+    centre = pseudo[:3, 3] / pseudo[3, 3]
     about_centre = pseudo[:3, :3] - m * np.outer(centre, centre)
     values, vectors = np.linalg.eigh(about_centre)
     values = np.maximum(values, m * _SMALLEST_RADIUS**2)

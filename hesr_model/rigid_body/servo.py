@@ -18,7 +18,8 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Numbers
 
 _LATEST = 0.1  # longest latency [s]
-_COARSE, _FINE = 5e-4, 10  # least step of a first search [s], and its parts in a second
+_COARSE = 5e-4
+_FINE = 10  # least step of a first search [s], and its parts in a second
 _SURE = 2.0  # least size of a kept integral gain, in standard errors
 _LEAST = 0.8  # least share of the torque without gravity that the servo explains
 _TERMS = 3
@@ -129,7 +130,8 @@ def _problems(log: Log, gravity: Array, held: bool, late: float) -> tuple[list[A
         one = values[:, joint]
         return np.asarray(one[place] if held else np.interp(past, t, one))
 
-    columns, targets = [], []
+    columns = []
+    targets = []
     for j in range(log.q.shape[1]):
         # A held velocity moves its integral along a line, a held position does not.
         own = position[:, j]
@@ -171,7 +173,8 @@ def _solved(columns: Array, torque: Array) -> tuple[Array, Array, float, float]:
         if not drop:
             break
         used.remove(drop[-1])
-    whole, spread = np.zeros(len(columns.T)), np.zeros((_TERMS, _TERMS))
+    whole = np.zeros(len(columns.T))
+    spread = np.zeros((_TERMS, _TERMS))
     whole[used] = x
     gains = [k for k in used if k < _TERMS]
     spread[np.ix_(gains, gains)] = matrix[: len(gains), : len(gains)]

@@ -91,7 +91,8 @@ def torque_constants(
         own = [(blocks[j], carried) for blocks, carried in kinds]
         kappa, relative = _Problem.of(own, model, weight, spread).solve()
         value = float(constant / kappa) if kappa > 0.0 else np.inf
-        known, error = bool(kappa > 0.0 and relative < _DETERMINED), value * relative
+        known = bool(kappa > 0.0 and relative < _DETERMINED)
+        error = value * relative
         found.append(Constant(joint=joint, value=value, error=error, determined=known))
     return tuple(found)
 
@@ -127,11 +128,13 @@ class _Problem:
     def of(
         cls, kinds: Sequence[tuple[Block, Array]], model: Robot, weight: Array, spread: Array
     ) -> "_Problem":
-        size, last = len(spread), slice(10 * (model.links - 1), 10 * model.links)
+        size = len(spread)
+        last = slice(10 * (model.links - 1), 10 * model.links)
         nominal = model.nominal_parameters
         rows = []
         for block, carried in kinds:
-            rigid, rest = block.matrix[:, :size], block.matrix[:, size:]
+            rigid = block.matrix[:, :size]
+            rest = block.matrix[:, size:]
             own = rest[:, np.any(rest != 0.0, axis=0)]
             load = rigid[:, last] @ carried
             columns = np.column_stack([rigid @ nominal + load, own])
@@ -180,7 +183,8 @@ class _Problem:
         return slice(first, first + self.friction)
 
     def _torque(self, x: Array, k: int) -> Array:
-        size, factor = len(self.nominal), self.kinds[k].factor
+        size = len(self.nominal)
+        factor = self.kinds[k].factor
         return np.asarray(factor[:, :size] @ x[1 : 1 + size] + factor[:, size])
 
     def _left(self, x: Array, k: int) -> Array:
@@ -194,7 +198,8 @@ class _Problem:
         return np.concatenate([*rows, prior])
 
     def _slopes(self, x: Array, scales: Sequence[float]) -> Array:
-        size, parts = len(self.nominal), []
+        size = len(self.nominal)
+        parts = []
         for k, scale in enumerate(scales):
             factor = self.kinds[k].factor
             own = np.zeros((len(factor), len(x)))

@@ -201,7 +201,8 @@ class RobotDescription(Config):
     @property
     def constants(self) -> dict[str, Any]:
         """Entry of a provenance for the constants that turn logs into torques."""
-        gains, sources = self.log.torque_per_ampere, self.sources
+        gains = self.log.torque_per_ampere
+        sources = self.sources
         if gains is None:
             return {}
         known = sources.each("torque_per_ampere", len(gains))

@@ -144,7 +144,8 @@ def with_includes(path: Path) -> bytes:
 
 def _include(element: Element, base: Path, seen: set[Path]) -> None:
     for k, child in reversed(list(enumerate(element))):
-        file, inner = base / child.get("file", ""), child
+        file = base / child.get("file", "")
+        inner = child
         if child.tag == "include" and file.is_file() and file not in seen:
             seen.add(file)  # MuJoCo refuses a second time
             found = _root(file, file.read_bytes())
@@ -159,15 +160,18 @@ def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
     folders = {e.get(kind, "") for e in root.iter("compiler") for kind in places}
     for element in root.iter():
         for folder in sorted({"", *folders}) if (name := element.get("file")) else ():
-            if (file := base / folder / str(name)).exists():
+            file = base / folder / str(name)
+            if file.exists():
                 yield element, file
 
 
 def _require_an_end(path: Path) -> None:
     """Reject endless copies and special files: MuJoCo cannot be interrupted."""
-    if (root := _root(path, path.read_bytes())) is None:
+    root = _root(path, path.read_bytes())
+    if root is None:
         return
-    if (parts := _parts(root)) > _MOST_PARTS:
+    parts = _parts(root)
+    if parts > _MOST_PARTS:
         raise ConfigError(f"{path}: has {parts} elements; at most {_MOST_PARTS} can be compiled.")
     for element, file in _files(root, path.parent):
         if not file.is_file():
@@ -192,7 +196,8 @@ def _stripped(path: Path) -> Any:
     parts += [e for e in spec.equalities if e.type not in of_joints]
     for part in [*parts, *spec.tendons]:
         spec.delete(part)
-    meshes, bodies = set(), _shaped(spec)
+    meshes = set()
+    bodies = _shaped(spec)
     for site in spec.sites:
         site.material = ""
     for geom in spec.geoms:
@@ -209,7 +214,8 @@ def _stripped(path: Path) -> Any:
 
 
 def _shaped(spec: Any) -> set[str]:
-    by_geoms, total = spec.compiler.inertiafromgeom, spec.compiler.settotalmass > 0.0
+    by_geoms = spec.compiler.inertiafromgeom
+    total = spec.compiler.settotalmass > 0.0
     kinds = engine().mjtInertiaFromGeom
     moving: set[str] = set()
     for number, body in enumerate(spec.bodies[1:], start=1):
@@ -278,7 +284,9 @@ def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[st
         parent = links[model.body_parentid[b]]
         place = _pose(model.body_pos[b], model.body_quat[b])
         for j in np.flatnonzero(model.jnt_bodyid == b):
-            name, anchor, axis = names[j], _pose(model.jnt_pos[j]), model.jnt_axis[j]
+            name = names[j]
+            anchor = _pose(model.jnt_pos[j])
+            axis = model.jnt_axis[j]
             kind = ("floating", "floating", "prismatic", "revolute")[model.jnt_type[j]]
             back = held.get(name, 0.0) - float(model.qpos0[model.jnt_qposadr[j]])
             if kind == "prismatic":
@@ -292,9 +300,11 @@ def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[st
                 SubElement(own, "limit", _limit(model, int(j)))
             if name in followers:
                 leader, slope, offset = followers[name]
-                factor, shift = _words([slope]), _words([offset])
+                factor = _words([slope])
+                shift = _words([offset])
                 SubElement(own, "mimic", joint=leader, multiplier=factor, offset=shift)
-            parent, place = child, _pose(-model.jnt_pos[j])
+            parent = child
+            place = _pose(-model.jnt_pos[j])
         _, link = joint(f"{links[b]} (fixed)", "fixed", (parent, links[b]), place)
         inertial = SubElement(link, "inertial")
         SubElement(inertial, "origin", xyz=_words(model.body_ipos[b]))
@@ -333,9 +343,13 @@ def _equalities(
     model: Any, names: list[str]
 ) -> tuple[dict[str, tuple[str, float, float]], dict[str, float], list[list[str]]]:
     """Return q1 = slope q2 + offset as {q1: (q2, slope, offset)}, constant joints, and loops."""
-    kinds, followers, fixed, loops = engine().mjtEq, {}, {}, []
+    kinds = engine().mjtEq
+    followers = {}
+    fixed = {}
+    loops = []
     for k in np.flatnonzero(model.eq_active0):
-        own, leader = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        own = int(model.eq_obj1id[k])
+        leader = int(model.eq_obj2id[k])
         if kinds(model.eq_type[k]) in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
             if model.eq_objtype[k] == engine().mjtObj.mjOBJ_SITE:
                 own, leader = int(model.site_bodyid[own]), int(model.site_bodyid[leader])
@@ -360,11 +374,13 @@ def _equalities(
 def _torques(model: Any, single: dict[str, int], held: dict[str, float]) -> dict[str, Any]:
     """Return torques (8, n) of free single joints at random states, without passive forces."""
     mujoco = engine()
-    place, joints = model.jnt_qposadr, [j for name, j in single.items() if name not in held]
+    place = model.jnt_qposadr
+    joints = [j for name, j in single.items() if name not in held]
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.opt.enableflags = 0
     model.dof_damping[:] = 0.0  # sums with large ones lose digits
-    data, torques = mujoco.MjData(model), []
+    data = mujoco.MjData(model)
+    torques = []
     for name, position in held.items():
         data.qpos[place[single[name]]] = position
     q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, len(joints)))

@@ -72,8 +72,11 @@ class RobotModel:
         """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
-        model, path, known = self.model, self.path, self._below(robot.root)
-        joints, locked = robot.joints, robot.locked
+        model = self.model
+        path = self.path
+        known = self._below(robot.root)
+        joints = robot.joints
+        locked = robot.locked
         for name in (*joints, *locked):
             if name not in known:
                 raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
@@ -82,7 +85,8 @@ class RobotModel:
                     f"{path}: joint '{name}' follows joint '{self.followers[name][0]}', whose "
                     "torque contains its own; leave it out of 'joints' and 'locked'."
                 )
-        if both := [name for name in joints if name in locked]:
+        both = [name for name in joints if name in locked]
+        if both:
             raise RobotError(
                 f"{path}: joint '{both[0]}' is in both 'joints' and 'locked'; remove it from one."
             )
@@ -91,7 +95,9 @@ class RobotModel:
                 f"{path}: the joints {', '.join(joints)} must be listed once each, "
                 f"in the order of the model, {', '.join(known)}."
             )
-        rest, moving, neutral = {**self.rest, **locked}, set(joints), pin.neutral(model)
+        rest = {**self.rest, **locked}
+        moving = set(joints)
+        neutral = pin.neutral(model)
         for name, (leader, slope, offset) in self.followers.items():
             rest[name] = slope * rest.get(leader, 0.0) + offset
             moving |= {name} if leader in joints else set()
@@ -100,7 +106,8 @@ class RobotModel:
             require_one_axis(name, joint.nv, path)
             set_joint(joint, neutral, np.array(value))
         for ends, others in self.loops.items():
-            if moved := sorted(moving & others):
+            moved = sorted(moving & others)
+            if moved:
                 raise RobotError(
                     f"{path}: the bodies {ends} are tied to each other, which closes a chain over "
                     f"joint '{moved[0]}', whose torque is then undetermined; remove the equality."
@@ -115,10 +122,12 @@ class RobotModel:
 
     def follow(self, names: Sequence[str], leaders: Sequence[str]) -> tuple[Array, Array]:
         """Return G (names, leaders) and b (names,) of q = G q_leaders + b."""
-        slopes, offsets = np.zeros((len(names), len(leaders))), np.zeros(len(names))
+        slopes = np.zeros((len(names), len(leaders)))
+        offsets = np.zeros(len(names))
         for row, name in enumerate(names):
             leader, slope, offset = self.followers.get(name, (name, 1.0, 0.0))
-            slopes[row, leaders.index(leader)], offsets[row] = slope, offset
+            slopes[row, leaders.index(leader)] = slope
+            offsets[row] = offset
         return slopes, offsets
 
 
@@ -174,7 +183,8 @@ def load(path: Path) -> RobotModel:
 
 
 def _chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
-    links, joints = [link], list[str]()
+    links = [link]
+    joints = list[str]()
     while links[-1] in parents and len(joints) < len(parents):
         parent, joint = parents[links[-1]]
         links.append(parent)
@@ -204,16 +214,22 @@ def _resolved(path: Path, followers: Followers, names: set[str]) -> Followers:
 def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
     import pinocchio as pin  # slow to import
 
-    model, names = found.model.copy(), check["joints"]
+    model = found.model.copy()
+    names = check["joints"]
     joints = [model.joints[model.getJointId(name)] for name in names]
     model.gravity.linear = np.array(found.gravity)
-    data, dofs = model.createData(), [joint.idx_v for joint in joints]
-    expected, torques = np.array(check["torques"]), []
+    data = model.createData()
+    dofs = [joint.idx_v for joint in joints]
+    expected = np.array(check["torques"])
+    torques = []
     for q, dq, ddq in zip(check["q"], check["dq"], check["ddq"], strict=True):
-        state, velocity, acceleration = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        state = pin.neutral(model)
+        velocity = np.zeros(model.nv)
+        acceleration = np.zeros(model.nv)
         for joint, position in zip(joints, q, strict=True):
             set_joint(joint, state, position)
-        velocity[dofs], acceleration[dofs] = dq, ddq
+        velocity[dofs] = dq
+        acceleration[dofs] = ddq
         torques.append(pin.rnea(model, data, state, velocity, acceleration)[dofs])
     differences = np.abs(np.array(torques).reshape(expected.shape) - expected)
     largest = float(np.abs(expected).max(initial=0.0))
@@ -272,7 +288,8 @@ class ModelJoint:
 def joints_of(path: Path) -> tuple[ModelJoint, ...]:
     """Return the moving joints from base to tip."""
     found = load(path)
-    model, joints = found.model, []
+    model = found.model
+    joints = []
     for number, (name, joint) in enumerate(zip(model.names, model.joints, strict=True)):
         low, high = position_limits(model, joint) if number else (-np.inf, np.inf)
         short = _slides(joint) and high - low < _SHORT and number not in list(model.parents)
@@ -319,7 +336,8 @@ def arm(path: Path) -> tuple[ModelJoint, ...]:
         above = chains.get(joint.parent, [])
         chains[joint.name] = [*above, joint.name] if joint.name in driven else above
     before = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven}
-    branches, lengths = Counter(before.values()), {"": 0}
+    branches = Counter(before.values())
+    lengths = {"": 0}
     for name, parent in before.items():
         lengths[name] = lengths[parent] + 1 if branches[parent] == 1 else 1
     return tuple(driven[name] for name in chains[max(driven, key=lambda name: lengths[name])])
@@ -344,4 +362,5 @@ def set_joint(joint: Any, states: Array, position: Array) -> None:
     if joint.nq == 1:
         states[joint.idx_q] = position
     else:
-        states[joint.idx_q], states[joint.idx_q + 1] = np.cos(position), np.sin(position)
+        states[joint.idx_q] = np.cos(position)
+        states[joint.idx_q + 1] = np.sin(position)

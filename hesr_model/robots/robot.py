@@ -108,7 +108,8 @@ class Robot:
         """Gravity (3,) [m/s2] in the frame of the base."""
         stated = self.description.gravity
         gravity = np.array(self._file.gravity if stated is None else stated)
-        if (mount := self.description.mount) is None:
+        mount = self.description.mount
+        if mount is None:
             return gravity
         return np.asarray(self._pin.rpy.rpyToMatrix(*mount).T @ gravity)
 
@@ -159,7 +160,8 @@ class Robot:
         """The `limits`, for random states; one turn (or m) either way and 2 rad/s if absent."""
         lower, upper, speed = self.limits
         bounded = np.isfinite(upper - lower)
-        low, high = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
+        low = np.where(bounded, lower, -np.pi)
+        high = np.where(bounded, upper, np.pi)
         return low, high, np.where(np.isfinite(speed), speed, 2.0)
 
     @property

@@ -135,7 +135,8 @@ class Coupling:
     def ends(self, torque: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the ends (N, n) at q of independent bands around torques (N, n) at u."""
         below, above = (np.maximum(x, 0.0) ** 2 for x in (torque - lower, upper - torque))
-        square, same = self.forward**2, self.forward > 0.0
+        square = self.forward**2
+        same = self.forward > 0.0
         middle = self.at_joints(torque)
         down = below @ (square * same) + above @ (square * ~same)
         up = above @ (square * same) + below @ (square * ~same)

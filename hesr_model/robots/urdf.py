@@ -49,11 +49,13 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
     if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
         raise RobotError(f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf.")
     plain = Element("robot", name=root.get("name", "robot"))
-    followers, parents = {}, {}
+    followers = {}
+    parents = {}
     doubts: list[Finding] = []
     for link in root.iterfind("link"):
         kept = SubElement(plain, "link", name=link.get("name", ""))
-        if (inertial := link.find("inertial")) is not None:
+        inertial = link.find("inertial")
+        if inertial is not None:
             _require_numbers(path, link, inertial)
             kept.append(inertial)
             doubts += _inertia_doubts(path, link.get("name", ""), inertial)
@@ -61,11 +63,14 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
         _require_numbers(path, joint, joint)
         _complete(path, joint)
         plain.append(joint)
-        name, ends = joint.get("name", ""), (joint.find("parent"), joint.find("child"))
+        name = joint.get("name", "")
+        ends = (joint.find("parent"), joint.find("child"))
         if ends[0] is not None and ends[1] is not None:
             parents[ends[1].get("link", "")] = ends[0].get("link", ""), name
-        if (mimic := joint.find("mimic")) is not None:
-            factor, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            factor = mimic.get("multiplier", "1")
+            offset = mimic.get("offset", "0")
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
     plain_text = ElementTree.tostring(plain, encoding="unicode")
     return Urdf(text=plain_text, followers=followers, parents=parents, doubts=tuple(doubts))
@@ -74,7 +79,8 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
 def _require_numbers(path: Path, owner: Element, parent: Element) -> None:
     for element in parent:
         for key, count in _NUMBERS.get(element.tag, {}).items():
-            if (text := element.get(key)) is None:
+            text = element.get(key)
+            if text is None:
                 continue
             try:
                 found = [float(word) for word in text.split()]
@@ -89,7 +95,8 @@ def _require_numbers(path: Path, owner: Element, parent: Element) -> None:
 
 
 def _complete(path: Path, joint: Element) -> None:
-    kind, axis = joint.get("type"), joint.find("axis")
+    kind = joint.get("type")
+    axis = joint.find("axis")
     if kind in _MOVING and axis is not None and not any(map(float, axis.get("xyz", "1").split())):
         raise RobotError(
             f"{path}: the axis of joint '{joint.get('name', '')}' is 0 0 0, which is no direction; "
@@ -97,7 +104,8 @@ def _complete(path: Path, joint: Element) -> None:
         )
     if kind not in ("revolute", "prismatic"):
         return
-    if (limit := joint.find("limit")) is None:
+    limit = joint.find("limit")
+    if limit is None:
         limit = SubElement(joint, "limit", lower=f"{-UNLIMITED:g}", upper=f"{UNLIMITED:g}")
     for key in ("lower", "upper", "effort", "velocity"):
         value = np.clip(float(limit.get(key, "0")), -UNLIMITED, UNLIMITED)
@@ -105,7 +113,8 @@ def _complete(path: Path, joint: Element) -> None:
 
 
 def _inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Finding]:
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    mass = inertial.find("mass")
+    inertia = inertial.find("inertia")
     if mass is not None and float(mass.get("value", "0")) < 0.0:
         raise RobotError(
             f"{path}: link '{link}' has a negative mass, {mass.get('value')} kg; "
@@ -194,7 +203,8 @@ def chain_limits(
     `follow` is G and b of q_all = G q + b. Joints that follow a leader also limit it, unless they
     leave it no range: there the mask (n,) is true.
     """
-    joints, n = list(model.joints)[1:], len(own)
+    joints = list(model.joints)[1:]
+    n = len(own)
     ranges = np.array([position_limits(model, joint) for joint in joints])
     speeds = np.array([float(model.velocityLimit[joint.idx_v]) for joint in joints])
     speeds = np.where((speeds > 0.0) & (speeds < UNLIMITED), speeds, np.inf)
@@ -204,7 +214,8 @@ def chain_limits(
     ends = np.sort((ranges.T - offsets)[:, :, None] / scale, axis=0)
     lower = np.where(moved, ends[0], -np.inf).max(axis=0)
     upper = np.where(moved, ends[1], np.inf).min(axis=0)
-    bare, alone = lower >= upper, ranges[np.array(own) - 1].T
+    bare = lower >= upper
+    alone = ranges[np.array(own) - 1].T
     lower, upper = np.where(bare, alone, [lower, upper])
     speed = np.where(moved, speeds[:, None] / np.abs(scale), np.inf).min(axis=0)
     return lower, upper, speed, bare

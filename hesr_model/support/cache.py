@@ -39,7 +39,8 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     try:
         for place in (shelf.parent, shelf):
             _make_private(place)
-        if (found := _read(shelf / name)) is None:
+        found = _read(shelf / name)
+        if found is None:
             lock.acquire()
     except OSError:
         return make()
@@ -95,19 +96,22 @@ def keyed(kind: str, content: bytes) -> bytes:
 
 @cache
 def _key(place: Path) -> bytes:
-    file, size = place / "key", _DIGEST
+    file = place / "key"
+    size = _DIGEST
 
     def stored() -> bytes | None:
         found = _content(file)
         return found if found and len(found) == size else None  # else perhaps known to others
 
-    if found := stored():
+    found = stored()
+    if found:
         return found
     from filelock import FileLock  # slow to import
 
     try:
         with FileLock(place / "lock", mode=0o600):
-            if not (found := stored()):
+            found = stored()
+            if not found:
                 found = secrets.token_bytes(size)
                 _replace(file, found)
     except OSError as error:
@@ -188,7 +192,8 @@ def _content(file: Path) -> bytes | None:
 
 
 def _read(entry: Path) -> bytes | None:
-    if (data := _content(entry)) is None:
+    data = _content(entry)
+    if data is None:
         return None
     content = data[_DIGEST:]
     if not hmac.compare_digest(data[:_DIGEST], _digest(entry, content)):

@@ -23,7 +23,8 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
     In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
     """
     name = digest(source, flags, output, last)
-    if (prebuilt := PREBUILT / name).is_file():
+    prebuilt = PREBUILT / name
+    if prebuilt.is_file():
         output.write_bytes(prebuilt.read_bytes())
     else:
         key = f"ziglang {version('ziglang')}", name

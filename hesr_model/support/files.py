@@ -168,9 +168,8 @@ def _sweep(folder: Path) -> None:
 
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            if not (found := _OF_A_PROCESS.fullmatch(entry.name)) or psutil.pid_exists(
-                int(found[2])
-            ):
+            found = _OF_A_PROCESS.fullmatch(entry.name)
+            if not found or psutil.pid_exists(int(found[2])):
                 continue
             with suppress(OSError):
                 owner = entry.stat(follow_symlinks=False).st_uid

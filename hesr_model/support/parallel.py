@@ -56,7 +56,8 @@ def work(folder: Path, parent: int) -> None:
     for name in (cache.__name__, "fmu_src.run.sandbox_rights"):  # the parent has warned
         logging.getLogger(name).setLevel(logging.ERROR)
     tempfile.tempdir = str(folder)
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
     with Path(os.devnull).open("rb") as nothing:
         os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)  # jobs may print
@@ -134,7 +135,8 @@ def results_of(
     per core by default, or those of `one_pool`. One worker is this process. The iterator raises
     WorkerError if a process ended before its job was done.
     """
-    if (count := min(workers or os.cpu_count() or 1, len(jobs))) <= 1:
+    count = min(workers or os.cpu_count() or 1, len(jobs))
+    if count <= 1:
         yield _here(jobs, names)
         return
     with ExitStack() as cleanup:
@@ -178,7 +180,8 @@ class _Pool:
     """Processes that start with the first jobs, and anew with the first ones after an error."""
 
     def __init__(self, count: int) -> None:
-        self._count, self._batches = count, 0
+        self._count = count
+        self._batches = 0
         self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
         self._children: list[ChildProcess] = []
         self._threads: list[Thread] = []
@@ -198,7 +201,9 @@ class _Pool:
                 thread.join()
             for child in self._children:
                 child.process.wait()
-        self._tasks, self._children, self._threads = SimpleQueue(), [], []
+        self._tasks = SimpleQueue()
+        self._children = []
+        self._threads = []
 
     def stop_on_error(self, kind: type[BaseException] | None, *raised: object) -> None:
         """Kill the processes if a block has failed."""
@@ -242,7 +247,8 @@ class _Pool:
         self._threads[-1].start()
 
     def _serve(self, child: ChildProcess) -> None:
-        requests, answers = child.process.stdin, child.process.stdout
+        requests = child.process.stdin
+        answers = child.process.stdout
         assert requests is not None
         assert answers is not None
         with requests, answers:

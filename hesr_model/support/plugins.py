@@ -69,7 +69,8 @@ def load(group: str) -> Mapping[str, Plugin]:
     for plugin in sorted(every, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)):
         if plugin.own and not _exists(plugin.entry.module):
             continue
-        if other := found.get(plugin.name):
+        other = found.get(plugin.name)
+        if other:
             raise ConfigError(
                 f"{plugin.label} has the name of one of '{other.package}'; names must differ."
             )

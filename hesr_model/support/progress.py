@@ -82,7 +82,8 @@ def into_file(path: Path) -> Progress:
 
     def tell(done: int, total: int) -> None:
         nonlocal most
-        if (share := PARTS * done // max(total, 1)) > most:
+        share = PARTS * done // max(total, 1)
+        if share > most:
             # The number never gets shorter, so the file is not truncated: some take 3 ms for that.
             mode = "r+" if most else "w"
             most = share
@@ -95,7 +96,8 @@ def into_file(path: Path) -> Progress:
 @contextmanager
 def watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
     """Report the sum of the shares written by `into_file`."""
-    total, ended = PARTS * len(files), threading.Event()
+    total = PARTS * len(files)
+    ended = threading.Event()
 
     def look() -> None:
         most = 0
@@ -153,4 +155,5 @@ class Interrupted(KeyboardInterrupt):
 
     def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
         super().__init__(kept)
-        self.kept, self.interrupt = kept, interrupt
+        self.kept = kept
+        self.interrupt = interrupt

@@ -18,7 +18,8 @@ from hesr_model.support.files import written_whole
 from hesr_model.support.text import parse_json, parse_toml, read_text, require_printable
 
 _MOST_SHOWN = 200  # characters
-_MISSING_KEY, _UNKNOWN_KEY = "key.missing", "key.unknown"
+_MISSING_KEY = "key.missing"
+_UNKNOWN_KEY = "key.unknown"
 _CODES = {"missing": _MISSING_KEY, "unexpected_keyword_argument": _UNKNOWN_KEY}
 """Codes of pydantic's errors; the others are called ``value.`` and pydantic's own name."""
 

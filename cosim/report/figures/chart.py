@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from cosim.report.figures.style import INK, SOFT, Stroke, styled
 from hesr_model.support.arrays import Array
 
-_COLUMNS, _ROWS = 520, 4
+_COLUMNS = 520
+_ROWS = 4
 """Columns of extreme values of a line over the whole width, fewer in more rows."""
 _NAMES = 6  # names in a row of a legend
 _RIGHT = 0.16  # right margin of a figure [in]
@@ -59,7 +60,8 @@ class Chart:
 
 def drawn(chart: Chart, width: float = 9.0) -> Figure:
     """Draw a chart, with one legend above all panels."""
-    rows, columns = len(chart.rows), len(chart.rows[0])
+    rows = len(chart.rows)
+    columns = len(chart.rows[0])
     most = min(_COLUMNS, _COLUMNS * _ROWS // rows)
     size = (width, chart.height * rows + 0.5)
     named = len({line.name for line in chart.lines})

@@ -53,7 +53,8 @@ def _draw(axis: Any, robot: Robot, q: Array) -> None:
         axis.text(*(place + 1.5 * arrow), frame.name, fontsize=7, color=SOFT)
     axis.scatter(*np.transpose(ends), s=14, color=SERIES[1])
     axis.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    low, high = middle - 0.5 * size, middle + 0.5 * size
+    low = middle - 0.5 * size
+    high = middle + 0.5 * size
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axis.set_box_aspect((1.0, 1.0, 1.0), zoom=0.85)
     axis.locator_params(nbins=4)
@@ -63,9 +64,12 @@ def _line(axis: Any, start: Array, end: Array, colour: str, width: float) -> Non
     axis.plot(*np.transpose([start, end]), color=colour, linewidth=width)
 
 
-_ROW, _BINS = 1.55, 40
+_ROW = 1.55
+_BINS = 40
 _LEAST = 1e-9  # round-off of a range of values
-_DESIGN_ROW, _WIDTH, _DPI = 1.8, 9.0, 120
+_DESIGN_ROW = 1.8
+_WIDTH = 9.0
+_DPI = 120
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,8 +86,10 @@ class JointView:
 
 def joints(views: Sequence[JointView]) -> Figure:
     """Draw velocity, friction, and histograms of velocity and load by joint."""
-    size, widths = (9.0, _ROW * len(views) + 0.75), [1.0, 1.0, 0.6, 0.6]
-    margins, gaps = (0.54, 0.5, 0.3), (0.3, 0.58)
+    size = (9.0, _ROW * len(views) + 0.75)
+    widths = [1.0, 1.0, 0.6, 0.6]
+    margins = (0.54, 0.5, 0.3)
+    gaps = (0.3, 0.58)
     with styled():
         figure, axes = grid(size, len(views), 4, margins, gaps, width_ratios=widths)
         for row, view in zip(axes, views, strict=True):

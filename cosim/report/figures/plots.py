@@ -59,7 +59,8 @@ def loops(
     rows = ceil(len(laws) / columns)
     with styled():
         _, height = size = (9.0, 1.75 * rows + 0.55)
-        margins, gaps = (0.63, 0.25, 0.5), (0.11, 0.26)
+        margins = (0.63, 0.25, 0.5)
+        gaps = (0.11, 0.26)
         figure, axes = grid(size, rows, columns, margins, gaps, sharex=True, sharey=True)
         fastest = float(np.max(np.abs(measured[0])))
         slow = np.abs(measured[0]) <= _REACH * fastest

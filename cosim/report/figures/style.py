@@ -110,7 +110,8 @@ styled = partial(rc_context, _RC)  # applies the style of the report
 
 
 def _settle(figure: Figure) -> None:
-    if engine := figure.get_layout_engine():
+    engine = figure.get_layout_engine()
+    if engine:
         engine.execute(figure)
         figure.set_layout_engine("none")
 
@@ -162,7 +163,8 @@ def _short(body: str) -> str:
 
 def _relative(path: str) -> str:
     parts: list[str] = []
-    last, before = [0, 0], ""
+    last = [0, 0]
+    before = ""
     for command, numbers in _COMMAND.findall(path):
         tenths = [round(10.0 * float(number)) for number in numbers.split()]
         shown = tenths

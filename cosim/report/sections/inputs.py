@@ -56,7 +56,8 @@ def data(results: Results) -> dict[str, Any]:
 
 def body(results: Results) -> dict[str, Any]:
     """Return the identified parameters and their torque."""
-    found, log = results.body, results.log_of("identification")
+    found = results.body
+    log = results.log_of("identification")
     weighted = ", weighted by the noise of each joint" if found.weighting == "wls" else ""
     return {
         "body": found,
@@ -72,7 +73,8 @@ def body(results: Results) -> dict[str, Any]:
 
 def _torques(results: Results, log: SavedLog) -> Chart:
     torques = results.torques(log)
-    t, blue = torques["t"], strokes(["rigid body"])["rigid body"]
+    t = torques["t"]
+    blue = strokes(["rigid body"])["rigid body"]
     panels = [
         Panel(
             title=f"{short}: {name}",

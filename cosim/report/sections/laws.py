@@ -96,7 +96,8 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
 
 def hysteresis(results: Results) -> dict[str, Any] | None:
     """Draw the effect of alpha and beta at the values fitted to the first joint."""
-    if (model := results.models.get(papers_law())) is None:
+    model = results.models.get(papers_law())
+    if model is None:
         return None
     named = zip(results.joints, model.laws, strict=True)
     # Without an effect of h, a law has no such state.
@@ -104,7 +105,8 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
     if not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
     first = pairs[0][1]
-    alpha, beta = first.values["alpha"], first.values["beta"]
+    alpha = first.values["alpha"]
+    beta = first.values["beta"]
     speed = model.trained[0].speed if model.trained else _SPEED
     near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
     styles = strokes(list(_FACTORS.values()))
@@ -211,7 +213,8 @@ _ROUNDING = 1e-6  # energy of round-off [J]
 
 def audit(results: Results) -> dict[str, Any] | None:
     """Return the figures of the audit of every law."""
-    if not (found := results.audits):
+    found = results.audits
+    if not found:
         return None
     energy = ResultTable(
         caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "

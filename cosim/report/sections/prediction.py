@@ -34,7 +34,9 @@ _EDGE = Stroke(colour=SOFT, width=0.6, dash=(1.5, 1.5))
 
 def errors_of_tests(results: Results) -> dict[str, Any]:
     """Compare all laws on every test set."""
-    run, truths, test = results.run, results.truths, results.tests[0]
+    run = results.run
+    truths = results.truths
+    test = results.tests[0]
     found = results.comparisons[test].ratios
     reference = "its reference" if found.fair else title(found.reference)
     laws = {title(law): row for law, row in found.laws.items()}
@@ -53,11 +55,13 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
 
 
 def _test(results: Results, test: str) -> dict[str, Any]:
-    scores, log = results.comparisons[test], results.log_of(test)
+    scores = results.comparisons[test]
+    log = results.log_of(test)
     simulated = results.simulated.get(test)
     split = test != results.tests[0] and test in {band.test for band in results.run.bands}
     whole, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
-    laws, verdict = _key_laws(results), results.verdict
+    laws = _key_laws(results)
+    verdict = results.verdict
     decided = verdict.laws if verdict and verdict.test == test else ()
     window = (0.0, WINDOW) if log and log.duration > 1.5 * WINDOW else None
     return {
@@ -75,7 +79,8 @@ def _test(results: Results, test: str) -> dict[str, Any]:
 
 
 def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
-    scores, inputs = results.comparisons[name], input_classes(results.models)
+    scores = results.comparisons[name]
+    inputs = input_classes(results.models)
     return tables.errors(name, scores, measure, inputs, results.sliding)
 
 
@@ -91,7 +96,8 @@ def chirp(results: Results) -> dict[str, Any] | None:
     laws = laws if len(laws) > 1 else _key_laws(results)
     tests = []
     for test in dict.fromkeys(band.test for band in bands_of):
-        log, parts = results.log_of(test), [band for band in bands_of if band.test == test]
+        log = results.log_of(test)
+        parts = [band for band in bands_of if band.test == test]
         marks = tuple((band.start, "split") for band in parts if band.start > 0.0)
         tests.append(
             {
@@ -114,8 +120,10 @@ def _chart(
     marks: tuple[tuple[float, str], ...] = (),
     window: tuple[float, float] | None = None,
 ) -> Chart:
-    torques, styles = results.torques(log), strokes(results.key_laws)
-    t, rows = torques["t"], []
+    torques = results.torques(log)
+    styles = strokes(results.key_laws)
+    t = torques["t"]
+    rows = []
     for k, short, name in results.numbered:
         unit = results.unit("N.m", k - 1)
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
@@ -127,7 +135,8 @@ def _chart(
             Line(name="measured", x=t, y=measured, stroke=MEASURED),
             *_lines(t, predicted, styles),
         )
-        heading, y = f"{short}: {name}", f"friction [{unit}]"
+        heading = f"{short}: {name}"
+        y = f"friction [{unit}]"
         rows.append(
             (
                 Panel(title=heading, y=y, lines=friction, marks=marks),
@@ -165,14 +174,16 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
             for name, own in names.items()
         },
     )
-    name, k = f"95 % band of {title(law)}", joint - 1
+    name = f"95 % band of {title(law)}"
+    k = joint - 1
     return tuple(Line(name=name, x=torques["t"], y=end[:, k], stroke=_EDGE) for end in ends)
 
 
 def loops(results: Results) -> dict[str, Any] | None:
     """Draw torque over velocity by joint: key laws in the page, all laws in files."""
     test = results.tests[0]
-    if (log := results.log_of(test)) is None:
+    log = results.log_of(test)
+    if log is None:
         return None
     torques = results.torques(log)
     rows = torques["t"] - torques["t"][0] <= _LOOPS
@@ -201,7 +212,8 @@ def loops(results: Results) -> dict[str, Any] | None:
     return {"test": test, "log": log, "span": f"{_LOOPS:g}", "figures": figures}
 
 
-_OWN, _INVERSE = Scheme(compensation="torque_error"), Scheme(compensation="servo_inversion")
+_OWN = Scheme(compensation="torque_error")
+_INVERSE = Scheme(compensation="servo_inversion")
 _CAPTION = "Tracking: RMSE [mrad], mean over the motions"
 
 
@@ -249,7 +261,8 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
     styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
     first = next(iter(paths.values()))
     whole = {law: path for law, path in paths.items() if len(path.t) == len(first.t)}
-    drawn, rows = partial(_lines, first.t, styles=styles), []
+    drawn = partial(_lines, first.t, styles=styles)
+    rows = []
     for k, short in enumerate(results.joints):
         desired = Line(name="desired", x=first.t, y=first.q_d[:, k], stroke=DESIRED)
         position = {law: path.q[:, k] for law, path in whole.items()}
@@ -265,7 +278,8 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
 
 def following(results: Results) -> dict[str, Any] | None:
     """Return predicted following errors of the robot on a log with commands."""
-    if (found := results.following) is None:
+    found = results.following
+    if found is None:
         return None
     return {
         "found": found,

@@ -22,7 +22,8 @@ from hesr_model.inference.comparison import ErrorRatio
 
 _FEW = 3  # maximum number of joints whose figures are listed
 _FINDINGS = 2  # number of findings in the first layer
-_WIDTH, _HEIGHT = 4.4, 1.9  # size of the plot [in], readable on a phone
+_WIDTH = 4.4
+_HEIGHT = 1.9  # size of the plot [in], readable on a phone
 
 
 def summary(results: Results) -> dict[str, Any]:
@@ -30,7 +31,8 @@ def summary(results: Results) -> dict[str, Any]:
     laws = results.recommended
     findings = read_findings(results.folder)
     found = results.properties
-    paper, most = found.get(papers_law()), most_passed(found) if found else None
+    paper = found.get(papers_law())
+    most = most_passed(found) if found else None
     return {
         "run": results.run,
         "verdict": results.verdict,
@@ -63,7 +65,8 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
         [table.TableCell(text=f"{100 * s:.0f} %", value=100 * s) for s in scores.unexplained(own)],
     ]
     caption = f"Error of {table.on_joints(laws)} on ‘{test}’ [{results.unit('N.m')}]"
-    if found := _reference(scores, laws):
+    found = _reference(scores, laws)
+    if found:
         references, ratios, role = found
         head += ["reference", "ratio"]
         names = table.on_joints(references)
@@ -80,7 +83,8 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
 def _reference(
     scores: Comparison, laws: Sequence[str]
 ) -> tuple[Sequence[str], Sequence[ErrorRatio], str] | None:
-    found, joints = scores.ratios, list(enumerate(laws))
+    found = scores.ratios
+    joints = list(enumerate(laws))
     if any(law in found.laws for law in laws):
         itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
         known = [law in found.laws for law in laws]
@@ -112,13 +116,15 @@ def _reference(
 
 def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     test = results.tests[0]
-    log, scores = results.log_of(test), results.comparisons[test]
+    log = results.log_of(test)
+    scores = results.comparisons[test]
     if log is None:
         return None
     worst = int(np.argmax(scores.unexplained(scores.of(laws).rmse)))
     (k, short, name), law = results.numbered[worst], laws[worst]
     torques = results.torques(log)
-    t, predicted = torques["t"], torques[f"{law}.tau_f{k}"]
+    t = torques["t"]
+    predicted = torques[f"{law}.tau_f{k}"]
     lines = (
         *(replace(line, name="95 % band") for line in band(results, law, k, torques)),
         Line(name="measured", x=t, y=torques[f"tau{k}"] - torques[f"tau_rb{k}"], stroke=MEASURED),
@@ -137,12 +143,14 @@ def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
 
 
 def _floor(results: Results) -> dict[str, str] | None:
-    scores, best = results.comparisons[results.tests[0]].laws, results.best
+    scores = results.comparisons[results.tests[0]].laws
+    best = results.best
     if ORACLE not in scores:
         return None
     floor = scores[ORACLE].rmse
     above = 100.0 * float(np.mean(np.divide(scores[best].rmse, floor)) - 1.0)
-    places, few = table.decimals([max(floor)]), len(floor) <= _FEW
+    places = table.decimals([max(floor)])
+    few = len(floor) <= _FEW
     shown = [f"{value:.{places}f}" for value in (floor if few else (min(floor), max(floor)))]
     listed = (" / " if few else " – ").join(shown)
     return {"error": listed, "best": table.title(best), "above": f"{above:.0f}"}

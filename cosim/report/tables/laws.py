@@ -61,7 +61,8 @@ def reasons(found: Mapping[str, Properties]) -> ResultTable:
         for key, expectation in EXPECTATIONS.items():
             by_reason: dict[str, list[str]] = {}
             for short, joint in zip(joints(len(of_law.joints)), of_law.joints, strict=True):
-                if said := joint.findings[key].reason:
+                said = joint.findings[key].reason
+                if said:
                     by_reason.setdefault(said, []).append(short)
             rows += [
                 row_of(expectation.short, " ".join(where), said)

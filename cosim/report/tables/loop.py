@@ -61,7 +61,8 @@ def outcome(found: LoopOutcome) -> list[table.ResultTable]:
 def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:
     """Return errors by scheme and law; notes are their spread, or the end of a single motion."""
     one = all(len(row.rmse) == 1 for row in rows)
-    table_rows, digits = [], places(rows)
+    table_rows = []
+    digits = places(rows)
     for scheme in dict.fromkeys(row.scheme for row in rows):
         table_rows.append(table.row_of(scheme.title))
         for row in rows:
@@ -124,7 +125,8 @@ def benefit(found: Following, sliding: Sequence[bool]) -> str:
     """Return how the recommended law reduces the following error where it does most, or why not."""
     if not found.rows:
         return f"The following error was not predicted: {found.missing}." if found.missing else ""
-    first, last = found.rows[0], found.rows[-1]
+    first = found.rows[0]
+    last = found.rows[-1]
     ratios = [new / old for new, old in zip(last.error, first.error, strict=True)]
     if min(ratios) >= 1.0:
         return "Feed-forward would not reduce the following error."

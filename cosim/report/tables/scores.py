@@ -237,7 +237,8 @@ def position_errors(
             )
             for law, *row in zip(laws, *columns, strict=True)
         ]
-    torque, position = unit_of_joints("N.m", sliding), unit_of_joints("mrad", sliding)
+    torque = unit_of_joints("N.m", sliding)
+    position = unit_of_joints("mrad", sliding)
     return ResultTable(
         caption=f"{name}: RMS error of the torque [{torque}], and of the position [{position}] "
         "simulated with measured torque, identified body and friction: over windows, and over "

@@ -93,7 +93,8 @@ def title(law: str) -> str:
     """Return the title of a law; a variant keeps its name."""
     if law in set(StandIn):
         return StandIn(law).words
-    known, name = registry(), law.removesuffix(MEASURED_START)
+    known = registry()
+    name = law.removesuffix(MEASURED_START)
     return known[name].title + law[len(name) :] if name in known else law
 
 

@@ -56,7 +56,8 @@ class Drawn:
         for k, width in widths.items():
             if len(block) > 1 and used + 1 + width > room:
                 yield block
-                block, used = {0: first}, first
+                block = {0: first}
+                used = first
             block[k] = width
             used += 1 + width
         yield block

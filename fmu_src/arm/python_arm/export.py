@@ -19,7 +19,8 @@ from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import scratch_folder
 
-MODEL, ABOUT = "model.xml", "about.json"  # names of the FMU's resources
+MODEL = "model.xml"
+ABOUT = "about.json"  # names of the FMU's resources
 
 _MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the list of modules
 
@@ -60,7 +61,8 @@ def _about(
     named = SignalTable.read(table) if isinstance(table, Path) else table
     content = hashlib.sha256(to_xml(shown, about, "") + mjcf.read_bytes()).hexdigest()
     root = ET.fromstring(to_xml(shown, about, content))
-    if (kind := root.find("CoSimulation")) is None:
+    kind = root.find("CoSimulation")
+    if kind is None:
         raise ValueError("the description is not one of co-simulation")
     kind.set("needsExecutionTool", "true")
     kind.set("canInterpolateInputs", "false")

@@ -134,7 +134,8 @@ class Simulation:
             raise SimulationError(
                 f"the step is {dt:g} s; a multiple of the simulation's own, {own:g} s, is needed."
             )
-        before, losses = self._state(), (self._losses.levels, self._losses.ages)
+        before = self._state()
+        losses = (self._losses.levels, self._losses.ages)
         data = self._data
         values = np.atleast_1d(np.asarray(inputs, dtype=float))
         for one, value in zip(self.signals.inputs, values.tolist(), strict=True):
@@ -206,7 +207,8 @@ class Simulation:
 
     def _restore(self, state: Array, levels: Array, ages: Array) -> None:
         mujoco.mj_setState(self._model, self._data, state, _STATE)
-        self._losses.levels, self._losses.ages = levels, ages
+        self._losses.levels = levels
+        self._losses.ages = ages
         self._losses.apply(self._model)
 
     def _check(self, given: Mapping[str, float]) -> None:
@@ -225,7 +227,8 @@ class Simulation:
             )
 
     def _adapt(self) -> None:
-        given, signals = self.parameters, self.signals
+        given = self.parameters
+        signals = self.signals
         self._model = model = copy.copy(signals.model)
         scale = given.get(SCALE, 1.0)
         least = max(scale, _LEAST_SCALE)

@@ -123,6 +123,8 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
 
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         self._values = list(state["values"])
-        self._running, self._stale = state["running"], not state["running"]
-        self._start, self._steps = state["start"], state["steps"]
+        self._running = state["running"]
+        self._stale = not state["running"]
+        self._start = state["start"]
+        self._steps = state["steps"]
         self._simulation.restore(state["simulation"])

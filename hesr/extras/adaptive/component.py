@@ -126,7 +126,8 @@ def adaptive_component(
     sigma = larger(own[0].symbol, _LEAST_NOISE)
     warm = warmth(previous(TORQUE)) if thermal else None
     law_parts = parts(law, previous("level"), warm.coulomb if warm else sympy.S.One)
-    viscous, viscosity = law_parts.viscous, previous("viscosity")
+    viscous = law_parts.viscous
+    viscosity = previous("viscosity")
     if warm:  # the factor after temperature still covers the ripple
         viscous *= warm.viscous
         viscosity = larger(viscosity * warm.viscous, viscosity_least)
@@ -217,8 +218,10 @@ def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equ
         ("drift", "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
         ("shift", "offset", _PHI[2], tuning.change_of_offset * sigma),
     )
-    weight, error = _named("weight"), _named("innovation")
-    alarms, sums = [], []
+    weight = _named("weight")
+    error = _named("innovation")
+    alarms = []
+    sums = []
     for name, of, regressor, change in rows:
         up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
         text, values = _ALARMS[name]

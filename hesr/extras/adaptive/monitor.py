@@ -93,7 +93,8 @@ class Follower:
     """Follows friction over logs; each starts from a share of the learned factors."""
 
     def __init__(self, model: FrictionModel, tuning: Tuning = TUNING) -> None:
-        self._model, self._tuning = model, tuning
+        self._model = model
+        self._tuning = tuning
         components = adaptive_components(model, tuning)
         self._steps = [Steps(own) for own in components]
         self._values = [
@@ -103,7 +104,8 @@ class Follower:
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
         """Follow the records of all joints in one log; `tau` may hold NaN."""
-        if (found := tuple(r.joint for r in records)) != self._model.joints:
+        found = tuple(r.joint for r in records)
+        if found != self._model.joints:
             raise SimulationError(
                 f"friction model '{self._model.law}': the records are of the joints "
                 f"{', '.join(found) or 'none'}, not {', '.join(self._model.joints)}."
@@ -111,7 +113,8 @@ class Follower:
         return [self._of_joint(j, record, adapt) for j, record in enumerate(records)]
 
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
-        law, steps = self._model.laws[j], self._steps[j]
+        law = self._model.laws[j]
+        steps = self._steps[j]
         columns, more = inputs_over(record)
         columns["tau_meas"] = record.measured
         columns["tau_rigid"] = record.of_bodies

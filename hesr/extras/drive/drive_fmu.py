@@ -245,7 +245,8 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
 
 def _stimuli(model: FrictionModel, own: Motors) -> Stimuli:
     trained = model.trained or (None,) * len(model.joints)
-    sizes, loads = {}, {}
+    sizes = {}
+    loads = {}
     for i, (seen, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):
         friction = max(map(abs, seen.tau)) if seen else _UNKNOWN
         sizes[f"tau_motor[{i}]"] = float(f"{3.0 * (friction or _UNKNOWN) / abs(ratio):.2g}")

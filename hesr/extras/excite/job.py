@@ -32,9 +32,11 @@ def _run(
     path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
 ) -> Written:
     """Record each motion without a log; plans are copied next to their logs."""
-    if given := [name for name, value in options.items() if value]:
+    given = [name for name, value in options.items() if value]
+    if given:
         raise ArgumentError(f"'{given[0]}' is for a sweep; {path} is a twin.")
-    chosen, logs = TwinFile.read(path), output or path.parent / "logs"
+    chosen = TwinFile.read(path)
+    logs = output or path.parent / "logs"
     motions = sorted(path.parent.glob(chosen.plays))
     left = [motion for motion in motions if not (logs / f"{motion.stem}.csv").exists()]
     if not left:
@@ -52,7 +54,8 @@ def _run(
                 planned = PlannedMotion(rate=rate, rows=np.column_stack(q))
                 files.append(logs / f"{motion.stem}.csv")
                 record(arm, planned, chosen.seed, name=motion.stem).log.write(files[-1])
-                if (plan := motion.with_suffix(SUFFIX)).is_file():
+                plan = motion.with_suffix(SUFFIX)
+                if plan.is_file():
                     shutil.copyfile(plan, files[-1].with_suffix(SUFFIX))
     return Written(lines=[f"{len(files)} motions on the twin."], files=files)
 

@@ -12,10 +12,12 @@ from hesr_model.motions.limits import Limits
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support.arrays import Array
 
-_PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 5.7736  # of the quintic blend, for unit way and time
+_PEAK_SPEED = 1.875
+_PEAK_ACCELERATION = 5.7736  # of the quintic blend, for unit way and time
 _SPARE = 1.05  # factor on the time of a move
 _ENVELOPE = 0.1  # share of a chirp that fades in, and out
-_FIRST, _LAST = 0.1, 1.0  # frequencies of a chirp [Hz]
+_FIRST = 0.1
+_LAST = 1.0  # frequencies of a chirp [Hz]
 
 Pulse = tuple[float, float, float, float]  # speed [rad/s], its ramps, hold and rest after it [s]
 
@@ -63,7 +65,8 @@ def pulses(program: Sequence[Pulse], t: Array) -> Array:
         x = np.clip(s, 0.0, 1.0)
         return np.asarray(x**3 - 0.5 * x**4 + np.maximum(s - 1.0, 0.0))
 
-    way, start = np.zeros_like(t), 0.0
+    way = np.zeros_like(t)
+    start = 0.0
     for speed, ramp, hold, rest in program:
         s = (t - start) / ramp
         way += speed * ramp * (risen(s) - risen(s - 1.0 - hold / ramp))

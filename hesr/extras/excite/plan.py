@@ -46,7 +46,8 @@ def write_urscript(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> 
     """Write a URScript program that moves to the start, then sends a position per period."""
     if len(joints) != _UR_JOINTS:
         raise ConfigError(f"URScript is for {_UR_JOINTS} joints; this robot has {len(joints)}.")
-    q, end = motion.rows, f", t={1.0 / motion.rate!r}, lookahead_time=0.1, gain=300)"
+    q = motion.rows
+    end = f", t={1.0 / motion.rate!r}, lookahead_time=0.1, gain=300)"
     moves = "\n".join(f"  servoj({_row(row)}{end}" for row in q)
     about = {"head": HEAD, "count": len(q), "rate": motion.rate, "start": _row(q[0])}
     _fill("urscript.txt", path, **about, moves=moves)
@@ -83,8 +84,10 @@ def write_motion(path: Path, motion: PlannedMotion, joints: Sequence[str], kind:
     return path
 
 
-CSV, PARQUET = (write_csv, ".csv"), (write_columns, ".parquet")
-URSCRIPT, ROS2 = (write_urscript, ".script"), (write_ros2, ".yaml")
+CSV = (write_csv, ".csv")
+PARQUET = (write_columns, ".parquet")
+URSCRIPT = (write_urscript, ".script")
+ROS2 = (write_ros2, ".yaml")
 
 
 TIMES = {"body": 30.0, "friction": 60.0, "test": 45.0}  # default durations [s]
@@ -94,7 +97,8 @@ _PURPOSES = {
     "test": "scores: motions that no law is trained on",
 }
 _UR_RATE = 500.0  # [Hz] of the controllers that need a position per period
-_LEAST, _MOST = 10.0, 1e4  # [s] of a motion
+_LEAST = 10.0
+_MOST = 1e4  # [s] of a motion
 
 
 def plan_motions(
@@ -139,8 +143,11 @@ def plan_motions(
         for name, motion in motions.items()
         for part, first, last in motion.parts
     ]
-    kind, page, files = format or output.suffix.lower().lstrip("."), output.with_suffix(".html"), []
-    sections, pictures = [], Pictures(folder=page.parent)
+    kind = format or output.suffix.lower().lstrip(".")
+    page = output.with_suffix(".html")
+    files = []
+    sections = []
+    pictures = Pictures(folder=page.parent)
     for name, motion in motions.items():
         path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
         files.append(write_motion(path, motion, model.joints, kind))

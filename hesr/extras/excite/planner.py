@@ -19,7 +19,8 @@ from hesr_model.support.progress import Progress, silent
 
 Plane = tuple[float, float, float, float]  # unit normal n and offset d [m]: n x >= d is free
 
-_POSES, _ALWAYS = 400, 0.95  # random poses; links that touch in this share are not checked
+_POSES = 400
+_ALWAYS = 0.95  # random poses; links that touch in this share are not checked
 _WIDTH = 0.04  # default radius of a capsule over the length of the arm
 
 
@@ -38,11 +39,14 @@ class Clearance:
         self._pin, self._model, self._data, self._configurations = robot.kinematics
         self.exact = robot.geometry is not None
         self._geometry: Any = robot.geometry or self._capsules(robot, radius)
-        pin, links = self._pin, self._geometry.ngeoms
+        pin = self._pin
+        links = self._geometry.ngeoms
         for k, (*normal, offset) in enumerate(planes, start=1):
-            wall, place = pin.coal.Halfspace(np.array(normal), offset), pin.SE3.Identity()
+            wall = pin.coal.Halfspace(np.array(normal), offset)
+            place = pin.SE3.Identity()
             self._geometry.addGeometryObject(pin.GeometryObject(f"plane {k}", 0, place, wall))
-        parents, of = list(self._model.parents), self._geometry.geometryObjects
+        parents = list(self._model.parents)
+        of = self._geometry.geometryObjects
         joint = [int(body.parentJoint) for body in of]
         pairs = [
             (a, b)
@@ -62,7 +66,8 @@ class Clearance:
     def contact(self, q: Array) -> tuple[int, str, str] | None:
         """Return row and names of the first two bodies nearer than the margin on a path (N, n)."""
         for row, state in enumerate(self._configurations(q)):
-            if any(touching := self._touching(state, first=True)):
+            touching = self._touching(state, first=True)
+            if any(touching):
                 pair = self._geometry.collisionPairs[touching.index(True)]
                 names = [body.name for body in self._geometry.geometryObjects]
                 return row, names[pair.first], names[pair.second]
@@ -82,7 +87,9 @@ class Clearance:
             request.security_margin = margin
 
     def _capsules(self, robot: Robot, radius: float | None) -> Any:
-        pin, found, tree = self._pin, self._pin.GeometryModel(), robot.tree
+        pin = self._pin
+        found = self._pin.GeometryModel()
+        tree = robot.tree
         ends = [(frame.parent + 1, frame.name, frame.translation) for frame in tree]
         tips = set(range(len(tree))) - {frame.parent for frame in tree}
         ends += [(k + 1, f"{tree[k].name} (end)", 2.0 * robot.bodies[k][1]) for k in tips]
@@ -121,12 +128,14 @@ class Guard:
 
     def __init__(self, robot: Robot, settings: MotionSettings) -> None:
         for key in ("start", "friction"):
-            if len(entries := getattr(settings, key) or (0.0,) * robot.n) != robot.n:
+            entries = getattr(settings, key) or (0.0,) * robot.n
+            if len(entries) != robot.n:
                 raise RobotError(
                     f"key '{key}' has {len(entries)} entries; the {robot.n} joints of robot "
                     f"'{robot.name}' need one each."
                 )
-        self.robot, self.stated = robot, Limits.of(robot, settings.limits)
+        self.robot = robot
+        self.stated = Limits.of(robot, settings.limits)
         share = np.where(np.isfinite(self.stated.torque), _ALLOWED * self.stated.torque, 0.0)
         self.friction = np.array(settings.friction or share)
         kept = 1.0 - settings.margin
@@ -148,7 +157,8 @@ class Guard:
         """Return the joint and the limit it exceeds, or bodies that touch; empty if safe."""
         t = np.linspace(0.0, motion.duration, _BETWEEN * round(motion.duration * rate) + 1)
         q, dq, ddq = motion.sample(t)
-        limits, tau = self.limits, self.torque(*(x[::_BETWEEN] for x in (q, dq, ddq)))
+        limits = self.limits
+        tau = self.torque(*(x[::_BETWEEN] for x in (q, dq, ddq)))
         for what, value, low, high in (
             ("position", q, limits.lower, limits.upper),
             ("velocity", dq, -limits.velocity, limits.velocity),
@@ -165,18 +175,25 @@ class Guard:
                 )
         way = np.cumsum(np.abs(np.diff(q, axis=0, prepend=q[:1])).sum(axis=1))
         _, rows = np.unique(np.floor(way / _STEP), return_index=True)
-        if found := self.clearance.contact(q[rows]):
+        found = self.clearance.contact(q[rows])
+        if found:
             return f"'{found[1]}' comes too near to '{found[2]}' at {t[rows[found[0]]]:.1f} s"
         return ""
 
 
 _USUAL_RATE = 200.0
-_PAIRS, _SHRINKS, _SHRINK = 12, 12, 0.75
+_PAIRS = 12
+_SHRINKS = 12
+_SHRINK = 0.75
 _NEIGHBOURS = 0.05  # free surroundings of the start pose over the ranges
 _ROOM = 0.3  # largest stroke over the range of a joint
-_PAUSE, _HOLD = 0.2, 0.4  # [s] at rest before a part; least time at a constant speed
-_LEVELS, _NESTED, _RESTS = 10, 8, 4  # largest numbers of speeds, reversals and rests
-_SET, _RAMP = 6.0, 0.1  # [s] of a set of reversals; shortest ramp of a velocity
+_PAUSE = 0.2
+_HOLD = 0.4  # [s] at rest before a part; least time at a constant speed
+_LEVELS = 10
+_NESTED = 8
+_RESTS = 4  # largest numbers of speeds, reversals and rests
+_SET = 6.0
+_RAMP = 0.1  # [s] of a set of reversals; shortest ramp of a velocity
 _FINEST = 1.0 / 300.0  # smallest of the nested amplitudes over the largest
 _BREAK_AWAY = 0.03  # speed after a slow break-away over the limit
 _NO_LIMIT = 1e12  # [N.m] of a motion without torque limits
@@ -205,9 +222,12 @@ class Planner:
     """
 
     def __init__(self, guard: Guard, settings: MotionSettings) -> None:
-        self.guard, self.settings, robot = guard, settings, guard.robot
+        self.guard = guard
+        self.settings = settings
+        robot = guard.robot
         self.rate = settings.sample_rate or robot.description.log.sample_rate or _USUAL_RATE
-        low, high = guard.limits.lower, guard.limits.upper
+        low = guard.limits.lower
+        high = guard.limits.upper
         rng = np.random.default_rng(settings.seed)
         self._drawn = rng.uniform(low, high, (_POSES, robot.n))
         far = np.abs((self._drawn - 0.5 * (low + high)) / (high - low)).max(axis=1)
@@ -230,7 +250,8 @@ class Planner:
         """Plan a safe motion of `time` [s]; raise FitError naming the limit that forbids it."""
         if purpose == "friction":
             return self.friction(time, [Mix()] * self.guard.robot.n)
-        count, chirp = round(time * self.rate) + 1, self.start[None]
+        count = round(time * self.rate) + 1
+        chirp = self.start[None]
         if purpose == "test":
             t = np.arange(round(0.4 * count)) / self.rate
             chirp = faded_chirp(self.start, self.guard.limits, t)
@@ -248,17 +269,20 @@ class Planner:
 
     def _safe(self, motions: Iterable[PlannedMotion]) -> PlannedMotion:
         for motion in motions:
-            if not (fault := self.guard.fault(motion, self.rate)):
+            fault = self.guard.fault(motion, self.rate)
+            if not fault:
                 return motion
         for k in range(1, _SHRINKS):
             rows = self.start + _SHRINK**k * (motion.rows - self.start)
-            if not (fault := self.guard.fault(smaller := replace(motion, rows=rows), self.rate)):
+            fault = self.guard.fault(smaller := replace(motion, rows=rows), self.rate)
+            if not fault:
                 return smaller
         raise FitError(f"robot '{self.guard.robot.name}': the limits allow no motion: {fault}.")
 
     def strokes(self, time: float, mixes: Sequence[Mix]) -> Iterator[PlannedMotion]:
         """Yield motions with strokes in two poses, the ones with different gravity first."""
-        limits, count = self.guard.limits, round(time * self.rate) + 1
+        limits = self.guard.limits
+        count = round(time * self.rate) + 1
         full = np.minimum(
             _ROOM * (limits.upper - limits.lower), 1.6 * limits.velocity**2 / limits.acceleration
         )
@@ -266,12 +290,14 @@ class Planner:
             path = (self.start, *poses, self.start)
             moves = [moved(a, b, limits, self.rate) for a, b in pairwise(path)]
             each = (count - 1 - sum(map(len, moves))) // 2
-            if (budget := each / self.rate - 2.0 * _PAUSE) < _SHORTEST:
+            budget = each / self.rate - 2.0 * _PAUSE
+            if budget < _SHORTEST:
                 raise FitError(
                     f"robot '{self.guard.robot.name}': {time:g} s are too short for strokes in two "
                     f"poses; they need at least {time - 2.0 * (budget - _SHORTEST):.0f} s."
                 )
-            t, room = np.arange(each) / self.rate - _PAUSE, full * _SHRINK ** (number // 3)
+            t = np.arange(each) / self.rate - _PAUSE
+            room = full * _SHRINK ** (number // 3)
             pieces = [
                 pose
                 + np.column_stack(
@@ -284,13 +310,15 @@ class Planner:
             ]
             rows = np.vstack([self.start, moves[0], pieces[0], moves[1], pieces[1], moves[2]])
             rest = np.tile(self.start, (count - len(rows), 1))
-            first, second = 1 + len(moves[0]), 1 + len(moves[0]) + each + len(moves[1])
+            first = 1 + len(moves[0])
+            second = 1 + len(moves[0]) + each + len(moves[1])
             parts = ("pose 1", first, first + each), ("pose 2", second, second + each)
             yield self._motion(np.vstack([rows, rest]), *parts)
 
     def _poses(self, room: Array) -> Iterator[tuple[Array, Array]]:
         """Yield free pairs of poses, far apart in gravity and near in position first."""
-        guard, limits = self.guard, self.guard.limits
+        guard = self.guard
+        limits = self.guard.limits
         drawn = np.clip([self.start, *self._drawn], limits.lower + room, limits.upper - room)
         still = np.zeros_like(drawn)
         gravity = guard.torque(drawn, still, still)
@@ -314,7 +342,8 @@ class Planner:
         """Return the strokes of a joint; joints and poses differ in order and direction."""
         limits = self.guard.limits
         reach = room, 0.98 * float(limits.velocity[joint]), 0.98 * float(limits.acceleration[joint])
-        order, placed = np.random.default_rng([self.settings.seed, joint, pose]), []
+        order = np.random.default_rng([self.settings.seed, joint, pose])
+        placed = []
         # Every stretch of time has something of each kind, so that blocks of time can be compared.
         for groups in (
             _steady(mix, mix.steady * budget, *reach),
@@ -330,9 +359,11 @@ class Planner:
 
     def _fourier(self, count: int, seed: int | None, progress: Progress) -> Array:
         """Return `count` rows of the best Fourier motion, or of a random one, from the start."""
-        limits, robot = self.guard.limits, self.guard.robot
+        limits = self.guard.limits
+        robot = self.guard.robot
         near = _NEAR * limits.velocity
-        low, high = np.maximum(limits.lower, self.start - near), self.start + near
+        low = np.maximum(limits.lower, self.start - near)
+        high = self.start + near
         period = count / self.rate
         allowed = MotionLimits(
             position=tuple(zip(low.tolist(), np.minimum(limits.upper, high).tolist(), strict=True)),
@@ -358,7 +389,8 @@ def _steady(mix: Mix, time: float, room: float, speed: float, acceleration: floa
         for levels in range(_LEVELS, 1, -1):
             speeds = np.geomspace(min(mix.low * speed, 0.5 * high), high, levels)
             ramps = np.maximum(1.5 * speeds / acceleration, _RAMP)
-            if (hold := (time - 4.0 * ramps.sum()) / (2.0 * levels)) < _HOLD:
+            hold = (time - 4.0 * ramps.sum()) / (2.0 * levels)
+            if hold < _HOLD:
                 continue
             held = np.clip(room / speeds - ramps, 0.0, hold)
             rows = np.column_stack([speeds, ramps, held, hold - held])

@@ -28,7 +28,8 @@ MIXES = (
 )
 _LAWS = 3  # recommended, and tied with it
 _STEP = 1e-4  # relative step of a coefficient
-_BINS, _SEEN = np.geomspace(0.003, 1.0, 9), 0.3  # speeds over the limit; [s] that show one
+_BINS = np.geomspace(0.003, 1.0, 9)
+_SEEN = 0.3  # speeds over the limit; [s] that show one
 
 Rows = Mapping[str, Any]  # t [s], dq [rad/s], q [rad], tau_load [N.m] of a log, (N,) each
 
@@ -69,8 +70,10 @@ class Knowledge:
         """
         if law.covariance is None:
             return {}
-        slopes, more = self._slopes(law), _slopes(law, new)
-        before, size = slopes.T @ slopes, np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
+        slopes = self._slopes(law)
+        more = _slopes(law, new)
+        before = slopes.T @ slopes
+        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
         both = [x / np.outer(size, size) for x in (before, before + more.T @ more)]
         now, then = (np.diag(np.linalg.pinv(x, rcond=1e-10, hermitian=True)) for x in both)
         ratios = np.sqrt(np.clip(then / np.maximum(now, 1e-300), 1e-12, 1.0))
@@ -84,9 +87,12 @@ class Knowledge:
         """
         pairs = [(self.residual(one), one) for one in self.laws.values()]
         least, best = min(pairs, key=lambda pair: np.linalg.norm(pair[0]))
-        if not (ratios := self.shrinking(law, new)) or best is law:
+        ratios = self.shrinking(law, new)
+        if not ratios or best is law:
             return ratios
-        own, slopes, names = self.residual(law), self._slopes(law), list(ratios)
+        own = self.residual(law)
+        slopes = self._slopes(law)
+        names = list(ratios)
         blocks = blocks_of_time(np.zeros(len(own), dtype=int))
         now = covariance_of_fit(names, slopes, own, blocks).standard_errors
         apart = predict(best, **new) - predict(law, **new)
@@ -119,7 +125,8 @@ def _slopes(law: FrictionLaw, rows: Rows) -> Array:
     """Return the torque's derivatives (N, P) by the coefficients of the covariance."""
     columns = []
     for name in law.covariance.names if law.covariance else ():
-        value, step = law.values[name], _STEP * max(abs(law.values[name]), 1e-6)
+        value = law.values[name]
+        step = _STEP * max(abs(law.values[name]), 1e-6)
         up, down = (
             predict(replace(law, values={**law.values, name: x}), **rows)
             for x in (value + step, value - step)
@@ -130,7 +137,9 @@ def _slopes(law: FrictionLaw, rows: Rows) -> Array:
 
 def knowledge(results: Results, guard: Guard) -> list[Knowledge]:
     """Return what results know of each joint; raise ConfigError if they lack what is needed."""
-    verdict, models, folder = results.verdict, results.models, results.folder
+    verdict = results.verdict
+    models = results.models
+    folder = results.folder
     logs = [log for log in results.run.logs if "training" in log.roles and log.trace]
     if results.run.joints != guard.robot.joints or verdict is None or not logs:
         raise ConfigError(f"{folder}: these are not results of this version for this robot.")
@@ -169,8 +178,10 @@ def plan_sequel(
 
     Returns motions by purpose, the expected findings of the next run, and sentences.
     """
-    results, guard = Results.read(folder), planner.guard
-    known, joints = knowledge(results, guard), guard.robot.joints
+    results = Results.read(folder)
+    guard = planner.guard
+    known = knowledge(results, guard)
+    joints = guard.robot.joints
     assert results.verdict is not None
     open_ = any(joint.tied for joint in results.verdict.joints)
     tested = 0.4 * time if open_ and 0.4 * time >= comparison.LEAST_SECONDS else 0.0
@@ -184,11 +195,13 @@ def plan_sequel(
     if tested:
         motions["test"] = planner.plan("test", tested)
     widths: dict[str, dict[str, dict[str, float]]] = {}
-    shown, lines = {}, []
+    shown = {}
+    lines = []
     for j, (joint, rows) in enumerate(zip(known, rows_of(motions["friction"], guard), strict=True)):
         line = f"{joints[j]}: {best[j].why}"
         for name, law in joint.laws.items():
-            now, ratios = law.standard_errors, joint.expected(law, rows)
+            now = law.standard_errors
+            ratios = joint.expected(law, rows)
             then = {n: error * ratios[n] for n, error in now.items() if n in ratios}
             widths.setdefault(name, {})[joints[j]] = then
             if then and name == next(iter(joint.laws)):

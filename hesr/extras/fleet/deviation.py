@@ -62,7 +62,8 @@ class Trend:
 
 def trend(days: Sequence[float], values: Sequence[float]) -> Trend | None:
     """Return the trend of values over days; None if too few."""
-    x, y = np.array(days, dtype=float), np.array(values, dtype=float)
+    x = np.array(days, dtype=float)
+    y = np.array(values, dtype=float)
     if len(x) < ENOUGH or not np.ptp(x) > 0.0:
         return None
     x0 = x - x.mean()

@@ -244,8 +244,10 @@ _TRENDS = ("level", "offset", "error")
 def write_table(path: Path, fleet: FleetResult) -> None:
     """Write the file; a rigid body has no joint, a failed robot no law."""
     pa = arrow()
-    text, number = pa.string(), pa.float64()
-    by_name, texts = pa.map_(text, number), pa.list_(text)
+    text = pa.string()
+    number = pa.float64()
+    by_name = pa.map_(text, number)
+    texts = pa.list_(text)
     schema = pa.schema(
         [
             *((name, text) for name in ("type", "robot", "law", "joint", "structure", "fmu")),

@@ -36,14 +36,16 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
-RESULT, RESULT_FORMAT = "result.json", "hesr-fleet-robot-1"
+RESULT = "result.json"
+RESULT_FORMAT = "hesr-fleet-robot-1"
 
 _VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
 def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
     """Process one robot into its folder; return whether it was complete before."""
-    key, file = _key(member, study), folder / RESULT
+    key = _key(member, study)
+    file = folder / RESULT
     with suppress(ArtifactError):  # missing or incomplete
         if read_result(folder).key == key:
             return True
@@ -99,14 +101,17 @@ class _Day:
 
 class _Robot:
     def __init__(self, member: Member, study: FleetStudy, key: str) -> None:
-        self._member, self._study, self._key = member, study, key
+        self._member = member
+        self._study = study
+        self._key = key
         self._model = Robot(RobotDescription.read(member.kind.robot))
         self._where = f"robot '{member.name}'"
         self._refused: dict[str, str] = {}
         self._findings: list[Finding] = []
 
     def result(self, folder: Path) -> RobotResult:
-        member, study = self._member, self._study
+        member = self._member
+        study = self._study
         if not member.logs:
             raise LogError(f"{self._where}: its folders contain no log.")
         stream, sample = self._collected(None)
@@ -180,7 +185,8 @@ class _Robot:
     def _check(self, log: Log) -> None:
         accept = self._member.kind.accept
         found = examine([log], self._model.description, self._model).findings
-        if wrong := [f for f in found if f.severity == "error" and f.check not in accept]:
+        wrong = [f for f in found if f.severity == "error" and f.check not in accept]
+        if wrong:
             raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
         self._findings = merged([*self._findings, *found])
 
@@ -216,7 +222,8 @@ def _day(predicted: Array, tau: Array) -> _Day:
 def _joint(
     model: FrictionModel, joint: int, logs: Mapping[str, _Day], days: Sequence[float]
 ) -> JointResult:
-    law, of = model.laws[joint], list(logs.values())
+    law = model.laws[joint]
+    of = list(logs.values())
     rows = sum(day.rows for day in of)
     error = float(np.sqrt(sum(day.rows * day.rmse**2 for day in of) / rows))
     mean = sum(day.total for day in of) / rows

@@ -105,7 +105,8 @@ def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[C
     changes = []
     for key, (robot, found) in counting.items():
         name, law, joint, what = key
-        kind, joints = _KINDS[what], sum(one.law == law for one in robot.joints)
+        kind = _KINDS[what]
+        joints = sum(one.law == law for one in robot.joints)
         if kind == "drift" and _sign(found.change) in shared_signs(drifts[name, law], joints):
             kind = "shared drift"
         changes.append(
@@ -131,8 +132,11 @@ def _sign(number: float) -> int:
     return 1 if number > 0.0 else -1
 
 
-ABOUT, TABLE, PAGE = "fleet.json", "fleet.parquet", "fleet.html"
-ROBOTS, TYPES = "robots", "types"  # folders of the robots, one each, and of the FMUs
+ABOUT = "fleet.json"
+TABLE = "fleet.parquet"
+PAGE = "fleet.html"
+ROBOTS = "robots"
+TYPES = "types"  # folders of the robots, one each, and of the FMUs
 
 
 def run_fleet(

@@ -156,7 +156,8 @@ class _Master:
             yield from self._jumps(runs)
 
     def _runs(self, scenarios: Sequence[str]) -> dict[str, _Run]:
-        found, sandbox = dict[str, _Run](), None
+        found = dict[str, _Run]()
+        sandbox = None
         try:
             for name in scenarios:
                 try:
@@ -220,7 +221,8 @@ class _Master:
         at = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
         more = int(bad.any(axis=0).sum()) - 1
         others = f" (and {more} more output{'s' if more > 1 else ''})" if more else ""
-        low, high = around[0][at], around[1][at]
+        low = around[0][at]
+        high = around[1][at]
         right = f"{low:.9g}" if low == high else f"from {low:.6g} to {high:.6g}"
         yield (
             f"{_NAMES[name]}: {quoted(self._outputs[at[1]].name)}{others} is {run.rows[at]:.9g} at "
@@ -244,7 +246,8 @@ def _excitation(variable: ParsedVariable) -> dict[str, Any]:
 
 def _run(outcome: Any, outputs: int) -> _Run:
     times = np.array(outcome.get("times", []), dtype=float)
-    fresh, refused = outcome.get("fresh", []), outcome.get("refused", "")
+    fresh = outcome.get("fresh", [])
+    refused = outcome.get("refused", "")
     if not isinstance(refused, str):
         raise TypeError(refused)
     return _Run(
@@ -267,7 +270,8 @@ def _scale(rows: Array) -> Array:
 
 def _around(run: _Run, references: Sequence[_Run], step: float) -> tuple[Array, Array]:
     """Return minimum and maximum (N, outputs) of references around the times of a run."""
-    low, high = np.full_like(run.rows, np.inf), np.full_like(run.rows, -np.inf)
+    low = np.full_like(run.rows, np.inf)
+    high = np.full_like(run.rows, -np.inf)
     for k, (time, last) in enumerate(zip(run.times, run.steps, strict=True)):
         reach = 1.01 * (step + max(step, float(last)))
         for one in references:

@@ -42,7 +42,8 @@ def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
 
 class _Run:
     def __init__(self, plan: Mapping[str, Any], *, exchange: bool) -> None:
-        self.plan, self.step = plan, float(plan["step"])
+        self.plan = plan
+        self.step = float(plan["step"])
         self.found: dict[str, Any] = {"times": [], "rows": [], "steps": []}
         self.time = self.reached = 0.0  # of the instance, and size of its last step [s]
         self._exchange = exchange
@@ -63,9 +64,11 @@ class _Run:
             self._messages.append(text)
 
     def refusal(self, error: Exception) -> RefusedError:
-        function, status = str(error), None
+        function = str(error)
+        status = None
         if isinstance(error, CallError) and error.status is not None:
-            function, status = error.function, error.status
+            function = error.function
+            status = error.status
             function += f" {_OUTCOMES.get(status, f'fails with status {status}')}"
         if self._messages:
             function += f" with '{self._messages[0]}'"
@@ -167,7 +170,8 @@ def _repeated(run: _Run, _scenario: str) -> None:
     longer = run.step * (2.0 if run.plan["variable"] else 1.0)
     for k in range(run.plan["steps"]):
         if k % 5 == 0:
-            state, time = run.fmu.ask("getFMUstate"), run.time
+            state = run.fmu.ask("getFMUstate")
+            time = run.time
             for _ in range(3):
                 run.set_inputs(run.time + run.step)
                 run.do_step(longer)
@@ -205,7 +209,8 @@ def _solve(run: _Run, scenario: str) -> None:
     for k in range(run.plan["steps"]):
         end = (k + 1) * run.step
         run.set_inputs(time)
-        events, since = 0, time
+        events = 0
+        since = time
         while time < end:
             found, _, time = _solved(run, solver, time, end)
             run.fmu.ask("setTime", time)

@@ -113,7 +113,9 @@ def _register(number: int, *level: tuple[Coefficient, sympy.Expr]) -> None:
     @register
     class Model(_Bam):
         __doc__ = _Bam.__doc__
-        name, title, order = f"bam_m{number}", f"BAM M{number}", 190 + 10 * number
+        name = f"bam_m{number}"
+        title = f"BAM M{number}"
+        order = 190 + 10 * number
         terms = level
 
 

@@ -76,9 +76,11 @@ class _Problem:
         gram, gradient = self._normal_equations(point, shrinkage)
         for _ in range(ITERATIONS):
             trial = point - np.linalg.solve(gram + np.diag(damping * np.diag(gram)), gradient)
-            if (trial_cost := self._cost(trial, shrinkage)) < cost:
+            trial_cost = self._cost(trial, shrinkage)
+            if trial_cost < cost:
                 converged = cost - trial_cost < CONVERGED * cost
-                point, cost = trial, trial_cost
+                point = trial
+                cost = trial_cost
                 if converged:
                     break
                 damping = max(damping / 5.0, least)
@@ -149,8 +151,10 @@ class MlpH(NetworkEstimator):
     def _search(
         self, samples: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
-        level, scale = float(samples.tau.mean()), max(float(samples.tau.std()), _TINY)
-        y, folds = (samples.tau - level) / scale, samples.folds
+        level = float(samples.tau.mean())
+        scale = max(float(samples.tau.std()), _TINY)
+        y = (samples.tau - level) / scale
+        folds = samples.folds
         starts = {
             hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
             for hidden in self.tried
@@ -164,7 +168,8 @@ class MlpH(NetworkEstimator):
         return lambda inputs, hidden: left_out(inputs.z, y, folds, starts[hidden]), law
 
     def _law(self, inputs: Inputs, network: Network, level: float, scale: float) -> FrictionLaw:
-        gains, theta = network.gains, network.theta
+        gains = network.gains
+        theta = network.theta
         # tanh is odd: positive gains, largest first, make the printed network unique.
         theta = np.where(gains < 0.0, -theta, theta)
         gains = np.abs(gains)

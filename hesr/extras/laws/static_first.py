@@ -47,13 +47,15 @@ class LuGreStaticFirst(LuGre):
             bristle_space(("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF),
             values=(*space.values, ("sigma_1", sympy.Integer(0))),
         )
-        curve, problem = Separable(form, stiff, samples), Separable(form, space, samples)
+        curve = Separable(form, stiff, samples)
+        problem = Separable(form, space, samples)
         static = curve.polish(curve.search(rng))
         (f_c, *others), _ = curve.solve(static)
 
         def solved(place: float) -> tuple[float, Array, Array]:
             point = np.array([place, *static[1:]])
-            columns, unknowns = problem.columns(point), np.array([f_c, 0.0, *others])
+            columns = problem.columns(point)
+            unknowns = np.array([f_c, 0.0, *others])
             left = samples.tau - columns @ unknowns
             slope = columns[:, 1]
             unknowns[1] = max(0.0, float(slope @ left) / max(float(slope @ slope), 1e-300))

@@ -72,12 +72,15 @@ class BoardFile(Config):
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
         names = [robot.name for robot in self.robots]
-        if twice := [name for name, count in Counter(names).items() if count > 1]:
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
             raise ValueError(f"two robots have the name '{twice[0]}'")
         of_robots = {log.robot or (names[0] if len(names) == 1 else "") for log in self.logs}
-        if unknown := sorted(of_robots - set(names)):
+        unknown = sorted(of_robots - set(names))
+        if unknown:
             raise ValueError(f"a log is of the robot '{unknown[0]}'; known are {', '.join(names)}")
-        if idle := [name for name in names if name not in of_robots]:
+        idle = [name for name in names if name not in of_robots]
+        if idle:
             raise ValueError(f"robot '{idle[0]}' has no log")
         if "all" not in self.scores:
             raise ValueError("'scores' must contain 'all', which ranks the entries")
@@ -108,7 +111,8 @@ def read_grounds(rules: BoardFile) -> dict[str, Ground]:
         examined(logs, model, rules.accept)
         records = [friction_records(part, model, body) for part in parts_of(logs)]
         for part in records:
-            if (seconds := part[0].t[-1] - part[0].t[0]) <= rules.warm_up:
+            seconds = part[0].t[-1] - part[0].t[0]
+            if seconds <= rules.warm_up:
                 raise ConfigError(
                     f"log '{part[0].log}' lasts {seconds:.3g} s, not longer than the warm-up of "
                     f"{rules.warm_up:g} s."
@@ -163,7 +167,8 @@ class Judge:
 
     def by_joint(self, errors: Sequence[Array], kind: Kind) -> tuple[float | None, ...]:
         """Return the RMSE by joint [N.m] on rows of a kind; None without rows."""
-        error, mask = np.vstack(errors), np.vstack(self._masks[kind])
+        error = np.vstack(errors)
+        mask = np.vstack(self._masks[kind])
         return tuple(
             rmse(error[rows, j]) if np.any(rows) else None for j, rows in enumerate(mask.T)
         )
@@ -220,9 +225,11 @@ def rmse_ratio_interval(
     errors (N,) [N.m]. A `block` has a few correlation lengths [rows]; with less the interval is too
     narrow.
     """
-    above, below = np.zeros(resamples), np.zeros(resamples)
+    above = np.zeros(resamples)
+    below = np.zeros(resamples)
     for error, other in zip(errors, reference, strict=True):
-        rows, length = len(error), min(block, len(error))
+        rows = len(error)
+        length = min(block, len(error))
         draws = rng.integers(rows, size=(resamples, -(-rows // length)))
         share = rows / (draws.shape[1] * length)
         above += share * _block_sums(error, length)[draws].sum(axis=1)

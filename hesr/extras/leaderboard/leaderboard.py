@@ -56,7 +56,8 @@ def tried(entry: Entry, ground: board_file.Ground, *, properties: bool) -> Tried
     """Replay an entry over all logs of its robot."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
     with FmuInstance(entry.fmu) as component:
-        if (joints := FrictionBench(component).joints) != ground.model.n:
+        joints = FrictionBench(component).joints
+        if joints != ground.model.n:
             raise SimulationError(
                 f"{entry.fmu}: is for {joints} joints; the robot '{entry.robot}' has "
                 f"{ground.model.n}."
@@ -158,7 +159,8 @@ def entries_of(given: Sequence[str], rules: board_file.BoardFile) -> list[Entry]
                     f"'{text}': the leaderboard has {len(robots)} robots; give ROBOT=FILE with one "
                     f"of {', '.join(robots)}."
                 )
-            robot, file = robots[0], text
+            robot = robots[0]
+            file = text
         found.append((robot, Path(file)))
     namings = [[fmu.stem for _, fmu in found], [f"{r}={fmu}" for r, fmu in found]]
     names = telling_apart(namings, "entered")
@@ -245,7 +247,9 @@ def _ranked(
     kinds = [kind for kind in board_file.KINDS if kind in rules.scores]
     found = []
     for one in ranked:
-        entry, own, ratio = one.entry, errors[one.entry.name], None
+        entry = one.entry
+        own = errors[one.entry.name]
+        ratio = None
         if entry != leader:
             ratio = judge.ratio(own, errors[leader.name], len(members) - 1)
         found.append(

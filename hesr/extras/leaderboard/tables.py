@@ -18,13 +18,15 @@ from hesr_model.units import unit_of_joints
 def write_page(board: Leaderboard, path: Path) -> None:
     """Write the page."""
     sections = [Section(key="standings", title="Standings", html=_standings(board))]
-    if found := {s.name: s.properties for s in board.standings if s.properties is not None}:
+    found = {s.name: s.properties for s in board.standings if s.properties is not None}
+    if found:
         sliding = [slides for robot in board.robots for slides in robot.sliding]
         html = joined(markup.table(properties(found, full=True)), markup.table(legend(sliding)))
         sections.append(Section(key="properties", title="Properties", html=html))
     rules = joined(_rules(board), markup.table(logs(board)), markup.table(entries(board.standings)))
     sections.append(Section(key="rules", title="Rules, logs and entries", html=rules))
-    count, measured = len(board.standings), len(board.logs)
+    count = len(board.standings)
+    measured = len(board.logs)
     write_sections(
         path,
         title=f"HESR leaderboard: {board.arena}",

@@ -79,7 +79,8 @@ def records(
     law: FrictionLaw, trained: TrainedRange | None, sample_time: float
 ) -> list[FrictionRecord]:
     """Return records for the fit and the test of a projection."""
-    peak, middle = np.array([trained_speed(trained)]), np.zeros(1)
+    peak = np.array([trained_speed(trained)])
+    middle = np.zeros(1)
     low, high = trained.tau_load if trained else (0.0, 0.0)
     found = []
     for seed, period in ((2, 40.0), (1, 20.0)):
@@ -175,7 +176,8 @@ class JointProjection:
     def __str__(self) -> str:
         if self.fitted is None or self.unseen is None:
             return f"{self.joint}: exact"
-        fitted, unseen = self.fitted, self.unseen
+        fitted = self.fitted
+        unseen = self.unseen
         return (
             f"{self.joint}: projected, since {self.missing}; RMSE {fitted.rmse:.3g} {self.unit} "
             f"where fitted and {unseen.rmse:.3g} {self.unit} on another motion, at most "
@@ -221,7 +223,8 @@ def export_mjcf_law(
 def _of_joint(
     model: FrictionModel, index: int, project: bool
 ) -> tuple[JointFriction, JointProjection]:
-    law, joint = model.laws[index], model.joints[index]
+    law = model.laws[index]
+    joint = model.joints[index]
     try:
         return parts_of(law), JointProjection(joint=joint)
     except NoCounterpartError as error:

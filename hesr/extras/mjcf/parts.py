@@ -34,7 +34,8 @@ class NoCounterpartError(ExportError):
 
     def __init__(self, text: str, unit: str = "1") -> None:
         super().__init__(text.replace("{unit}", unit))
-        self._text, self._unit = text, unit
+        self._text = text
+        self._unit = unit
 
     def at_joint(self, *, slides: bool) -> str:
         """Return the text in the unit of the joint."""
@@ -88,7 +89,8 @@ def parts_of(law: FrictionLaw) -> JointFriction:
     if form.relaxations and law.discretisation != "exact":
         raise NoCounterpartError("it has Euler steps, and MuJoCo relaxes a bristle exactly")
     forces = {s: sympy.S.Zero for r in form.relaxations for s in (r.state, r.derivative)}
-    viscous, waves = 0.0, []
+    viscous = 0.0
+    waves = []
     for term in sympy.Add.make_args(sympy.expand_mul(form.output.subs(zeros))):
         states = forces.keys() & term.free_symbols
         factors = {symbol: term / symbol for symbol in states or {DQ}}
@@ -136,7 +138,8 @@ class _Motion:
 
     @classmethod
     def of(cls, relaxation: Relaxation, zeros: Mapping[sympy.Symbol, int], values: Values) -> Self:
-        drive, rate = relaxation.drive.subs(zeros), relaxation.rate.subs(zeros)
+        drive = relaxation.drive.subs(zeros)
+        rate = relaxation.rate.subs(zeros)
         scale = sympy.cancel(drive / DQ)
         own = f"its state '{relaxation.name}'"
         if _uses_inputs(scale) or _number(scale, values, f"the drive of {own}") <= 0.0:
@@ -172,8 +175,10 @@ def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | No
 def _wave(term: sympy.Expr, values: Values) -> Wave | None:
     for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
         for wave in term.atoms(function):
-            factor, angle = term / wave, sympy.expand_mul(wave.args[0])
-            poles, phase = angle.coeff(Q, 1), angle.coeff(Q, 0)
+            factor = term / wave
+            angle = sympy.expand_mul(wave.args[0])
+            poles = angle.coeff(Q, 1)
+            phase = angle.coeff(Q, 0)
             straight = sympy.expand_mul(angle - poles * Q - phase) == 0
             if straight and not any(map(_uses_inputs, (factor, poles, phase))):
                 return Wave(

@@ -76,7 +76,8 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     """
     if path.suffix != ".mo":
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
-    if odd := _oddity(path.stem, _WORDS | _LIBRARIES):
+    odd = _oddity(path.stem, _WORDS | _LIBRARIES)
+    if odd:
         raise ExportError(
             f"{path}: the package name '{path.stem}' is {odd}; start with a letter, then use "
             "letters, digits and underscores."

@@ -24,7 +24,8 @@ _WIDTH = 96
 
 class _Printer(LanguagePrinter):
     language = "Modelica"
-    one, power = "1", "^"
+    one = "1"
+    power = "^"
 
     def __init__(self, derivatives: Mapping[sympy.Symbol, str]) -> None:
         super().__init__(derivatives)
@@ -49,7 +50,8 @@ class _Printer(LanguagePrinter):
 
     def _print_over(self, expr: sympy.Expr) -> str:
         above, below, otherwise = expr.args
-        first, second = self._print(above / below), self._print(otherwise)
+        first = self._print(above / below)
+        second = self._print(otherwise)
         return f"(if {self._print(below)} > 0 then {first} else {second})"
 
 

@@ -24,7 +24,8 @@ def _external(
     trace: dict[str, Array], model: FrictionModel, limits: ObserverLimits
 ) -> tuple[Array, Array, Array]:
     """Return time, unexplained torques behind the observer's low pass, and thresholds, (N, n)."""
-    t, each = trace["t"].astype(float), range(1, len(model.joints) + 1)
+    t = trace["t"].astype(float)
+    each = range(1, len(model.joints) + 1)
     columns = ("tau", "q", "dq", "tau_rb")
     tau, q, dq, load = (np.stack([trace[f"{c}{k}"] for k in each], axis=1) for c in columns)
     rest = load + model.predict(t=t, dq=dq, q=q, tau_load=load) - tau
@@ -41,7 +42,8 @@ def events_of(t: Array, external: Array, threshold: Array) -> list[tuple[int, in
 
     Events are first and last row, joint from 0, and the row of the largest excess.
     """
-    found, excess = [], np.abs(external) / threshold
+    found = []
+    excess = np.abs(external) / threshold
     for j, size in enumerate(excess.T):
         beyond = np.flatnonzero(size > 1.0)
         each = np.split(beyond, np.flatnonzero(np.diff(t[beyond]) > _APART) + 1)
@@ -56,14 +58,18 @@ def external_torque(results: Results) -> dict[str, Any] | None:
         limits = law_limits(model)
     except ExportError:
         return None
-    rows, largest, shown = [], 0.0, None
+    rows = []
+    largest = 0.0
+    shown = None
     for log in filter(lambda log: log.trace, results.run.logs):
         t, external, threshold = _external(results.torques(log), model, limits)
         for first, last, j, peak in events_of(t, external, threshold):
             values = (t[first], t[last] - t[first], external[peak, j], threshold[peak, j])
             rows.append(row_of(log.name, results.joints[j], *(number(x, 3) for x in values)))
-            if (size := abs(values[2]) / values[3]) > largest:
-                largest, shown = size, (log.name, t, external, threshold)
+            size = abs(values[2]) / values[3]
+            if size > largest:
+                largest = size
+                shown = (log.name, t, external, threshold)
     if shown is None:
         return None
     name, *curves = shown

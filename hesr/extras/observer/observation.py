@@ -123,7 +123,8 @@ def observed_logs(
 ) -> list[ObservedLog]:
     """Run the observer over parts of logs, with logged speeds or else those behind the low pass."""
     bare = content(model, body, limits, bandwidth=bandwidth, bare=True)
-    arrays, found = outputs_of(bare.table), []
+    arrays = outputs_of(bare.table)
+    found = []
     names = [v.name for v in bare.table.variables if v.role == "input"]
     with (
         scratch_folder() as folder,
@@ -154,7 +155,8 @@ def observed_logs(
 def _speed(log: Log, body: PlantBody) -> Array:
     if log.dq is not None:
         return log.dq
-    speed, some = measured_velocity(log), log.t - log.t[0] < _BEGINNING
+    speed = measured_velocity(log)
+    some = log.t - log.t[0] < _BEGINNING
     speed[0] = np.mean(speed[some], axis=0)  # noise must not look like motion to the law
     return low_passed(log.t, speed, body.robot.description.log.filter_cutoff)
 
@@ -224,7 +226,8 @@ def _left_out_files(folder: Path) -> list[Path]:
             continue
         places = [place / log.file for place in (folder / "logs", *above)]
         same = (file for file in places if file.exists() and sha256(file) == log.sha256)
-        if (file := next(same, None)) is None:
+        file = next(same, None)
+        if file is None:
             raise LogError(
                 f"{folder}: its log '{log.file}' is not in a folder above it, or has changed; give "
                 "'calibration' the log itself."
@@ -250,7 +253,8 @@ def _of_joint(
         columns = np.concatenate(parts)
         found = variance_shares(columns[some], errors[some] ** 2, np.zeros_like(errors[some]))
         variance = columns @ found + 1e-30
-        if (loss := float(np.mean(np.log(variance) + errors**2 / variance))) < best[0]:
+        loss = float(np.mean(np.log(variance) + errors**2 / variance))
+        if loss < best[0]:
             found, squares = _scaled(columns, found, errors**2)
             floor, slow, *others = np.sqrt(found).tolist()
             best = (loss, (floor, slow, speed, *others), np.sqrt(errors**2 / squares))
@@ -319,7 +323,8 @@ def observe(
     >>> [found] = hesr.observe("pushed.csv", law="law.json", robot="robot.toml",
     ...                        rigid_body="rigid_body.json", calibration=["free.csv"])
     """
-    model, read = arguments.model_given(law), arguments.checked_logs(logs, robot, accept)
+    model = arguments.model_given(law)
+    read = arguments.checked_logs(logs, robot, accept)
     body = arguments.plant_body(read.robot, rigid_body)
     free = [] if calibration is None else arguments.listed(calibration)
     return observed_logs(model, body, limits_of(model, body, free, bandwidth), read.logs, bandwidth)

@@ -53,7 +53,8 @@ class ObserverLimits:
 
 def law_limits(model: FrictionModel) -> ObserverLimits:
     """Return the limits that follow from the bands of a law; ExportError if it has none."""
-    rows, factors = [], []
+    rows = []
+    factors = []
     tries = HOUR / model.sample_time * len(model.laws)
     for law in model.laws:
         if model.coupling:

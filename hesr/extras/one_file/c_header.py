@@ -140,7 +140,8 @@ def _rows(
     model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    states, coefficients = 0, 0
+    states = 0
+    coefficients = 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
         own = functions[joint.component]
         numbers = [

@@ -47,7 +47,8 @@ class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not
 
 class _Printer(LanguagePrinter):
     language = "tensor code"
-    one, power = "1.0", "**"
+    one = "1.0"
+    power = "**"
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         super().__init__(names)
@@ -62,7 +63,8 @@ class _Printer(LanguagePrinter):
     def _print_Function(self, expr: sympy.Function) -> str:
         if expr.is_number:
             return self._print_Float(expr)
-        if (name := expr.func.__name__) not in self.known_functions:
+        name = expr.func.__name__
+        if name not in self.known_functions:
             raise ExportError(f"friction law: '{expr}' has no counterpart in tensor code.")
         arguments = ", ".join(map(self._print, expr.args))
         return f"{self.known_functions[name]}({arguments})"
@@ -172,7 +174,8 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
 
 
 def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
-    torque, ends = form.component.outputs[0].symbol, [moved(m) for m in form.memory]
+    torque = form.component.outputs[0].symbol
+    ends = [moved(m) for m in form.memory]
     start = initial_state(form.memory, form.component.settling)
     first = [initial_symbol(m) for m in form.memory]
     return {

@@ -60,8 +60,10 @@ class PaperStudy(Study):
     tracking: Tracking
 
 
-TWIN, LUGRE = "twin", "LuGre"  # true frictions
-SINE, SWEEP = "sine", "sweep"  # training motions
+TWIN = "twin"
+LUGRE = "LuGre"  # true frictions
+SINE = "sine"
+SWEEP = "sweep"  # training motions
 Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
 
 
@@ -92,7 +94,8 @@ class Case:
         self, law: str, others: Sequence[str], test: str, joint: int, *, reversals: bool
     ) -> Number:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
-        logs, errors = self.tests[test][joint], {}
+        logs = self.tests[test][joint]
+        errors = {}
         near = [near_reversals(r.t, r.dq) if reversals else np.ones(len(r.t)) for r in logs]
         for name in (law, *others):
             own = self.errors(name, test, joint)
@@ -117,7 +120,8 @@ class Evidence:
 
 def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evidence:
     """Run the twin, fit all laws and run the closed loop, with files in `folder`."""
-    job, logs = Job(study=study, path=path, progress=progress), study.logs
+    job = Job(study=study, path=path, progress=progress)
+    logs = study.logs
     plant, signals = twin_plant(study.twin, path, folder)
     assert signals is not None  # `Study` requires them with `tracking`
     arm = export_twin(plant, folder, signals)
@@ -137,7 +141,8 @@ def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evi
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
     build(folder, robot, body, plant, oracle=truth)
-    tracking, tracked = study.tracking, {}
+    tracking = study.tracking
+    tracked = {}
     fmus = {law: export_bare(fitted[law], folder / f"{law}.fmu") for law in tracking.sources}
     for name, change in study.controllers.items():
         changed = tracking.model_copy(update={"gains": tracking.gains.model_copy(update=change)})

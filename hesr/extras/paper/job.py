@@ -19,7 +19,8 @@ def _run(
     from hesr.extras.paper.evidence import gather
     from hesr.extras.paper.report import FILE, FORMAT, PaperResult, opening, tables, write_page
 
-    if given := [name for name, value in options.items() if value]:
+    given = [name for name, value in options.items() if value]
+    if given:
         raise ArgumentError(f"'{given[0]}' is for a study of laws; omit it for {path}.")
     study = PaperStudy.read(path)
     folder = output or Path("results") / study.name

@@ -129,7 +129,8 @@ def conditioning(e: Evidence, *, motion: str, seeds: int) -> Values:
 @_of_joints
 def body_error(e: Evidence, joint: int, *, test: str) -> float:
     """Return the RMS error of the rigid-body torque over the RMS of friction."""
-    truth, record = e.recordings[test].truth, e.records[test][0][joint]
+    truth = e.recordings[test].truth
+    record = e.records[test][0][joint]
     friction = truth.tau_f_true[:, joint]
     return rmse(record.tau_load - truth.tau_meas[:, joint] + friction) / rmse(friction)
 
@@ -137,7 +138,8 @@ def body_error(e: Evidence, joint: int, *, test: str) -> float:
 @_of_joints
 def explained(e: Evidence, joint: int, *, log: str, by: str) -> float:
     """Return the share of a variance: of torque by the body, or of the residual by friction."""
-    truth, r = e.recordings[log].truth.tau_f_true[:, joint], e.records[log][0][joint]
+    truth = e.recordings[log].truth.tau_f_true[:, joint]
+    r = e.records[log][0][joint]
     left, whole = (r.tau, r.tau + r.tau_load) if by == "body" else (r.tau - truth, r.tau)
     return 1.0 - float(np.var(left) / np.var(whole))
 
@@ -151,7 +153,8 @@ def euler_factor(e: Evidence, case: Case, joint: int) -> float:
 @_of_cases
 def memory(e: Evidence, case: Case, joint: int, *, rest: float) -> float:
     """Return the gap of the torques after sliding both ways and a rest [s], over that before it."""
-    law, trained = _law(e, case, joint), case.models[e.study.literal].trained[joint]
+    law = _law(e, case, joint)
+    trained = case.models[e.study.literal].trained[joint]
     dq = np.repeat([0.5 * trained.speed, 0.0], [400, 1 + round(rest / trained.sample_time)])
     t = trained.sample_time * np.arange(len(dq))
     gap = predict(law, t=t, dq=dq) - predict(law, t=t, dq=-dq)

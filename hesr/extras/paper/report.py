@@ -28,8 +28,11 @@ from hesr_model.inference.comparison import ErrorRatio
 from hesr_model.support.files import written_together
 from hesr_model.support.typed_files import from_json, read_json
 
-FORMAT, FILE = "hesr-paper-1", "paper.json"
-REPRODUCED, REFUTED, OPEN = "reproduced", "not reproduced", "not testable"
+FORMAT = "hesr-paper-1"
+FILE = "paper.json"
+REPRODUCED = "reproduced"
+REFUTED = "not reproduced"
+OPEN = "not testable"
 _TEMPLATES = code_templates(Path(__file__).parent / "templates")
 _TITLES = {
     "parfam_h_paper": "ParFam-H (paper)",
@@ -178,11 +181,13 @@ def _tracking(errors: Mapping[str, Mapping[str, tuple[float, ...]]]) -> ResultTa
 
 def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
     """Write the page of a folder of results as .html, by default in the folder, or as .md."""
-    data, path = read_json(folder / FILE, FORMAT), output or folder / "report.html"
+    data = read_json(folder / FILE, FORMAT)
+    path = output or folder / "report.html"
     result = from_json(PaperResult, data, folder / FILE, "results of the paper's study")
     if path.suffix not in (".md", ".html"):
         raise ArgumentError(f"{path}: reports of a study of claims are .html and .md.")
-    plain, shown = path.suffix == ".md", tables(result)
+    plain = path.suffix == ".md"
+    shown = tables(result)
     with written_together(path) as file:
         files = Tables(path.parent / (f"{path.stem}_tables" if plain else TABLES), file)
         for heading, one in shown.items():

@@ -97,7 +97,8 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     """
     model = subject.model and replace(subject.model, coupling=None, thermal=())
     with scratch_folder() as folder:
-        if (fmu := subject.fmu) is None:
+        fmu = subject.fmu
+        if fmu is None:
             if model is None:
                 raise ConfigError(f"{subject.name}: model and FMU are both missing.")
             fmu = export_bare(model, Path(folder, "friction.fmu"))
@@ -210,14 +211,16 @@ def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
     sample = model.sample_time if model else _SAMPLE_TIME
     if model and model.trained:
         return [replace(seen, sample_time=sample) for seen in model.trained]
-    still, dq = (0.0, 0.0), (-UNKNOWN_SPEED, UNKNOWN_SPEED)
+    still = (0.0, 0.0)
+    dq = (-UNKNOWN_SPEED, UNKNOWN_SPEED)
     unknown = TrainedRange(sample_time=sample, dq=dq, q=still, tau_load=still, tau=still)
     return [unknown] * joints
 
 
 def _require_inertia(subject: Subject, joints: int | None = None) -> Array | None:
     """Return the inertia of the joints [kg.m2]; None if unknown."""
-    model, given = subject.model, subject.inertia
+    model = subject.model
+    given = subject.inertia
     if given is None and model is not None:
         given = INERTIA.get(model.robot)
     if given is None:

@@ -15,7 +15,8 @@ from hesr_model.support.arrays import Array
 DISCRETISATION = "discretisation"
 _EXACT = 1.0
 _SUBSTEP = 5e-3  # [s] without exact integration
-_FOREVER, _LONG = 1e4, 60.0  # [s] of steady sliding, with exact integration and without
+_FOREVER = 1e4
+_LONG = 60.0  # [s] of steady sliding, with exact integration and without
 
 
 class _Bench:

@@ -12,7 +12,8 @@ _TORQUE_FREQUENCY = 1.0  # [Hz] of the torque; the load has twice as much
 PHASES = (0.5 * np.pi, 1.5 * np.pi)  # load phase [rad]
 _INNER_STEP = 4e-3  # [s] communication and inner step: rows contain all work
 _ROWS = round(1.0 / (_TORQUE_FREQUENCY * _INNER_STEP))  # per cycle
-_CYCLES, _MEASURED = 10, 4
+_CYCLES = 10
+_MEASURED = 4
 _SPRING = 20.0  # stretch at the friction level, in deflections
 
 
@@ -65,7 +66,8 @@ _TIMES = 6.0  # run time in stretching times
 _STEP = 1e-2  # [s]
 _FASTEST = 0.2  # end of the examined curve, in trained speeds
 _NO_WEAKENING = 1e-3  # fall in levels; up to WEAKENING both outcomes are right
-_STICKS, _SLIPS = 0.1, 1.5  # shares of the pulling speed
+_STICKS = 0.1
+_SLIPS = 1.5  # shares of the pulling speed
 _LASTS = 0.8  # ratio of the last two quarters' amplitudes
 
 
@@ -100,23 +102,28 @@ def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
 def _pulled(
     t: Array, stretch: Array, dq: Array, pull: float, falls: float, drives: bool
 ) -> PropertyResult:
-    half, quarter = len(t) // 2, 3 * len(t) // 4
+    half = len(t) // 2
+    quarter = 3 * len(t) // 4
     before, last = (float(np.ptp(part)) for part in (stretch[half:quarter], stretch[quarter:]))
-    slow, fast = float(np.min(dq[half:])), float(np.max(dq[half:]))
+    slow = float(np.min(dq[half:]))
+    fast = float(np.max(dq[half:]))
     cycles = slow < _STICKS * pull and fast > _SLIPS * pull and last >= _LASTS * before
     begins = t[half + 1 :][(dq[half:-1] <= pull) & (dq[half + 1 :] > pull)]
     period = float(np.mean(np.diff(begins))) if cycles and len(begins) > 1 else None
-    weak, flat = falls >= WEAKENING, falls <= _NO_WEAKENING
+    weak = falls >= WEAKENING
+    flat = falls <= _NO_WEAKENING
     does = "It ends in steady sliding"
     if cycles:
         does = f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
     if drives:
-        right, why = False, "its steady friction drives at low speed"
+        right = False
+        why = "its steady friction drives at low speed"
     elif weak or flat:
         right = cycles == weak
         why = f"its steady curve falls by {falls:.1%} of the level"
     else:
-        right, why = True, f"its steady curve falls by only {falls:.1%}, so both are allowed"
+        right = True
+        why = f"its steady curve falls by only {falls:.1%}, so both are allowed"
     return PropertyResult(
         verdict="pass" if right else "fail",
         figures=figures(
@@ -132,14 +139,16 @@ def _pulled(
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)  # [s] up to the friction level
 LOAD = 0.5  # held load in friction levels
-DITHER, FREQUENCY = 0.2, 5.0  # amplitude in friction levels, [Hz]
+DITHER = 0.2
+FREQUENCY = 5.0  # amplitude in friction levels, [Hz]
 MINUTE = 60.0
 
 _SLIDES = 0.05  # sliding threshold in trained speeds
 _HIGHEST = 3.0  # end of a ramp, in friction levels
 _RAMP_STEPS = 1000  # steps up to the friction level
 _CREEPS = 2.0  # ratio of displacements on ramps of different rate; pre-sliding has 1
-_PUT_ON, _SETTLING = 1.0, 1.0  # [s] rise of a load, and rest
+_PUT_ON = 1.0
+_SETTLING = 1.0  # [s] rise of a load, and rest
 _PER_PERIOD = 20  # steps of the dither
 
 
@@ -155,7 +164,8 @@ def _ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, Array
     Both are NaN for a joint that does not slide.
     """
     bench.start(load=scale.load, torque=scale.offset)
-    dt, slides = seconds / _RAMP_STEPS, _SLIDES * scale.speed
+    dt = seconds / _RAMP_STEPS
+    slides = _SLIDES * scale.speed
     rows: list[Array] = []
     moving = np.zeros(bench.joints, dtype=bool)
     for k in range(1, int(_HIGHEST * _RAMP_STEPS) + 1):

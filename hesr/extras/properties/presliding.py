@@ -10,9 +10,11 @@ from hesr.extras.properties.scale import Scale, curve, judged, plot
 from hesr_model.audit.properties import CLOSED, INNER, RATE, SMOOTH, PropertyResult
 from hesr_model.support.arrays import Array
 
-PERIOD, SLOW_PERIOD = 4.0, 40.0  # [s] of the loops
+PERIOD = 4.0
+SLOW_PERIOD = 40.0  # [s] of the loops
 _CYCLES = 3  # the last one is measured
-_JUMP, _STIFF = 5e-4, 0.025  # shares of a branch: end of a jump, and of the stiffness measurement
+_JUMP = 5e-4
+_STIFF = 0.025  # shares of a branch: end of a jump, and of the stiffness measurement
 _BRANCH = np.concatenate([[_JUMP, 5e-3, _STIFF], np.linspace(0.05, 1.0, 39)])
 _TURN = 0.75  # share of the rising branch before an inner loop
 # Return path, in amplitudes of the outer loop.
@@ -58,7 +60,8 @@ def memory(
     if len(parts) > 3:
         innermost = parts[3][-1] - parts[1][-1]
     on = branch(1.0, _BRANCH[_TURNS + 1 :] - _BRANCH[_TURNS])
-    inner, into = np.concatenate(parts), 2.0 * _TURN - 1.0 - np.concatenate(way)
+    inner = np.concatenate(parts)
+    into = 2.0 * _TURN - 1.0 - np.concatenate(way)
     found = []
     for j, amplitude in enumerate(scale.deflection.tolist()):
         outer = loop[-len(_BRANCH) :, j]

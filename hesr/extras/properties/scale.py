@@ -104,7 +104,8 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     for sign in (1.0, -1.0):
         bench.start(load=load)
         both.append(bench.move(np.full(len(speeds), bench.forever), sign * speeds))
-    steady, offset = 0.5 * (both[0] - both[1]), 0.5 * (both[0] + both[1])
+    steady = 0.5 * (both[0] - both[1])
+    offset = 0.5 * (both[0] + both[1])
     at = int(np.argmin(np.abs(_SHARES - SLIDING)))
     creep = CREEP * speed
     bench.start(load=load)

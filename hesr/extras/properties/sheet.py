@@ -12,8 +12,12 @@ from hesr_model.audit import properties
 from hesr_model.audit.properties import EXPECTATIONS, Expectation
 from hesr_model.units import unit_of_joint, unit_of_joints
 
-_WIDTH, _HEIGHT = 236, 148  # size of a plot in its own units
-_LEFT, _RIGHT, _TOP, _BOTTOM = 6, 6, 18, 18  # margins of the plot
+_WIDTH = 236
+_HEIGHT = 148  # size of a plot in its own units
+_LEFT = 6
+_RIGHT = 6
+_TOP = 18
+_BOTTOM = 18  # margins of the plot
 _LINES = ("var(--accent)", "#c2410c", "#15803d")
 _DIGITS = 3
 
@@ -86,7 +90,8 @@ def svg(plot: properties.Plot) -> str:
     y_range = _range([v for c in curves for v in c.y])
     across = partial(np.interp, xp=x_range, fp=(_LEFT + 2, _WIDTH - _RIGHT - 2))
     down = partial(np.interp, xp=y_range, fp=(_HEIGHT - _BOTTOM - 2, _TOP + 2))
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    right = _WIDTH - _RIGHT
+    bottom = _HEIGHT - _BOTTOM
     parts = [
         f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
         'fill="none" stroke="var(--line)"/>'
@@ -125,7 +130,8 @@ def _text(x: float, y: float, anchor: str, text: str) -> str:
 
 
 def _range(values: list[float]) -> tuple[float, float]:
-    low, high = min(values), max(values)
+    low = min(values)
+    high = max(values)
     if high > low:
         return low, high
     return low - 0.5 * max(abs(low), 1.0), high + 0.5 * max(abs(high), 1.0)

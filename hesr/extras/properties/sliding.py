@@ -22,13 +22,15 @@ from hesr_model.errors import SimulationError
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.arrays import Array
 
-LEAST, MOST = 5e-5, 0.1  # [s] bounds of the step search
+LEAST = 5e-5
+MOST = 0.1  # [s] bounds of the step search
 _COARSE = np.geomspace(LEAST, MOST, 24)
 _HALVINGS = 5
 _STEPS = 400  # minimum
 _SLIDES = 5.0  # in stopping times at the friction level
 _LONGEST = 2.0  # [s] run time
-_QUIET, _STOPPED = 1e-3, 0.2  # shares of the first speed: rest, stop
+_QUIET = 1e-3
+_STOPPED = 0.2  # shares of the first speed: rest, stop
 _SMALL = 1e-6  # [rad/s]
 _SWITCHES = 8  # sign changes in a row; a true stop has fewer
 
@@ -117,7 +119,8 @@ def _refined(
         return MOST
     if first == tried[0]:
         return None
-    low, high = tried[tried.index(first) - 1], first
+    low = tried[tried.index(first) - 1]
+    high = first
     for _ in range(_HALVINGS):
         middle = float(np.sqrt(low * high))
         if _chatters(slide(middle))[joint]:
@@ -127,12 +130,15 @@ def _refined(
     return low
 
 
-_SLOWEST, _FASTEST = 0.01, 0.11  # one-way motion, in trained speeds
+_SLOWEST = 0.01
+_FASTEST = 0.11  # one-way motion, in trained speeds
 _PERIODS = (1.0, 50.0)  # [s]
 _ROWS = 500  # per period
 _TURNS = 3  # periods; the last one is measured
 _ROUNDING = 1e-9  # [N.m]
-_ANGLES, _PHASES, _LOADED_TURNS = (1e-5, 1e-4, 1e-3), (0.5 * np.pi, 1.5 * np.pi), 20
+_ANGLES = (1e-5, 1e-4, 1e-3)
+_PHASES = (0.5 * np.pi, 1.5 * np.pi)
+_LOADED_TURNS = 20
 _SHOWN = 400  # plotted rows
 _STARTS = np.geomspace(0.05, 1.0, 5)  # in trained speeds
 _LAST = 1e-3  # [s] before the steady torque is read, as short as a servo's
@@ -160,7 +166,8 @@ def _started(speeds: Array, first: Array, steady: Array) -> PropertyResult:
     friction = np.maximum(0.5 * np.abs(steady[:, 0] - steady[:, 1]), _NO_FRICTION)
     off = (first - steady) / friction[:, None]
     row, way = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
-    worst, speed = float(off[row, way]), float(speeds[row]) * (-1.0 if way else 1.0)
+    worst = float(off[row, way])
+    speed = float(speeds[row]) * (-1.0 if way else 1.0)
     said = f"At {speed:.3g} rad/s the first torque is off by {worst:.0%}."
     return judged(
         ("largest difference of the first torque, of the friction", abs(worst), "1"),
@@ -178,7 +185,8 @@ def _started(speeds: Array, first: Array, steady: Array) -> PropertyResult:
 def lag(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
     """Slide in one direction with oscillating speed, at two periods."""
     phase = 2.0 * np.pi / _ROWS * (np.arange(_ROWS * _TURNS) + 0.5)
-    middle, half = 0.5 * (_FASTEST + _SLOWEST), 0.5 * (_FASTEST - _SLOWEST)
+    middle = 0.5 * (_FASTEST + _SLOWEST)
+    half = 0.5 * (_FASTEST - _SLOWEST)
     dq = (middle - half * np.cos(phase))[:, None] * scale.speed
     found = []
     for period in _PERIODS:
@@ -232,7 +240,8 @@ def chatter(
     """Rest under encoder noise, with the sample time and discretisation of the law."""
     noise = [audit.encoder_noise(seen) for seen in trained]
     dq, q = (np.column_stack([of_joint[part] for of_joint in noise]) for part in (0, 1))
-    settling, sample = noise[0][2], trained[0].sample_time
+    settling = noise[0][2]
+    sample = trained[0].sample_time
     bench.start(load=scale.load, exact=False)
     tau = bench.move(np.full(len(dq), sample), dq, q)
     found = []

@@ -74,7 +74,8 @@ def _data(results: Results) -> dict[str, ResultTable]:
         found[name] = errors(test, scores, inputs=results.run.inputs, sliding=results.sliding)
         if scores.bands:
             found[f"{name}_bands"] = bands(test, scores)
-    if table := left_out(results.models, results.sliding):
+    table = left_out(results.models, results.sliding)
+    if table:
         found["left_out"] = table
     if results.truths:
         found["alternative_plants"] = other_truths(
@@ -133,10 +134,12 @@ def _run(results: Results) -> Iterator[str]:
 
 
 def _prediction(results: Results) -> str:
-    scores, best = results.comparisons[results.tests[0]], results.best
+    scores = results.comparisons[results.tests[0]]
+    best = results.best
     left = 100.0 * scores.size(best)
     text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
-    if not (ratios := scores.ratios.laws.get(best, ())):
+    ratios = scores.ratios.laws.get(best, ())
+    if not ratios:
         return f"{text}."
     mean = geometric_mean(ratio.value for ratio in ratios)
     return f"{text}; its error is {mean:.2f} times that of its reference (geometric mean)."
@@ -144,7 +147,8 @@ def _prediction(results: Results) -> str:
 
 def short(results: Results) -> ResultTable:
     """Return the best law, its references and ParFam-H on the first test set."""
-    test, best = results.tests[0], results.best
+    test = results.tests[0]
+    best = results.best
     scores = results.comparisons[test]
     references = [scores.ratios.of(best, k) for k in range(len(scores.joints))]
     return _rows(errors(test, scores, sliding=results.sliding), [*references, papers_law(), best])

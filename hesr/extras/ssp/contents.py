@@ -174,7 +174,8 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
     """Return the units defined by `ssc:Unit` elements; `where` is for messages."""
     found: dict[str, UnitExponents] = {}
     for node in nodes:
-        name, base = node.get("name", ""), node.find("{*}BaseUnit")
+        name = node.get("name", "")
+        base = node.find("{*}BaseUnit")
         said = {} if base is None else base.attrib
         numbers = dict(UNIT_DEFAULTS)
         for key in (key for key in SI if key in said):

@@ -45,7 +45,8 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
     values = ((name, "Real", {"value": repr(float(x)), "unit": unit}) for name, x, unit in found)
     units = {unit: tuple((UNIT_DEFAULTS | si_exponents(unit)).values()) for *_, unit in found}
     root = parameter_set(values, units, about)
-    if joints := _covariances(model):
+    joints = _covariances(model)
+    if joints:
         annotations = ET.SubElement(root, "ssv:Annotations")
         annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)
         ET.SubElement(annotation, "hesr:Covariance").extend(joints)

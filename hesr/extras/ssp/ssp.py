@@ -149,7 +149,8 @@ def _component(
         source=resource(name, ".fmu"),
         implementation="CoSimulation",
     )
-    if own := [variable for owner, variable in connectors if owner == name]:
+    own = [variable for owner, variable in connectors if owner == name]
+    if own:
         table = ET.SubElement(node, "ssd:Connectors")
         for variable in own:
             causality = contents.variables[name][variable].causality

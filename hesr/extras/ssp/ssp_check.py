@@ -23,7 +23,8 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
     """Check an SSP without running its FMUs; raise ArtifactError if it is unreadable."""
     skipped: dict[str, None] = {}
     with TemporaryDirectory(prefix="hesr-check-") as temporary:
-        files, folder = Path(temporary, "files"), Path(temporary, "work")
+        files = Path(temporary, "files")
+        folder = Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
         contents = archive.unpack(path, files)

@@ -129,7 +129,8 @@ class ConnectorGraph:
     def unit(self, node: ConnectorName) -> Unit | None:
         """Return the unit of a connector, that of the variable by default."""
         own = self.units.get(node)
-        if (variables := self.variables.get(node[0])) is None:
+        variables = self.variables.get(node[0])
+        if variables is None:
             return own
         try:
             name, base = own or variables.unit(node[1])
@@ -160,7 +161,8 @@ class ConnectorGraph:
         target: ConnectorName,
         where: str,
     ) -> Conversion:
-        kind, into = transformation.kind, self.variables[target[0]][target[1]].type
+        kind = transformation.kind
+        into = self.variables[target[0]][target[1]].type
         if into not in _TAKEN.get(kind, ()):
             raise ConfigError(f"{where}: its transformation does not fit the type {into}.")
         if kind == "Linear":
@@ -200,13 +202,15 @@ def between(unit: Unit, into: Unit, where: str) -> Conversion:
     """Return the conversion between two units; raise ConfigError if they differ in kind."""
     if unit[0] == into[0] or unit[1] == into[1] is not None:
         return Conversion()
-    one, other = unit[1], into[1]
+    one = unit[1]
+    other = into[1]
     alike = one and other and one[:_EXPONENTS] == other[:_EXPONENTS]
     if not (one and other and alike and other[_EXPONENTS] and isfinite(one[_EXPONENTS])):
         raise ConfigError(
             f"{where}: {unit[0]} cannot be converted into {into[0]}; define both in SI base units."
         )
-    factor, size = one[_EXPONENTS], other[_EXPONENTS]
+    factor = one[_EXPONENTS]
+    size = other[_EXPONENTS]
     return Conversion(factor=factor / size, offset=(one[-1] - other[-1]) / size)
 
 

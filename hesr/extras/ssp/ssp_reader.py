@@ -89,7 +89,8 @@ class _Reader:
         # Sources are URIs, but some tools write plain names.
         names = self.archive.names
         candidates = (normpath(n) for n in (unquote(name), name))
-        if (member := next((n for n in candidates if n in names), None)) is None:
+        member = next((n for n in candidates if n in names), None)
+        if member is None:
             raise self.error(f"{where}{name} is missing.")
         return self.archive.read(member, most)
 
@@ -100,7 +101,8 @@ class _Reader:
             raise self.error(f"{where}{name} is not valid XML ({error}).") from error
 
     def attribute(self, node: ET.Element, name: str, where: str) -> str:
-        if (value := node.get(name)) is None:
+        value = node.get(name)
+        if value is None:
             raise self.error(f"{where}: attribute '{name}' is missing.")
         return value
 
@@ -111,7 +113,8 @@ class _Reader:
         self, times: Mapping[str, float | None], values: Mapping[str, Any]
     ) -> dict[str, Any]:
         root = self.parsed(SSD)
-        if (system := _one(root, "ssd:System")) is None:
+        system = _one(root, "ssd:System")
+        if system is None:
             raise self.error(f"{SSD} contains no system.")
         where = f"{self.path}: {SSD}"
         self.elements(system, (), read_units(_all(root, "ssd:Units/ssc:Unit"), where))
@@ -121,10 +124,12 @@ class _Reader:
                 raise self.error(f"--set '{name}' is no variable of the system.")
         names = safe_names("\0".join(place) for place in self.fmus)  # names may contain dots
         of = {place: names["\0".join(place)] for place in self.fmus}
-        connections, conversions = {}, {}
+        connections = {}
+        conversions = {}
         for into, out, steps in sorted(self.sources(), key=lambda s: self.graph.order[s[0]]):
             target, source = (self.signal(of[place], own) for place, own in (into, out))
-            connections[target], conversions[target] = source, steps
+            connections[target] = source
+            conversions[target] = steps
         return {
             "name": root.get("name", self.path.stem),
             **self.times(root, times),
@@ -143,12 +148,14 @@ class _Reader:
     def times(self, root: ET.Element, given: Mapping[str, float | None]) -> dict[str, Any]:
         experiment = _one(root, "ssd:DefaultExperiment")
         own = ET.Element("none") if experiment is None else experiment
-        begin, stop = given.get("start"), given.get("stop")
+        begin = given.get("start")
+        stop = given.get("stop")
         begin = number(own, "startTime", 0.0, SSD) if begin is None else begin
         if stop is None and own.get("stopTime") is None:
             raise self.error("the default experiment has no stopTime; give --stop.")
         stop = number(own, "stopTime", 0.0, SSD) if stop is None else stop
-        if (step := given.get("step")) is not None:
+        step = given.get("step")
+        if step is not None:
             return {"begin": begin, "stop": stop, "step": step}
         for tag, key in _STEPS:
             node = root.find(tag)
@@ -175,7 +182,8 @@ class _Reader:
         for node in _all(system, "ssd:Elements/*"):
             name = self.attribute(node, "name", "an element")
             kind = node.tag.rpartition("}")[2]
-            if (own := (*place, name)) in self.places:
+            own = (*place, name)
+            if own in self.places:
                 raise self.error(f"two elements are named '{'.'.join(own)}'.")
             if kind == "System":
                 self.elements(node, own, units)
@@ -210,7 +218,8 @@ class _Reader:
             )
         self.fmus[place] = fmu
         self.graph.variables[place] = Variables(fmu, about)
-        if (hint := node.find(".//{*}StepSizeHint")) is not None:
+        hint = node.find(".//{*}StepSizeHint")
+        if hint is not None:
             self.steps[place] = hint.get("value", "")
 
     def connectors(self, node: ET.Element, place: ElementPath, units: Mapping[str, Any]) -> None:
@@ -284,7 +293,8 @@ class _Reader:
         for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
             if binding.get("sourceBase") == "component":
                 raise self.refuse(f"{where}: a parameter source inside an FMU is")
-            source, prefix = binding.get("source"), binding.get("prefix", "")
+            source = binding.get("source")
+            prefix = binding.get("prefix", "")
             sets = (
                 _all(binding, "ssd:ParameterValues/ssv:ParameterSet")
                 if source is None
@@ -305,7 +315,8 @@ class _Reader:
     def mapping(
         self, binding: ET.Element, where: str
     ) -> dict[str, list[tuple[str, dict[str, Any]]]] | None:
-        if (node := _one(binding, "ssd:ParameterMapping")) is None:
+        node = _one(binding, "ssd:ParameterMapping")
+        if node is None:
             return None
         source = node.get("source")
         found: dict[str, list[tuple[str, dict[str, Any]]]] = {}
@@ -369,7 +380,8 @@ class _Reader:
             return False
         where = f"{self.path}: component '{'.'.join(place)}': parameter '{name}'"
         for element in elements:
-            value, unit = parameter.value, None if parameter.suppressed else parameter.unit
+            value = parameter.value
+            unit = None if parameter.suppressed else parameter.unit
             into = connector and self.graph.unit(connector)
             if unit and not connector:
                 value = in_unit_of(variables, element, value, unit, where)

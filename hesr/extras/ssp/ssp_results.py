@@ -87,7 +87,8 @@ def verify_ssp(path: Path) -> Verified:
 
 
 def _judge(spec: SystemSpec, experiment: ReferenceExperiment, found: Verified) -> None:
-    own, t = experiment.name, experiment.t
+    own = experiment.name
+    t = experiment.t
     signals = list(experiment.outputs)
 
     def played(way: str) -> np.ndarray:

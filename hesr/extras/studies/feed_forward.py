@@ -28,7 +28,8 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, rms
 from hesr_model.support.files import scratch_folder
 
-AS_LOGGED, AHEAD = "commands as logged", "commands sent ahead by the latency"
+AS_LOGGED = "commands as logged"
+AHEAD = "commands sent ahead by the latency"
 
 _LONGEST = 30.0  # [s] of a log that are run
 _DRAWS = 10  # plants with gains of the servo as likely as the identified ones
@@ -93,7 +94,8 @@ def _predicted(
             middle, *others = (rms(e) for e in (moved, *free))
             missing = np.maximum(rms(moved - held), rms(moved - free[0]))
             spread = np.hypot(missing, _WIDTH * np.std(others, axis=0))
-            low, high = np.maximum(middle - spread, 0.0), middle + spread
+            low = np.maximum(middle - spread, 0.0)
+            high = middle + spread
             one, below, above = (tuple(map(float, values)) for values in (middle, low, high))
             rows.append(FollowingError(command=name, error=one, low=below, high=above))
     return Following(

@@ -48,7 +48,9 @@ def run_sweeps(
     found = {}
     for t in known:
         if not t.failures:
-            scheme, rmse, last = replace(t.scheme, change=_AS_IT_IS), t.rmse, t.last
+            scheme = replace(t.scheme, change=_AS_IT_IS)
+            rmse = t.rmse
+            last = t.last
             few = replace(t, scheme=scheme, rmse=rmse[:_MOTIONS], last=last[:_MOTIONS], trace=None)
             found[scheme, t.law] = few
     left = [row for row in rows if (row.scheme, row.law) not in found]
@@ -98,7 +100,8 @@ def _rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
 
 
 def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple[str, Setting]]:
-    gains, fmus = setting.gains, setting.fmus
+    gains = setting.gains
+    fmus = setting.fmus
     yield _AS_IT_IS, setting
     for mass, body in payloads.items():
         arm = {"payload": mass}

@@ -27,7 +27,8 @@ from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, counted, silent
 
 LEAST = 2  # draws
-LEVEL, VISCOSITY = 0.15, 0.3
+LEVEL = 0.15
+VISCOSITY = 0.3
 """Standard deviations of the logarithms of Coulomb and viscous friction."""
 _AMPLITUDE = 0.8  # minimum, of motions other than Fourier series
 _TRIES = 100  # draws of a Fourier motion within the limits
@@ -47,7 +48,8 @@ def run_seeds(
         )
     if seeds < LEAST:
         raise ConfigError(f"--seeds is {seeds}; at least {LEAST} are needed.")
-    if not (named := tuple(laws or study.laws)):
+    named = tuple(laws or study.laws)
+    if not named:
         raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
     jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
     with parallel.results_of(jobs, names=[f"draw {k + 1}" for k in range(seeds)]) as results:
@@ -66,7 +68,8 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     assert study.twin is not None
     rng = np.random.default_rng(seed)
     plant = Plant.read(study.twin.plant)
-    noise_seed, joints = int(rng.integers(2**31)), len(plant.joints)
+    noise_seed = int(rng.integers(2**31))
+    joints = len(plant.joints)
     levels, rates = (np.exp(rng.normal(0.0, sd, joints)) for sd in (LEVEL, VISCOSITY))
     with loaded_arm(plant, signals=servo_signals(plant, levels, rates)) as arm:
         found = [

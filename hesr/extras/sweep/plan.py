@@ -61,7 +61,9 @@ def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
 
 def _shares(blocks: Array) -> Array:
     """Return (2, d) indices by Saltelli et al. (2010)."""
-    a, b, mixed = blocks[0], blocks[1], blocks[2:]
+    a = blocks[0]
+    b = blocks[1]
+    mixed = blocks[2:]
     first = np.mean(b * (mixed - a), axis=1)
     total = 0.5 * np.mean((a - mixed) ** 2, axis=1)
     return np.asarray(np.stack([first, total]) / np.var(blocks[:2]))
@@ -83,7 +85,8 @@ def chosen(study: SweepStudy) -> Array:
 
 
 def _unit(study: SweepStudy) -> Array:
-    d, runs = len(study.names), study.runs or 0
+    d = len(study.names)
+    runs = study.runs or 0
     if study.design == "grid":
         return _grid(study)
     if study.design == "monte_carlo":
@@ -96,7 +99,8 @@ def _unit(study: SweepStudy) -> Array:
     # Saltelli's blocks A, B and, for each input, A with this input from B (Comput. Phys. Commun.
     # 181 (2010) 259-270, table 2, radial form)
     both = np.asarray(qmc.Sobol(2 * d, rng=rng).random(runs))
-    a, b = both[:, :d], both[:, d:]
+    a = both[:, :d]
+    b = both[:, d:]
     mixed = [np.where(np.arange(d) == k, b, a) for k in range(d)]
     return np.concatenate([a, b, *mixed])
 
@@ -106,7 +110,8 @@ def _grid(study: SweepStudy) -> Array:
     for one in study.inputs:
         n = len(one.values)
         places.append((np.arange(n) + 0.5) / n if n else np.linspace(0.0, 1.0, one.levels))
-    if (count := prod(map(len, places))) > MOST_RUNS:
+    count = prod(map(len, places))
+    if count > MOST_RUNS:
         raise ConfigError(
             f"the grid of '{study.name}' has {count:.3g} runs; at most {MOST_RUNS}.",
             code="sweep.most_runs",
@@ -121,7 +126,8 @@ def _values(one: SweepInput, unit: Array) -> Array:
         return listed.take((unit * len(listed)).astype(int), mode="clip")
     if one.low is not None and one.high is not None:
         if one.integer:
-            low, high = np.ceil(one.low), np.floor(one.high)
+            low = np.ceil(one.low)
+            high = np.floor(one.high)
             return np.asarray(np.minimum(low + np.floor(unit * (high - low + 1.0)), high))
         return one.low + unit * (one.high - one.low)
     drawn: Array = (one.mean or 0.0) + (one.std or 0.0) * _normal(unit)

@@ -79,7 +79,8 @@ def outputs(swept: SweepResult) -> ResultTable:
 
 def worst(swept: SweepResult, k: int) -> ResultTable:
     """Return the worst runs of output k, and commands to repeat them."""
-    name, study = swept.plan.study.outputs[k].name, swept.plan.study
+    name = swept.plan.study.outputs[k].name
+    study = swept.plan.study
     rows = []
     for run in swept.worst(k):
         inputs = [_cell(value) for value in swept.table.inputs[run]]

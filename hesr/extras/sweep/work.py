@@ -93,7 +93,8 @@ _held: tuple[str, Master] | None = None  # system of the last task, loaded
 
 def run_rows(task: Task, values: Array) -> RunOutputs:
     """Do the runs with these varied numbers (n, d)."""
-    outputs, failures = np.empty((len(values), len(task.outputs))), []
+    outputs = np.empty((len(values), len(task.outputs)))
+    failures = []
     with _LOCK:  # a worker of a cluster may have several threads
         global _held
         if _held is None or _held[0] != task.key:
@@ -132,7 +133,9 @@ class Store:
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
         self._arrow = arrow()
-        self._folder, self._inputs, self._outputs = folder, inputs, outputs
+        self._folder = folder
+        self._inputs = inputs
+        self._outputs = outputs
 
     def file(self, first: int) -> Path:
         """Return the file of the chunk from a run."""

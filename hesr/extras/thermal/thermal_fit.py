@@ -48,13 +48,15 @@ class Factored:
         own = parts(law, level)
         output = own.hysteresis + viscosity * own.viscous + own.rest
         self._law = law
-        symbols, settling = (c.symbol for c in law.form.coefficients), law.form.component.settling
+        symbols = (c.symbol for c in law.form.coefficients)
+        settling = law.form.component.settling
         inputs = (*INPUTS, level, viscosity)
         self._kernel = Kernel(own.memory, tuple(symbols), inputs, (output,), settling, once=True)
 
     def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
         """Return the torque (N,) [N.m] for factors (N,)."""
-        law, dt = self._law, np.diff(record.t, prepend=record.t[0])
+        law = self._law
+        dt = np.diff(record.t, prepend=record.t[0])
         inputs = (record.dq, record.q, record.tau_load, level, viscosity)
         run = KernelRun(self._kernel, inputs, dt, euler=law.discretisation == "euler")
         return run.at(numbers(law), np.array(law.start))[:, 0]
@@ -115,7 +117,8 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
         start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(every)), 1))
         fitted = problem.solved(start, lambda _: measured)
         return replace(fitted, thermal=problem.heated(fitted.thermal, measured))
-    if (longest := max(float(np.ptp(r.t)) for r in records)) < LEAST_TIME:
+    longest = max(float(np.ptp(r.t)) for r in records)
+    if longest < LEAST_TIME:
         raise FitError(
             f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
             f"temperatures it must last {LEAST_TIME:g} s from a cold start."
@@ -138,7 +141,8 @@ class _Problem:
     """Least squares of one joint: ln c_0, ln n_0, b_c, b_v, an offset; ln T_th if searched."""
 
     def __init__(self, law: FrictionLaw, records: Sequence[FrictionRecord]) -> None:
-        self._law, self._records = Factored(law), records
+        self._law = Factored(law)
+        self._records = records
         self._known = [np.isfinite(r.tau) for r in records]
         self._steps = [np.diff(r.t, prepend=r.t[0]) for r in records]
 
@@ -178,7 +182,8 @@ class _Problem:
         errors = covariance_of_fit(names, found.jac, found.fun, labels).standard_errors
         thermal = thermal_of(found.x)
         seen = np.concatenate(list(temperatures(thermal)))
-        coldest, warmest = float(np.min(seen)), float(np.max(seen))
+        coldest = float(np.min(seen))
+        warmest = float(np.max(seen))
         return ThermalFit(
             joint=self._records[0].joint,
             thermal=replace(thermal, coldest=coldest, warmest=warmest),

@@ -80,8 +80,10 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
                 cleanup.callback(thread.join, _PATIENCE)
             cleanup.enter_context(window)
         camera = window.cam
-        camera.lookat, camera.distance = stage.camera.lookat, stage.camera.distance
-        camera.azimuth, camera.elevation = stage.camera.azimuth, stage.camera.elevation
+        camera.lookat = stage.camera.lookat
+        camera.distance = stage.camera.distance
+        camera.azimuth = stage.camera.azimuth
+        camera.elevation = stage.camera.elevation
         start = time.monotonic()
         while window.is_running():
             turn, t = divmod(choice.speed * (time.monotonic() - start), stage.duration)
@@ -109,7 +111,8 @@ def write_video(
     path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
 ) -> float:
     """Write a video (.mp4) or an animation (.webp); return its length [s]."""
-    if (kind := path.suffix.lower()) not in (".mp4", ".webp"):
+    kind = path.suffix.lower()
+    if kind not in (".mp4", ".webp"):
         raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
     rate = RATE if kind == ".mp4" else RATE / _PAGE
     encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating

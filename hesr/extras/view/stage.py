@@ -94,7 +94,8 @@ def _mjcf(fmu: Path) -> str:
     with Archive(fmu) as archive:
         content = archive.read(_MODEL) if _MODEL in archive.names else b""
     with suppress(UnicodeDecodeError):
-        if text := content.decode("utf-8"):
+        text = content.decode("utf-8")
+        if text:
             return text
     raise ArtifactError(f"{fmu}: holds no {_MODEL} to show.")
 
@@ -135,7 +136,8 @@ def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
         raise RobotError(f"the arm's model cannot be shown ({reason}).") from error
     if spec.geoms:
         for geom in spec.geoms:
-            geom.rgba, geom.material = paint.links, ""
+            geom.rgba = paint.links
+            geom.material = ""
     else:
         _draw(spec, reach(model), paint)
     for geom in spec.geoms:
@@ -186,7 +188,8 @@ def _draw(spec: Any, length: float, paint: Paint) -> None:
             add(type=kinds.mjGEOM_SPHERE, size=[_END * radius, 0.0, 0.0], rgba=paint.end)
 
 
-WIDTH, HEIGHT = 1280, 720  # of a video
+WIDTH = 1280
+HEIGHT = 720  # of a video
 
 _BLUE: Colour = (0.0, 0.45, 0.70, 0.3)
 _ORANGE: Colour = (0.84, 0.37, 0.0, 1.0)
@@ -199,7 +202,8 @@ _GHOST = Paint(
 )
 _TRAIL = 2.5  # [s] length of the trail of the arm's end
 _PIECES = 60  # segments of a trail
-_LINE, _LEFT = 0.09, 0.3  # [m] line spacing of text, and its distance to the left of the arm
+_LINE = 0.09
+_LEFT = 0.3  # [m] line spacing of text, and its distance to the left of the arm
 _FOVY = 40.0  # [degrees]
 _ROOM = f"""<mujoco>
   <statistic extent="3" center="0 0 0.5"/>
@@ -242,7 +246,8 @@ class Stage:
     """A MuJoCo model of all arms, and their motion."""
 
     def __init__(self, shown: Shown, choice: ViewOptions) -> None:
-        self._magnify, self._scheme = choice.magnify, shown.scheme
+        self._magnify = choice.magnify
+        self._scheme = shown.scheme
         self.duration = max(float(run.t[-1]) for run in shown.runs.values())
         low, high = _space(shown)
         gap = (high[1] - low[1]) + 0.25 * float(np.linalg.norm(high - low))
@@ -311,7 +316,8 @@ class Stage:
                     _line(scene, path[a, side], path[b, side], pixels, colour)
             for line, text in enumerate(one.label):
                 place = one.above - np.array([0.0, 0.0, _LINE * line])
-                if geom := _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT):
+                geom = _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT)
+                if geom:
                     geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
     def legend(self, t: float) -> tuple[str, str]:
@@ -334,7 +340,8 @@ def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
     start = int(model.joint(f"{prefix}{joint}").bodyid[0])
     depth = {start: 0}
     for body in range(start + 1, model.nbody):  # parents come first
-        if (parent := int(model.body_parentid[body])) in depth:
+        parent = int(model.body_parentid[body])
+        if parent in depth:
             depth[body] = depth[parent] + 1
     return max(depth, key=lambda body: depth[body])
 
@@ -357,7 +364,8 @@ def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     words = 3 * _LINE
     camera.lookat = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (high[2] + words)]
-    camera.azimuth, camera.elevation = 170.0, -10.0
+    camera.azimuth = 170.0
+    camera.elevation = -10.0
     width = float(spots[-1] - spots[0] + high[1] - low[1])
     height = high[2] + words
     half = np.tan(np.radians(_FOVY) / 2)
@@ -367,7 +375,8 @@ def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
 
 def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
     kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
-    if geom := _added(scene, kind, 0.0, np.zeros(3), colour):
+    geom = _added(scene, kind, 0.0, np.zeros(3), colour)
+    if geom:
         mujoco.mjv_connector(geom, kind, pixels, start, end)
 
 

@@ -98,7 +98,8 @@ def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
 def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
     """Return height over area [1/s] of the mean course; 0 without reversals."""
     s = features.samples
-    total, count = np.zeros(COURSE), np.zeros(COURSE)
+    total = np.zeros(COURSE)
+    count = np.zeros(COURSE)
     for course in courses:
         total[: len(course)] += course
         count[: len(course)] += 1.0

@@ -41,7 +41,8 @@ class Candidate:
 
     def canonical(self) -> "Candidate":
         """Return the same law with positive gain, offset within a quarter turn (cos: half)."""
-        theta, gain = self.theta.copy(), self.gain
+        theta = self.theta.copy()
+        gain = self.gain
         if self.g == "sin" and self.theta_active[0]:
             half_turns = np.round(theta[0] / np.pi)
             theta[0] -= half_turns * np.pi

@@ -70,7 +70,8 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
     columns = np.column_stack([features, *unit])
     solution = least_squares(columns, tau)
     cost = float(np.mean((tau - columns @ solution) ** 2))
-    gain, arguments = float(solution[4]) if g else 0.0, np.full(4, bool(g))
+    gain = float(solution[4]) if g else 0.0
+    arguments = np.full(4, bool(g))
     if g == "exp":  # the gain has its offset
         gain, theta = gain * float(np.exp(theta[0])), theta * [0.0, 1.0, 1.0, 1.0]
         arguments[0] = False
@@ -174,7 +175,9 @@ class Objective:
     def __call__(self, point: Array) -> tuple[float, Array]:
         """Return the objective and its gradient at c (4), gain, theta (4)."""
         point = np.where(self.active, point, 0.0)
-        c, gain, theta = point[:4], point[4], point[5:]
+        c = point[:4]
+        gain = point[4]
+        theta = point[5:]
         argument = self.x @ theta
         unit = self.g(argument)
         residual = self.x @ c
@@ -197,7 +200,8 @@ def search_of_paper(
     """Return the law with one unit g by the search of the paper at one (alpha, beta)."""
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
     level = max(float(tau.std()), 1e-12)
-    x, y = features / scale, tau / level
+    x = features / scale
+    y = tau / level
     hopped = scipy.optimize.basinhopping(
         Objective(g, x, y, GAMMA, np.ones(9, bool)),
         rng.normal(size=9),

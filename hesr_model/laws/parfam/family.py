@@ -59,7 +59,8 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     """
     linear, units, state, below = _checked(structure)
     hysteresis, own = hysteresis_state(state)
-    h, dh = hysteresis.state, hysteresis.derivative
+    h = hysteresis.state
+    dh = hysteresis.derivative
     symbols = {
         "1": sympy.Integer(1),
         "dq": DQ,
@@ -115,7 +116,8 @@ def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
     target = sympy.tanh(_BETA * DQ)
     if kind == "paper":
         return Relaxation(name="h", unit="1", drive=_ALPHA * target, rate=_ALPHA), _HYSTERESIS
-    drive, rate = KAPPA.symbol * DQ, KAPPA.symbol * absolute(DQ)
+    drive = KAPPA.symbol * DQ
+    rate = KAPPA.symbol * absolute(DQ)
     if kind == "bristle":
         level = 1 + (RHO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
         return Relaxation(name="h", unit="1", drive=drive, rate=rate / level), (KAPPA, RHO, V_S)

@@ -23,10 +23,13 @@ LARGEST_EXPONENT = 50.0
 def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
     """Return a candidate's slopes by `NUMBERS`, exact for the sampled h, and its residual."""
     alpha, beta, *c, gain = NUMBERS[:7]
-    theta, tau, argument = NUMBERS[7:], sympy.Symbol("tau", real=True), sympy.Symbol("argument")
+    theta = NUMBERS[7:]
+    tau = sympy.Symbol("tau", real=True)
+    argument = sympy.Symbol("argument")
     target = sympy.tanh(beta * DQ)
     h = Relaxation(name="h", unit="1", drive=alpha * target, rate=alpha)
-    lag, rise = target - h.state, DQ * (1 - target**2)
+    lag = target - h.state
+    rise = DQ * (1 - target**2)
     z = alpha * DT
     before = 1 / (1 - z) if discretisation == "euler" else over(z, 1 - sympy.exp(-z), 1)
     by_alpha = Slow(name="h_alpha", unit="s", drive=lag * before, rate=alpha)
@@ -38,7 +41,8 @@ def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
     unit = FUNCTIONS[g](argument) if g else sympy.S.Zero
     value, slope = (e.xreplace({argument: inner}) for e in (unit, gain * unit.diff(argument)))
     of_h, of_dh = (a + slope * t for a, t in zip(c[2:], theta[2:], strict=True))
-    a, b = by_alpha.state, by_beta.state
+    a = by_alpha.state
+    b = by_beta.state
     states = (of_h * a + of_dh * (lag - alpha * a), of_h * b + of_dh * alpha * (rise - b))
     torque = sympy.Add(gain * value, *(k * e for k, e in zip(c, x, strict=True)))
     wanted = (*states, *x, value, *(slope * e for e in x), torque - tau)
@@ -62,7 +66,8 @@ class HysteresisFeatures:
 
     def columns(self, alpha: float, beta: float) -> Array:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
-        s, z = self.samples, alpha * self.samples.dt
+        s = self.samples
+        z = alpha * self.samples.dt
         a = np.exp(-z) if self.discretisation == "exact" else 1.0 - z
         target = np.tanh(beta * s.dq)
         h = s.recurrence(a, (1.0 - a) * target, target)  # h+ = a h + (1 - a) tanh(beta dq)

@@ -52,7 +52,8 @@ class ParFamH(Estimator):
     denominator: bool = False  # slow and rarely helps
 
     def __post_init__(self) -> None:
-        if unknown := sorted(set(self.functions) - set(family.FUNCTIONS)):
+        unknown = sorted(set(self.functions) - set(family.FUNCTIONS))
+        if unknown:
             known = ", ".join(family.FUNCTIONS)
             raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
         if self.search == "paper" and not self.functions:
@@ -68,7 +69,8 @@ class ParFamH(Estimator):
                     f"{', '.join(map(str, allowed))}."
                 )
         for option in ("cells", "starts", "candidates"):
-            if (count := getattr(self, option)) < 1:
+            count = getattr(self, option)
+            if count < 1:
                 raise FitError(f"ParFam option '{option}' is {count}; expected at least 1.")
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
@@ -166,7 +168,8 @@ class ParFamV(Described):
             if g == "tanh":
                 starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
             limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
-            own, tau = x[rows], samples.tau[rows]
+            own = x[rows]
+            tau = samples.tau[rows]
             for theta in evolve.arguments(g, own, own, tau, starts, keep=3, limit=limit):
                 start = problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]})
                 point = problem.polish(start, evaluations=30)
@@ -262,5 +265,6 @@ class ParFamHX(Described):
             fewer = [k for k in kept if k != i]
             without = left_out_cost(columns[:, fewer], samples.tau, samples.folds)
             if no_worse(without, cost):
-                kept, cost = fewer, without
+                kept = fewer
+                cost = without
         return trial.changed({**trial.structure, "linear": [linear[k] for k in kept]}, {})

@@ -21,7 +21,9 @@ SIGNIFICANCE = 2.0  # of a coefficient, in standard errors
 _ALL = slice(None)
 ROUNDS = ((8, 10), (16, 4))
 """(evaluations, number of candidates kept) over all rows: few rows determine a steep beta."""
-LONG, PRUNED, FOLD = 60, 12, 8  # evaluations of the final fit, after pruning, without a fold
+LONG = 60
+PRUNED = 12
+FOLD = 8  # evaluations of the final fit, after pruning, without a fold
 PORTIONS = 20  # of `FOLD` evaluations, before finalists are compared
 HOPEFUL = 1.1  # largest mean square for a final fit, of the best one
 ROUNDING = 1e-15  # mean square that counts as zero, of the torque's variance
@@ -86,7 +88,8 @@ def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
             return refined
         smaller = Refinement(features, _without(refined, weakest)).run(PRUNED)
         if smaller.cost <= _still_as_good(features, refined):
-            refined, statistics = smaller, Refinement(features, smaller).statistics()
+            refined = smaller
+            statistics = Refinement(features, smaller).statistics()
         else:
             needed[weakest] = True
 
@@ -104,7 +107,8 @@ def settled(features: HysteresisFeatures, start: Candidate, portions: int, rows:
 
 def _without(candidate: Candidate, coefficient: int) -> Candidate:
     kept = np.arange(11) != coefficient
-    c_active, theta_active = candidate.c_active & kept[2:6], candidate.theta_active & kept[7:]
+    c_active = candidate.c_active & kept[2:6]
+    theta_active = candidate.theta_active & kept[7:]
     return replace(
         candidate,
         c=candidate.c * c_active,
@@ -161,7 +165,8 @@ class Refinement:
         """Return the start as a search vector (parameters,)."""
         place = (np.log([self.start.alpha, self.start.beta]) - self.low) / self.span
         place = scipy.special.logit(np.clip(place, 1e-6, 1.0 - 1e-6))
-        c, theta = self.start.c * self.scale, self.start.theta * self.scale
+        c = self.start.c * self.scale
+        theta = self.start.theta * self.scale
         return np.concatenate([place, c, [self.start.gain], theta])[self.active]
 
     def unpack(self, point: Array, cost: float = np.nan) -> Candidate:

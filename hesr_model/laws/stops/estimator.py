@@ -47,14 +47,16 @@ def select_waves(base: Array, samples: JointRows, weights: Array, gear_ratio: fl
     chosen = Waves(frequencies=(), lag=0.0)
     errors = problem.left_out(chosen)
     while len(chosen.frequencies) < MOST:
-        if (trial := _next(problem, chosen, gear_ratio)) is None:
+        trial = _next(problem, chosen, gear_ratio)
+        if trial is None:
             break
         trial = problem.in_phase(trial, reach=_PHASE / max(trial.frequencies))
         left = problem.left_out(trial)
         gain = 1.0 - float(left @ left) / float(errors @ errors)
         if gain < GAIN or not pays(errors, left, blocks):
             break
-        chosen, errors = trial, left
+        chosen = trial
+        errors = left
     return chosen
 
 
@@ -69,11 +71,13 @@ class _Problem:
         return np.hstack([self.base, own]) if chosen.frequencies else self.base
 
     def left_out(self, chosen: Waves) -> Array:
-        s, free = self.samples, 1 + 2 * len(chosen.frequencies)
+        s = self.samples
+        free = 1 + 2 * len(chosen.frequencies)
         return Normal.of(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
 
     def residual(self, chosen: Waves) -> Array:
-        columns, tau = self.weights[:, None] * self.columns(chosen), self.weights * self.samples.tau
+        columns = self.weights[:, None] * self.columns(chosen)
+        tau = self.weights * self.samples.tau
         x = np.linalg.lstsq(columns.T @ columns, columns.T @ tau, rcond=1e-12)[0]
         return np.asarray(tau - columns @ x)
 
@@ -93,7 +97,8 @@ class _Problem:
 
 def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
     """Return the waves plus the one that fits the residual best, over all lags for the first."""
-    samples, residual = problem.samples, problem.residual(chosen)
+    samples = problem.samples
+    residual = problem.residual(chosen)
     taken = {round(n / gear_ratio) for n in chosen.frequencies}
     orders = [order for order in ORDERS if order not in taken]
     if not orders:
@@ -155,7 +160,8 @@ class _Stops(Estimator):
         return self._law(best, structure, columns, lag)
 
     def _law(self, best: Terms, structure: Structure, columns: Array, lag: float) -> FrictionLaw:
-        samples, form = best.samples, structure.form()
+        samples = best.samples
+        form = structure.form()
         names = (*structure.forces, "tau_0", *structure.waves)
         free = 1 + len(structure.waves)
         normal = Normal.of(columns, samples.tau, samples.folds, best.weights, free=free)

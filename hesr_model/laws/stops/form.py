@@ -116,7 +116,8 @@ class Structure:
                     code="law.structure_stop",
                     key="structure.stops",
                 )
-        if unknown := [kind for kind in found.viscous if kind not in _VISCOUS]:
+        unknown = [kind for kind in found.viscous if kind not in _VISCOUS]
+        if unknown:
             raise ArtifactError(
                 f"viscous term {unknown[0]!r} is unknown; known are "
                 f"{', '.join(repr(k) for k in _VISCOUS)}.",
@@ -253,7 +254,8 @@ def constrained(
     # Bounds between neighbouring speeds: all columns are monotonic, and waves fall.
     viscous, waves = np.minimum(viscous[:-1], viscous[1:]), waves[:-1]
     first = len(x) - free
-    f, a = slice(first - viscous.shape[1], first), slice(len(x) - 2 * waves.shape[1], len(x))
+    f = slice(first - viscous.shape[1], first)
+    a = slice(len(x) - 2 * waves.shape[1], len(x))
 
     def sides(y: Array) -> tuple[Array, Array]:
         return viscous @ y[f], waves @ np.hypot(*y[a].reshape(-1, 2).T)

@@ -162,7 +162,8 @@ def dictionary(samples: JointRows, *, load: bool, scale: int = 0) -> Terms:
         products=Products(samples.tau, samples.folds, counted),
         scale=scale,
     )
-    trials, costs = [], []
+    trials = []
+    costs = []
     if not ageing:
         return first
     for share, time in product(SPEEDS, ageing):

@@ -86,7 +86,8 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
 
     Joints that no message lists together are interpolated at the stamps of the slowest one.
     """
-    bag, drop = robot.log.bag, robot.log.missing == "drop"
+    bag = robot.log.bag
+    drop = robot.log.missing == "drop"
     joints = bag.joints or robot.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
     messages = list(_messages(path, bag.topics))
@@ -176,7 +177,8 @@ class _Series:
 
     def at(self, field: str, t: NDArray[np.int64]) -> Array | None:
         """Return a field at times [ns], interpolated where no message has them."""
-        if (values := self.values[field]) is None:
+        values = self.values[field]
+        if values is None:
             return None
         if np.array_equal(t, self.t):
             return values
@@ -284,7 +286,8 @@ def _values(
         return None
     values = np.empty((len(messages), len(joints)))
     for row, message in zip(values, messages, strict=True):
-        names, given = message.state.name, getattr(message.state, field)
+        names = message.state.name
+        given = getattr(message.state, field)
         if len(given) != len(names):
             raise LogError(
                 f"{where}, message {message.number}: {field} has {len(given)} entries for "

@@ -23,7 +23,8 @@ GROUP = "hesr.logs"
 
 def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
     """Read the columns of the robot file; errors as `Log.read`."""
-    log, columns = robot.log, robot.log.columns
+    log = robot.log
+    columns = robot.log.columns
     drop = log.missing == "drop"
     if log.rate and columns.t not in table.names:
         t = (table.before + np.arange(table.rows)) / log.rate
@@ -87,7 +88,8 @@ def _optional(table: LogTable, quantity: str, robot: RobotDescription) -> Array 
 
 
 def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
-    columns, gains = robot.log.columns, robot.log.torque_per_ampere
+    columns = robot.log.columns
+    gains = robot.log.torque_per_ampere
     if robot.log.cylinder is not None:
         names = [name for pair in robot.log.cylinder.pressures for name in pair]
         return table.numbers(names, missing=robot.log.missing == "drop"), False
@@ -168,7 +170,9 @@ COLUMNS = table_format(
 
 def sample_pieces(path: Path, robot: RobotDescription, rows: int) -> Iterator[LogSamples]:
     """Yield the samples of successive rows; none of a format that is read as a whole."""
-    first, before, pieces = None, 0, format_of(path).pieces
+    first = None
+    before = 0
+    pieces = format_of(path).pieces
     for piece in pieces(path, robot.log, rows) if pieces else ():
         table = replace(piece.named(robot.log.columns.names), first=first, before=before)
         yield samples_of(table, robot)

@@ -21,7 +21,9 @@ from hesr_model.support.arrays import Array
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
 Order = Literal["<", ">"]
 _HEADER = 128  # [B]
-_FLAGS, _MATRIX, _PACKED = 6, 14, 15
+_FLAGS = 6
+_MATRIX = 14
+_PACKED = 15
 _KNOWN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
 _SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] per number in version 4
 _CLASSES = range(1, 18)

@@ -27,7 +27,8 @@ class LogSamples:
 
     def arranged(self, log: LogFormat, after: float = -np.inf) -> "LogSamples":
         """Sort rows by time, and drop rows that lack a number or repeat a stamp, or `after`."""
-        rows, drop = np.arange(len(self.t)), log.missing == "drop"
+        rows = np.arange(len(self.t))
+        drop = log.missing == "drop"
         if drop:
             whole = np.isfinite(np.column_stack(list(arrays_of(self).values())))
             rows = np.flatnonzero(np.all(whole, axis=1))
