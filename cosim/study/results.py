@@ -108,7 +108,7 @@ class _Findings:
 def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
     """Write `run.json`, and the torques of training logs and of the first log of each role."""
     study = run.study
-    robot = run.robot.description
+    description = run.robot.description
     files = run.files
     traces = _save_torques(folder / TRACES, run)
     stems = Counter(log.name for log in run.logs.values())
@@ -118,10 +118,10 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
     saved = SavedRun(
         study=study.name,
         command=command,
-        robot=robot.name,
-        model=robot.model.name,
-        joints=robot.joints,
-        gear_ratio=robot.gear_ratio or (),
+        robot=description.name,
+        model=description.model.name,
+        joints=description.joints,
+        gear_ratio=description.gear_ratio or (),
         twin=study.twin is not None,
         truth=(study.twin and study.twin.truth) or "",
         quick=quick,

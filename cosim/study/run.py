@@ -156,26 +156,26 @@ def _report(
 def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scored:
     """Identify, fit, write the FMUs into an existing folder and score them; see `run_study`."""
     study = job.study
-    model = Robot(job.robot)
+    robot = Robot(job.robot)
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
-    findings = log_findings(checked(list(logs.values()), model, accepted))
-    rigid_body, refined = job.rigid_body(logs, model)
-    findings += log_findings(check_body(rigid_body, model))
+    findings = log_findings(checked(list(logs.values()), robot, accepted))
+    body, refined = job.rigid_body(logs, robot)
+    findings += log_findings(check_body(body, robot))
     about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
     owner = study.owner.known or job.robot.owner.known
     source = provenance(files=about, seed=study.seed, **job.robot.constants)
     source |= {"owner": owner} if owner else {}
     if study.twin is None:  # the twin's logs are new in each run
         source |= {"created": newest([files[name] for name in job.trained_on])}
-    replace(rigid_body, provenance=source).write(folder / "rigid_body.json")
+    replace(body, provenance=source).write(folder / "rigid_body.json")
     tested = {name for names in study.logs.test.values() for name in names}
     runs = {}
     for name, log in logs.items():  # a tested part includes all rows before it
         whole = job.led_up_to(name, files[name]) if name in tested else None
         ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
         parts = [ends.get(part.t[-1], part) for part in log.parts()]
-        runs[name] = [friction_records(part, model, rigid_body) for part in parts]
+        runs[name] = [friction_records(part, robot, body) for part in parts]
     records = {
         name: [
             [run.rows(slice(-len(part.t), None)) for run in of_joints]
@@ -186,7 +186,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     models, left_out = job.fit_all(records, source)
     models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
     every = study.refinement is not None and not study.refinement.law
-    refinements = job.refine(logs, model, rigid_body, models) if every else {}
+    refinements = job.refine(logs, robot, body, models) if every else {}
     models |= {law: one.friction for law, one in refinements.items()}
     findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
@@ -202,8 +202,8 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
     return Scored(
         study=study,
-        robot=model,
-        rigid_body=rigid_body,
+        robot=robot,
+        rigid_body=body,
         files=files,
         logs=logs,
         records=records,

@@ -42,26 +42,26 @@ _POSITION_NOISE = 5e-6
 _VELOCITY_NOISE = 5e-4  # shares of travel and peak velocity
 
 
-def sample_logs(model: Robot) -> tuple[Log, Log]:
+def sample_logs(robot: Robot) -> tuple[Log, Log]:
     """Simulate two random Fourier motions of 20 s, for training and test.
 
     The torque is that of the model file's rigid body, LuGre friction (eq. 1-3) and noise.
     """
-    settings = sample_settings(model)
-    base = base_columns(model)
-    candidates = random_motions(model, settings, _CANDIDATES, 0)
-    training = min(candidates, key=lambda motion: condition(model, base, motion))
-    (test,) = random_motions(model, settings, 1, 1)
-    laws = plausible_friction(model, training)
+    settings = sample_settings(robot)
+    base = base_columns(robot)
+    candidates = random_motions(robot, settings, _CANDIDATES, 0)
+    training = min(candidates, key=lambda motion: condition(robot, base, motion))
+    (test,) = random_motions(robot, settings, 1, 1)
+    laws = plausible_friction(robot, training)
     return (
-        simulated(model, training, laws, name="sample_training", seed=1),
-        simulated(model, test, laws, name="sample_test", seed=2),
+        simulated(robot, training, laws, name="sample_training", seed=1),
+        simulated(robot, test, laws, name="sample_test", seed=2),
     )
 
 
-def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings:
+def sample_settings(robot: Robot, period: float = _PERIOD) -> ExcitationSettings:
     """Return the settings of sample motions with a period [s]."""
-    lower, upper, speed = model.reach
+    lower, upper, speed = robot.reach
     free = KEPT_FREE * (upper - lower)
     ranges = zip((lower + free).tolist(), (upper - free).tolist(), strict=True)
     return ExcitationSettings(
@@ -69,7 +69,7 @@ def sample_settings(model: Robot, period: float = _PERIOD) -> ExcitationSettings
         period=(period, period),
         sample_rate=RATE,
         limits=MotionLimits(
-            position=tuple(ranges), velocity=tuple(speed.tolist()), torque=(_NO_LIMIT,) * model.n
+            position=tuple(ranges), velocity=tuple(speed.tolist()), torque=(_NO_LIMIT,) * robot.n
         ),
     )
 
@@ -86,15 +86,15 @@ def is_sample(file: Path) -> bool:
     return mark.is_file() and sha256(file) in mark.read_text(encoding="utf-8")
 
 
-def plausible_friction(model: Robot, motion: Fourier) -> list[FrictionLaw]:
+def plausible_friction(robot: Robot, motion: Fourier) -> list[FrictionLaw]:
     """Return LuGre laws scaled by the torques of a motion; raise RobotError for a slow joint."""
     q, dq, ddq = motion.sample(np.arange(round(_PERIOD * RATE)) / RATE)
     speed = np.abs(dq).max(axis=0)
     travel = np.ptp(q, axis=0)
-    for joint, peak in zip(model.description.joints, speed, strict=True):
+    for joint, peak in zip(robot.description.joints, speed, strict=True):
         if peak <= LEAST_PEAK:
             raise RobotError(
-                f"robot '{model.description.name}': the limits of joint '{joint}' allow at most "
+                f"robot '{robot.description.name}': the limits of joint '{joint}' allow at most "
                 f"{peak:.2g} rad/s (m/s); leave the joint out, identification needs "
                 f"{LEAST_PEAK:g}."
             )
@@ -112,19 +112,19 @@ def plausible_friction(model: Robot, motion: Fourier) -> list[FrictionLaw]:
                 "tau_0": 0.0,
             },
         )
-        for level, peak, reach in zip(_levels(model, q, dq, ddq), speed, travel, strict=True)
+        for level, peak, reach in zip(_levels(robot, q, dq, ddq), speed, travel, strict=True)
     ]
 
 
-def _levels(model: Robot, q: Array, dq: Array, ddq: Array) -> Array:
+def _levels(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
     """Return the size of the torques (n,) [N.m]; 1 for a model without masses."""
-    peaks = np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0)
+    peaks = np.abs(robot.torque(robot.nominal_parameters, q, dq, ddq)).max(axis=0)
     levels: Array = np.maximum(peaks, peaks.max() / 20.0)
     return np.where(levels > 0.0, levels, 1.0)
 
 
 def simulated(
-    model: Robot,
+    robot: Robot,
     motion: Fourier,
     laws: Sequence[FrictionLaw],
     *,
@@ -140,11 +140,11 @@ def simulated(
     )
     t = fine[::_FINER]
     q, dq, ddq = motion.sample(t)
-    tau = model.torque(model.nominal_parameters, q, dq, ddq) + friction
+    tau = robot.torque(robot.nominal_parameters, q, dq, ddq) + friction
     size = np.array([law.values["F_c"] for law in laws]) / _COULOMB
-    streams = np.arange(3 * model.n)
+    streams = np.arange(3 * robot.n)
     rows = np.arange(len(t))
-    noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, model.n)
+    noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, robot.n)
     return Log(
         name=name,
         t=t,

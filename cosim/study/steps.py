@@ -275,58 +275,58 @@ class Job:
         return found
 
     def rigid_body(
-        self, logs: Mapping[str, Log], model: Robot
+        self, logs: Mapping[str, Log], robot: Robot
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
         """Identify the rigid body, refine it if configured, and return the refined law, if any."""
         forward = [logs[name] for name in self.study.logs.identification]
         backward = [logs[name] for name in self.study.logs.reversed]
         self.progress("identifying the rigid body", 0, 1)
-        found = identify(forward, model, reversed_logs=backward, physical=self.study.physical)
+        body = identify(forward, robot, reversed_logs=backward, physical=self.study.physical)
         self.progress("identifying the rigid body", 1, 1)
         refinement = self.study.refinement
         refined = {}
         if refinement is None:
-            return found, {}
+            return body, {}
         training = {name: logs[name] for name in self.study.logs.training}
         law = refinement.law
         laws = self.laws
-        if not law and model.n > 1:
-            return found, {}
+        if not law and robot.n > 1:
+            return body, {}
         for _ in range(refinement.rounds):
             records = {
-                name: [friction_records(part, model, found) for part in log.parts()]
+                name: [friction_records(part, robot, body) for part in log.parts()]
                 for name, log in training.items()
             }
             what = "refining the rigid body"
             if not law:  # every law is refined later, with this body
                 tried = self.fit(records, laws, what, {}, left_out=lambda *_: None)
-                both = self.refine(logs, model, found, tried, with_body=True)
+                both = self.refine(logs, robot, body, tried, with_body=True)
                 laws = (min(both, key=lambda name: both[name].size),)
-                found = both[laws[0]].body
+                body = both[laws[0]].body
                 continue
             friction = self.fit(records, (law,), what, {})[law]
             if refinement.kind == "output_error":
-                together = refine(model, found, friction, smoothed(list(training.values()), model))
-                found = together.body
+                together = refine(robot, body, friction, smoothed(list(training.values()), robot))
+                body = together.body
                 refined = {law: together.friction}
             else:
-                found = identify_again(forward, model, found, friction, reversed_logs=backward)
-        return found, refined
+                body = identify_again(forward, robot, body, friction, reversed_logs=backward)
+        return body, refined
 
     def refine(
         self,
         logs: Mapping[str, Log],
-        model: Robot,
+        robot: Robot,
         body: RigidBody,
         models: Mapping[str, FrictionModel],
         *,
         with_body: bool = False,
     ) -> dict[str, Refined]:
         """Refine laws by output error on the training logs."""
-        motions = smoothed([logs[name] for name in self.study.logs.training], model)
+        motions = smoothed([logs[name] for name in self.study.logs.training], robot)
         seed = self.study.seed
         progress = partial(self.progress, "refining by output error")
-        own = partial(refine, model, body, motions=motions, with_body=with_body, seed=seed)
+        own = partial(refine, robot, body, motions=motions, with_body=with_body, seed=seed)
         return of_each(models, lambda _, friction: own(friction), progress)
 
     def fit(

@@ -130,10 +130,10 @@ def _long_logs(logs: Sequence[LogArg], robot: RobotArg | None) -> list[LongLog]:
     own = robot or next((log.robot for log in sources if isinstance(log, Log) and log.robot), None)
     if own is None or sum(cells) <= MOST_CELLS:
         return []
-    known = model_of(own).description
-    if known.log.columns.q_link or known.log.sort:  # need all rows at once
+    description = model_of(own).description
+    if description.log.columns.q_link or description.log.sort:  # need all rows at once
         return []
-    return [LongLog(source, known) for source in sources]
+    return [LongLog(source, description) for source in sources]
 
 
 def checked_logs(

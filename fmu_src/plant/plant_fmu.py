@@ -73,9 +73,11 @@ class PlantBody:
         positive definite.
         """
         own = robot.nominal_parameters if body is None else body.parameters_for(robot)
-        found = cls(robot=robot, parameters=own)
-        found.require_inertia(robot.description.model.name if body is None else "the rigid body")
-        return found
+        plant_body = cls(robot=robot, parameters=own)
+        plant_body.require_inertia(
+            robot.description.model.name if body is None else "the rigid body"
+        )
+        return plant_body
 
     def require_inertia(self, source: str) -> None:
         """Raise ExportError if the mass matrix is not positive definite at random postures."""
@@ -147,8 +149,8 @@ def _memory(laws: Sequence[Joint], links: int, servo: "ServoGains | None") -> in
     return plant + (joints + 1 + COMMANDS * (1 + kinds * joints) if kinds else 0)
 
 
-def _parameters(body: PlantBody) -> Iterator[Variable]:
-    robot = body.robot
+def _parameters(plant_body: PlantBody) -> Iterator[Variable]:
+    robot = plant_body.robot
     low, high, _ = robot.limits
     bounded = np.isfinite(high - low)
     low, high = np.where(bounded, low, -_UNLIMITED), np.where(bounded, high, _UNLIMITED)
@@ -165,22 +167,24 @@ def _parameters(body: PlantBody) -> Iterator[Variable]:
     yield from vector("stop_damping", "fixed", "N.m.s/rad", f"damping {text}", DAMPING * each)
 
 
-def inertial_parameters(body: PlantBody) -> Iterator[Variable]:
+def inertial_parameters(plant_body: PlantBody) -> Iterator[Variable]:
     """Yield the parameters of links, rotors, springs, gravity and payload."""
-    for i, joint in enumerate(body.robot.tree, start=1):
-        values = body.parameters[10 * (i - 1) : 10 * i]
+    for i, joint in enumerate(plant_body.robot.tree, start=1):
+        values = plant_body.parameters[10 * (i - 1) : 10 * i]
         for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
             text = f"{name} of link {i}, {joint.name}, in the frame of its joint"
             yield Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=float(value))
-    yield from vector("rotor", "tunable", "kg.m2", "rotor inertia through the gear", body.rotors)
-    springs = body.parameters[body.robot.inertial :]
-    for term, value in zip(body.robot.springs, springs, strict=True):
+    yield from vector(
+        "rotor", "tunable", "kg.m2", "rotor inertia through the gear", plant_body.rotors
+    )
+    springs = plant_body.parameters[plant_body.robot.inertial :]
+    for term, value in zip(plant_body.robot.springs, springs, strict=True):
         number = term.joint + 1
-        unit = unit_of_joint(term.unit, slides=body.robot.slides[term.joint])
+        unit = unit_of_joint(term.unit, slides=plant_body.robot.slides[term.joint])
         text = f"{term.name} of the spring or balancer of joint {number}"
         name = f"spring[{number}].{term.name}"
         yield Variable(name, "tunable", text, unit=unit, start=float(value))
-    for axis, value in enumerate(body.robot.gravity, start=1):
+    for axis, value in enumerate(plant_body.robot.gravity, start=1):
         text = f"gravity along axis {axis} of the base"
         yield Variable(f"gravity[{axis}]", "tunable", text, unit="m/s2", start=float(value))
     yield Variable("payload.m", "tunable", "mass of the payload on the last link", unit="kg")
@@ -230,13 +234,13 @@ _PLACES_OF_POSITION = {"Q_CMD": "q_cmd[1]", "KP": "servo_kp[1]"}
 
 
 def _interface(
-    model: FrictionModel, body: PlantBody, servo: ServoGains | None, *, tool: bool
+    model: FrictionModel, plant_body: PlantBody, servo: ServoGains | None, *, tool: bool
 ) -> Interface:
     laws = joints_of(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
-    starts = list(_parameters(body))
-    own_parameters = list(inertial_parameters(body))
+    starts = list(_parameters(plant_body))
+    own_parameters = list(inertial_parameters(plant_body))
     inertial = tuple(v.name for v in own_parameters)
     motion = tuple(f"{name}[{i}]" for name in ("q", "dq") for i in numbers)
     own_servo = list(servo.parameters()) if servo else []
@@ -283,7 +287,7 @@ def _interface(
     found = [at_joint(v, model.slides) for v in found]
     return Interface(
         variables=tuple(of_the_last_step(v, commands) if servo else v for v in found),
-        own=_memory(laws, body.robot.links, servo),
+        own=_memory(laws, plant_body.robot.links, servo),
         model_exchange=servo is None,
         directional_derivatives=servo is None,
         inner_steps=True,
@@ -369,7 +373,7 @@ def require_fitting(model: FrictionModel, robot: Robot) -> None:
 
 def content(
     model: FrictionModel,
-    body: PlantBody,
+    plant_body: PlantBody,
     *,
     servo: ServoGains | None = None,
     tool: bool = False,
@@ -377,14 +381,14 @@ def content(
 ) -> Content:
     """Return the FMU of a plant before compilation."""
     joints = joints_of(model, names={TORQUE: "tau_friction"})
-    table = _interface(model, body, servo, tool=tool)
+    table = _interface(model, plant_body, servo, tool=tool)
     springs = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
     header = equations_header(
         joints, table, _PLACES | {"SPRINGS": springs}, wanted=SOLVER_OF_ALL, coupling=model.coupling
     )
     about = description_of(
         model,
-        name=f"Plant of {body.robot.name} with {model_title(model)}",
+        name=f"Plant of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"plant_{model.law}",
         text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
         step=SUBSTEP,
@@ -396,10 +400,13 @@ def content(
     found = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
     found |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
     kinds = {"SERVO": int(servo is not None), "POSITION": int(position)}
-    sources |= {"dynamics.h": dynamics_header(body.robot, width="LANES"), "equations.h": header}
-    sources |= {"change.h": change_header(body.robot)}
+    sources |= {
+        "dynamics.h": dynamics_header(plant_body.robot, width="LANES"),
+        "equations.h": header,
+    }
+    sources |= {"change.h": change_header(plant_body.robot)}
     sources |= {"servo.h": places(table, "SERVO_H", found, **kinds)}
-    sources |= {"tool.h": tool_header(body.robot, table.places.get("tool_position[1]"))}
+    sources |= {"tool.h": tool_header(plant_body.robot, table.places.get("tool_position[1]"))}
     members = {}
     if not bare:
         page = drive_html(model, table, about, template="plant.html.j2").encode()

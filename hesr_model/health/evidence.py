@@ -73,16 +73,18 @@ class Torques:
     inertial: Array
 
     @classmethod
-    def of(cls, model: Robot, q: Array, v: Array, a: Array) -> "Torques":
+    def of(cls, robot: Robot, q: Array, v: Array, a: Array) -> "Torques":
         """Evaluate the model file along q, v, a (N, n)."""
         nothing = np.zeros_like(q)
-        gravity = model.torque(model.nominal_parameters, q, nothing, nothing)
-        whole = model.torque(model.nominal_parameters, q, v, a)
+        gravity = robot.torque(robot.nominal_parameters, q, nothing, nothing)
+        whole = robot.torque(robot.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
 
-    def at(self, own: Coupling) -> "Torques":
+    def at(self, coupling: Coupling) -> "Torques":
         """Transform torques of joints to coupled coordinates."""
-        return Torques(gravity=own.torque(self.gravity), inertial=own.torque(self.inertial))
+        return Torques(
+            gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
+        )
 
 
 def as_logged(

@@ -45,36 +45,36 @@ class Examination:
     explained: tuple[Explained, ...] = ()
 
 
-def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -> Examination:
+def examine(logs: Sequence[Log], description: RobotDescription, model: Robot | None) -> Examination:
     """Check logs one by one, against the model, and together; raises LogError."""
     findings: list[Finding] = []
     parts: list[Motionwise] = []
     for log in logs:
-        timed = of_log(log, positions.check_time(log, robot))
+        timed = of_log(log, positions.check_time(log, description))
         findings += timed
         if any(f.severity == "error" for f in timed):
             continue
         for check in (positions.check_jumps, positions.check_steps, efforts.check_held):
-            findings += of_log(log, check(log, robot))
-        parts += motionwise(log, robot.log.filter_cutoff)
-    if model and (robot.known is not None or model.springs):
+            findings += of_log(log, check(log, description))
+        parts += motionwise(log, description.log.filter_cutoff)
+    if model and (description.known is not None or model.springs):
         model = _informed(model, parts)
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
-    logged = [as_logged(*both, robot.logged) for both in zip(parts, torques, strict=False)]
+    logged = [as_logged(*both, description.logged) for both in zip(parts, torques, strict=False)]
     fits = [explained(part, torque) for part, torque in logged]
     broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
     coarse = {name for f in findings if f.check == "coarse" for name in f.joints}
     for part in parts:
-        findings += of_log(part.log, check_velocity(part, robot, broken))
+        findings += of_log(part.log, check_velocity(part, description, broken))
         if model:
             findings += of_log(part.log, positions.check_limits(part, model))
             findings += of_log(part.log, positions.check_sliding(part, model))
             findings += of_log(part.log, efforts.check_speed(part, model))
-        findings += of_log(part.log, positions.check_columns(part, robot))
+        findings += of_log(part.log, positions.check_columns(part, description))
     if model and not hopeless(findings):
         for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
             clocks, late = check_clocks(part, [j for j in fit if fit[j].r2 > NO_SIGNAL], model)
-            blurred = {*late, *(j for j in fit if robot.joints[j] in coarse)}
+            blurred = {*late, *(j for j in fit if description.joints[j] in coarse)}
             found = (*clocks, *check_torque(own, fit, model, blurred))
             findings += of_log(part.log, (*found, *positions.check_loss(own, torque, model)))
         findings = _caused(findings, check_causes(parts, model))
@@ -86,17 +86,17 @@ def examine(logs: Sequence[Log], robot: RobotDescription, model: Robot | None) -
     )
 
 
-def _informed(model: Robot, parts: Sequence[Motionwise]) -> Robot | None:
+def _informed(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
     """Return a robot whose unknown parameters are identified, or None if that fails."""
-    informed = copy(model)
-    if model.description.known is None:  # then only its springs, if any, are unknown
-        own = {"known": model.parameter_names[: model.inertial]}
-        model = Robot(model.description.model_copy(update=own))
+    informed = copy(robot)
+    if robot.description.known is None:  # then only its springs, if any, are unknown
+        own = {"known": robot.parameter_names[: robot.inertial]}
+        robot = Robot(robot.description.model_copy(update=own))
     motions = [
         Motion(name=p.log.name, t=p.t, q=p.q, q_raw=p.q, dq=p.v, ddq=p.a, tau=p.tau) for p in parts
     ]
     try:
-        informed.nominal_parameters = identify_motions(motions, model).parameters
+        informed.nominal_parameters = identify_motions(motions, robot).parameters
     except FitError:
         return None
     return informed
@@ -142,10 +142,10 @@ def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
     ]
 
 
-def checked(logs: Sequence[Log], model: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
+def checked(logs: Sequence[Log], robot: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
     """Check logs; return warnings and accepted errors, or raise HealthError."""
     require_known(accepted, CHECKS)
-    return require_sound(examine(logs, model.description, model).findings, accepted)
+    return require_sound(examine(logs, robot.description, robot).findings, accepted)
 
 
 class HealthError(LogError):
@@ -250,10 +250,10 @@ _AT_BOUND = 0.01
 _NEGATIVE = 0.5  # negative Coulomb friction over the residual
 
 
-def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
+def check_body(body: RigidBody, robot: Robot) -> Iterator[Finding]:
     """Check that a mass matrix is positive definite and friction brakes."""
-    joints = model.description.joints
-    lowest, q, joint = _least_inertia(body, model)
+    joints = robot.description.joints
+    lowest, q, joint = _least_inertia(body, robot)
     if lowest <= 0.0:
         at = f"{lowest:.2g}, for instance at q = {', '.join(f'{value:.2f}' for value in q)}"
         found = f"the identified mass matrix is not positive definite (eigenvalue {at})"
@@ -266,10 +266,10 @@ def check_body(body: RigidBody, model: Robot) -> Iterator[Finding]:
             yield of_joint("negative-friction", name, found, remedy, "warning")
 
 
-def _least_inertia(body: RigidBody, model: Robot) -> tuple[float, Array, int]:
-    lower, upper, _ = model.reach
-    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, model.n))
-    mass, _ = model.dynamics(body.parameters, q, np.zeros_like(q))
+def _least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, int]:
+    lower, upper, _ = robot.reach
+    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, robot.n))
+    mass, _ = robot.dynamics(body.parameters, q, np.zeros_like(q))
     mass = 0.5 * (mass + mass.transpose(0, 2, 1))
     scale = np.sqrt(np.maximum(np.abs(np.mean(np.diagonal(mass, axis1=1, axis2=2), axis=0)), 1e-12))
     values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
@@ -304,9 +304,12 @@ def check_laws(
 
 def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
     """Check that a law belongs to the robot."""
-    own = robot.description
-    if model.robot != own.name and model.joints == own.joints:  # else refused elsewhere
+    description = robot.description
+    if (
+        model.robot != description.name and model.joints == description.joints
+    ):  # else refused elsewhere
         found = (
-            f"the law {model.law} was fitted to '{model.robot}' and is evaluated on '{own.name}'"
+            f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
+            f"'{description.name}'"
         )
         yield of_joint("other-robot", "", found, "one of the files is of another robot", "warning")

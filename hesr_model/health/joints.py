@@ -27,30 +27,31 @@ def with_joints(
     robot: RobotLike, joints: Sequence[str], table: LogTable | None = None
 ) -> RobotDescription:
     """Return a robot with these joints, by default its own; a table may have columns of others."""
-    known = description_of(robot)
-    if joints and is_model(robot) and not (table and _positions(table) == len(known.joints)):
-        return description_of_model(known.model, joints)
+    description = description_of(robot)
+    if joints and is_model(robot) and not (table and _positions(table) == len(description.joints)):
+        return description_of_model(description.model, joints)
     for name in joints:
-        if name not in known.joints:
+        if name not in description.joints:
             raise RobotError(
-                f"robot '{known.name}' has no joint '{name}'; it has {', '.join(known.joints)}."
+                f"robot '{description.name}' has no joint '{name}'; it has "
+                f"{', '.join(description.joints)}."
             )
-    others = set(known.joints) - set(joints or known.joints)
-    rest = locked(joints_of(known.model), joints) if others else {}
-    return without(known, {name: rest[name] for name in others}) if others else known
+    others = set(description.joints) - set(joints or description.joints)
+    rest = locked(joints_of(description.model), joints) if others else {}
+    return without(description, {name: rest[name] for name in others}) if others else description
 
 
-def with_columns_of(robot: RobotDescription, table: LogTable) -> tuple[RobotDescription, str]:
+def with_columns_of(description: RobotDescription, table: LogTable) -> tuple[RobotDescription, str]:
     """Return a robot with the joints that a table has, and how they were recognised."""
     edges = r"(?<![A-Za-z0-9]){}(?![A-Za-z0-9])"
     text = "\n".join(table.names)
-    named = [name for name in robot.joints if re.search(edges.format(re.escape(name)), text)]
-    if named and len(named) < len(robot.joints):
-        return description_of_model(robot.model, named), "named in the columns"
-    own = [joint.name for joint in arm(robot.model)]
-    if len(own) == _positions(table) < len(robot.joints):
-        return description_of_model(robot.model, own), f"the log has {len(own)} positions"
-    return robot, ""
+    named = [name for name in description.joints if re.search(edges.format(re.escape(name)), text)]
+    if named and len(named) < len(description.joints):
+        return description_of_model(description.model, named), "named in the columns"
+    own = [joint.name for joint in arm(description.model)]
+    if len(own) == _positions(table) < len(description.joints):
+        return description_of_model(description.model, own), f"the log has {len(own)} positions"
+    return description, ""
 
 
 def _positions(table: LogTable) -> int:
@@ -65,24 +66,26 @@ def chosen(robot: RobotLike, joints: Sequence[str]) -> tuple[RobotDescription, s
     if joints or not is_model(robot):
         return with_joints(robot, joints), ""
     path = description_of(robot).model
-    found = description_of_model(path, [joint.name for joint in arm(path)])
-    return found, "fingers and joints outside the longest chain are locked" * bool(found.locked)
+    description = description_of_model(path, [joint.name for joint in arm(path)])
+    return description, "fingers and joints outside the longest chain are locked" * bool(
+        description.locked
+    )
 
 
-def resting(robot: RobotDescription, parts: Sequence[Motionwise]) -> dict[str, float]:
+def resting(description: RobotDescription, parts: Sequence[Motionwise]) -> dict[str, float]:
     """Return the positions [rad or m] of joints that stay at one place in all parts."""
-    if not parts or robot.transmission:
+    if not parts or description.transmission:
         return {}
     q = np.concatenate([part.q for part in parts])
     rests = np.ptp(q, axis=0) <= LEAST_TRAVEL
     places = np.median(q, axis=0)
-    found = {robot.joints[j]: float(f"{places[j]:.4g}") for j in np.flatnonzero(rests)}
-    return found if len(found) < len(robot.joints) else {}
+    found = {description.joints[j]: float(f"{places[j]:.4g}") for j in np.flatnonzero(rests)}
+    return found if len(found) < len(description.joints) else {}
 
 
-def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
+def changed(description: RobotDescription, changes: Mapping[str, Any]) -> RobotDescription:
     """Return a description with new values for keys as ``log.units.q``."""
-    data = robot.model_dump()
+    data = description.model_dump()
     for key, value in changes.items():
         place = data
         *path, last = key.split(".")
@@ -93,29 +96,34 @@ def changed(robot: RobotDescription, changes: Mapping[str, Any]) -> RobotDescrip
 
 
 def without(
-    robot: RobotDescription, rest: Mapping[str, float], *, temperatures: bool = False
+    description: RobotDescription, rest: Mapping[str, float], *, temperatures: bool = False
 ) -> RobotDescription:
     """Return a description without the joints that `rest` locks [rad or m], and their columns."""
-    if robot.transmission:
+    if description.transmission:
         raise RobotError(
-            f"robot '{robot.name}' has a [transmission], whose motors turn joints that would be "
+            f"robot '{description.name}' has a [transmission], whose motors turn joints that "
+            "would be "
             "locked; remove these joints from its 'joints' and from the matrix."
         )
-    kept = [k for k, joint in enumerate(robot.joints) if joint not in rest]
-    lists = {**robot.lists, "joints": robot.joints}
-    known = robot.known and tuple(k for k in robot.known if k.rpartition(".")[0] not in rest)
+    kept = [k for k, joint in enumerate(description.joints) if joint not in rest]
+    lists = {**description.lists, "joints": description.joints}
+    known = description.known and tuple(
+        k for k in description.known if k.rpartition(".")[0] not in rest
+    )
     springs = {
-        key: tuple(joint for joint in getattr(robot, key) if joint not in rest)
+        key: tuple(joint for joint in getattr(description, key) if joint not in rest)
         for key in ("springs", "balancers")
     }
     for key in ["q", "dq", "q_link", "tau", "current", *(["temperature"] if temperatures else [])]:
-        pattern = getattr(robot.log.columns, key)
+        pattern = getattr(description.log.columns, key)
         if pattern and "{name}" not in pattern:
-            lists[f"log.columns.{key}"] = tuple(column_names(pattern, robot.joints))
+            lists[f"log.columns.{key}"] = tuple(column_names(pattern, description.joints))
     changes = {
         key: tuple(entries[k] for k in kept)
         for key, entries in lists.items()
         if isinstance(entries, tuple)
     }
     changes |= springs
-    return changed(robot, {**changes, "known": known, "locked": {**robot.locked, **rest}})
+    return changed(
+        description, {**changes, "known": known, "locked": {**description.locked, **rest}}
+    )

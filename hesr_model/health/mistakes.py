@@ -51,41 +51,41 @@ class Mistake:
     mended: CandidateRows
 
 
-def torques_of(rows: CandidateRows, model: Robot) -> Torques:
+def torques_of(rows: CandidateRows, robot: Robot) -> Torques:
     """Evaluate the model under the rows' gravity."""
-    torques = Torques.of(model, rows.q, rows.v, rows.a)
-    declared = model.gravity
+    torques = Torques.of(robot, rows.q, rows.v, rows.a)
+    declared = robot.gravity
     if np.array_equal(declared, rows.gravity):
         return torques
-    change = np.einsum("kij,k->ij", _by_axis(rows.q, model), rows.gravity - declared)
+    change = np.einsum("kij,k->ij", _by_axis(rows.q, robot), rows.gravity - declared)
     return replace(torques, gravity=torques.gravity + change - change.mean(axis=0))
 
 
-def _by_axis(q: Array, model: Robot) -> Array:
+def _by_axis(q: Array, robot: Robot) -> Array:
     """Return torques (3, N, n) of unit gravity along each axis."""
     nothing = np.zeros_like(q)
-    masses = model.nominal_parameters.copy()
-    masses[model.inertial :] = 0.0
-    with model.under_gravity() as set_gravity:
+    masses = robot.nominal_parameters.copy()
+    masses[robot.inertial :] = 0.0
+    with robot.under_gravity() as set_gravity:
         parts = []
         for axis in _AXES.values():
             set_gravity(axis)
-            parts.append(model.torque(masses, q, nothing, nothing))
+            parts.append(robot.torque(masses, q, nothing, nothing))
     return np.array(parts)
 
 
 def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake]:
     """Yield possible mistakes, the simplest first."""
-    robot = model.description
+    description = model.description
     joints = [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
-        key, changes = sign_change(robot, None, position=False)
+        key, changes = sign_change(description, None, position=False)
         remedy = f"all torques count backwards; set {key}"
         mended = replace(rows, tau=-rows.tau)
         yield Mistake("torque-sign", -1, remedy, changes, mended)
     for j in joints:
-        key, changes = sign_change(robot, j, position=False)
-        position, other = sign_change(robot, j, position=True)
+        key, changes = sign_change(description, j, position=False)
+        position, other = sign_change(description, j, position=True)
         side = np.where(np.arange(model.n) == j, -1.0, 1.0)
         q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
         remedy = f"{_TURNED}; set {key}"
@@ -100,15 +100,16 @@ def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake
 
 
 def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    robot = model.description
-    which = "tau" if robot.log.torque_per_ampere is None else "current"
-    columns = column_names(getattr(robot.log.columns, which), robot.joints)
-    gains = np.array(robot.log.torque_per_ampere or np.ones(model.n))
+    description = model.description
+    which = "tau" if description.log.torque_per_ampere is None else "current"
+    columns = column_names(getattr(description.log.columns, which), description.joints)
+    gains = np.array(description.log.torque_per_ampere or np.ones(model.n))
     for a, b in combinations(joints, 2):
         order = _exchanged(model.n, a, b)
         named = tuple(columns[k] for k in order)
         remedy = (
-            f"its torque is swapped with that of joint '{robot.joints[b]}'; set [log.columns] "
+            f"its torque is swapped with that of joint '{description.joints[b]}'; set "
+            "[log.columns] "
             f"{which} = {json.dumps(named)}"
         )
         mended = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
@@ -116,7 +117,7 @@ def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> It
 
 
 def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    robot = model.description
+    description = model.description
     orders = {(a, b): _exchanged(model.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == model.n > 2:
         n = model.n
@@ -125,14 +126,14 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
         orders[-1, 2] = [n - 1, *range(n - 1)]
     for (a, b), order in orders.items():
         changes = {
-            f"log.columns.{key}": tuple(column_names(columns, robot.joints)[k] for k in order)
-            for key, columns in robot.log.columns
+            f"log.columns.{key}": tuple(column_names(columns, description.joints)[k] for k in order)
+            for key, columns in description.log.columns
             if key != "t" and columns and columns != OPTIONAL.get(key)
         }
         what = (
             "the columns are in another order than the joints"
             if a < 0
-            else f"its columns are swapped with those of joint '{robot.joints[b]}'"
+            else f"its columns are swapped with those of joint '{description.joints[b]}'"
         )
         remedy = (
             f"{what}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the others "
@@ -143,12 +144,12 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
 
 
 def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    robot = model.description
+    description = model.description
     for j in joints:
         if model.slides[j]:
             continue
         for quarter in (1, -1, 2):
-            zero = list(robot.log.zero or (0.0,) * model.n)
+            zero = list(description.log.zero or (0.0,) * model.n)
             zero[j] += quarter * np.pi / 2.0
             q = rows.q.copy()
             q[:, j] += quarter * np.pi / 2.0
@@ -159,11 +160,11 @@ def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterat
             yield Mistake("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
 
 
-def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    by_axis = _by_axis(rows.q, model)
-    inertial = torques_of(rows, model).inertial
+def _gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+    by_axis = _by_axis(rows.q, robot)
+    inertial = torques_of(rows, robot).inertial
     v = rows.v
-    logged = model.description.logged
+    logged = robot.description.logged
     if logged is not None:
         by_axis = np.array([logged.torque(one) for one in by_axis])
         inertial, v = logged.torque(inertial), logged.motion(v)
@@ -184,7 +185,7 @@ def _gravity(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[M
     if not rows_of:
         return
     found = np.linalg.lstsq(np.concatenate(rows_of), np.concatenate(targets), rcond=None)[0][:3]
-    declared = model.gravity
+    declared = robot.gravity
     size = float(np.linalg.norm(declared)) or _EARTH
     if not np.linalg.norm(found) > 0.2 * size:
         return
@@ -226,28 +227,28 @@ def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> Candidate
     return CandidateRows(**rows, gravity=np.array(gravity, dtype=float))
 
 
-def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
+def check_causes(motions: Sequence[Motionwise], robot: Robot) -> list[Finding]:
     """Find the mistakes that explain all logs best, the best first."""
     if not motions:
         return []
     moves = np.any([motion.moves for motion in motions], axis=0)
     moves &= np.any([np.ptp(motion.tau, axis=0) > 0.0 for motion in motions], axis=0)
-    rows = pooled(motions, model.gravity.tolist())
-    logged = model.description.logged
+    rows = pooled(motions, robot.gravity.tolist())
+    logged = robot.description.logged
     rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
     logs = tuple(dict.fromkeys(motion.log.name for motion in motions))
     findings: list[Finding] = []
-    now = _unexplained(rows, model, moves)
+    now = _unexplained(rows, robot, moves)
     for _ in range(_MOST):
-        best, left = _best(rows, now, model, moves)
+        best, left = _best(rows, now, robot, moves)
         if best is None:
             break
         helped = int(np.argmax(now / left))
         found = (
             f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "
-            f"'{model.joints[helped]}' unexplained; with the correction {100 * left[helped]:.0f} %"
+            f"'{robot.joints[helped]}' unexplained; with the correction {100 * left[helped]:.0f} %"
         )
-        joint = model.joints[best.joint] if best.joint >= 0 else ""
+        joint = robot.joints[best.joint] if best.joint >= 0 else ""
         more = best.changes
         findings.append(of_joint(best.check, joint, found, best.remedy, logs=logs, changes=more))
         rows = best.mended
@@ -256,14 +257,14 @@ def check_causes(motions: Sequence[Motionwise], model: Robot) -> list[Finding]:
 
 
 def _best(
-    rows: CandidateRows, now: Array, model: Robot, moves: Mask
+    rows: CandidateRows, now: Array, robot: Robot, moves: Mask
 ) -> tuple[Mistake | None, Array]:
     best = None
     left = now
     most = 0.0
-    for mistake in mistakes(rows, model, moves):
-        then = _unexplained(mistake.mended, model, moves)
-        if _beyond(mistake.mended.q, model) > _beyond(rows.q, model) + BEYOND:
+    for mistake in mistakes(rows, robot, moves):
+        then = _unexplained(mistake.mended, robot, moves)
+        if _beyond(mistake.mended.q, robot) > _beyond(rows.q, robot) + BEYOND:
             continue
         gain = np.log(now / then)
         good = (gain > np.log(_BETTER)) & (1.0 - then**2 > _EXPLAINED)
@@ -280,16 +281,16 @@ def _best(
     return best, left
 
 
-def _beyond(q: Array, model: Robot) -> float:
+def _beyond(q: Array, robot: Robot) -> float:
     """Return the largest excess over the model's limits [rad or m]."""
-    lower, upper, _ = model.limits
+    lower, upper, _ = robot.limits
     return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
 
 
-def _unexplained(rows: CandidateRows, model: Robot, moves: Mask) -> Array:
+def _unexplained(rows: CandidateRows, robot: Robot, moves: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation."""
-    torques = torques_of(rows, model)
-    logged = model.description.logged
+    torques = torques_of(rows, robot)
+    logged = robot.description.logged
     torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
     left = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(moves):

@@ -27,13 +27,13 @@ _LEVELS = 200  # distinct values of a finely quantised torque
 _LONG_RUN = 5
 
 
-def check_time(log: Log, robot: RobotDescription) -> Iterator[Finding]:
+def check_time(log: Log, description: RobotDescription) -> Iterator[Finding]:
     """Check the time stamps of a log."""
     period = log.period
     steps = np.diff(log.t)
     low, high = _PERIODS
     if not low <= period <= high:
-        declared = float(robot.log.units.factors("t", 1)[0])
+        declared = float(description.log.units.factors("t", 1)[0])
         units = [u for u, f in OTHERS["t"].items() if low <= period / declared * f <= high]
         # Of several possible units, prefer the one with a rate closest to 200 Hz.
         units.sort(key=lambda u: abs(np.log(period / declared * OTHERS["t"][u] * 200.0)))
@@ -68,10 +68,10 @@ def of_gaps(count: int, longest: float, parts: int) -> Finding:
     return of_joint("gaps", "", what, remedy, "warning")
 
 
-def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
+def check_jumps(log: Log, description: RobotDescription) -> Iterator[Finding]:
     """Check raw positions for lost turns and single outliers."""
     near = np.diff(log.t) <= 3.0 * log.period
-    for j, joint in enumerate(robot.joints):
+    for j, joint in enumerate(description.joints):
         leaps = np.where(near, np.diff(log.q[:, j]), 0.0)
         turned = np.flatnonzero(np.abs(np.abs(leaps) - _TURN) < 0.1 * _TURN)
         usual = np.median(np.abs(leaps[leaps != 0.0])) if np.any(leaps) else 0.0
@@ -88,9 +88,9 @@ def check_jumps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
             yield of_joint("spikes", joint, what, "a row is wrong, or rows were lost; leave it out")
 
 
-def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
+def check_steps(log: Log, description: RobotDescription) -> Iterator[Finding]:
     """Check that positions are finely quantised."""
-    for j, joint in enumerate(robot.joints):
+    for j, joint in enumerate(description.joints):
         values = np.unique(log.q[:, j])
         if len(values) < _FEW or np.ptp(values) < _FEW * _COARSE:
             continue
@@ -113,7 +113,7 @@ def check_steps(log: Log, robot: RobotDescription) -> Iterator[Finding]:
 
 def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     """Check positions against the model's limits."""
-    robot = model.description
+    description = model.description
     lower, upper, _ = model.limits
     low = motion.q.min(axis=0)
     high = motion.q.max(axis=0)
@@ -124,16 +124,16 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
     in_degrees = bool(np.any(turning & (beyond > 3.0 * width))) and bool(
         np.all(np.maximum(lower - low * factor, high * factor - upper)[turning] < BEYOND + 0.1)
     )
-    names = column_names(robot.log.columns.q, robot.joints)
-    for j, joint in enumerate(robot.joints):
+    names = column_names(description.log.columns.q, description.joints)
+    for j, joint in enumerate(description.joints):
         if beyond[j] <= BEYOND:
             continue
-        of_motor = beyond[j] > width[j] and robot.logged is None and is_of_motor(names[j])
+        of_motor = beyond[j] > width[j] and description.logged is None and is_of_motor(names[j])
         mends = in_degrees and turning[j] and not of_motor
         wrong = beyond[j] > width[j]
         far = high[j] if high[j] - upper[j] > lower[j] - low[j] else low[j]
         limit = upper[j] if high[j] - upper[j] > lower[j] - low[j] else lower[j]
-        declared = robot.log.units.each("q", model.n)
+        declared = description.log.units.each("q", model.n)
         degrees = tuple("deg" if t else u for u, t in zip(declared, turning, strict=True))
         unit: str | tuple[object, ...] = "deg" if len(set(degrees)) == 1 else degrees
         yield Finding(
@@ -153,22 +153,22 @@ def check_limits(motion: Motionwise, model: Robot) -> Iterator[Finding]:
         )
 
 
-def check_sliding(motion: Motionwise, model: Robot) -> Iterator[Finding]:
+def check_sliding(motion: Motionwise, robot: Robot) -> Iterator[Finding]:
     """Check that no sliding joint moves as only millimetres can."""
-    units = model.description.log.units
+    units = robot.description.log.units
     travel = np.ptp(motion.q, axis=0)
     speed = np.max(np.abs(motion.v), axis=0)
-    for j in np.flatnonzero(np.array(model.slides) & ((travel > _FAR) | (speed > _QUICK))):
-        alone = all(model.slides) and units.each("q", model.n)[j] in ("m", "rad")
+    for j in np.flatnonzero(np.array(robot.slides) & ((travel > _FAR) | (speed > _QUICK))):
+        alone = all(robot.slides) and units.each("q", robot.n)[j] in ("m", "rad")
         changes = {"log.units.q": "mm"} if alone else {}
         if changes and motion.dq is not None:
             changes["log.units.dq"] = "mm/s"
         found = f"it slides by {travel[j]:.3g} m at up to {speed[j]:.3g} m/s"
         remedy = "q is in mm; set [log.units] q = 'mm'" if alone else "see the units of q"
-        yield of_joint("sliding-unit", model.joints[j], found, remedy, changes=changes)
+        yield of_joint("sliding-unit", robot.joints[j], found, remedy, changes=changes)
 
 
-def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Finding]:
+def check_columns(motion: Motionwise, description: RobotDescription) -> Iterator[Finding]:
     """Check that no column is a copy, constant, or clipped."""
     joints = [int(j) for j in np.flatnonzero(motion.moves)]
     for kind, values in (("position", motion.q), ("velocity", motion.dq), ("torque", motion.tau)):
@@ -177,20 +177,22 @@ def check_columns(motion: Motionwise, robot: RobotDescription) -> Iterator[Findi
         for a in joints:
             for b in range(a):
                 if np.std(values[:, a]) > 0 and np.array_equal(values[:, a], values[:, b]):
-                    found = f"its {kind} equals that of joint '{robot.joints[b]}' in every row"
+                    found = (
+                        f"its {kind} equals that of joint '{description.joints[b]}' in every row"
+                    )
                     remedy = "one column is used for both; see [log.columns]"
-                    yield of_joint("same-column", robot.joints[a], found, remedy)
+                    yield of_joint("same-column", description.joints[a], found, remedy)
     for j in joints:
         tau = motion.log.tau[:, j]
         if np.ptp(tau) == 0.0:
             found = f"it moves while its torque stays at {tau[0]:.4g}"
             remedy = "its torque is not logged, or another column is"
-            yield of_joint("torque-constant", robot.joints[j], found, remedy)
+            yield of_joint("torque-constant", description.joints[j], found, remedy)
         elif (share := _saturated(tau)) > _SATURATED:
             largest = f"{np.max(np.abs(tau)):.4g}"
             found = f"{100 * share:.1f} % of its rows are at the largest torque, {largest}"
             remedy = "the drive or the log clips the torque; friction beyond is not learned"
-            yield of_joint("saturation", robot.joints[j], found, remedy, "warning")
+            yield of_joint("saturation", description.joints[j], found, remedy, "warning")
 
 
 def _saturated(tau: Array) -> float:
@@ -225,7 +227,7 @@ def loses_rows(log: Log) -> bool:
     return float(np.mean(np.abs(periods - np.rint(periods)) > _OFF_GRID)) < _IRREGULAR
 
 
-def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[Finding]:
+def check_loss(motion: Motionwise, torques: Torques, robot: Robot) -> Iterator[Finding]:
     """Check that the remaining rows determine each joint's sliding torque.
 
     The difference of estimates from random halves has four times the variance of the estimate from
@@ -239,13 +241,13 @@ def check_loss(motion: Motionwise, torques: Torques, model: Robot) -> Iterator[F
         worst = int(np.argmax(uncertain))
         if uncertain[worst] <= _UNCERTAIN:
             continue
-        unit = "m/s" if model.slides[j] else "rad/s"
+        unit = "m/s" if robot.slides[j] else "rad/s"
         found = (
             f"many rows are missing; its sliding torque at {speeds[worst]:.2g} {unit} is uncertain "
             f"by {100 * min(uncertain[worst], 9.99):.2g} %"
         )
         remedy = f"friction needs {100 * _UNCERTAIN:g} %; record without losses, or for longer"
-        yield of_joint("missing-rows", model.joints[j], found, remedy)
+        yield of_joint("missing-rows", robot.joints[j], found, remedy)
 
 
 def _sliding(motion: Motionwise, torques: Torques, j: int) -> tuple[Array, Array, Array]:

@@ -55,18 +55,20 @@ def inspected(
 ) -> Proposal:
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
     if robot is not None and not paths:
-        found, reason = chosen(robot, joints)
-        alone = Proposal(robot=found, reasons={}, logs=(), examination=Examination(), first=())
+        description, reason = chosen(robot, joints)
+        alone = Proposal(
+            robot=description, reasons={}, logs=(), examination=Examination(), first=()
+        )
         return _with_doubts(alone, {"joints": f"likely: {reason}"} if reason else {})
     stated = None if robot is None or is_model(robot) else description_of(robot)
     table = open_table(paths[0], stated.log if stated else LogFormat())
     if robot is not None:
-        found = with_joints(robot, joints, table)
+        description = with_joints(robot, joints, table)
         reason = ""
         if table and not joints and is_model(robot):
-            found, reason = selection.with_columns_of(found, table)
+            description, reason = selection.with_columns_of(description, table)
         known = {"joints": f"likely: {reason}"} if reason else {}
-        return _with_doubts(propose(paths, found, known=True), known)
+        return _with_doubts(propose(paths, description, known=True), known)
     count = len(guess(table).columns["q"]) if table else 1
     names = tuple(f"joint{k}" for k in range(1, count + 1))
     stranger = RobotDescription(name="robot", model=Path("unknown"), joints=names)
@@ -83,56 +85,58 @@ def _with_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
     return replace(proposal, first=first, reasons=known, examination=own)
 
 
-def propose(paths: Sequence[Path], robot: RobotDescription, *, known: bool) -> Proposal:
+def propose(paths: Sequence[Path], description: RobotDescription, *, known: bool) -> Proposal:
     """Find a description, with a model file if `known`, that passes the checks."""
     reasons: dict[str, str] = {}
-    stated = robot.log.torque_per_ampere is not None
+    stated = description.log.torque_per_ampere is not None
 
-    def looked(robot: RobotDescription) -> tuple[RobotDescription, list[Log], Examination]:
-        robot, logs = _read(paths, robot, reasons)
-        robot = _with_cutoff(robot, logs, reasons)
-        return robot, logs, examine(logs, robot, Robot(robot) if known else None)
+    def looked(description: RobotDescription) -> tuple[RobotDescription, list[Log], Examination]:
+        description, logs = _read(paths, description, reasons)
+        description = _with_cutoff(description, logs, reasons)
+        return description, logs, examine(logs, description, Robot(description) if known else None)
 
-    robot, logs, examination = looked(_with_columns(paths[0], robot, reasons))
+    description, logs, examination = looked(_with_columns(paths[0], description, reasons))
     first = examination.findings
     for _ in range(_ROUNDS):
         found = examination.findings
         some_or_all = [f for f in found if f.check != "velocity-lag"]  # its dq may be wanted
         for some in (some_or_all, *([one] for one in some_or_all)):
-            changes, why = _changes(robot, some)
-            tried = looked(changed(robot, changes)) if changes else None
+            changes, why = _changes(description, some)
+            tried = looked(changed(description, changes)) if changes else None
             if tried and _mends(found, some, tried[2].findings):
                 break
         else:
             why = {}
             tried = None
             if not stated and "log.torque_per_ampere" in reasons and known:
-                changes = _constants(robot, examination, reasons)
-                tried = looked(changed(robot, changes)) if changes else None
+                changes = _constants(description, examination, reasons)
+                tried = looked(changed(description, changes)) if changes else None
         if tried is None:
             break
-        robot, logs, examination = tried
+        description, logs, examination = tried
         guessed = {k: reasons[k] for k in why if reasons.get(k, "").startswith("guess: ")}
         reasons |= why | {k: f"{said}; {why[k]}" for k, said in guessed.items()}
-    if known and (rest := resting(robot, examination.parts)):
+    if known and (rest := resting(description, examination.parts)):
         reasons["locked"] = f"likely: {', '.join(rest)} rest{'s' * (len(rest) == 1)} in all logs"
         heat = any(log.temperature is not None for log in logs)
-        robot, logs, examination = looked(without(robot, rest, temperatures=heat))
-    slides = enumerate(Robot(robot).slides) if known else ()
+        description, logs, examination = looked(without(description, rest, temperatures=heat))
+    slides = enumerate(Robot(description).slides) if known else ()
     found = examination.findings
     left = tuple(
         f
         if not f.changes
         or (
             f.check == "velocity-lag"
-            and _mends(found, [f], looked(changed(robot, _changes(robot, [f])[0]))[2].findings)
+            and _mends(
+                found, [f], looked(changed(description, _changes(description, [f])[0]))[2].findings
+            )
         )
         else replace(f, remedy=_NO_REMEDY, changes={})
         for f in found
     )
     examination = replace(examination, findings=left)
     return Proposal(
-        robot=robot,
+        robot=description,
         reasons=reasons,
         logs=logs,
         examination=examination,
@@ -147,11 +151,13 @@ def open_table(path: Path, log: LogFormat) -> LogTable | None:
     return table(path, log) if table and path.is_file() else None
 
 
-def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) -> RobotDescription:
-    table = open_table(path, robot.log)
-    if table is None or _has_columns(table, robot):
-        return robot
-    found = guess(table, robot.joints, timed=robot.log.rate is None)
+def _with_columns(
+    path: Path, description: RobotDescription, reasons: dict[str, str]
+) -> RobotDescription:
+    table = open_table(path, description.log)
+    if table is None or _has_columns(table, description):
+        return description
+    found = guess(table, description.joints, timed=description.log.rate is None)
     changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in found.columns.items()}
     if "dq" not in found.columns:
         changes["log.columns.dq"] = ""
@@ -161,60 +167,60 @@ def _with_columns(path: Path, robot: RobotDescription, reasons: dict[str, str]) 
     reasons |= {
         f"log.columns.{k}": f"likely: {found.reasons.get(k, 'it rises')}" for k in found.columns
     }
-    log = robot.log
+    log = description.log
     if "tau" not in found.columns and log.torque_per_ampere is None and log.cylinder is None:
-        changes["log.torque_per_ampere"] = (1.0,) * len(robot.joints)
+        changes["log.torque_per_ampere"] = (1.0,) * len(description.joints)
         changes["sources.torque_per_ampere"] = "guessed"
         reasons["log.torque_per_ampere"] = "guess: only currents are logged"
-    return changed(robot, changes)
+    return changed(description, changes)
 
 
-def _has_columns(table: LogTable, robot: RobotDescription) -> bool:
-    columns = robot.log.columns
-    log = robot.log
-    wanted = [*([] if log.rate else [columns.t]), *column_names(columns.q, robot.joints)]
+def _has_columns(table: LogTable, description: RobotDescription) -> bool:
+    columns = description.log.columns
+    log = description.log
+    wanted = [*([] if log.rate else [columns.t]), *column_names(columns.q, description.joints)]
     if log.cylinder is None:
         effort = columns.tau if log.torque_per_ampere is None else columns.current
-        wanted += column_names(effort, robot.joints)
-    wanted += column_names(columns.dq, robot.joints) if columns.dq else []
+        wanted += column_names(effort, description.joints)
+    wanted += column_names(columns.dq, description.joints) if columns.dq else []
     return set(wanted) <= set(table.names)
 
 
 def _read(
-    paths: Sequence[Path], robot: RobotDescription, reasons: dict[str, str]
+    paths: Sequence[Path], description: RobotDescription, reasons: dict[str, str]
 ) -> tuple[RobotDescription, list[Log]]:
     try:
-        return robot, [Log.read(path, robot) for path in paths]
+        return description, [Log.read(path, description) for path in paths]
     except LogError as error:
         said = str(error)
         for words, key, value in _REMEDIES:
             if words in said and key not in reasons:
                 reasons[key] = f"sure: {said.split(': ', 1)[-1].rstrip('.')}"
-                return _read(paths, changed(robot, {key: value}), reasons)
+                return _read(paths, changed(description, {key: value}), reasons)
         raise
 
 
 def _with_cutoff(
-    robot: RobotDescription, logs: Sequence[Log], reasons: dict[str, str]
+    description: RobotDescription, logs: Sequence[Log], reasons: dict[str, str]
 ) -> RobotDescription:
     slowest = 1.0 / max(log.period for log in logs)
-    if robot.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:
-        return robot
+    if description.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:
+        return description
     reasons["log.filter_cutoff"] = f"sure: the sample rate is only {slowest:.4g} Hz"
-    return changed(robot, {"log.filter_cutoff": float(f"{_CUTOFF_SHARE * slowest:.2g}")})
+    return changed(description, {"log.filter_cutoff": float(f"{_CUTOFF_SHARE * slowest:.2g}")})
 
 
 def _changes(
-    robot: RobotDescription, findings: Sequence[Finding]
+    description: RobotDescription, findings: Sequence[Finding]
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return changes of the robot file with a reason each; two witnesses make one sure."""
     wanted: dict[str, Any] = {}
     reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         for key, value in finding.changes.items():
-            wanted[key] = _combined(attrgetter(key)(robot), wanted.get(key), value)
+            wanted[key] = _combined(attrgetter(key)(description), wanted.get(key), value)
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
-    changes = {key: value for key, value in wanted.items() if value != attrgetter(key)(robot)}
+    changes = {key: value for key, value in wanted.items() if value != attrgetter(key)(description)}
     marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
     why = {key: f"{mark}: {'; '.join(reasons[key].values())}" for key, mark in marks.items()}
     return changes, why
@@ -242,21 +248,22 @@ def _combined(declared: Any, before: Any, value: Any) -> Any:
 
 
 def _constants(
-    robot: RobotDescription, examination: Examination, reasons: dict[str, str]
+    description: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
     slopes: dict[int, list[float]] = {}
     for fits in examination.explained:
         for j, fit in fits.items():
             if fit.bears_gravity and abs(fit.gravity.t) > 10.0:
                 slopes.setdefault(j, []).append(abs(fit.gravity.value))
-    gains = robot.log.torque_per_ampere or ()
+    gains = description.log.torque_per_ampere or ()
     scale = {j: 1.0 / float(np.median(found)) for j, found in slopes.items()}
     if not scale or all(abs(np.log(s)) < 0.2 for s in scale.values()):
         return {}
     rest = float(np.median(list(scale.values())))
     reasons["log.torque_per_ampere"] = (
         "guess: only currents are logged; from the model's gravity at joints "
-        f"{', '.join(robot.joints[j] for j in sorted(scale))}, the median for the others; replace "
+        f"{', '.join(description.joints[j] for j in sorted(scale))}, the median for the others; "
+        "replace "
         "them by the manufacturer's values if known"
     )
     new = tuple(float(f"{gain * scale.get(j, rest):.4g}") for j, gain in enumerate(gains))
@@ -265,19 +272,19 @@ def _constants(
 
 def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposal:
     """Return the proposal with the torque constants that were determined."""
-    robot = proposal.robot
-    constants = [one for one in constants if one.joint in robot.joints]
-    gains = robot.log.torque_per_ampere
+    description = proposal.robot
+    constants = [one for one in constants if one.joint in description.joints]
+    gains = description.log.torque_per_ampere
     if gains is None or not any(one.determined for one in constants):
         return proposal
     key = "torque_per_ampere"
-    sources = robot.sources.each("torque_per_ampere", len(gains))
+    sources = description.sources.each("torque_per_ampere", len(gains))
     pairs = list(zip(constants, gains, sources, strict=True))
     new = [float(f"{c.value:.4g}") if c.determined else gain for c, gain, _ in pairs]
     known = ["identified" if c.determined else source for c, _, source in pairs]
-    robot = changed(robot, {f"log.{key}": tuple(new), f"sources.{key}": tuple(known)})
+    description = changed(description, {f"log.{key}": tuple(new), f"sources.{key}": tuple(known)})
     said = "identified: from known masses"
-    return replace(proposal, robot=robot, reasons={**proposal.reasons, f"log.{key}": said})
+    return replace(proposal, robot=description, reasons={**proposal.reasons, f"log.{key}": said})
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:
@@ -287,15 +294,15 @@ def robot_file(proposal: Proposal, path: Path) -> str:
 
 
 def robot_text(
-    robot: RobotDescription, path: Path, head: str, reasons: Mapping[str, str] | None = None
+    description: RobotDescription, path: Path, head: str, reasons: Mapping[str, str] | None = None
 ) -> str:
     """Return the text of a robot file at `path`, with a comment as its head and reasons by key."""
     reasons = reasons or {}
-    data = robot.model_dump()
-    unusual = robot.model_dump(exclude_defaults=True)
-    data["model"] = Path(relpath(robot.model, path.resolve().parent)).as_posix()
+    data = description.model_dump()
+    unusual = description.model_dump(exclude_defaults=True)
+    data["model"] = Path(relpath(description.model, path.resolve().parent)).as_posix()
     log = unusual.pop("log", {})
-    if robot.log.cylinder is not None:  # with its usual unit
+    if description.log.cylinder is not None:  # with its usual unit
         log["cylinder"] = data["log"]["cylinder"]
     lines = [f"# {head}", "", *(_line(key, data[key], reasons.get(key, "")) for key in unusual)]
     tables = {"log": {k: v for k, v in log.items() if not isinstance(v, dict)}}

@@ -58,20 +58,20 @@ class LagRows:
     known: Mask  # (N, n) rows whose friction does not depend on what was before the log
 
     @classmethod
-    def of(cls, log: Log, model: Robot, base: Sequence[int]) -> "LagRows":
+    def of(cls, log: Log, robot: Robot, base: Sequence[int]) -> "LagRows":
         """Evaluate the columns `base` of the regressor, and friction, along a log."""
         from scipy.interpolate import make_interp_spline
 
         before = max(len(log.t) - _MOST, 0) // 2
         log = replace(log.rows(slice(before, before + _MOST)), dq=None)
-        motion = smooth(log, model.description.log.filter_cutoff)
-        logged = model.description.logged
+        motion = smooth(log, robot.description.log.filter_cutoff)
+        logged = robot.description.logged
         times = np.arange(log.t[0] + _LATEST, log.t[-1] - _LATEST, max(_EVERY, log.period))
         some = slice(None, None, max(1, round(_BODY / log.period)))
         q, dq, ddq = (values[some] for values in (motion.q, motion.dq, motion.ddq))
         nothing = np.zeros_like(q)
-        still = model.regressor(q, nothing, nothing)[:, :, list(base)]
-        whole = model.regressor(q, dq, ddq)[:, :, list(base)]
+        still = robot.regressor(q, nothing, nothing)[:, :, list(base)]
+        whole = robot.regressor(q, dq, ddq)[:, :, list(base)]
         tau = log.tau
         if logged is not None:
             still, whole, tau = logged.torque(still), logged.torque(whole), logged.torque(tau)
@@ -86,7 +86,7 @@ class LagRows:
             torques=torque(times[:, None] + _SHIFTS),
             still=_each(of_body, still),
             moving=_each(of_body, whole - still),
-            rubs=tuple(mean @ _rubs(u[:, j], v[:, j]) for j in range(model.n)),
+            rubs=tuple(mean @ _rubs(u[:, j], v[:, j]) for j in range(robot.n)),
             known=mean @ (1.0 * (travelled > 2.0 * _WIDTHS[-1])) > 1.0 - 1e-9,
         )
 
@@ -132,7 +132,7 @@ def _stops() -> Kernel:
 
 
 def check_clocks(
-    part: Motionwise, joints: Sequence[int], model: Robot
+    part: Motionwise, joints: Sequence[int], robot: Robot
 ) -> tuple[list[Finding], Collection[int]]:
     """Check the rate of the stamps and the lag of torques of `joints`.
 
@@ -142,7 +142,7 @@ def check_clocks(
     slow = np.median(np.diff(part.t)) > _SMOOTH
     if slow or np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
         return [], ()
-    rows = LagRows.of(part.log, model, base_columns(model))
+    rows = LagRows.of(part.log, robot, base_columns(robot))
     late = lags(rows, joints)
     remedy = "torques were filtered or come from another clock; shift their columns in time"
     findings = []
@@ -153,7 +153,7 @@ def check_clocks(
             f"its torque is about {1e3 * abs(lag.value):.0f} ms {way} relative to the motion "
             f"(+- {sure:.0f} ms)"
         )
-        findings.append(of_joint("torque-lag", model.joints[j], found, remedy, "warning"))
+        findings.append(of_joint("torque-lag", robot.joints[j], found, remedy, "warning"))
     rate, sure = stamps_rate(rows, joints)
     if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
         findings.append(_wrong_rate(rate))

@@ -32,7 +32,7 @@ def explained(motion: Motionwise, torques: Torques) -> Explained:
 
 
 def check_torque(
-    motion: Motionwise, found: Explained, model: Robot, blurred: Collection[int] = ()
+    motion: Motionwise, found: Explained, robot: Robot, blurred: Collection[int] = ()
 ) -> Iterator[Finding]:
     """Check torques, but not the scale of `blurred` joints."""
     for j, fit in found.items():
@@ -43,31 +43,31 @@ def check_torque(
                 f"which takes {levels} values"
             )
             remedy = "it contains almost no signal, or belongs to another joint"
-            yield of_joint("torque-signal", model.description.joints[j], what, remedy, "warning")
+            yield of_joint("torque-signal", robot.description.joints[j], what, remedy, "warning")
             continue
-        yield from _sign(fit, j, model)
+        yield from _sign(fit, j, robot)
         if j not in blurred:
-            yield from _scale(fit, j, found, model)
+            yield from _scale(fit, j, found, robot)
         if fit.gravity.t < -_SURE and fit.gravity_size > _SEEN * fit.residual:
             yield Finding(
                 check="gravity-sign",
-                joints=(model.description.joints[j],),
+                joints=(robot.description.joints[j],),
                 found="its gravity torque has the opposite sign of the model's "
                 f"({fit.gravity.value:.2g} times, {abs(fit.gravity.t):.0f} standard errors)",
                 remedy="the mounting differs from 'gravity', its zero is off by half a turn, or "
                 "torque or position has the wrong sign",
             )
-    yield from _no_friction(found, model)
-    yield from _against_limits(motion, found, model)
+    yield from _no_friction(found, robot)
+    yield from _against_limits(motion, found, robot)
 
 
 def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
     if fit.friction.t > -_SURE or fit.friction_size < 0.3 * fit.residual:
         return
-    robot = model.description
+    description = model.description
     follows = fit.bears_gravity and fit.gravity.t > _SURE
     what = "position and velocity count" if follows else "torque counts"
-    key, changes = sign_change(robot, j, position=follows)
+    key, changes = sign_change(description, j, position=follows)
     unit = unit_of_joint("N.m", slides=model.slides[j])
     beside = "" if fit.bears_gravity else ", or its position and velocity do"
     found = (
@@ -76,17 +76,17 @@ def _sign(fit: JointTorque, j: int, model: Robot) -> Iterator[Finding]:
         "standard errors)"
     )
     remedy = f"its {what} backwards{beside}; set {key}"
-    yield of_joint("torque-sign", robot.joints[j], found, remedy, changes=changes)
+    yield of_joint("torque-sign", description.joints[j], found, remedy, changes=changes)
 
 
 def sign_change(
-    robot: RobotDescription, j: int | None, *, position: bool
+    description: RobotDescription, j: int | None, *, position: bool
 ) -> tuple[str, dict[str, object]]:
     """Return the change that reverses a torque or position; `j` None means all."""
-    n = len(robot.joints)
+    n = len(description.joints)
 
     def turned(key: str) -> tuple[str | float, ...]:
-        units = robot.log.units.each(key, n)
+        units = description.log.units.each(key, n)
         return tuple(backwards(unit) if j in (k, None) else unit for k, unit in enumerate(units))
 
     first = j or 0
@@ -94,7 +94,7 @@ def sign_change(
     if position:
         changes: dict[str, object] = {f"log.units.{k}": turned(k) for k in ("q", "dq")}
         return f"[log.units] q and dq{whose} with a '-', as {turned('q')[first]!r}", changes
-    gains = robot.log.torque_per_ampere
+    gains = description.log.torque_per_ampere
     if gains is None:
         units = turned("tau")
         return f"[log.units] tau{whose} to {units[first]!r}", {"log.units.tau": units}
@@ -122,23 +122,23 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     # A rotor may exceed the links many times, but never reduces the inertia.
     if not (too_small or too_large) or not np.isfinite(margin):
         return
-    robot = model.description
+    description = model.description
     bearing = [abs(f.gravity.value) for f in found.values() if f.bears_gravity]
     everywhere = len(bearing) > 1 and all(not 1 / _SCALE <= size <= _SCALE for size in bearing)
-    remedy, changes = _why_scaled(robot, j, scale, everywhere=everywhere)
+    remedy, changes = _why_scaled(description, j, scale, everywhere=everywhere)
     if scale <= _WEIGHTLESS and weightless and abs(fit.inertia.value) >= 1.0 / _SCALE:
         remedy = "gravity was removed from it, a spring or counterweight carries the "
         changes = {}
         remedy += "arm, or the file declares another gravity"
     times = f"{max(scale, 0.0):.2g} (+- {margin:.1g}) times"
     said = f"its torque is {times} the {of} torque of the model"
-    yield of_joint("torque-scale", robot.joints[j], said, remedy, changes=changes)
+    yield of_joint("torque-scale", description.joints[j], said, remedy, changes=changes)
 
 
 def _why_scaled(
-    robot: RobotDescription, j: int, scale: float, *, everywhere: bool
+    description: RobotDescription, j: int, scale: float, *, everywhere: bool
 ) -> tuple[str, dict[str, object]]:
-    if robot.log.torque_per_ampere is not None:
+    if description.log.torque_per_ampere is not None:
         if scale <= 0:
             return "its torque_per_ampere is far too small, or the column holds another signal", {}
         off = max(scale, 1.0 / scale)
@@ -147,7 +147,7 @@ def _why_scaled(
         return f"its torque_per_ampere is about {about:g} times too {way}", {}
     if scale > 100:
         return "torque is in mN.m; set [log.units] tau = 'mN.m'", {"log.units.tau": "mN.m"}
-    gears = robot.gear_ratio
+    gears = description.gear_ratio
     if gears and 1 / _SCALE < scale * gears[j] < _SCALE:
         what = "it is the motor torque before the gear"
         return f"{what}; set [log.units] tau = {listed(gears)}", {"log.units.tau": gears}
@@ -158,7 +158,7 @@ def _why_scaled(
     return why, {}
 
 
-def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
+def _no_friction(found: Explained, robot: Robot) -> Iterator[Finding]:
     clear = {j: f for j, f in found.items() if f.r2 > _EXPLAINED}
     told = [abs(f.friction.t) > _SURE or f.residual > _EXACT * f.deviation for f in clear.values()]
     if not clear or any(told):
@@ -166,19 +166,19 @@ def _no_friction(found: Explained, model: Robot) -> Iterator[Finding]:
     yield Finding(
         check="no-friction",
         severity="warning",
-        joints=tuple(model.description.joints[j] for j in clear),
+        joints=tuple(robot.description.joints[j] for j in clear),
         found="the model's rigid body explains their torques completely, and no part follows the "
         "velocity",
         remedy="they were computed or commanded instead of measured, or friction was removed",
     )
 
 
-def _against_limits(motion: Motionwise, found: Explained, model: Robot) -> Iterator[Finding]:
-    limits = np.where(np.isfinite(model.torque_limits), model.torque_limits, 0.0)
+def _against_limits(motion: Motionwise, found: Explained, robot: Robot) -> Iterator[Finding]:
+    limits = np.where(np.isfinite(robot.torque_limits), robot.torque_limits, 0.0)
     peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
-    used = {j: float(peaks[j] / limits[j]) for j in found if limits[j] > 0 and not model.slides[j]}
+    used = {j: float(peaks[j] / limits[j]) for j in found if limits[j] > 0 and not robot.slides[j]}
     for j, share in used.items():
-        name = model.description.joints[j]
+        name = robot.description.joints[j]
         if share > _ABOVE_LIMIT:
             what = f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit"
             yield of_joint("torque-limit", name, what, "its unit or its torque_per_ampere is wrong")
@@ -205,14 +205,14 @@ _SPIKE = 3.0  # torque spike over the range of other rows
 _TOO_FAST = 1.3  # speed over the limit; drives exceed it slightly
 
 
-def check_held(log: Log, robot: RobotDescription) -> Iterator[Finding]:
+def check_held(log: Log, description: RobotDescription) -> Iterator[Finding]:
     """Check raw signals for held, stuck and outlying values."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return
     moves = np.abs(_speeds(log)) > _MOVES
     fine = np.array([len(np.unique(column)) > _LEVELS for column in log.tau.T])
     yield from _repeated(log, moves, fine)
-    for j, joint in enumerate(robot.joints):
+    for j, joint in enumerate(description.joints):
         if log.dq is not None:
             row = _stands_still(log, log.q[:, j], np.abs(log.dq[:, j]) > _MOVES)
             if row is not None:
@@ -275,15 +275,15 @@ def _stuck(log: Log, joint: str, what: str, row: int, while_: str) -> Finding:
     return of_joint("stuck", joint, found, remedy)
 
 
-def check_speed(motion: Motionwise, model: Robot) -> Iterator[Finding]:
+def check_speed(motion: Motionwise, robot: Robot) -> Iterator[Finding]:
     """Check speeds against the model's limits."""
-    limits = np.where(np.isfinite(model.limits[2]), model.limits[2], 0.0)
+    limits = np.where(np.isfinite(robot.limits[2]), robot.limits[2], 0.0)
     peaks = np.quantile(np.abs(motion.v), 0.998, axis=0)
     for j in np.flatnonzero(motion.moves & (limits > 0.0)):
         if peaks[j] <= _TOO_FAST * limits[j]:
             continue
-        unit = "m/s" if model.slides[j] else "rad/s"
+        unit = "m/s" if robot.slides[j] else "rad/s"
         times = f"{peaks[j] / limits[j]:.2g} times the model's limit"
         found = f"it reaches {peaks[j]:.3g} {unit}, {times}"
         remedy = "the time stamps come from a wrong sample rate, a unit is wrong, or the model's "
-        yield of_joint("speed-limit", model.joints[j], found, f"{remedy}limits are", "warning")
+        yield of_joint("speed-limit", robot.joints[j], found, f"{remedy}limits are", "warning")

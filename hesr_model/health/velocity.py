@@ -58,26 +58,28 @@ def _lag(v: Array, dq: Array, period: float) -> float:
 
 
 def check_velocity(
-    motion: Motionwise, robot: RobotDescription, without: Collection[str] = ()
+    motion: Motionwise, description: RobotDescription, without: Collection[str] = ()
 ) -> Iterator[Finding]:
     """Check velocities, but for resting joints and those in `without`."""
     if motion.dq is None:
         return
     dq = motion.dq
-    joints = np.array([j for j in np.flatnonzero(motion.moves) if robot.joints[j] not in without])
+    joints = np.array(
+        [j for j in np.flatnonzero(motion.moves) if description.joints[j] not in without]
+    )
     matches = {int(j): match(motion.v[:, j], dq[:, j], motion.period) for j in joints}
     places = _places(motion, joints)
     derived = {"log.columns.dq": ""}
     for j, found in matches.items():
-        name = robot.joints[j]
+        name = description.joints[j]
         if np.ptp(dq[:, j]) < 1e-9:
             what = "its position moves while its velocity never changes"
             remedy = f"the velocity is not logged; {_DERIVE}"
             yield of_joint("velocity-constant", name, what, remedy, changes=derived)
         elif abs(found.correlation) < _ALIKE:
-            yield _unlike(robot, j, found, places)
+            yield _unlike(description, j, found, places)
         else:
-            yield from _scale(robot, j, matches, motion)
+            yield from _scale(description, j, matches, motion)
             if abs(found.lag) > max(_LATE, 2.0 * motion.period):
                 way = "late" if found.lag > 0 else "early"
                 what = (
@@ -104,15 +106,15 @@ def _places(motion: Motionwise, joints: Integers) -> dict[int, int]:
     }
 
 
-def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int]) -> Finding:
-    name = robot.joints[j]
+def _unlike(description: RobotDescription, j: int, found: Match, places: dict[int, int]) -> Finding:
+    name = description.joints[j]
     other = places.get(j, j)
     what = f"its velocity does not follow its position (correlation {found.correlation:.2f})"
     if other != j:
-        columns = column_names(robot.log.columns.dq, robot.joints)
+        columns = column_names(description.log.columns.dq, description.joints)
         order = [columns[places.get(k, k)] for k in range(len(columns))]
         listed = ", ".join(f'"{column}"' for column in order)
-        place = f"its velocity is in the column of joint '{robot.joints[other]}'; set "
+        place = f"its velocity is in the column of joint '{description.joints[other]}'; set "
         remedy = f"{place}[log.columns] dq = [{listed}]"
         changes = {"log.columns.dq": tuple(order)}
         return of_joint("velocity-columns", name, what, remedy, changes=changes)
@@ -122,12 +124,12 @@ def _unlike(robot: RobotDescription, j: int, found: Match, places: dict[int, int
 
 
 def _scale(
-    robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
+    description: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
 ) -> Iterator[Finding]:
     found = matches[j]
-    name = robot.joints[j]
+    name = description.joints[j]
     if found.slope < 0:
-        declared = enumerate(robot.log.units.each("dq", len(robot.joints)))
+        declared = enumerate(description.log.units.each("dq", len(description.joints)))
         against = {k for k, other in matches.items() if other.correlation < -_ALIKE}
         units = [backwards(unit) if k in against else unit for k, unit in declared]
         what = f"its position falls where its velocity is positive (slope {found.slope:.2f})"
@@ -139,7 +141,7 @@ def _scale(
     ratio = abs(found.slope)
     if not abs(ratio - 1.0) > _SURE * found.error or abs(np.log(ratio)) < _ODD:
         return
-    cause, changes = _cause(robot, j, matches, motion)
+    cause, changes = _cause(description, j, matches, motion)
     shown = f"{ratio:.3g} times faster" if ratio > 1 else f"{1 / ratio:.3g} times slower"
     kind: Severity = "error" if abs(np.log(ratio)) > _WRONG else "warning"
     what = f"q changes {shown} than dq"
@@ -147,14 +149,14 @@ def _scale(
 
 
 def _cause(
-    robot: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
+    description: RobotDescription, j: int, matches: dict[int, Match], motion: Motionwise
 ) -> tuple[str, dict[str, object]]:
     ratio = abs(matches[j].slope)
     all_alike = len(matches) > 1 and all(
         abs(np.log(abs(other.slope) / ratio)) < _SAME for other in matches.values()
     )
-    units = robot.log.units
-    n = len(robot.joints)
+    units = description.log.units
+    n = len(description.joints)
     far = np.max(np.ptp(motion.q, axis=0)) > _TURNS
     for quantity in ("q", "dq") if far else ("dq", "q"):
         # q' = q f scales the derivative of the position by f, dq' = dq f the logged velocity.
@@ -167,7 +169,7 @@ def _cause(
             each[j] = unit
             told = f"{quantity} is in {unit}; set [log.units] {quantity} = {listed(each)}"
             return told, {f"log.units.{quantity}": tuple(each)}
-    gear = robot.gear_ratio[j] if robot.gear_ratio else 1.0
+    gear = description.gear_ratio[j] if description.gear_ratio else 1.0
     for quantity, geared in (("dq", ratio * gear), ("q", ratio / gear)) if gear != 1.0 else ():
         if abs(np.log(geared)) < _SAME:
             each = [*units.each(quantity, n)]

@@ -209,24 +209,24 @@ class Log:
             write_table(temporary, self._columns)
 
 
-def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
+def log_of(path: Path, samples: LogSamples, description: RobotDescription) -> Log:
     """Convert samples of a file to SI; errors as `Log.read`, but for time stamps."""
-    units = robot.log.units
-    n = len(robot.joints)
-    _require_reasonable(path, samples, robot.joints)
+    units = description.log.units
+    n = len(description.joints)
+    _require_reasonable(path, samples, description.joints)
 
     def of_joints(quantity: str, values: Array | None) -> Any:
         if values is None:
             return None
-        zero = (quantity == "q" and robot.log.zero) or 0.0
-        return _of_joints(values * units.factors(quantity, n), robot) + zero
+        zero = (quantity == "q" and description.log.zero) or 0.0
+        return _of_joints(values * units.factors(quantity, n), description) + zero
 
     load = None
     temperature = samples.temperature
-    if robot.log.cylinder is None:
-        tau = _torque(path, samples, robot)
+    if description.log.cylinder is None:
+        tau = _torque(path, samples, description)
     else:
-        tau, load = robot.log.cylinder.forces(samples.effort)
+        tau, load = description.log.cylinder.forces(samples.effort)
     if temperature is not None:
         temperature = temperature - units.zero_of_temperature
     q = of_joints("q", samples.q)
@@ -240,9 +240,9 @@ def log_of(path: Path, samples: LogSamples, robot: RobotDescription) -> Log:
         tau=tau,
         load=load,
         temperature=temperature,
-        q_link=_q_link(path, samples, q, robot),
+        q_link=_q_link(path, samples, q, description),
         path=path,
-        robot=robot,
+        robot=description,
     )
 
 
@@ -295,16 +295,16 @@ def require_travel(where: str, travel: Array, joints: Sequence[str]) -> None:
             )
 
 
-def _of_joints(motion: Array, robot: RobotDescription) -> Array:
-    if robot.transmission is None or robot.transmission.logs == "joint":
+def _of_joints(motion: Array, description: RobotDescription) -> Array:
+    if description.transmission is None or description.transmission.logs == "joint":
         return motion
-    return np.asarray(np.linalg.solve(np.array(robot.transmission.matrix), motion.T).T)
+    return np.asarray(np.linalg.solve(np.array(description.transmission.matrix), motion.T).T)
 
 
-def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
-    gains = robot.log.torque_per_ampere
+def _torque(path: Path, samples: LogSamples, description: RobotDescription) -> Array:
+    gains = description.log.torque_per_ampere
     unit = "current" if samples.is_current else "tau"
-    torque: Array = samples.effort * robot.log.units.factors(unit, len(robot.joints))
+    torque: Array = samples.effort * description.log.units.factors(unit, len(description.joints))
     if samples.is_current:
         if gains is None:
             raise LogError(
@@ -315,13 +315,15 @@ def _torque(path: Path, samples: LogSamples, robot: RobotDescription) -> Array:
                 key="log.torque_per_ampere",
             )
         torque = torque * gains
-    if robot.transmission is None or robot.transmission.logs == "joint":
+    if description.transmission is None or description.transmission.logs == "joint":
         return torque
-    return np.asarray(torque @ np.array(robot.transmission.matrix))
+    return np.asarray(torque @ np.array(description.transmission.matrix))
 
 
-def _q_link(path: Path, samples: LogSamples, q: Array, robot: RobotDescription) -> Array | None:
-    if not robot.log.columns.q_link:
+def _q_link(
+    path: Path, samples: LogSamples, q: Array, description: RobotDescription
+) -> Array | None:
+    if not description.log.columns.q_link:
         return None
     if samples.q_link is None:
         raise LogError(
@@ -331,9 +333,11 @@ def _q_link(path: Path, samples: LogSamples, q: Array, robot: RobotDescription) 
             where=path,
             key="log.columns.q_link",
         )
-    factors = robot.log.units.factors("q_link", len(robot.joints))
-    link: Array = samples.q_link * factors + (robot.log.zero or 0.0)
-    for joint, twist, moved in zip(robot.joints, np.std(q - link, 0), np.std(q, 0), strict=True):
+    factors = description.log.units.factors("q_link", len(description.joints))
+    link: Array = samples.q_link * factors + (description.log.zero or 0.0)
+    for joint, twist, moved in zip(
+        description.joints, np.std(q - link, 0), np.std(q, 0), strict=True
+    ):
         if not _LEAST_TWIST < twist < max(_MOST_TWIST * moved, _LEAST_TRAVEL):
             raise LogError(
                 f"{path}: the link encoder of joint '{joint}' does not show the twist of a gear "
@@ -399,9 +403,9 @@ def require_increase(log: Log, samples: LogSamples, before: int = 0) -> None:
         )
 
 
-def require_rate(where: str, median: float, mean: float, robot: RobotDescription) -> None:
+def require_rate(where: str, median: float, mean: float, description: RobotDescription) -> None:
     """Raise LogError if the time between rows [s] is not that of the robot file."""
-    nominal = robot.log.sample_rate or robot.log.rate
+    nominal = description.log.sample_rate or description.log.rate
     # The mean is robust against jitter, the median against missing rows.
     found = [nominal * period for period in (median, mean) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):

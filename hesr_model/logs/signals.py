@@ -193,9 +193,9 @@ def measured_velocity(log: Log) -> Array:
     return np.vstack([speed[:1], speed])
 
 
-def smoothed(logs: Iterable[Log], model: Robot) -> list[Motion]:
+def smoothed(logs: Iterable[Log], robot: Robot) -> list[Motion]:
     """Return the smooth motions of all parts of logs."""
-    cutoff = model.description.log.filter_cutoff
+    cutoff = robot.description.log.filter_cutoff
     return [smooth(part, cutoff) for part in parts_of(logs)]
 
 

@@ -219,15 +219,15 @@ class Excitation:
         return t, *self.motion.sample(t)
 
 
-def condition(model: Robot, base: tuple[int, ...], motion: Fourier) -> float:
+def condition(robot: Robot, base: tuple[int, ...], motion: Fourier) -> float:
     """Return the condition number of W_b: `base` columns over one period, in SI, unscaled."""
     t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
-    columns = model.regressor(*motion.sample(t))[:, :, list(base)]
+    columns = robot.regressor(*motion.sample(t))[:, :, list(base)]
     return float(np.linalg.cond(columns.reshape(-1, columns.shape[2])))
 
 
 def design(
-    model: Robot, settings: ExcitationSettings | None = None, *, progress: Progress = silent
+    robot: Robot, settings: ExcitationSettings | None = None, *, progress: Progress = silent
 ) -> Excitation:
     """Design the motion with the smallest `condition` within limits.
 
@@ -235,35 +235,35 @@ def design(
     refined. Raises RobotError if the limits do not fit the robot, FitError if they admit no motion.
     """
     settings = settings or ExcitationSettings()
-    rate = settings.sample_rate or model.description.log.sample_rate or _USUAL_RATE
-    limits = Limits.of(model, settings.limits)
-    rest = limits.rest(model)
+    rate = settings.sample_rate or robot.description.log.sample_rate or _USUAL_RATE
+    limits = Limits.of(robot, settings.limits)
+    rest = limits.rest(robot)
     search = Search(
-        model=model, limits=limits, harmonics=settings.harmonics, period=settings.period
+        model=robot, limits=limits, harmonics=settings.harmonics, period=settings.period
     )
     with threadpool_limits(1):
-        starts = random_motions(model, settings, settings.starts, settings.seed)
+        starts = random_motions(robot, settings, settings.starts, settings.seed)
         rough = [
             _descend(search, start, rest, _COARSE, _COARSE_STEPS)
             for start in counted(starts, progress)
         ]
-        best = min(rough, key=lambda motion: condition(model, search.base, motion))
+        best = min(rough, key=lambda motion: condition(robot, search.base, motion))
         period = round(best.period * rate) / rate
         search = replace(search, period=(period, period))
         motion = replace(_descend(search, best, rest, _FINE, _FINE_STEPS), period=period)
     _, dq, _ = one_period(motion)
-    for joint, peak in zip(model.description.joints, np.abs(dq).max(axis=0), strict=True):
+    for joint, peak in zip(robot.description.joints, np.abs(dq).max(axis=0), strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(
-                f"robot '{model.description.name}': the limits allow joint '{joint}' at most "
+                f"robot '{robot.description.name}': the limits allow joint '{joint}' at most "
                 f"{peak:.2g} rad/s; widen them, identification needs {LEAST_PEAK:g} rad/s."
             )
     return Excitation(
         motion=replace(motion, periods=settings.periods),
-        condition=condition(model, search.base, motion),
+        condition=condition(robot, search.base, motion),
         sample_rate=rate,
         limits=limits,
-        peak_torque=peak_torque(model, motion),
+        peak_torque=peak_torque(robot, motion),
     )
 
 
@@ -281,18 +281,18 @@ def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps:
 
 
 def random_motions(
-    model: Robot, settings: ExcitationSettings, count: int, seed: int
+    robot: Robot, settings: ExcitationSettings, count: int, seed: int
 ) -> list[Fourier]:
     """Draw random motions as large as the limits allow, as references for `design`."""
-    limits = Limits.of(model, settings.limits)
-    rest = limits.rest(model)
+    limits = Limits.of(robot, settings.limits)
+    rest = limits.rest(robot)
     rng = np.random.default_rng(seed)
-    shape = (2, model.n, settings.harmonics)
+    shape = (2, robot.n, settings.harmonics)
     motions = []
     for _ in range(count):
         a, b = _LARGE * limits.velocity[:, None] * rng.standard_normal(shape)
         offset = rng.uniform(limits.lower, limits.upper)
         period = rng.uniform(*settings.period)
         motion = Fourier.from_rest(a, b, offset=offset, period=period)
-        motions.append(limits.shrink(motion, model, rest))
+        motions.append(limits.shrink(motion, robot, rest))
     return motions

@@ -62,29 +62,29 @@ class Limits:
     torque: Array
 
     @classmethod
-    def of(cls, model: Robot, given: MotionLimits) -> Self:
+    def of(cls, robot: Robot, given: MotionLimits) -> Self:
         """Return the limits, by default the model's; raises RobotError if they do not fit it."""
         for key, entries in given:
-            if entries is not None and len(entries) != model.n:
+            if entries is not None and len(entries) != robot.n:
                 raise RobotError(
-                    f"key 'limits.{key}' has {len(entries)} entries; the {model.n} joints of robot "
-                    f"'{model.description.name}' need one each."
+                    f"key 'limits.{key}' has {len(entries)} entries; the {robot.n} joints of robot "
+                    f"'{robot.description.name}' need one each."
                 )
-        lowest, highest, speed = model.limits
+        lowest, highest, speed = robot.limits
         if given.position is None:
-            _require_stated(model, "position", highest - lowest)
+            _require_stated(robot, "position", highest - lowest)
         free = KEPT_FREE * (highest - lowest)
         position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
-        for k, joint in enumerate(model.description.joints):
+        for k, joint in enumerate(robot.description.joints):
             if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
                 raise RobotError(
                     f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
                     f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
                 )
         if given.velocity is None:
-            _require_stated(model, "velocity", speed)
+            _require_stated(robot, "velocity", speed)
         velocity = np.array(given.velocity or speed)
-        effort = np.where(model.torque_limits > 0, model.torque_limits, np.inf)
+        effort = np.where(robot.torque_limits > 0, robot.torque_limits, np.inf)
         return cls(
             lower=position[:, 0],
             upper=position[:, 1],
@@ -93,14 +93,14 @@ class Limits:
             torque=np.array(given.torque or effort),
         )
 
-    def shrink(self, motion: Fourier, model: Robot, rest: Array) -> Fourier:
+    def shrink(self, motion: Fourier, robot: Robot, rest: Array) -> Fourier:
         """Shrink a motion until it keeps all limits, for torque towards `rest` (n,) [rad]."""
         inner = 1.0 - _MARGIN
         q, dq, ddq = one_period(motion)
         path = q - motion.offset
         factor = inner * np.minimum.reduce(
             [
-                np.full(model.n, 1.0 / inner),
+                np.full(robot.n, 1.0 / inner),
                 (self.upper - self.lower) / np.ptp(path, axis=0),
                 self.velocity / np.abs(dq).max(axis=0),
                 self.acceleration / np.abs(ddq).max(axis=0),
@@ -116,15 +116,15 @@ class Limits:
         fitting = replace(
             motion, offset=offset, a=factor[:, None] * motion.a, b=factor[:, None] * motion.b
         )
-        return self._shrunk_for_torque(fitting, model, rest)
+        return self._shrunk_for_torque(fitting, robot, rest)
 
-    def _shrunk_for_torque(self, motion: Fourier, model: Robot, rest: Array) -> Fourier:
+    def _shrunk_for_torque(self, motion: Fourier, robot: Robot, rest: Array) -> Fourier:
         def towards_rest(share: float) -> Fourier:
             offset = rest + share * (motion.offset - rest)
             return replace(motion, offset=offset, a=share * motion.a, b=share * motion.b)
 
         def keeps(share: float) -> bool:
-            peak = peak_torque(model, towards_rest(share))
+            peak = peak_torque(robot, towards_rest(share))
             return bool(np.all(peak <= (1.0 - _MARGIN) * self.torque))
 
         if not np.any(np.isfinite(self.torque)) or keeps(1.0):
@@ -136,19 +136,19 @@ class Limits:
             low, high = (middle, high) if keeps(middle) else (low, middle)
         if low == 0.0:
             raise FitError(
-                f"robot '{model.description.name}': the limits allow no motion: gravity exceeds "
+                f"robot '{robot.description.name}': the limits allow no motion: gravity exceeds "
                 "limits.torque in every position."
             )
         return towards_rest(low)
 
-    def rest(self, model: Robot) -> Array:
+    def rest(self, robot: Robot) -> Array:
         """Return the position (n,) [rad] of least gravity over limits; FitError if too large."""
-        places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, model.n))
+        places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, robot.n))
         places[0] = 0.5 * (self.lower + self.upper)
 
         def gravity(q: Array) -> Array:
             still = np.zeros_like(q)
-            return np.abs(model.torque(model.nominal_parameters, q, still, still))
+            return np.abs(robot.torque(robot.nominal_parameters, q, still, still))
 
         found = minimize(
             lambda q: np.max(gravity(q[None, :]) / self.torque),
@@ -161,23 +161,23 @@ class Limits:
         joint = int(np.argmax(needed / self.torque))
         if needed[joint] >= self.torque[joint]:
             raise FitError(
-                f"robot '{model.description.name}': the limits allow no motion: joint "
-                f"'{model.description.joints[joint]}' needs {needed[joint]:.3g} N.m against "
+                f"robot '{robot.description.name}': the limits allow no motion: joint "
+                f"'{robot.description.joints[joint]}' needs {needed[joint]:.3g} N.m against "
                 f"gravity, but limits.torque is {self.torque[joint]:g} N.m."
             )
         return rest
 
 
-def _require_stated(model: Robot, key: str, limits: Array) -> None:
+def _require_stated(robot: Robot, key: str, limits: Array) -> None:
     if not np.all(np.isfinite(limits)):
-        joint = model.joints[int(np.argmin(np.isfinite(limits)))]
+        joint = robot.joints[int(np.argmin(np.isfinite(limits)))]
         raise RobotError(
-            f"robot '{model.name}': its model has no {key} limit of joint '{joint}'; state "
+            f"robot '{robot.name}': its model has no {key} limit of joint '{joint}'; state "
             f"'{key}' of all joints in the table [limits] of the settings (--settings)."
         )
 
 
-def peak_torque(model: Robot, motion: Fourier) -> Array:
+def peak_torque(robot: Robot, motion: Fourier) -> Array:
     """Return the largest torque (n,) [N.m] of the model file's rigid body, without friction."""
     q, dq, ddq = one_period(motion)
-    return np.asarray(np.abs(model.torque(model.nominal_parameters, q, dq, ddq)).max(axis=0))
+    return np.asarray(np.abs(robot.torque(robot.nominal_parameters, q, dq, ddq)).max(axis=0))

@@ -65,14 +65,14 @@ class Streamed:
         self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
     ) -> identification.RigidBody:
         """Return the rigid body, with the covariance of some or all `motions`; raises FitError."""
-        model = self._model
+        robot = self._model
         base = self._base
         friction = self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
-        identification.require_speed(where, self._peaks, model)
-        scale = identification.scale_of(model, base, friction)
+        identification.require_speed(where, self._peaks, robot)
+        scale = identification.scale_of(robot, base, friction)
         with threadpool_limits(1):
-            loose = identification.loose_of(model, base, friction)
+            loose = identification.loose_of(robot, base, friction)
             factors = self._factors
             solution = least_squares.solve_factors(factors, scale=scale, weighted=True, loose=loose)
             identification.tell_ridge(where, solution)
@@ -85,7 +85,7 @@ class Streamed:
         return identification.body_of(
             solution,
             covariance,
-            model,
+            robot,
             base,
             friction,
             rows=self.rows,
@@ -124,18 +124,18 @@ class Streamed:
                 row += len(some.t)
 
 
-def identify_long(logs: Sequence[LongLog], model: Robot) -> identification.RigidBody:
+def identify_long(logs: Sequence[LongLog], robot: Robot) -> identification.RigidBody:
     """Identify as `identification.identify` by the stacked method, with bounded memory."""
     names = dict.fromkeys(log.stretches[0].where for log in logs)
     travel: Array = np.array([log.travel for log in logs]).max(axis=0)
-    require_travel(", ".join(names), travel, model.description.joints)
+    require_travel(", ".join(names), travel, robot.description.joints)
 
     def motions() -> Iterator[Motion]:
         return chain.from_iterable(log.motions() for log in logs)
 
     slow = None
     while True:
-        stream = Streamed(model, slow)
+        stream = Streamed(robot, slow)
         for motion in motions():
             stream.add(motion)
         if stream.fits:

@@ -14,65 +14,65 @@ _RANDOM_STATES = 300
 _LATER = 1e3  # springs replace no mass: their columns are chosen after those of masses
 
 
-def base_columns(model: Robot, known: Sequence[int] = ()) -> tuple[int, ...]:
+def base_columns(robot: Robot, known: Sequence[int] = ()) -> tuple[int, ...]:
     """Return indices of a largest set of independent columns, by pivoted QR at random states.
 
     Columns that are `known` are in none.
     """
-    columns = at_random_states(model)
+    columns = at_random_states(robot)
     columns[:, list(known)] = 0.0
     lengths = np.linalg.norm(columns, axis=0)
     # Round-off must not be scaled up to a full column.
     columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
     lengths[lengths == 0.0] = 1.0
-    lengths[model.inertial :] *= _LATER
+    lengths[robot.inertial :] *= _LATER
     _, r, order = scipy.linalg.qr(columns / lengths, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(r))
     rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
     return tuple(sorted(int(k) for k in order[:rank]))
 
 
-def known_columns(model: Robot) -> list[int]:
+def known_columns(robot: Robot) -> list[int]:
     """Return the indices of the parameters that the robot file lists as known."""
-    names = model.parameter_names[: model.inertial]
-    for name in model.description.known or ():
+    names = robot.parameter_names[: robot.inertial]
+    for name in robot.description.known or ():
         if name not in names:
             raise RobotError(
-                f"key 'known' of robot '{model.name}' contains '{name}'; the parameters are "
+                f"key 'known' of robot '{robot.name}' contains '{name}'; the parameters are "
                 f"{', '.join(names)}."
             )
-    return [names.index(name) for name in model.description.known or ()]
+    return [names.index(name) for name in robot.description.known or ()]
 
 
-def unknown_columns(model: Robot, *, rotors: bool = False) -> tuple[int, ...]:
+def unknown_columns(robot: Robot, *, rotors: bool = False) -> tuple[int, ...]:
     """Return a largest set of independent unknown columns; `rotors` add those behind gears."""
-    known = known_columns(model)
-    own = range(10 * model.links, model.inertial) if rotors else ()
-    return tuple(sorted({*base_columns(model, [*known, *own]), *own} - {*known}))
+    known = known_columns(robot)
+    own = range(10 * robot.links, robot.inertial) if rotors else ()
+    return tuple(sorted({*base_columns(robot, [*known, *own]), *own} - {*known}))
 
 
-def dependence(model: Robot, base: tuple[int, ...]) -> Array:
+def dependence(robot: Robot, base: tuple[int, ...]) -> Array:
     """Return K (len(base), P), which maps all onto base parameters: Y = Y_b K."""
-    columns = at_random_states(model)
+    columns = at_random_states(robot)
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
 
-def offsets_apart(model: Robot, base: tuple[int, ...]) -> Mask:
+def offsets_apart(robot: Robot, base: tuple[int, ...]) -> Mask:
     """Return whether constant torques are independent of `base`, as with a vertical weight."""
-    columns = at_random_states(model)[:, list(base)]
-    coupling = model.description.coupling
-    each = np.eye(model.n) if coupling is None else coupling.forward.T
+    columns = at_random_states(robot)[:, list(base)]
+    coupling = robot.description.coupling
+    each = np.eye(robot.n) if coupling is None else coupling.forward.T
     constant = np.tile(each, (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
     left = constant - columns @ np.linalg.lstsq(columns, constant, rcond=None)[0]
     return np.asarray(np.linalg.norm(left, axis=0) > np.sqrt(_RANK_TOLERANCE))
 
 
-def at_random_states(model: Robot) -> Array:
+def at_random_states(robot: Robot) -> Array:
     """Return the regressor at random states, (samples * n, P)."""
     rng = np.random.default_rng(0)
-    lower, upper, speed = model.reach
-    shape = (_RANDOM_STATES, model.n)
+    lower, upper, speed = robot.reach
+    shape = (_RANDOM_STATES, robot.n)
     q = rng.uniform(lower, upper, shape)
     dq = rng.uniform(-speed, speed, shape)
     ddq = rng.uniform(-2 * speed, 2 * speed, shape)
-    return model.regressor(q, dq, ddq).reshape(-1, len(model.parameter_names))
+    return robot.regressor(q, dq, ddq).reshape(-1, len(robot.parameter_names))

@@ -56,7 +56,7 @@ class GearForm:
     signals: dict[str, Array]
 
 
-def gear_forms(motions: Sequence[Motion], model: Robot, used: Sequence[Mask]) -> list[GearForm]:
+def gear_forms(motions: Sequence[Motion], robot: Robot, used: Sequence[Mask]) -> list[GearForm]:
     """Return the forms of elastic gears, low-passed as the motions; none without link encoders."""
     if not motions or any(motion.q_link is None for motion in motions):
         return []
@@ -66,12 +66,12 @@ def gear_forms(motions: Sequence[Motion], model: Robot, used: Sequence[Mask]) ->
     parts = [slice(*pair) for pair in pairwise(ends)]
 
     def smooth(values: Array) -> Array:
-        cutoff = model.description.log.filter_cutoff
+        cutoff = robot.description.log.filter_cutoff
         pairs = zip(motions, parts, strict=True)
         return np.concatenate([zero_phase(m.t, values[rows], cutoff)(m.t) for m, rows in pairs])
 
     data |= {"smooth": smooth(data["tau"]), "link": smooth(np.sign(data["dq_link"]))}
-    each = [{n: x[:, j] for n, x in data.items()} for j in range(model.n)]
+    each = [{n: x[:, j] for n, x in data.items()} for j in range(robot.n)]
     return [_form(own, parts, rows, smooth) for own, rows in zip(each, used, strict=True)]
 
 
@@ -126,7 +126,7 @@ def with_gears(
     blocks: Sequence[Block],
     forms: Sequence[GearForm],
     base: tuple[int, ...],
-    model: Robot,
+    robot: Robot,
     links: Integers,
 ) -> list[Block]:
     """Return blocks with motor friction; `links` (n, 2) are the columns of each link's friction."""
@@ -137,7 +137,7 @@ def with_gears(
     for j, (block, form) in enumerate(zip(blocks, forms, strict=True)):
         k = block.samples
         at = places[j]
-        rotor = 10 * model.links + j
+        rotor = 10 * robot.links + j
         tau, smooth, turning = (form.signals[n][k] for n in ("tau", "smooth", "ddq"))
         both, motor = np.zeros((2, len(k), places[-1]))
         both[:, :first] = block.matrix
@@ -148,7 +148,7 @@ def with_gears(
         if rotor in base:
             motor[:, base.index(rotor)] = turning
         else:
-            smooth = smooth - model.nominal_parameters[rotor] * turning
+            smooth = smooth - robot.nominal_parameters[rotor] * turning
         motors.append(Block(matrix=motor, target=smooth, samples=k))
     return [*whole, *motors]
 

@@ -105,21 +105,21 @@ class RigidBody:
         head = ("base parameter [SI]", "value", "standard error")
         return html_table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
-    def torque(self, model: Robot, motion: Motion) -> Array:
+    def torque(self, robot: Robot, motion: Motion) -> Array:
         """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""
-        return model.torque(self.parameters_for(model), *motion.states)
+        return robot.torque(self.parameters_for(robot), *motion.states)
 
-    def parameters_for(self, model: Robot) -> Array:
+    def parameters_for(self, robot: Robot) -> Array:
         """Return the parameters (P,), or raise RobotError for another robot."""
-        if self.names != model.parameter_names:
+        if self.names != robot.parameter_names:
             raise RobotError(
                 f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
-                f"robot '{model.description.name}', which has {len(model.parameter_names)}: "
+                f"robot '{robot.description.name}', which has {len(robot.parameter_names)}: "
                 "identify it with the same robot file."
             )
         return self.parameters
 
-    def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
+    def torque_spread(self, robot: Robot, motion: Motion) -> Array | None:
         """Return torque errors over a motion, (N, n, r) [N.m]; None if the covariance is unknown.
 
         They are for one standard deviation of each of the r independent parameter errors that
@@ -130,10 +130,10 @@ class RigidBody:
         values, vectors = np.linalg.eigh(self.covariance.matrix)
         spread = vectors * np.sqrt(np.maximum(values, 0.0))
         columns = list(self.base)
-        _, s, vt = np.linalg.svd(at_random_states(model)[:, columns] @ spread, full_matrices=False)
+        _, s, vt = np.linalg.svd(at_random_states(robot)[:, columns] @ spread, full_matrices=False)
         spread = spread @ vt[s > _MATTERS * s[0]].T
         parts = [
-            model.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
+            robot.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
             for k in (slice(at, at + AT_ONCE) for at in range(0, len(motion.t), AT_ONCE))
         ]
         return np.concatenate(parts)
@@ -172,7 +172,7 @@ class RigidBody:
 
 def identify(
     logs: Sequence[Log],
-    model: Robot,
+    robot: Robot,
     *,
     method: Method = "stacked",
     weighting: Weighting | None = None,
@@ -180,20 +180,20 @@ def identify(
     physical: bool = False,
 ) -> RigidBody:
     """Identify rigid-body parameters from logs; errors as `identify_motions`, LogError."""
-    require_moving([*logs, *reversed_logs], model.description.joints)
+    require_moving([*logs, *reversed_logs], robot.description.joints)
     return identify_motions(
-        smoothed(logs, model),
-        model,
+        smoothed(logs, robot),
+        robot,
         method=method,
         weighting=weighting,
-        reversed_motions=smoothed(reversed_logs, model),
+        reversed_motions=smoothed(reversed_logs, robot),
         physical=physical,
     )
 
 
 def identify_motions(
     motions: Sequence[Motion],
-    model: Robot,
+    robot: Robot,
     *,
     method: Method = "stacked",
     weighting: Weighting | None = None,
@@ -213,42 +213,42 @@ def identify_motions(
     With `physical` (`rigid_body.physical`), all standard parameters are weakly pulled towards the
     model file's.
     """
-    if physical and model.description.known is not None:
+    if physical and robot.description.known is not None:
         raise FitError(
-            f"robot '{model.name}': 'physical' excludes 'known' of the robot file; remove one."
+            f"robot '{robot.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
     everything = [*motions, *reversed_motions]
-    used = observations.used_rows(everything, model) if everything else []
-    forms = gear_forms(everything, model, used)
+    used = observations.used_rows(everything, robot) if everything else []
+    forms = gear_forms(everything, robot, used)
     if forms and (physical or method == "paper"):
         raise FitError(
-            f"robot '{model.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
+            f"robot '{robot.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
             "'method' paper; leave them out."
         )
     motions, reversed_motions = (
-        observations.without_known(m, model) for m in (motions, reversed_motions)
+        observations.without_known(m, robot) for m in (motions, reversed_motions)
     )
     everything = [*motions, *reversed_motions]
-    base = unknown_columns(model, rotors=bool(forms))
-    friction = observations.friction_columns(model, base) & (method == "stacked")
+    base = unknown_columns(robot, rotors=bool(forms))
+    friction = observations.friction_columns(robot, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in everything)
     links = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
     rows = sum(len(motion.t) for motion in everything)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
-    require_speed(where, observations.peak_speeds(everything, model), model)
+    require_speed(where, observations.peak_speeds(everything, robot), robot)
 
     def blocks_of(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
-            return observations.averaged(motions, reversed_motions, model, columns)
-        blocks = observations.stacked(everything, model, columns, friction)
-        return with_gears(blocks, forms, columns, model, links) if forms else blocks
+            return observations.averaged(motions, reversed_motions, robot, columns)
+        blocks = observations.stacked(everything, robot, columns, friction)
+        return with_gears(blocks, forms, columns, robot, links) if forms else blocks
 
     blocks = blocks_of(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
     columns = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
-    scale = np.concatenate([scale_of(model, base, friction), *columns])
+    scale = np.concatenate([scale_of(robot, base, friction), *columns])
     elements = [np.arange(len(size)) >= FIXED for size in columns]
-    loose = np.concatenate([loose_of(model, base, friction), *elements])
+    loose = np.concatenate([loose_of(robot, base, friction), *elements])
     solution = solve(blocks, scale=scale, weighted=weighting == "wls", loose=loose)
     if not physical:
         tell_ridge(where, solution)
@@ -257,7 +257,7 @@ def identify_motions(
     body = body_of(
         solution,
         covariance,
-        model,
+        robot,
         base,
         friction,
         rows=rows,
@@ -267,18 +267,18 @@ def identify_motions(
     )
     if forms:
         found = solution.x, covariance.standard_errors
-        return replace(body, gears=gears_of(forms, model.joints, *found, links))
+        return replace(body, gears=gears_of(forms, robot.joints, *found, links))
     if not physical:
         return body
-    return _consistent(body, blocks_of(tuple(range(len(body.names)))), model, friction, labels)
+    return _consistent(body, blocks_of(tuple(range(len(body.names)))), robot, friction, labels)
 
 
 def _consistent(
-    body: RigidBody, blocks: Sequence[Block], model: Robot, friction: Mask, labels: Integers
+    body: RigidBody, blocks: Sequence[Block], robot: Robot, friction: Mask, labels: Integers
 ) -> RigidBody:
     with threadpool_limits(1):
         found = consistent.fit(
-            blocks, model, body.base, labels, rmse=body.rmse, weighted=body.weighting == "wls"
+            blocks, robot, body.base, labels, rmse=body.rmse, weighted=body.weighting == "wls"
         )
     return replace(
         body,
@@ -292,22 +292,22 @@ def _consistent(
     )
 
 
-def scale_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Array:
+def scale_of(robot: Robot, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m]; that of friction columns is 1."""
-    rigid = np.sqrt(np.mean(at_random_states(model)[:, list(base)] ** 2, axis=0))
+    rigid = np.sqrt(np.mean(at_random_states(robot)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
 
 
-def loose_of(model: Robot, base: tuple[int, ...], friction: Mask) -> Mask:
+def loose_of(robot: Robot, base: tuple[int, ...], friction: Mask) -> Mask:
     """Return whether each column is that of a spring."""
     columns = np.array([*base, *[-1] * int(np.sum(friction))], dtype=int)
-    return columns >= model.inertial
+    return columns >= robot.inertial
 
 
 def body_of(
     solution: Solution,
     covariance: Covariance,
-    model: Robot,
+    robot: Robot,
     base: tuple[int, ...],
     friction: Mask,
     *,
@@ -317,23 +317,23 @@ def body_of(
     weighting: Weighting,
 ) -> RigidBody:
     """Return the rigid body of a solution."""
-    names = [model.parameter_names[k] for k in base]
+    names = [robot.parameter_names[k] for k in base]
     covariance = covariance.mapped(names, np.eye(len(base), len(solution.x)))
-    parameters = np.zeros(len(model.parameter_names))
+    parameters = np.zeros(len(robot.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
-    known = known_columns(model)
-    parameters[known] = model.nominal_parameters[known]
+    known = known_columns(robot)
+    parameters[known] = robot.nominal_parameters[known]
     return RigidBody(
-        robot=model.description.name,
-        joints=model.description.joints,
-        names=model.parameter_names,
+        robot=robot.description.name,
+        joints=robot.description.joints,
+        names=robot.parameter_names,
         parameters=parameters,
         base=base,
         standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
         friction=observations.per_joint(solution.x[len(base) :][: np.sum(friction)], friction),
-        rmse=solution.rmse[: model.n],
+        rmse=solution.rmse[: robot.n],
         rows=rows,
         logs=logs,
         method=method,
@@ -363,9 +363,9 @@ def require_samples(where: str, rows: int, unknowns: int) -> None:
         )
 
 
-def require_speed(where: str, peaks: Array, model: Robot) -> None:
+def require_speed(where: str, peaks: Array, robot: Robot) -> None:
     """Raise FitError if a joint's peak speed is too small."""
-    for joint, peak in zip(model.description.joints, peaks, strict=True):
+    for joint, peak in zip(robot.description.joints, peaks, strict=True):
         if not peak > LEAST_PEAK:
             raise FitError(
                 f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; at least one log "

@@ -67,14 +67,14 @@ SLOW = 0.1  # [rad/s, m/s]; slow friction depends on more than velocity
 SLOW_SHARE = 0.25  # bound of `SLOW` over the peak speed, for slow joints such as lifts
 
 
-def rubbing_speeds(motions: Sequence[Motion], model: Robot) -> Array:
+def rubbing_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
     """Return the velocities of friction coordinates, (N, n)."""
-    return onto(model.description.coupling, np.concatenate([motion.dq for motion in motions]))
+    return onto(robot.description.coupling, np.concatenate([motion.dq for motion in motions]))
 
 
-def peak_speeds(motions: Sequence[Motion], model: Robot) -> Array:
+def peak_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
     """Return the peak speeds (n,) of friction coordinates."""
-    return np.asarray(np.max(np.abs(rubbing_speeds(motions, model)), axis=0))
+    return np.asarray(np.max(np.abs(rubbing_speeds(motions, robot)), axis=0))
 
 
 def slow_speeds(peaks: Array) -> Array:
@@ -82,26 +82,26 @@ def slow_speeds(peaks: Array) -> Array:
     return np.minimum(SLOW, SLOW_SHARE * peaks)
 
 
-def without_known(motions: Sequence[Motion], model: Robot) -> list[Motion]:
+def without_known(motions: Sequence[Motion], robot: Robot) -> list[Motion]:
     """Return motions without the torque of known parameters."""
-    known = known_columns(model)
+    known = known_columns(robot)
     if not known:
         return list(motions)
-    own = np.zeros_like(model.nominal_parameters)
-    own[known] = model.nominal_parameters[known]
-    return [replace(m, tau=m.tau - model.torque(own, *m.states)) for m in motions]
+    own = np.zeros_like(robot.nominal_parameters)
+    own[known] = robot.nominal_parameters[known]
+    return [replace(m, tau=m.tau - robot.torque(own, *m.states)) for m in motions]
 
 
-def used_rows(motions: Sequence[Motion], model: Robot, slow: Array | None = None) -> list[Mask]:
+def used_rows(motions: Sequence[Motion], robot: Robot, slow: Array | None = None) -> list[Mask]:
     """Return whether each friction coordinate is faster than `slow` (n,) in each row."""
-    slow = slow_speeds(peak_speeds(motions, model)) if slow is None else slow
-    return list(slow[:, None] < np.abs(rubbing_speeds(motions, model)).T)
+    slow = slow_speeds(peak_speeds(motions, robot)) if slow is None else slow
+    return list(slow[:, None] < np.abs(rubbing_speeds(motions, robot)).T)
 
 
-def friction_columns(model: Robot, base: tuple[int, ...]) -> Mask:
+def friction_columns(robot: Robot, base: tuple[int, ...]) -> Mask:
     """Return the Coulomb, viscous and offset columns (n, 3); no offset is a weight."""
-    columns = np.ones((model.n, 3), dtype=bool)
-    columns[:, 2] = offsets_apart(model, base)
+    columns = np.ones((robot.n, 3), dtype=bool)
+    columns[:, 2] = offsets_apart(robot, base)
     return columns
 
 
@@ -121,22 +121,22 @@ def per_joint(found: Array, friction: Mask) -> Array:
 
 def stacked(
     motions: Sequence[Motion],
-    model: Robot,
+    robot: Robot,
     base: tuple[int, ...],
     friction: Mask,
     slow: Array | None = None,
 ) -> list[Block]:
     """Return a block per friction coordinate, of rows above `slow`; friction columns are last."""
-    n = model.n
+    n = robot.n
     states = [np.concatenate(parts) for parts in zip(*(m.states for m in motions), strict=True)]
     dq = states[1]
     tau = np.concatenate([motion.tau for motion in motions])
-    rigid = model.regressor(*states)[:, :, list(base)]
-    coupling = model.description.coupling
+    rigid = robot.regressor(*states)[:, :, list(base)]
+    coupling = robot.description.coupling
     if coupling is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
     blocks = []
-    for joint, rows in enumerate(used_rows(motions, model, slow)):
+    for joint, rows in enumerate(used_rows(motions, robot, slow)):
         speed = dq[rows, joint]
         rubbing = np.zeros((len(speed), n, 3))
         rubbing[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
@@ -146,7 +146,7 @@ def stacked(
 
 
 def averaged(
-    motions: Sequence[Motion], counterparts: Sequence[Motion], model: Robot, base: tuple[int, ...]
+    motions: Sequence[Motion], counterparts: Sequence[Motion], robot: Robot, base: tuple[int, ...]
 ) -> list[Block]:
     """Return one block per friction coordinate: means of forward and reversed rows.
 
@@ -158,16 +158,16 @@ def averaged(
             "the paper's method needs one for each."
         )
     pairs = [matched(*pair) for pair in zip(motions, counterparts, strict=True)]
-    both = ([model.regressor(*motion.states) for motion in pair] for pair in pairs)
+    both = ([robot.regressor(*motion.states) for motion in pair] for pair in pairs)
     matrix = np.concatenate([0.5 * (a + b) for a, b in both])[:, :, list(base)]
     target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
-    coupling = model.description.coupling
+    coupling = robot.description.coupling
     if coupling is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
-    forward, backward = (rubbing_speeds(each, model) for each in zip(*pairs, strict=True))
-    slow = slow_speeds(peak_speeds([*motions, *counterparts], model))
+    forward, backward = (rubbing_speeds(each, robot) for each in zip(*pairs, strict=True))
+    slow = slow_speeds(peak_speeds([*motions, *counterparts], robot))
     kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
-    for joint, rows in zip(model.description.joints, kept.T, strict=True):
+    for joint, rows in zip(robot.description.joints, kept.T, strict=True):
         if not np.any(rows):
             raise FitError(
                 f"log {', '.join(motion.name for motion in motions)}: joint '{joint}' never moves "

@@ -65,14 +65,14 @@ class Payload:
         }
 
 
-def identify_payload(logs: Sequence[Log], model: Robot, unloaded: RigidBody) -> Payload:
+def identify_payload(logs: Sequence[Log], robot: Robot, unloaded: RigidBody) -> Payload:
     """Identify the payload from logs; errors as `identify_payload_motions`, LogError."""
-    require_moving(logs, model.description.joints)
-    return identify_payload_motions(smoothed(logs, model), model, unloaded)
+    require_moving(logs, robot.description.joints)
+    return identify_payload_motions(smoothed(logs, robot), robot, unloaded)
 
 
 def identify_payload_motions(
-    motions: Sequence[Motion], model: Robot, unloaded: RigidBody
+    motions: Sequence[Motion], robot: Robot, unloaded: RigidBody
 ) -> Payload:
     """Identify the payload on the last link; raises RobotError, FitError."""
     name = "log " + ", ".join(motion.name for motion in motions)
@@ -82,11 +82,11 @@ def identify_payload_motions(
             f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
             f"payload needs at least {_LEAST_SEGMENTS * _SEGMENT:g} s."
         )
-    added = [replace(motion, tau=motion.tau - unloaded.torque(model, motion)) for motion in motions]
-    columns = _last_link(model)
-    friction = observations.friction_columns(model, columns)
-    blocks = observations.stacked(added, model, columns, friction)
-    solution = solve(blocks, scale=scale_of(model, columns, friction), weighted=True)
+    added = [replace(motion, tau=motion.tau - unloaded.torque(robot, motion)) for motion in motions]
+    columns = _last_link(robot)
+    friction = observations.friction_columns(robot, columns)
+    blocks = observations.stacked(added, robot, columns, friction)
+    solution = solve(blocks, scale=scale_of(robot, columns, friction), weighted=True)
     if solution.ridge:
         raise FitError(
             f"{name}: the motion does not determine the payload (condition number "
@@ -94,7 +94,7 @@ def identify_payload_motions(
         )
     carried = [
         block.matrix[:, : len(unloaded.base)]
-        for block in observations.stacked(motions, model, unloaded.base, friction)
+        for block in observations.stacked(motions, robot, unloaded.base, friction)
     ]
     covariance = _covariance(blocks, solution, [segments[block.samples] for block in blocks])
     covariance += _inherited(blocks, solution, carried, unloaded.standard_errors)
@@ -116,12 +116,12 @@ def identify_payload_motions(
     return payload
 
 
-def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
+def loaded(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
     """Return the rigid body with the payload in its last link."""
-    columns = list(_last_link(model))
+    columns = list(_last_link(robot))
     parameters = unloaded.parameters.copy()
     parameters[columns] += payload.parameters
-    carried = dependence(model, unloaded.base)[:, columns]
+    carried = dependence(robot, unloaded.base)[:, columns]
     more = carried @ payload.covariance @ carried.T
     own = unloaded.covariance
     return replace(
@@ -137,8 +137,8 @@ def loaded(unloaded: RigidBody, payload: Payload, model: Robot) -> RigidBody:
     )
 
 
-def _last_link(model: Robot) -> tuple[int, ...]:
-    return tuple(range(10 * (model.links - 1), 10 * model.links))
+def _last_link(robot: Robot) -> tuple[int, ...]:
+    return tuple(range(10 * (robot.links - 1), 10 * robot.links))
 
 
 def _segments(motions: Sequence[Motion]) -> Integers:

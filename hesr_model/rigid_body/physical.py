@@ -70,7 +70,7 @@ def link_parameters(pseudo: Array) -> Array:
 
 def fit(
     blocks: Sequence[Block],
-    model: Robot,
+    robot: Robot,
     base: tuple[int, ...],
     labels: Integers,
     *,
@@ -83,9 +83,9 @@ def fit(
     number of each sample, `rmse` (blocks,) [N.m] the residual of the unconstrained fit, for first
     weights.
     """
-    chart = _Chart.of(model)
+    chart = _Chart.of(robot)
     count = sum(len(block.target) for block in blocks)
-    size = model.inertial
+    size = robot.inertial
     x = chart.start
     for _ in range(_REWEIGHTINGS):
         weights = _weights(blocks, rmse, weighted)
@@ -114,43 +114,43 @@ def fit(
         weights=weights,
         rmse=rmse,
     )
-    standard = len(model.parameter_names)
-    to_base = dependence(model, base) @ slopes[:standard]
+    standard = len(robot.parameter_names)
+    to_base = dependence(robot, base) @ slopes[:standard]
     covariance = covariance_of(moved, at, labels)
     return PhysicalFit(
         parameters=every[:standard],
         friction=every[standard:],
-        covariance=covariance.mapped([model.parameter_names[k] for k in base], to_base),
+        covariance=covariance.mapped([robot.parameter_names[k] for k in base], to_base),
         rmse=rmse,
     )
 
 
-def is_possible(model: Robot, parameters: Array) -> bool:
+def is_possible(robot: Robot, parameters: Array) -> bool:
     """Return whether bodies can have these parameters (P,), without mass included."""
-    links = parameters[: 10 * model.links].reshape(-1, 10)
+    links = parameters[: 10 * robot.links].reshape(-1, 10)
     least = [np.linalg.eigvalsh(p)[0] / max(np.trace(p), _TINY) for p in map(pseudo_inertia, links)]
-    rotors = parameters[10 * model.links : model.inertial]
+    rotors = parameters[10 * robot.links : robot.inertial]
     return min(least) > -_ROUNDING and bool(np.all(rotors >= 0.0))
 
 
-def nearest(model: Robot, parameters: Array) -> tuple[Array, Array, Array]:
+def nearest(robot: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     """Return the physically consistent parameters (P,) with torques closest to those of others.
 
     Also returns the largest difference and the largest torque per joint, (n,) [N.m], at random
     states.
     """
-    size = model.inertial
-    rows = at_random_states(model)
-    torque = (rows @ parameters).reshape(-1, model.n)
+    size = robot.inertial
+    rows = at_random_states(robot)
+    torque = (rows @ parameters).reshape(-1, robot.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
     own = rows[:, :size]
     (factor,) = scipy.linalg.qr(weights * np.column_stack([own, own @ parameters[:size]]), mode="r")
-    chart = _Chart.of(model)
+    chart = _Chart.of(robot)
     scaled = factor[: size + 1] / np.sqrt(len(rows))
     task = _Problem(chart=chart, rows=scaled, pull=_WEAK * chart.pull)
     x = scipy.optimize.least_squares(task.residuals, chart.start, jac=task.slopes, method="lm").x
     found = np.concatenate([chart.parameters(x), parameters[size:]])
-    off = np.abs((rows @ found).reshape(-1, model.n) - torque)
+    off = np.abs((rows @ found).reshape(-1, robot.n) - torque)
     return found, off.max(axis=0), np.abs(torque).max(axis=0)
 
 
@@ -163,9 +163,9 @@ class _Chart:
     pull: Array  # (10 n + r,) residual per unit and square root of rows
 
     @classmethod
-    def of(cls, model: Robot) -> Self:
-        nominal = model.nominal_parameters[: model.inertial]
-        links = 10 * model.links
+    def of(cls, robot: Robot) -> Self:
+        nominal = robot.nominal_parameters[: robot.inertial]
+        links = 10 * robot.links
         factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
         known = rotors > 0

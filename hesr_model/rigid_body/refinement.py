@@ -13,14 +13,14 @@ from hesr_model.robots.robot import Robot
 
 def identify_again(
     logs: Sequence[Log],
-    model: Robot,
-    rigid_body: RigidBody,
+    robot: Robot,
+    body: RigidBody,
     friction: FrictionModel,
     *,
     reversed_logs: Sequence[Log] = (),
 ) -> RigidBody:
-    """Identify the rigid body without the torque of `friction`, fitted with `rigid_body`."""
-    joints = tuple(model.description.joints)
+    """Identify the rigid body without the torque of `friction`, fitted with `body`."""
+    joints = tuple(robot.description.joints)
     if friction.joints != joints:
         raise ArtifactError(
             f"friction model '{friction.law}' is for the joints {', '.join(friction.joints)}; the "
@@ -28,9 +28,9 @@ def identify_again(
         )
 
     def without_friction(log: Log) -> Log:
-        records = friction_records(log, model, rigid_body)
+        records = friction_records(log, robot, body)
         return replace(log, tau=log.tau - friction.predict(records))
 
     logs, others = (list(map(without_friction, parts_of(some))) for some in (logs, reversed_logs))
     # The law is that of both sides of a gear, whose own friction would be left out.
-    return replace(identify(logs, model, reversed_logs=others), gears=rigid_body.gears)
+    return replace(identify(logs, robot, reversed_logs=others), gears=body.gears)

@@ -99,12 +99,12 @@ def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[Fric
     return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
 
 
-def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
+def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[FrictionRecord]:
     """Return the friction records of a smoothed log."""
-    torque = rigid_body.torque(model, motion)
+    torque = body.torque(robot, motion)
     load = torque if motion.load is None else motion.load
-    spread = None if motion.load is not None else rigid_body.torque_spread(model, motion)
-    ratios = model.description.gear_ratio or (None,) * model.n
+    spread = None if motion.load is not None else body.torque_spread(robot, motion)
+    ratios = robot.description.gear_ratio or (None,) * robot.n
     columns = {"dq": motion.dq, "q": motion.q_raw, "tau_load": load, "dq_causal": motion.dq_causal}
     known = {name: values for name, values in columns.items() if values is not None}
     return [
@@ -116,12 +116,12 @@ def motion_records(motion: Motion, model: Robot, rigid_body: RigidBody) -> list[
             tau_body=None if motion.load is None else torque[:, k],
             tau_load_spread=None if spread is None else spread[:, k],
             gear_ratio=ratios[k],
-            sliding=model.slides[k],
+            sliding=robot.slides[k],
             temperature=None if motion.temperature is None else motion.temperature[:, k],
-            coupling=model.description.coupling,
+            coupling=robot.description.coupling,
             **{name: np.ascontiguousarray(values[:, k]) for name, values in known.items()},
         )
-        for k, joint in enumerate(model.description.joints)
+        for k, joint in enumerate(robot.description.joints)
     ]
 
 

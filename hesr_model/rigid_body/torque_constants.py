@@ -58,7 +58,7 @@ class Constant:
 
 def torque_constants(
     motions: Sequence[Motion],
-    model: Robot,
+    robot: Robot,
     assumed: Sequence[float],
     *,
     mass_error: float,
@@ -77,19 +77,19 @@ def torque_constants(
         )
     if bool(loaded) != (payload is not None):
         raise FitError("motions under a payload need its parameters, and vice versa.")
-    every = tuple(range(len(model.parameter_names)))
-    columns = friction_columns(model, base_columns(model))
-    kinds = [(stacked(motions, model, every, columns), np.zeros(10))]
+    every = tuple(range(len(robot.parameter_names)))
+    columns = friction_columns(robot, base_columns(robot))
+    kinds = [(stacked(motions, robot, every, columns), np.zeros(10))]
     if payload is not None:
-        kinds.append((stacked(loaded, model, every, columns), np.array(payload, dtype=float)))
+        kinds.append((stacked(loaded, robot, every, columns), np.array(payload, dtype=float)))
     weight = np.zeros(len(every))  # weights and first moments
-    for k in range(model.links):
+    for k in range(robot.links):
         weight[10 * k : 10 * k + 4] = 1.0
-    spread = _spread(model, mass_error)
+    spread = _spread(robot, mass_error)
     found = []
-    for j, (joint, constant) in enumerate(zip(model.description.joints, assumed, strict=True)):
+    for j, (joint, constant) in enumerate(zip(robot.description.joints, assumed, strict=True)):
         own = [(blocks[j], carried) for blocks, carried in kinds]
-        kappa, relative = _Problem.of(own, model, weight, spread).solve()
+        kappa, relative = _Problem.of(own, robot, weight, spread).solve()
         value = float(constant / kappa) if kappa > 0.0 else np.inf
         known = bool(kappa > 0.0 and relative < _DETERMINED)
         error = value * relative
@@ -126,11 +126,11 @@ class _Problem:
 
     @classmethod
     def of(
-        cls, kinds: Sequence[tuple[Block, Array]], model: Robot, weight: Array, spread: Array
+        cls, kinds: Sequence[tuple[Block, Array]], robot: Robot, weight: Array, spread: Array
     ) -> "_Problem":
         size = len(spread)
-        last = slice(10 * (model.links - 1), 10 * model.links)
-        nominal = model.nominal_parameters
+        last = slice(10 * (robot.links - 1), 10 * robot.links)
+        nominal = robot.nominal_parameters
         rows = []
         for block, carried in kinds:
             rigid = block.matrix[:, :size]
@@ -212,13 +212,13 @@ class _Problem:
         return np.vstack([*parts, prior])
 
 
-def _spread(model: Robot, mass_error: float) -> Array:
+def _spread(robot: Robot, mass_error: float) -> Array:
     """Return the standard deviations (P,) of the model file."""
-    nominal = model.nominal_parameters
+    nominal = robot.nominal_parameters
     spread = np.full(len(nominal), _ROTOR)
-    spread[model.inertial :] = _SPRING
-    heaviest = max(float(np.max(nominal[: 10 * model.links : 10])), 1e-3)
-    for k in range(model.links):
+    spread[robot.inertial :] = _SPRING
+    heaviest = max(float(np.max(nominal[: 10 * robot.links : 10])), 1e-3)
+    for k in range(robot.links):
         m, *rest = nominal[10 * k : 10 * k + 10]
         mass = max(m, 1e-3 * heaviest)
         arm = max(float(np.linalg.norm(rest[:3])) / mass, _LEAST_ARM)

@@ -52,7 +52,7 @@ class RobotModel:
             )
         return found
 
-    def geometry(self, robot: RobotDescription) -> Any:
+    def geometry(self, description: RobotDescription) -> Any:
         """Return Pinocchio's collision geometry of the reduced model; None if it is incomplete."""
         import pinocchio as pin  # slow to import
 
@@ -66,17 +66,17 @@ class RobotModel:
                 )
         except Exception:  # of many kinds: meshes or packages are missing, or names differ
             return None
-        return self.reduced(robot, found) if found.ngeoms else None
+        return self.reduced(description, found) if found.ngeoms else None
 
-    def reduced(self, robot: RobotDescription, geometry: Any = None) -> Any:
+    def reduced(self, description: RobotDescription, geometry: Any = None) -> Any:
         """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
         model = self.model
         path = self.path
-        known = self._below(robot.root)
-        joints = robot.joints
-        locked = robot.locked
+        known = self._below(description.root)
+        joints = description.joints
+        locked = description.locked
         for name in (*joints, *locked):
             if name not in known:
                 raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")

@@ -56,18 +56,18 @@ def data(results: Results) -> dict[str, Any]:
 
 def body(results: Results) -> dict[str, Any]:
     """Return the identified parameters and their torque."""
-    found = results.body
+    body = results.body
     log = results.log_of("identification")
-    weighted = ", weighted by the noise of each joint" if found.weighting == "wls" else ""
+    weighted = ", weighted by the noise of each joint" if body.weighting == "wls" else ""
     return {
-        "body": found,
-        "rotors": sum(name.endswith(".Ir") for name in found.names),
-        "method": _METHODS[found.method] + weighted,
-        "condition": rounded(found.condition),
-        "errors": ", ".join(map(rounded, found.rmse)),
+        "body": body,
+        "rotors": sum(name.endswith(".Ir") for name in body.names),
+        "method": _METHODS[body.method] + weighted,
+        "condition": rounded(body.condition),
+        "errors": ", ".join(map(rounded, body.rmse)),
         "log": log,
         "torques": _torques(results, log) if log else None,
-        "parameters": parameters(found),
+        "parameters": parameters(body),
     }
 
 

@@ -116,13 +116,13 @@ class ObservedLog:
 
 def observed_logs(
     model: FrictionModel,
-    body: PlantBody,
+    plant_body: PlantBody,
     limits: ObserverLimits,
     logs: Sequence[Log],
     bandwidth: float = BANDWIDTH,
 ) -> list[ObservedLog]:
     """Run the observer over parts of logs, with logged speeds or else those behind the low pass."""
-    bare = content(model, body, limits, bandwidth=bandwidth, bare=True)
+    bare = content(model, plant_body, limits, bandwidth=bandwidth, bare=True)
     arrays = outputs_of(bare.table)
     found = []
     names = [v.name for v in bare.table.variables if v.role == "input"]
@@ -133,7 +133,7 @@ def observed_logs(
         inputs = fmu.buffer(names)
         outputs = fmu.buffer([v.name for a in arrays for v in a.elements])
         for log in parts_of(logs):
-            dq = _speed(log, body)
+            dq = _speed(log, plant_body)
             rows = np.hstack([log.q, dq, log.tau])
             if model.thermal:
                 if log.temperature is None:
@@ -152,18 +152,18 @@ def observed_logs(
     return found
 
 
-def _speed(log: Log, body: PlantBody) -> Array:
+def _speed(log: Log, plant_body: PlantBody) -> Array:
     if log.dq is not None:
         return log.dq
     speed = measured_velocity(log)
     some = log.t - log.t[0] < _BEGINNING
     speed[0] = np.mean(speed[some], axis=0)  # noise must not look like motion to the law
-    return low_passed(log.t, speed, body.robot.description.log.filter_cutoff)
+    return low_passed(log.t, speed, plant_body.robot.description.log.filter_cutoff)
 
 
 def limits_of(
     model: FrictionModel,
-    body: PlantBody,
+    plant_body: PlantBody,
     calibration: Sequence[PathArg | Log],
     bandwidth: float = BANDWIDTH,
 ) -> ObserverLimits:
@@ -176,10 +176,10 @@ def limits_of(
     """
     if not calibration:
         return law_limits(model)
-    joints = range(body.robot.n)
-    logs = calibration_logs(calibration, body.robot)
+    joints = range(plant_body.robot.n)
+    logs = calibration_logs(calibration, plant_body.robot)
     nothing = ObserverLimits(numbers=((0.0,) * len(joints),) * len(NAMES), factor=1.0)
-    runs = observed_logs(model, body, nothing, logs, bandwidth)
+    runs = observed_logs(model, plant_body, nothing, logs, bandwidth)
     blocks = [(k, second) for k, run in enumerate(runs) for second in run.t // _BLOCK]
     _, starts = np.unique(blocks, axis=0, return_index=True)
     if len(starts) < _LEAST:
@@ -325,6 +325,8 @@ def observe(
     """
     model = arguments.model_given(law)
     read = arguments.checked_logs(logs, robot, accept)
-    body = arguments.plant_body(read.robot, rigid_body)
+    plant_body = arguments.plant_body(read.robot, rigid_body)
     free = [] if calibration is None else arguments.listed(calibration)
-    return observed_logs(model, body, limits_of(model, body, free, bandwidth), read.logs, bandwidth)
+    return observed_logs(
+        model, plant_body, limits_of(model, plant_body, free, bandwidth), read.logs, bandwidth
+    )

@@ -126,7 +126,7 @@ def _parameters(
 
 
 def _interface(
-    model: FrictionModel, body: PlantBody, own: Sequence[Variable], current: bool
+    model: FrictionModel, plant_body: PlantBody, own: Sequence[Variable], current: bool
 ) -> Interface:
     laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
     zeros = (0.0,) * len(laws)
@@ -141,7 +141,7 @@ def _interface(
         moving = {n: friction_component.mixed(n, i, model.coupling) for n in ("dq", "q")}
         return {**moving, TAU_LOAD.name: ()}
 
-    parameters = [*own, *inertial_parameters(body), *friction_component.scales(model)]
+    parameters = [*own, *inertial_parameters(plant_body), *friction_component.scales(model)]
     of_laws = [
         v
         for i, (law, one) in enumerate(zip(model.laws, laws, strict=True), start=1)
@@ -153,7 +153,7 @@ def _interface(
         found += vector(name, "output", unit, text, zeros, made_of)
     text = "whether the external torque of a joint is beyond its threshold"
     found.append(Variable("contact", "output", text, boolean=True, dependencies=made_of))
-    for name, unit, shape, text in _WRENCH if has_wrench(body.robot) else ():
+    for name, unit, shape, text in _WRENCH if has_wrench(plant_body.robot) else ():
         for place in np.ndindex(*shape):
             index = ",".join(str(k + 1) for k in place)
             one = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
@@ -163,7 +163,7 @@ def _interface(
     turned = (at_joint(v, model.slides) for v in found)
     return Interface(
         variables=tuple(friction_component.of_the_last_step(v, inputs) for v in turned),
-        own=1 + len(laws) * (len(laws) + 4) + 10 * body.robot.links,
+        own=1 + len(laws) * (len(laws) + 4) + 10 * plant_body.robot.links,
         model_exchange=False,
         directional_derivatives=False,
     )
@@ -176,7 +176,7 @@ def outputs_of(table: Interface) -> list[ArrayVariable]:
 
 def content(
     model: FrictionModel,
-    body: PlantBody,
+    plant_body: PlantBody,
     limits: ObserverLimits,
     *,
     bandwidth: float = BANDWIDTH,
@@ -190,11 +190,11 @@ def content(
             f"law '{model.law}' takes the temperature from the heat of friction, which an observer "
             "does not support; fit it to logs with temperatures."
         )
-    require_fitting(model, body.robot)
+    require_fitting(model, plant_body.robot)
     if not 0.0 < bandwidth < np.inf:
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
     own = list(_parameters(model, limits, bandwidth, constants))
-    table = _interface(model, body, own, bool(constants))
+    table = _interface(model, plant_body, own, bool(constants))
     thermal = (f"thermal_{f.name}" for f in fields(Thermal)[:_THERMAL])
     absent = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
     first = {name.upper(): "contact" for name in absent}  # of an observer without these
@@ -207,13 +207,13 @@ def content(
     names = ("coupling.h", "law_math.h", "regroup.h")
     sources = {name: package.own_source(name) for name in names} | {
         "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
-        "dynamics.h": dynamics_header(body.robot, of_joints=True),
-        "jacobian.h": jacobian_header(body.robot),
+        "dynamics.h": dynamics_header(plant_body.robot, of_joints=True),
+        "jacobian.h": jacobian_header(plant_body.robot),
         "equations.h": equations_header(laws, table, first, wanted=SOLVER, coupling=model.coupling),
     }
     about = description_of(
         model,
-        name=f"Observer of {body.robot.name} with {model_title(model)}",
+        name=f"Observer of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"observer_{model.law}",
         text=f"External torque of {len(laws)} joints from their motion and motors. {limits.text}",
         step=model.sample_time,
@@ -224,7 +224,7 @@ def content(
     titles = list(dict.fromkeys(map(title, model.laws)))
     sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
     sheet |= {"refused": refused, "bandwidth": bandwidth, "constants": constants}
-    sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(body.robot)}
+    sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(plant_body.robot)}
     sheet |= {"groups": variable_groups(table)}
     page = rendered("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
     inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})

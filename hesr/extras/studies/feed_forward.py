@@ -68,8 +68,8 @@ def _predicted(
 ) -> Following:
     commands = dict(feed_forward(log, robot, body, models, servo))
     kv, ki, kp = (tuple(map(float, gains)) for gains in cascade(servo.factors))
-    arm = PlantBody.of(robot, body)
-    export_plant(plant, fmu, body=arm, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
+    plant_body = PlantBody.of(robot, body)
+    export_plant(plant, fmu, body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
     error = commanded(log)[0] - log.q
     missed = _missed(log, robot, body, plant)
     generator = np.random.default_rng(0)

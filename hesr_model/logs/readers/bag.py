@@ -81,14 +81,14 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in _SUFFIXES
 
 
-def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
+def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     """Read the joint states from the topics of a bag; raises LogError.
 
     Joints that no message lists together are interpolated at the stamps of the slowest one.
     """
-    bag = robot.log.bag
-    drop = robot.log.missing == "drop"
-    joints = bag.joints or robot.joints
+    bag = description.log.bag
+    drop = description.log.missing == "drop"
+    joints = bag.joints or description.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
     messages = list(_messages(path, bag.topics))
     used = [message for message in messages if set(joints) <= set(message.state.name)]
@@ -118,12 +118,12 @@ def read_bag(path: Path, robot: RobotDescription) -> LogSamples:
             where=where,
             key="position",
         )
-    if robot.log.columns.dq and dq is None:
+    if description.log.columns.dq and dq is None:
         _log.warning("%s: has no velocity; it is derived from the position.", where)
     return LogSamples(
         t=(t - t[0]) * 1e-9,
         q=q,
-        dq=dq if robot.log.columns.dq else None,
+        dq=dq if description.log.columns.dq else None,
         effort=effort,
         is_current=bag.effort == "current",
         time=where.removeprefix(f"{path}: "),

@@ -21,10 +21,10 @@ from hesr_model.support.arrays import Array
 GROUP = "hesr.logs"
 
 
-def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
+def samples_of(table: LogTable, description: RobotDescription) -> LogSamples:
     """Read the columns of the robot file; errors as `Log.read`."""
-    log = robot.log
-    columns = robot.log.columns
+    log = description.log
+    columns = description.log.columns
     drop = log.missing == "drop"
     if log.rate and columns.t not in table.names:
         t = (table.before + np.arange(table.rows)) / log.rate
@@ -32,9 +32,9 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
     else:
         t = table.times(columns.t, float(log.units.factors("t", 1)[0]), missing=drop)
         time = f"column '{columns.t}'"
-    q = _joints(table, columns.q, robot)
-    dq = _joints(table, columns.dq, robot) if columns.dq else None
-    effort, is_current = _effort(table, robot)
+    q = _joints(table, columns.q, description)
+    dq = _joints(table, columns.dq, description) if columns.dq else None
+    effort, is_current = _effort(table, description)
     return LogSamples(
         t=t,
         q=q,
@@ -43,14 +43,14 @@ def samples_of(table: LogTable, robot: RobotDescription) -> LogSamples:
         is_current=is_current,
         time=time,
         place=lambda k: f"row {table.row(k)}",
-        q_link=_joints(table, columns.q_link, robot) if columns.q_link else None,
-        **{quantity: _optional(table, quantity, robot) for quantity in OPTIONAL},
+        q_link=_joints(table, columns.q_link, description) if columns.q_link else None,
+        **{quantity: _optional(table, quantity, description) for quantity in OPTIONAL},
     )
 
 
-def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array:
+def _joints(table: LogTable, columns: Columns, description: RobotDescription) -> Array:
     if isinstance(columns, str) and "{name}" not in columns:
-        n = len(robot.joints)
+        n = len(description.joints)
         # One joint more than the file can have, numbered.
         names = column_names(columns, [""] * (len(table.names) + n + 1))
         there = set(table.names)
@@ -71,34 +71,36 @@ def _joints(table: LogTable, columns: Columns, robot: RobotDescription) -> Array
                 where=table.path,
                 key=names[found],
             )
-    return table.numbers(column_names(columns, robot.joints), missing=robot.log.missing == "drop")
+    return table.numbers(
+        column_names(columns, description.joints), missing=description.log.missing == "drop"
+    )
 
 
-def _optional(table: LogTable, quantity: str, robot: RobotDescription) -> Array | None:
-    columns = getattr(robot.log.columns, quantity)
+def _optional(table: LogTable, quantity: str, description: RobotDescription) -> Array | None:
+    columns = getattr(description.log.columns, quantity)
     default = columns == OPTIONAL[quantity]
-    if default and not set(column_names(columns, robot.joints)) & set(table.names):
+    if default and not set(column_names(columns, description.joints)) & set(table.names):
         return None
     if not default or quantity == "temperature":
-        return _joints(table, columns, robot)
+        return _joints(table, columns, description)
     with suppress(LogError):  # commands that were not asked for must not make a log unreadable
-        if np.isfinite(found := _joints(table, columns, robot)).all():
+        if np.isfinite(found := _joints(table, columns, description)).all():
             return found
     return None
 
 
-def _effort(table: LogTable, robot: RobotDescription) -> tuple[Array, bool]:
-    columns = robot.log.columns
-    gains = robot.log.torque_per_ampere
-    if robot.log.cylinder is not None:
-        names = [name for pair in robot.log.cylinder.pressures for name in pair]
-        return table.numbers(names, missing=robot.log.missing == "drop"), False
-    torque = column_names(columns.tau, robot.joints)[0]
-    current = column_names(columns.current, robot.joints)[0]
+def _effort(table: LogTable, description: RobotDescription) -> tuple[Array, bool]:
+    columns = description.log.columns
+    gains = description.log.torque_per_ampere
+    if description.log.cylinder is not None:
+        names = [name for pair in description.log.cylinder.pressures for name in pair]
+        return table.numbers(names, missing=description.log.missing == "drop"), False
+    torque = column_names(columns.tau, description.joints)[0]
+    current = column_names(columns.current, description.joints)[0]
     if gains is not None and current in table.names:
-        return _joints(table, columns.current, robot), True
+        return _joints(table, columns.current, description), True
     if torque in table.names:
-        return _joints(table, columns.tau, robot), False
+        return _joints(table, columns.tau, description), False
     if current in table.names:
         raise LogError(
             f"{table.path}: column '{torque}' is missing; for the currents in '{current}' add "
@@ -168,14 +170,14 @@ COLUMNS = table_format(
 )  # Fallback for every file: CSV, Parquet and Feather
 
 
-def sample_pieces(path: Path, robot: RobotDescription, rows: int) -> Iterator[LogSamples]:
+def sample_pieces(path: Path, description: RobotDescription, rows: int) -> Iterator[LogSamples]:
     """Yield the samples of successive rows; none of a format that is read as a whole."""
     first = None
     before = 0
     pieces = format_of(path).pieces
-    for piece in pieces(path, robot.log, rows) if pieces else ():
-        table = replace(piece.named(robot.log.columns.names), first=first, before=before)
-        yield samples_of(table, robot)
+    for piece in pieces(path, description.log, rows) if pieces else ():
+        table = replace(piece.named(description.log.columns.names), first=first, before=before)
+        yield samples_of(table, description)
         first, before = first or table, before + table.rows
 
 
