@@ -123,9 +123,9 @@ def write_loops(
     write_system(spec, folder / "closed_loop.toml")
     try:
         known = list(models.values())
-        law = next((one for one in known if one.laws[0].form.memory), known[0])
+        model = next((one for one in known if one.laws[0].form.memory), known[0])
         plant = export_plant(
-            law,
+            model,
             folder / "fmus" / PLANT,
             body=PlantBody.of(robot, body),
             kv=gains.Kv,

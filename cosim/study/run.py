@@ -190,8 +190,8 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     models |= {law: one.friction for law, one in refinements.items()}
     findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
-    for law, fitted in models.items():
-        fitted.write(folder / "laws" / f"{law}.json")
+    for law, model in models.items():
+        model.write(folder / "laws" / f"{law}.json")
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
     of_each(
         models,

@@ -212,8 +212,10 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorR
     others = [law for law in table.laws if references[law] != law]
     against = {reference: table.ratios(reference) for reference in set(references.values())}
     found = {law: against[references[law]][law] for law in others}
-    adjusted = holm({law: one.p for law, one in found.items() if one.p is not None})
-    return {law: replace(one, p=adjusted.get(law), detectable=None) for law, one in found.items()}
+    adjusted = holm({law: ratio.p for law, ratio in found.items() if ratio.p is not None})
+    return {
+        law: replace(ratio, p=adjusted.get(law), detectable=None) for law, ratio in found.items()
+    }
 
 
 def _against_best(

@@ -63,8 +63,8 @@ def of_each(
     progress: Progress,
 ) -> dict[str, Returned]:
     """Return the results of a function of each law and model, called in processes."""
-    jobs = [partial(do, law, fitted) for law, fitted in models.items()]
-    costs = [fitted.size for fitted in models.values()]
+    jobs = [partial(do, law, model) for law, model in models.items()]
+    costs = [model.size for model in models.values()]
     with parallel.results_of(jobs, None, costs, list(models)) as done:
         return {law: next(done) for law in counted(list(models), progress)}
 
@@ -304,13 +304,13 @@ class Job:
                 laws = (min(both, key=lambda name: both[name].size),)
                 body = both[laws[0]].body
                 continue
-            friction = self.fit(records, (law,), what, {})[law]
+            model = self.fit(records, (law,), what, {})[law]
             if refinement.kind == "output_error":
-                together = refine(robot, body, friction, smoothed(list(training.values()), robot))
+                together = refine(robot, body, model, smoothed(list(training.values()), robot))
                 body = together.body
                 refined = {law: together.friction}
             else:
-                body = identify_again(forward, robot, body, friction, reversed_logs=backward)
+                body = identify_again(forward, robot, body, model, reversed_logs=backward)
         return body, refined
 
     def refine(

@@ -285,8 +285,8 @@ def _improve(
     resting = []
     loaded = []
     rows = zip(short, model.laws, model.trained, trained, tested, strict=True)
-    for name, law, seen, learnt, new in rows:
-        beyond = {k: e for k, e in outside(seen, new).items() if e.rows > _BEYOND}
+    for name, law, trained_range, learnt, new in rows:
+        beyond = {k: e for k, e in outside(trained_range, new).items() if e.rows > _BEYOND}
         if "dq" in beyond:
             faster.append(name)
         if "tau_load" in beyond and TAU_LOAD in law.form.inputs:

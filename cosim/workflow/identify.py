@@ -121,9 +121,9 @@ def identify(
         found = loaded(without, carried, read.robot)
         more["payload"] = carried.to_dict()
     elif friction is not None and rigid_body is not None:
-        law = arguments.model_given(friction)
+        model = arguments.model_given(friction)
         body = arguments.body_of(rigid_body, (), read.robot)
-        found = identify_again(forward, read.robot, body, law, reversed_logs=backward)
+        found = identify_again(forward, read.robot, body, model, reversed_logs=backward)
     elif read.longs:
         found = identify_long(read.longs, read.robot)
     else:

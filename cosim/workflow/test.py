@@ -49,10 +49,10 @@ class LawReport(Answer):
         """Return the best law, then passivity and failed checks of each law."""
         lines = _scores_lines(self.scores) if self.scores else []
         for law in self.laws:
-            found = self.audits.get(law.name)
-            if found:
+            audit = self.audits.get(law.name)
+            if audit:
                 joints = law.model.joints if law.model else ()
-                lines.append(f"{law.name}: passivity {passivity(joints, found.certificates)}.")
+                lines.append(f"{law.name}: passivity {passivity(joints, audit.certificates)}.")
             checks = self.properties.get(law.name)
             if checks:
                 lines.append(f"{law.name}: {_failed(checks)}")
@@ -128,11 +128,11 @@ class LawReport(Answer):
                         "rests_on": list(c.rests_on),
                         "sequences": c.sequences,
                     }
-                    for c in found.certificates
+                    for c in audit.certificates
                 ]
-                for name, found in self.audits.items()
+                for name, audit in self.audits.items()
             },
-            "properties": {name: to_json(found) for name, found in self.properties.items()},
+            "properties": {name: to_json(audit) for name, audit in self.properties.items()},
             **{kind: other.result() for kind, other in self.others.items()},
         }
 
@@ -301,14 +301,14 @@ def _certified(report: LawReport, *, alone: bool) -> LawReport:
             continue
         try:
             seen = ranges(law.model, reference_motion(law.model))
-            audits[law.name] = found = ModelAudit.of(law.model, seen)
+            audits[law.name] = audit = ModelAudit.of(law.model, seen)
         except HesrError:
             if alone:
                 raise
             continue
         joints = [
             joint
-            for joint, certificate in zip(law.model.joints, found.certificates, strict=True)
+            for joint, certificate in zip(law.model.joints, audit.certificates, strict=True)
             if certificate.verdict == "refuted"
         ]
         if joints:
@@ -379,9 +379,11 @@ def _leaving(law: Subject, records: Records) -> list[str]:
     found = [
         {
             k: v
-            for k, v in outside(trained, r, own).items()
+            for k, v in outside(trained_range, r, thermal).items()
             if k in (*map(str, law.form.inputs), "temperature")
         }
-        for law, trained, own, r in zip(model.laws, model.trained, warm, moved, strict=True)
+        for law, trained_range, thermal, r in zip(
+            model.laws, model.trained, warm, moved, strict=True
+        )
     ]
     return [leaving(model.joints, found, model.sliding)] if any(found) else []

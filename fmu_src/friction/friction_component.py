@@ -252,8 +252,8 @@ def typed_variable(
 
 
 def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float:
-    seen = model.trained[joint - 1] if model.trained else None
-    return _usual(max(map(abs, getattr(seen, quantity.name, (0.0,)))))
+    trained_range = model.trained[joint - 1] if model.trained else None
+    return _usual(max(map(abs, getattr(trained_range, quantity.name, (0.0,)))))
 
 
 def discretisation(model: FrictionModel, description: str) -> Variable:

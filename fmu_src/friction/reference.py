@@ -207,22 +207,22 @@ def reference_motion(
     step = model.sample_time if rows is None else periods / (frequency * rows)
     t = np.round(step * np.arange(count), 12)
     columns = [
-        _of_joint(t, seen, 2.0 * np.pi * frequency, i * phase, lead_in)
-        for i, seen in enumerate(model.trained or (None,) * len(model.joints), start=1)
+        _of_joint(t, trained_range, 2.0 * np.pi * frequency, i * phase, lead_in)
+        for i, trained_range in enumerate(model.trained or (None,) * len(model.joints), start=1)
     ]
     dq, q, load = (np.column_stack(part) for part in zip(*columns, strict=True))
     return ReferenceMotion(t=t, dq=dq, q=q, tau_load=load)
 
 
 def _of_joint(
-    t: Array, trained: TrainedRange | None, rate: float, angle: float, lead_in: float
+    t: Array, trained_range: TrainedRange | None, rate: float, angle: float, lead_in: float
 ) -> tuple[Array, Array, Array]:
     """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
     grown = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
-    dq = trained_speed(trained) * grown * np.sin(rate * t + angle)
+    dq = trained_speed(trained_range) * grown * np.sin(rate * t + angle)
     q = _integral(dq, t)
-    q += (trained.middle if trained else 0.0) - 0.5 * (q.min() + q.max())
-    low, high = trained.tau_load if trained else (0.0, 0.0)
+    q += (trained_range.middle if trained_range else 0.0) - 0.5 * (q.min() + q.max())
+    low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
     # Slightly within the range, because of round-off.
     load = 0.5 * (low + high) + 0.49 * (high - low) * np.cos(rate * t + angle)
     return dq, q, load
@@ -242,12 +242,12 @@ def _integral(values: Array, t: Array) -> Array:
     return np.append(0.0, np.cumsum(steps / 12.0 * areas))
 
 
-def trained_speed(trained: TrainedRange | None) -> float:
+def trained_speed(trained_range: TrainedRange | None) -> float:
     """Return the largest speed trained in both directions, or `UNKNOWN_SPEED` [rad/s]."""
-    if trained is None:
+    if trained_range is None:
         return UNKNOWN_SPEED
-    both_ways = min(-trained.dq[0], trained.dq[1])
-    return both_ways if both_ways > 0.0 else trained.speed
+    both_ways = min(-trained_range.dq[0], trained_range.dq[1])
+    return both_ways if both_ways > 0.0 else trained_range.speed
 
 
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:

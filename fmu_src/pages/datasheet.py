@@ -65,7 +65,9 @@ def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange,
 
 def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, ...]:
     """Return the audit of each joint's law in a range."""
-    return tuple(audit(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+    return tuple(
+        audit(law, trained_range) for law, trained_range in zip(model.laws, seen, strict=True)
+    )
 
 
 def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
@@ -78,7 +80,9 @@ def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
 
 def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Certificate, ...]:
     """Return the passivity of each joint's law, with cycles within its range."""
-    return tuple(certify(law, range_) for law, range_ in zip(model.laws, seen, strict=True))
+    return tuple(
+        certify(law, trained_range) for law, trained_range in zip(model.laws, seen, strict=True)
+    )
 
 
 def certified(found: Certificate, *, slides: bool = False) -> str:
@@ -175,11 +179,13 @@ def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, 
     }
 
 
-def fastest(law: FrictionLaw, seen: TrainedRange) -> dict[str, float]:
+def fastest(law: FrictionLaw, trained_range: TrainedRange) -> dict[str, float]:
     """Return the largest rate [1/s] of each state within a range."""
-    speeds = np.unique([*np.linspace(*seen.dq, 401), *np.clip([-1e-3, 0.0, 1e-3], *seen.dq)])
-    places = np.linspace(*seen.q, 33)
-    loads = np.unique([*seen.tau_load, np.clip(0.0, *seen.tau_load)])
+    speeds = np.unique(
+        [*np.linspace(*trained_range.dq, 401), *np.clip([-1e-3, 0.0, 1e-3], *trained_range.dq)]
+    )
+    places = np.linspace(*trained_range.q, 33)
+    loads = np.unique([*trained_range.tau_load, np.clip(0.0, *trained_range.tau_load)])
     grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, places, loads)]
     symbols = tuple(c.symbol for c in law.form.coefficients)
     at_rest = dict.fromkeys((m.state for m in law.form.memory), 0)

@@ -297,10 +297,14 @@ def _trained_rows(
     if not trained:
         return {}
     rows = {
-        f"{name} [{units[name]}]": [spelled(getattr(seen, name)) for seen in trained]
+        f"{name} [{units[name]}]": [
+            spelled(getattr(trained_range, name)) for trained_range in trained
+        ]
         for name in _RANGES
     }
-    return rows | {"sample time [s]": [figure(seen.sample_time) for seen in trained]}
+    return rows | {
+        "sample time [s]": [figure(trained_range.sample_time) for trained_range in trained]
+    }
 
 
 def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
@@ -340,9 +344,9 @@ def _torque(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-def _rate_rows(law: FrictionLaw, seen: TrainedRange) -> list[dict[str, str]]:
+def _rate_rows(law: FrictionLaw, trained_range: TrainedRange) -> list[dict[str, str]]:
     rows = []
-    for name, rate in datasheet.fastest(law, seen).items():
+    for name, rate in datasheet.fastest(law, trained_range).items():
         limits = {"rk4": datasheet.RK4, "euler": datasheet.EULER}
         steps = {k: f"{1e3 * x / rate:.3g} ms" if rate > 0.0 else "any" for k, x in limits.items()}
         rows.append({"name": name, "rate": figure(rate, 3), **steps})

@@ -127,10 +127,12 @@ def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
             {
                 "name": name,
                 "uses": sorted({s.name for s in law.form.inputs} if own else used),
-                "speeds": seen.dq if seen else None,
+                "speeds": trained_range.dq if trained_range else None,
                 "noise": error,
             }
-            for name, law, seen, error in zip(model.joints, model.laws, trained, noise, strict=True)
+            for name, law, trained_range, error in zip(
+                model.joints, model.laws, trained, noise, strict=True
+            )
         ],
     }
 
@@ -205,17 +207,17 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
     trained = model.trained or (None,) * len(model.joints)
     connectors = (*(u.name for u in INPUTS), "tau")
     joints = []
-    for i, (name, law, seen, slides) in enumerate(
+    for i, (name, law, trained_range, slides) in enumerate(
         zip(model.joints, model.laws, trained, model.slides, strict=True), start=1
     ):
-        motion = _motion(law, seen, model.sample_time)
+        motion = _motion(law, trained_range, model.sample_time)
         motion = (replace(k, unit=unit_of_joint(k.unit, slides=slides)) for k in motion)
         joints.append(
             {
                 "name": name,
                 "references": {x: table.places[f"{x}[{i}]"] for x in connectors},
                 "units": {x: unit_of_joint(unit, slides=slides) for x, unit in _UNITS.items()},
-                "speeds": list(seen.dq) if seen else None,
+                "speeds": list(trained_range.dq) if trained_range else None,
                 "motion": list(map(asdict, motion)),
                 "coefficients": list(map(asdict, _coefficients(law, i, table))),
             }
@@ -223,8 +225,8 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
     return {"module": packed(module), "step": model.sample_time, "joints": joints}
 
 
-def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterator[Knob]:
-    speed = trained_speed(seen)
+def _motion(law: FrictionLaw, trained_range: TrainedRange | None, step: float) -> Iterator[Knob]:
+    speed = trained_speed(trained_range)
     digits = 2 - floor(log10(speed))
     within = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
     low = _short(speed / 200.0)
@@ -239,12 +241,12 @@ def _motion(law: FrictionLaw, seen: TrainedRange | None, step: float) -> Iterato
     text = "cycles, the last one drawn in full"
     yield Knob("cycles", text, "", 3.0, 1.0, 10.0, "whole", least=1.0, most=_MOST_CYCLES)
     if Q in law.form.inputs:
-        middle = seen.middle if seen else 0.0
+        middle = trained_range.middle if trained_range else 0.0
         low = _short(middle - 3.0)
         high = _short(middle + 3.0)
         yield Knob("centre", "centre of the positions", "rad", middle, low, high)
     if TAU_LOAD in law.form.inputs:
-        low, high = seen.tau_load if seen else (0.0, 0.0)
+        low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
         reach = max(high - low, abs(low), abs(high)) or _NO_LOAD
         middle = 0.5 * (low + high)
         low = _short(middle - reach)

@@ -50,23 +50,23 @@ class Attack:
 
 
 def attack(
-    law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]] = ()
+    law: FrictionLaw, trained_range: TrainedRange, speeds: Sequence[tuple[float, float]] = ()
 ) -> tuple[Attack | None, int]:
     """Return the cycle that generates the most energy, if any, and the number of cycles tried.
 
     `speeds` are pairs [rad/s] for both directions, tried until one generates energy.
     """
-    tried = [*_still(law, trained), *_ways(law, trained, speeds)]
+    tried = [*_still(law, trained_range), *_ways(law, trained_range, speeds)]
     if TAU_LOAD in law.form.inputs:
-        tried += _moving(law, trained)
+        tried += _moving(law, trained_range)
     best = max(tried, key=lambda a: a.energy)  # the first of equal ones
     return (best if best.energy > 0.0 else None), len(tried)
 
 
-def _still(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
-    amplitudes = np.multiply(AMPLITUDES, trained.speed)
-    loads = loads_of(law, trained)
-    for response in responses(law, trained, amplitudes, loads, _run):
+def _still(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
+    amplitudes = np.multiply(AMPLITUDES, trained_range.speed)
+    loads = loads_of(law, trained_range)
+    for response in responses(law, trained_range, amplitudes, loads, _run):
         for c in cycles(*response):
             given = -c.work if c.share < -_LEAST else 0.0
             yield Attack(
@@ -75,16 +75,16 @@ def _still(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
 
 
 def _ways(
-    law: FrictionLaw, trained: TrainedRange, speeds: Sequence[tuple[float, float]]
+    law: FrictionLaw, trained_range: TrainedRange, speeds: Sequence[tuple[float, float]]
 ) -> Iterator[Attack]:
-    load = loads_of(law, trained)[0]
+    load = loads_of(law, trained_range)[0]
     given = 0.0
     for (ahead, back), distance in product(speeds, _DISTANCES):
         if given:
             break  # slower motion would generate slightly more
         dq = np.tile(np.repeat([ahead, -back], _ROWS), _TURNS)
         dt = distance / _ROWS / np.abs(dq)
-        q = trained.middle + np.cumsum(dq * dt)
+        q = trained_range.middle + np.cumsum(dq * dt)
         tau = _run(law, np.cumsum(dt), dq, q, np.full(dq.shape, load))
         power = (tau * dq * dt).reshape(_TURNS, -1)
         given = _settled(power[-1], power[-2])
@@ -116,31 +116,31 @@ class LoadedMotion:
 
 
 def loaded_motions(
-    trained: TrainedRange,
+    trained_range: TrainedRange,
     angles: Sequence[float] = ANGLES,
     phases: Sequence[float] = PHASES,
     turns: int = _CYCLES,
 ) -> Iterator[LoadedMotion]:
     """Yield motions of `turns` cycles with loads within the trained range."""
-    rows = 2 * max(8, round(0.5 / (_FREQUENCY * trained.sample_time)))
-    frequency = 1.0 / (rows * trained.sample_time)
+    rows = 2 * max(8, round(0.5 / (_FREQUENCY * trained_range.sample_time)))
+    frequency = 1.0 / (rows * trained_range.sample_time)
     angle = 2.0 * np.pi * np.arange(rows * turns, dtype=float) / rows
-    swing = max(map(abs, trained.tau_load)) / 2.0
+    swing = max(map(abs, trained_range.tau_load)) / 2.0
     still = Attack(energy=0.0, amplitude=0.0, frequency=frequency, mean=0.0, swing=swing)
     for reach, phase, mean in product(angles, phases, (0.0, swing)):
         amplitude = reach * 2.0 * np.pi * frequency
         yield LoadedMotion(
             dq=amplitude * np.cos(angle),
-            q=trained.middle + reach * np.sin(angle),
+            q=trained_range.middle + reach * np.sin(angle),
             load=mean + swing * np.cos(2.0 * angle + phase),
             rows=rows,
             cycle=replace(still, amplitude=amplitude, mean=mean, phase=float(phase)),
         )
 
 
-def _moving(law: FrictionLaw, trained: TrainedRange) -> Iterator[Attack]:
-    for motion in loaded_motions(trained):
-        t: Array = trained.sample_time * np.arange(len(motion.dq), dtype=float)
+def _moving(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
+    for motion in loaded_motions(trained_range):
+        t: Array = trained_range.sample_time * np.arange(len(motion.dq), dtype=float)
         energy = motion.given(_run(law, t, motion.dq, motion.q, motion.load))
         yield replace(motion.cycle, energy=energy)
 

@@ -49,22 +49,22 @@ class ClosedMotions:
     q: Array  # (A, K) [rad]
 
 
-def closed_motions(trained: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
+def closed_motions(trained_range: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
     """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle position.
 
     Each position occurs once at dq and once at -dq, so torques of position alone do zero work.
     """
-    half = max(4, round(0.5 / (wanted * trained.sample_time)))
+    half = max(4, round(0.5 / (wanted * trained_range.sample_time)))
     settling = half * max(1, round(2.0 * wanted * _SETTLING))
     phase = np.pi / half * np.arange(-settling, 2 * half)
-    frequency = 0.5 / (half * trained.sample_time)
+    frequency = 0.5 / (half * trained_range.sample_time)
     reach = amplitudes[:, None] / (2.0 * np.pi * frequency)
     return ClosedMotions(
         amplitudes=amplitudes,
         frequency=frequency,
         rows=2 * half,
         dq=amplitudes[:, None] * np.cos(phase),
-        q=trained.middle + reach * np.sin(phase),
+        q=trained_range.middle + reach * np.sin(phase),
     )
 
 
@@ -87,11 +87,11 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
         )
 
 
-def encoder_noise(trained: TrainedRange) -> tuple[Array, Array, int]:
+def encoder_noise(trained_range: TrainedRange) -> tuple[Array, Array, int]:
     """Return velocity (K,) [rad/s], position (K,) [rad] and settling rows of a noisy rest."""
-    settling = round(_SETTLING / trained.sample_time)
+    settling = round(_SETTLING / trained_range.sample_time)
     noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))
-    return np.diff(noise) / trained.sample_time, trained.middle + noise[1:], settling
+    return np.diff(noise) / trained_range.sample_time, trained_range.middle + noise[1:], settling
 
 
 SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained one
@@ -125,21 +125,21 @@ Run = Callable[[FrictionLaw, Array, Array, Array, Array], Array]  # torque for t
 Response = tuple[ClosedMotions, float, Array]  # motions, their constant load and the torque (A, K)
 
 
-def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
+def audit(law: FrictionLaw, trained_range: TrainedRange) -> Audit:
     """Audit the law of one joint; raises SimulationError if its torque is not finite in range."""
-    loads = loads_of(law, trained)
-    found = list(responses(law, trained, np.multiply(AMPLITUDES, trained.speed), loads))
+    loads = loads_of(law, trained_range)
+    found = list(responses(law, trained_range, np.multiply(AMPLITUDES, trained_range.speed), loads))
     largest = _largest(found)
     if not isfinite(largest):
         raise SimulationError(f"law '{law.name}': torque is not finite within the trained range.")
-    outside = _largest_outside(law, trained)
-    driving, both_ways = _steady(law, trained, loads)
+    outside = _largest_outside(law, trained_range)
+    driving, both_ways = _steady(law, trained_range, loads)
     cycle = min((c for response in found for c in cycles(*response)), key=lambda c: c.work)
     generating = cycle if cycle.work < 0.0 else None
-    jump, slope = _at_rest(law, trained, loads, 0.0)
-    _, slope_of_step = _at_rest(law, trained, loads, trained.sample_time)
-    dq, q, settling = encoder_noise(trained)
-    t = trained.sample_time * np.arange(len(dq), dtype=float)
+    jump, slope = _at_rest(law, trained_range, loads, 0.0)
+    _, slope_of_step = _at_rest(law, trained_range, loads, trained_range.sample_time)
+    dq, q, settling = encoder_noise(trained_range)
+    t = trained_range.sample_time * np.arange(len(dq), dtype=float)
     resting = (_run(law, t, dq, q, np.full(t.shape, load))[settling:] for load in loads)
     return Audit(
         driving=driving,
@@ -152,18 +152,20 @@ def audit(law: FrictionLaw, trained: TrainedRange) -> Audit:
         chatter=max(float(np.std(tau)) for tau in resting),
         largest=largest,
         largest_outside=max(largest, outside) if isfinite(outside) else None,
-        explodes=_too_large(outside, trained),
+        explodes=_too_large(outside, trained_range),
     )
 
 
-def explodes(law: FrictionLaw, trained: TrainedRange) -> bool:
+def explodes(law: FrictionLaw, trained_range: TrainedRange) -> bool:
     """Return True if |tau| just outside the trained range exceeds `EXPLODES` times its maximum."""
-    return _too_large(_largest_outside(law, trained), trained)
+    return _too_large(_largest_outside(law, trained_range), trained_range)
 
 
-def loads_of(law: FrictionLaw, trained: TrainedRange, reach: float = 1.0) -> tuple[float, ...]:
+def loads_of(
+    law: FrictionLaw, trained_range: TrainedRange, reach: float = 1.0
+) -> tuple[float, ...]:
     """Return the minimum, smallest and maximum load [N.m]; one if the law uses none."""
-    low, high = trained.tau_load
+    low, high = trained_range.tau_load
     beyond = (reach - 1.0) * (high - low) / 2.0
     smallest = min(max(0.0, low), high)
     if TAU_LOAD not in law.form.inputs:
@@ -179,15 +181,15 @@ def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:
 
 def responses(
     law: FrictionLaw,
-    trained: TrainedRange,
+    trained_range: TrainedRange,
     amplitudes: Array,
     loads: Sequence[float],
     run: Run = _run,
 ) -> Iterator[Response]:
     """Yield responses to cycles of every frequency and load, all amplitudes in one run."""
     for wanted in FREQUENCIES:
-        motions = closed_motions(trained, amplitudes, wanted)
-        t: Array = trained.sample_time * np.arange(motions.dq.size, dtype=float)
+        motions = closed_motions(trained_range, amplitudes, wanted)
+        t: Array = trained_range.sample_time * np.arange(motions.dq.size, dtype=float)
         for load in loads:
             tau = run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, load))
             yield motions, load, tau.reshape(motions.dq.shape)
@@ -197,29 +199,33 @@ def _largest(found: Sequence[Response]) -> float:
     return float(np.max([np.max(np.abs(tau[:, -motions.rows :])) for motions, _, tau in found]))
 
 
-def _largest_outside(law: FrictionLaw, trained: TrainedRange) -> float:
-    amplitudes = trained.speed * np.linspace(1.0, REACH, 3)
+def _largest_outside(law: FrictionLaw, trained_range: TrainedRange) -> float:
+    amplitudes = trained_range.speed * np.linspace(1.0, REACH, 3)
     try:
-        return _largest(list(responses(law, trained, amplitudes, loads_of(law, trained, REACH))))
+        return _largest(
+            list(responses(law, trained_range, amplitudes, loads_of(law, trained_range, REACH)))
+        )
     except SimulationError:
         return np.inf
 
 
-def _too_large(torque: float, trained: TrainedRange) -> bool:
+def _too_large(torque: float, trained_range: TrainedRange) -> bool:
     # also True for NaN
-    return not torque <= EXPLODES * max(map(abs, trained.tau))
+    return not torque <= EXPLODES * max(map(abs, trained_range.tau))
 
 
 def _steady(
-    law: FrictionLaw, trained: TrainedRange, loads: Sequence[float]
+    law: FrictionLaw, trained_range: TrainedRange, loads: Sequence[float]
 ) -> tuple[tuple[Range, ...], tuple[Range, ...]]:
     linear = np.linspace(0.0, 1.0, 121)[1:]
     slow = np.geomspace(SLOWEST, 1.0, 61)
-    speeds = trained.speed * np.union1d(linear, slow)
+    speeds = trained_range.speed * np.union1d(linear, slow)
     velocities = np.concatenate([-speeds[::-1], speeds])
     known = _POSITIONS if Q in law.form.inputs else 1
     # Multiples of the golden ratio avoid aliasing with ripple.
-    places = trained.q[0] + np.ptp(trained.q) * ((0.5 + np.arange(known) * 0.6180339887) % 1.0)
+    places = trained_range.q[0] + np.ptp(trained_range.q) * (
+        (0.5 + np.arange(known) * 0.6180339887) % 1.0
+    )
     v, load, q = (
         part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
     )
@@ -245,11 +251,11 @@ def _negative(v: Array, power: Array) -> tuple[Range, ...]:
 
 
 def _at_rest(
-    law: FrictionLaw, trained: TrainedRange, loads: Sequence[float], dt: float
+    law: FrictionLaw, trained_range: TrainedRange, loads: Sequence[float], dt: float
 ) -> tuple[float, float | None]:
     """Return (jump, slope) of the torque at rest over dt for the worst load, by differences."""
     t = np.array([0.0, dt])
-    q = np.full(2, trained.middle)
+    q = np.full(2, trained_range.middle)
 
     def difference(speed: float, load: float) -> float:
         loads = np.full(2, load)

@@ -77,14 +77,14 @@ def _require(condition: object, otherwise: str, *speeds: tuple[float, float]) ->
         raise _UnprovenError(otherwise, *speeds)
 
 
-def certify(law: FrictionLaw, trained: TrainedRange) -> Certificate:
+def certify(law: FrictionLaw, trained_range: TrainedRange) -> Certificate:
     """Prove the passivity of a law, refute it by a cycle, or return the condition that fails."""
     try:
         return _Proof(law).certificate()
     except _UnprovenError as reason:
-        slowest = (trained.speed * SLOWEST, trained.speed * SLOWEST**2, 0.0)
+        slowest = (trained_range.speed * SLOWEST, trained_range.speed * SLOWEST**2, 0.0)
         pairs = [(max(v, s), max(w, s)) for v, w in reason.speeds for s in slowest]
-        cycle, tried = attack(law, trained, pairs)
+        cycle, tried = attack(law, trained_range, pairs)
         verdict: ProofVerdict = "refuted" if cycle else "tested"
         return Certificate(verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=tried)
 

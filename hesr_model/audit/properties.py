@@ -346,7 +346,7 @@ class _File:
 def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
     """Write the results of several laws by name, together with the expectations."""
     expectations = {key: to_json(e) for key, e in EXPECTATIONS.items()}
-    laws = {name: to_json(of_law) for name, of_law in found.items()}
+    laws = {name: to_json(properties) for name, properties in found.items()}
     write_json(path, {"format": FORMAT, "expectations": expectations, "laws": laws})
 
 

@@ -61,9 +61,20 @@ def own_of_logs(
             level, offset = _of_rows(own, log)
             law = np.linalg.lstsq(level[:, None] * columns, torque - offset, rcond=None)[0]
             own = _fitted(columns @ law, torque, log, wanted)
-            mean = float(weights @ [o.level for o in own]) if "level" in wanted else 1.0
-            shift = float(weights @ [o.offset for o in own]) if "offset" in wanted else 0.0
-            own = [OwnOfLog(level=o.level / mean, offset=o.offset - shift) for o in own]
+            mean = (
+                float(weights @ [nuisances.level for nuisances in own])
+                if "level" in wanted
+                else 1.0
+            )
+            shift = (
+                float(weights @ [nuisances.offset for nuisances in own])
+                if "offset" in wanted
+                else 0.0
+            )
+            own = [
+                OwnOfLog(level=nuisances.level / mean, offset=nuisances.offset - shift)
+                for nuisances in own
+            ]
     return dict(zip(logs, own, strict=True))
 
 
@@ -90,7 +101,7 @@ def with_own(
 
 
 def _of_rows(own: Sequence[OwnOfLog], log: Integers) -> Array:
-    return np.array([[o.level, o.offset] for o in own])[log].T
+    return np.array([[nuisances.level, nuisances.offset] for nuisances in own])[log].T
 
 
 def _fitted(
@@ -150,9 +161,9 @@ def _kind(model: FrictionModel) -> tuple[object, ...]:
 
 def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
     known = [law.covariance for law in laws if law.covariance is not None]
-    names = [n for n in known[0].names if all(n in one.names for one in known)]
-    places = [[one.names.index(n) for n in names] for one in known]
-    own = [one.matrix[np.ix_(at, at)] for one, at in zip(known, places, strict=True)]
+    names = [n for n in known[0].names if all(n in covariance.names for covariance in known)]
+    places = [[covariance.names.index(n) for n in names] for covariance in known]
+    own = [covariance.matrix[np.ix_(at, at)] for covariance, at in zip(known, places, strict=True)]
     values = np.array([[law.values[n] for n in names] for law in laws])
     scatter = np.atleast_2d(np.cov(values, rowvar=False))
     mean = dict(zip(names, map(float, values.mean(axis=0)), strict=True))

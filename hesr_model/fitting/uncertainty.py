@@ -55,10 +55,10 @@ def with_standard_errors(
     used = np.abs(jacobian).max(axis=0) > _NONE
     jacobian, slope = jacobian[:, used], slope[:, used]
     torque = _predicted(law, records, starts)
-    found = _covariance(np.flatnonzero(used), jacobian, torque, records)
+    covariance = _covariance(np.flatnonzero(used), jacobian, torque, records)
     moves = dict(zip(law.values, slope, strict=True))
     moves = {name: own for name, own in moves.items() if np.any(own != 0.0)}
-    whole = replace(law, covariance=found.mapped(list(moves), np.array(list(moves.values()))))
+    whole = replace(law, covariance=covariance.mapped(list(moves), np.array(list(moves.values()))))
     if law.structure.keys() - {"limited"}:
         return _stated(whole, {})
     q, r = np.linalg.qr(jacobian)
@@ -74,7 +74,9 @@ def with_standard_errors(
         return values[index] - list(law.values.values())[index], there - torque
 
     wider = {
-        name: wider_side(own, found.matrix, q, r, partial(moved_by, list(law.values).index(name)))
+        name: wider_side(
+            own, covariance.matrix, q, r, partial(moved_by, list(law.values).index(name))
+        )
         for name, own in moves.items()
         if name not in moved.held
     }

@@ -57,7 +57,7 @@ class Refined:
 def refine(
     robot: Robot,
     body: RigidBody,
-    friction: FrictionModel,
+    model: FrictionModel,
     motions: Sequence[Motion],
     *,
     with_body: bool = True,
@@ -78,7 +78,7 @@ def refine(
     free = simulation.weightless(logs, robot, body)
     if free and longest >= simulation.RUN_IN + 4.0 * LONG:
         sets.append(simulation.windows_of(logs, LONG))
-    problem = _Problem(robot, body, friction, motions, logs, sets, with_body=with_body)
+    problem = _Problem(robot, body, model, motions, logs, sets, with_body=with_body)
     halves = [problem.of_blocks(k) for k in range(2)]
     before = after = np.full((len(sets), robot.n), np.nan)
     if all(len(windows.t) for half in halves for windows in half.sets):
@@ -87,7 +87,7 @@ def refine(
         pairs = zip(halves, reversed(changes), strict=True)
         after = rms(np.array([half.sizes(change) for half, change in pairs]))
     if not rms(after / before, axis=None) < 1.0:
-        return Refined(body=body, friction=friction, ratio=1.0, before=before, left_out=before)
+        return Refined(body=body, friction=model, ratio=1.0, before=before, left_out=before)
     problem.whole = [simulation.whole(log) for log in logs] if free else []
     return problem.refined(problem.solved(rounds, starts, seed), before, after)
 
@@ -186,8 +186,8 @@ class _Problem:
     def _open_loop(self, change: Array) -> float:
         """Return the RMS position error over whole logs, relative to that over windows."""
         body = self._moved_body(change)
-        friction = self._moved(change)
-        one = Simulator(robot=self._robot, parameters=body.parameters, friction=friction)
+        model = self._moved(change)
+        one = Simulator(robot=self._robot, parameters=body.parameters, friction=model)
         errors = [(one.run(w) - w.q) / self.position_sizes[0] for w in self.whole]
         found = float(rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
         return found if np.isfinite(found) else np.inf
@@ -196,14 +196,14 @@ class _Problem:
         """Return body and friction after a change."""
         torque = rms(self._torque(change))
         known = self._friction.left_out_rmse or ()
-        friction = replace(
+        model = replace(
             self._moved(change),
             training_rmse=tuple(torque.tolist()),
             left_out_rmse=tuple((known * torque / self._torque_sizes).tolist()) if known else (),
         )
         return Refined(
             body=self._moved_body(change),
-            friction=friction,
+            friction=model,
             ratio=float(rms(self.sizes(change) / self.position_sizes, axis=None)),
             before=before,
             left_out=left_out,
@@ -252,12 +252,12 @@ class _Problem:
         return errors
 
     def _torque(self, theta: Array) -> Array:
-        friction = self._moved(theta)
+        model = self._moved(theta)
         found = []
         for log, loads in zip(self._logs, self._loads, strict=True):
             more = loads @ theta[: len(self.columns)]
             own = [replace(r, tau_load=r.tau_load + more[:, k]) for k, r in enumerate(log)]
-            found.append(friction.predict(own) + more - np.column_stack([r.tau for r in log]))
+            found.append(model.predict(own) + more - np.column_stack([r.tau for r in log]))
         return np.concatenate(found)
 
     def _moved_body(self, theta: Array) -> RigidBody:

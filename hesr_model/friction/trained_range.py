@@ -73,11 +73,11 @@ class Excess:
 
 
 def outside(
-    trained: TrainedRange, records: Sequence[FrictionRecord], thermal: Thermal | None = None
+    trained_range: TrainedRange, records: Sequence[FrictionRecord], thermal: Thermal | None = None
 ) -> dict[str, Excess]:
     """Return the excess of each input of a joint, and its temperature, that leaves its range."""
     found = {}
-    ranges = {name: getattr(trained, name) for name in INPUT_UNITS}
+    ranges = {name: getattr(trained_range, name) for name in INPUT_UNITS}
     if thermal and all(record.temperature is not None for record in records):
         ranges[TEMPERATURE.name] = thermal.coldest, thermal.warmest
     for name, (low, high) in ranges.items():

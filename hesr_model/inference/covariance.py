@@ -122,11 +122,11 @@ class Covariance:
 
 def pooled(group: Sequence[Covariance]) -> list[Covariance]:
     """Return covariances with a common between-log factor."""
-    degrees = sum(c.degrees for c in group)
+    degrees = sum(covariance.degrees for covariance in group)
     if not degrees:
         return list(group)
-    between = sum(c.between * c.degrees for c in group) / degrees
-    return [replace(c, between=between, degrees=degrees) for c in group]
+    between = sum(covariance.between * covariance.degrees for covariance in group) / degrees
+    return [replace(covariance, between=between, degrees=degrees) for covariance in group]
 
 
 def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
@@ -190,17 +190,17 @@ def covariance_of_parts(
     if carried is not None:
         spread = inverse @ carried
         given = given + spread @ spread.T
-    one = Covariance(
+    covariance = Covariance(
         names=tuple(names), within=np.zeros_like(inverse), between=1.0, degrees=0.0, carried=given
     )
     if len(logs) >= ENOUGH:
         sums = np.array([log.total for log in moments])
-        return replace(one, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
+        return replace(covariance, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
     influences = ((logs.index(label), rows @ inverse) for label, rows, _ in parts())
     variances = long_run(moments, influences)
     between, degrees = _between(moments, variances, [hessians[k] for k in logs], whole)
     within = np.sum(variances, axis=0) * _for_few_rows(moments)
-    return replace(one, within=within, between=between, degrees=degrees, logs=len(logs))
+    return replace(covariance, within=within, between=between, degrees=degrees, logs=len(logs))
 
 
 def covariance_of_fit(

@@ -125,9 +125,9 @@ def candidates(features: HysteresisFeatures, count: int) -> list[Inputs]:
 
 def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -> FrictionLaw:
     """Return the first law with a bounded torque; raises FitError if the first `TRIED` explode."""
-    trained = TrainedRange.of(records)
+    trained_range = TrainedRange.of(records)
     for law in islice(laws, TRIED):
-        if not explodes(law, trained):
+        if not explodes(law, trained_range):
             return law
     raise FitError(
         f"joint '{records[0].joint}': the torque of the best networks explodes just outside the "

@@ -123,12 +123,14 @@ def loaded(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
     parameters[columns] += payload.parameters
     carried = dependence(robot, unloaded.base)[:, columns]
     more = carried @ payload.covariance @ carried.T
-    own = unloaded.covariance
+    covariance = unloaded.covariance
     return replace(
         unloaded,
         parameters=parameters,
         standard_errors=np.sqrt(unloaded.standard_errors**2 + np.diag(more)),
-        covariance=None if own is None else replace(own, carried=own.carried + more),
+        covariance=None
+        if covariance is None
+        else replace(covariance, carried=covariance.carried + more),
         physical=False,
         friction=payload.friction,
         rmse=payload.rmse,

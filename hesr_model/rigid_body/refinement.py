@@ -15,21 +15,21 @@ def identify_again(
     logs: Sequence[Log],
     robot: Robot,
     body: RigidBody,
-    friction: FrictionModel,
+    model: FrictionModel,
     *,
     reversed_logs: Sequence[Log] = (),
 ) -> RigidBody:
-    """Identify the rigid body without the torque of `friction`, fitted with `body`."""
+    """Identify the rigid body without the torque of `model`, fitted with `body`."""
     joints = tuple(robot.description.joints)
-    if friction.joints != joints:
+    if model.joints != joints:
         raise ArtifactError(
-            f"friction model '{friction.law}' is for the joints {', '.join(friction.joints)}; the "
+            f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the "
             f"robot has {', '.join(joints)}."
         )
 
     def without_friction(log: Log) -> Log:
         records = friction_records(log, robot, body)
-        return replace(log, tau=log.tau - friction.predict(records))
+        return replace(log, tau=log.tau - model.predict(records))
 
     logs, others = (list(map(without_friction, parts_of(some))) for some in (logs, reversed_logs))
     # The law is that of both sides of a gear, whose own friction would be left out.

@@ -89,9 +89,12 @@ def ratios(laws: Mapping[str, Sequence[ErrorRatio]], joints: Sequence[str], *, x
         offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
             found = [row[k] for row in laws.values()]
-            values = np.array([f.value for f in found])
+            values = np.array([ratio.value for ratio in found])
             low, high = np.array(
-                [[f.value if end is None else end for end in (f.low, f.high)] for f in found]
+                [
+                    [ratio.value if end is None else end for end in (ratio.low, ratio.high)]
+                    for ratio in found
+                ]
             ).T
             axis.errorbar(
                 values,

@@ -227,11 +227,11 @@ def audit(results: Results) -> dict[str, Any] | None:
                     TableCell(text="none", value=0.0)
                     if a.generated < _ROUNDING
                     else number(a.generated, 2)
-                    for a in of_law.audits
+                    for a in audit.audits
                 ),
-                *(fixed(a.chatter, 2) for a in of_law.audits),
+                *(fixed(a.chatter, 2) for a in audit.audits),
             )
-            for law, of_law in found.items()
+            for law, audit in found.items()
         ],
     )
     proofs = ResultTable(
@@ -239,9 +239,9 @@ def audit(results: Results) -> dict[str, Any] | None:
         head=("law", "joint", "certificate"),
         rows=[
             row_of(title(law), joint, certified(c, slides=slides))
-            for law, of_law in found.items()
+            for law, audit in found.items()
             for joint, c, slides in zip(
-                results.joints, of_law.certificates, results.models[law].slides, strict=True
+                results.joints, audit.certificates, results.models[law].slides, strict=True
             )
         ],
         numeric=False,
@@ -251,7 +251,7 @@ def audit(results: Results) -> dict[str, Any] | None:
         "energy": energy,
         "proofs": proofs,
         "proven": sum(
-            all(c.verdict == "proven" for c in of_law.certificates) for of_law in found.values()
+            all(c.verdict == "proven" for c in audit.certificates) for audit in found.values()
         ),
         "passive": sum(all(a.generated < _ROUNDING for a in of.audits) for of in found.values()),
         "audits": [
@@ -265,10 +265,10 @@ def properties(results: Results) -> dict[str, Any] | None:
     if not results.properties:
         return None
     laws = results.recommended
-    of_law = combined(on_joints(laws), results.properties, laws)
+    properties = combined(on_joints(laws), results.properties, laws)
     sheet = plugins.load("hesr.sheets").get("properties")  # of the extras
     return {
         "properties": properties_table(results.properties, full=True),
         "law": on_joints(laws),
-        "sheet": of_law and sheet and Markup(sheet.load()(of_law, sliding=results.sliding)),
+        "sheet": properties and sheet and Markup(sheet.load()(properties, sliding=results.sliding)),
     }

@@ -31,16 +31,16 @@ def properties(found: Mapping[str, Properties], *, full: bool = False) -> Result
         caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
         head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
         rows=[
-            row_of(title(name), *(_cell(of_law, e) for e in EXPECTATIONS.values()))
-            for name, of_law in found.items()
+            row_of(title(name), *(_cell(properties, e) for e in EXPECTATIONS.values()))
+            for name, properties in found.items()
         ],
     )
 
 
 def most_passed(found: Mapping[str, Properties]) -> tuple[list[str], int]:
     """Return the laws that pass the most checks on all joints, and the number of these."""
-    most = max(of_law.passed for of_law in found.values())
-    return [name for name, of_law in found.items() if of_law.passed == most], most
+    most = max(properties.passed for properties in found.values())
+    return [name for name, properties in found.items() if properties.passed == most], most
 
 
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
@@ -56,11 +56,11 @@ def legend(sliding: Sequence[bool] = ()) -> ResultTable:
 def reasons(found: Mapping[str, Properties]) -> ResultTable:
     """Return reasons of failures and other remarks by law."""
     rows = []
-    for name, of_law in found.items():
+    for name, properties in found.items():
         rows.append(row_of(title(name)))
         for key, expectation in EXPECTATIONS.items():
             by_reason: dict[str, list[str]] = {}
-            for short, joint in zip(joints(len(of_law.joints)), of_law.joints, strict=True):
+            for short, joint in zip(joints(len(properties.joints)), properties.joints, strict=True):
                 said = joint.findings[key].reason
                 if said:
                     by_reason.setdefault(said, []).append(short)
@@ -71,8 +71,8 @@ def reasons(found: Mapping[str, Properties]) -> ResultTable:
     return ResultTable(caption="Why", head=("property", "joint", "found"), rows=rows, numeric=False)
 
 
-def _cell(of_law: Properties, expectation: Expectation) -> TableCell:
-    found = [joint.findings[expectation.key] for joint in of_law.joints]
+def _cell(properties: Properties, expectation: Expectation) -> TableCell:
+    found = [joint.findings[expectation.key] for joint in properties.joints]
     return TableCell(
         text="\n".join(_figure(one, expectation) for one in found),
         marks=tuple(one.verdict for one in found),

@@ -81,11 +81,11 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
             law,
             tuning,
             noise=noise,
-            speed=trained.speed,
+            speed=trained_range.speed,
             viscosity_least=least_viscosity(law),
             thermal=thermal,
         )
-        for law, noise, trained, thermal in rows
+        for law, noise, trained_range, thermal in rows
     )
 
 

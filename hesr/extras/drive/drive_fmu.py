@@ -247,9 +247,9 @@ def _stimuli(model: FrictionModel, own: Motors) -> Stimuli:
     trained = model.trained or (None,) * len(model.joints)
     sizes = {}
     loads = {}
-    for i, (seen, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):
-        friction = max(map(abs, seen.tau)) if seen else _UNKNOWN
+    for i, (trained_range, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):
+        friction = max(map(abs, trained_range.tau)) if trained_range else _UNKNOWN
         sizes[f"tau_motor[{i}]"] = float(f"{3.0 * (friction or _UNKNOWN) / abs(ratio):.2g}")
-        load = sum(seen.tau_load) / 2.0 if seen else 0.0
+        load = sum(trained_range.tau_load) / 2.0 if trained_range else 0.0
         loads[f"tau_load[{i}]"] = np.full(ROWS + 1, float(f"{load:.3g}"))
     return Stimuli(step=SUBSTEP, inputs={**waves(sizes), **loads})

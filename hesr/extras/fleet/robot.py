@@ -208,14 +208,14 @@ class _Robot:
 
 
 def _day(predicted: Array, tau: Array) -> _Day:
-    own = own_of_log(predicted, tau, ("level", "offset"))
+    nuisances = own_of_log(predicted, tau, ("level", "offset"))
     return _Day(
         rows=len(tau),
         rmse=rmse(predicted - tau),
         total=float(tau.sum()),
         squares=float(tau @ tau),
-        level=own.level,
-        offset=own.offset,
+        level=nuisances.level,
+        offset=nuisances.offset,
     )
 
 

@@ -54,7 +54,7 @@ class Misfit:
 
 
 def projected(
-    law: FrictionLaw, trained: TrainedRange | None, sample_time: float
+    law: FrictionLaw, trained_range: TrainedRange | None, sample_time: float
 ) -> tuple[FrictionLaw, Misfit, Misfit]:
     """Return the nearest law from parts of MuJoCo, and its errors on the fitted and another motion.
 
@@ -65,7 +65,7 @@ def projected(
     least squares with non-negative F_i and sigma_2, on the law along a Fourier motion at trained
     speeds. Reproducible bit for bit on one machine; the step of the law is `sample_time` [s].
     """
-    seen, unseen = records(law, trained, sample_time)
+    seen, unseen = records(law, trained_range, sample_time)
     form, space = _family(_poles(law))
     problem = Separable(form, space, JointRows.of([seen], coefficients=len(form.coefficients)))
     with threadpool_limits(1):
@@ -76,12 +76,12 @@ def projected(
 
 
 def records(
-    law: FrictionLaw, trained: TrainedRange | None, sample_time: float
+    law: FrictionLaw, trained_range: TrainedRange | None, sample_time: float
 ) -> list[FrictionRecord]:
     """Return records for the fit and the test of a projection."""
-    peak = np.array([trained_speed(trained)])
+    peak = np.array([trained_speed(trained_range)])
     middle = np.zeros(1)
-    low, high = trained.tau_load if trained else (0.0, 0.0)
+    low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
     found = []
     for seed, period in ((2, 40.0), (1, 20.0)):
         trajectory = random_fourier(
@@ -89,8 +89,8 @@ def records(
         )
         t = sample_time * np.arange(round(period / sample_time), dtype=np.float64)
         q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
-        if trained:
-            q = q + trained.middle
+        if trained_range:
+            q = q + trained_range.middle
         load = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked below
             tau = predict(law, t=t, dq=dq, q=q, tau_load=load)
@@ -231,12 +231,14 @@ def _of_joint(
         slides = model.slides[index]
         missing = error.at_joint(slides=slides)
         refused = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
-        trained = model.trained[index] if model.trained else None
+        trained_range = model.trained[index] if model.trained else None
         try:
             if project:
-                nearest, fitted, unseen = projected(law, trained, model.sample_time)
+                nearest, fitted, unseen = projected(law, trained_range, model.sample_time)
             else:
-                records(law, trained, model.sample_time)  # refuse what --project would also refuse
+                records(
+                    law, trained_range, model.sample_time
+                )  # refuse what --project would also refuse
         except HesrError as reason:
             raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
         if not project:

@@ -47,7 +47,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
     """Return the documentation of the law of joint `index`, from 0."""
     law = model.laws[index]
-    seen = model.trained[index] if model.trained else None
+    trained_range = model.trained[index] if model.trained else None
     return _page(
         "modelica_joint.html.j2",
         joint=model.joints[index],
@@ -56,8 +56,8 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,
         seen=[
-            f"{name} {spelled(getattr(seen, name))} {unit}"
-            for name, unit in (INPUT_UNITS if seen else {}).items()
+            f"{name} {spelled(getattr(trained_range, name))} {unit}"
+            for name, unit in (INPUT_UNITS if trained_range else {}).items()
         ],
         rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,
         verdict=datasheet.verdict(audit, known=bool(model.trained)) if audit else "",

@@ -120,7 +120,9 @@ def _parameters(
     for quantity, row in zip(NAMES, limits.numbers, strict=True):
         for i, x in enumerate(row, start=1):
             yield friction_component.of_joint(model, quantity, i, "tunable", start=x, least=0.0)
-    for ones in zip(*(thermal_parameters(t)[:_THERMAL] for t in model.thermal), strict=True):
+    for ones in zip(
+        *(thermal_parameters(thermal)[:_THERMAL] for thermal in model.thermal), strict=True
+    ):
         for i, one in enumerate(ones, start=1):
             yield friction_component.of_joint(model, one, i, "tunable", start=one.start)
 

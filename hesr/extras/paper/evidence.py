@@ -133,9 +133,9 @@ def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evi
     body = identify(forward, robot, reversed_logs=backward, method="paper")
     records = {name: [friction_records(r.log, robot, body)] for name, r in made.items()}
     cases = {TWIN: dict(_cases(job, study, records, job.laws))}
-    fitted = cases[TWIN][SWEEP].models
-    laws = [law for law in fitted if "lugre" in law or law in ("stribeck", study.literal)]
-    cases[LUGRE] = dict(_cases(job, study, _under(fitted["lugre"], records, made), laws))
+    models = cases[TWIN][SWEEP].models
+    laws = [law for law in models if "lugre" in law or law in ("stribeck", study.literal)]
+    cases[LUGRE] = dict(_cases(job, study, _under(models["lugre"], records, made), laws))
     require_reachable(study.tracking, robot)
     truth = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
@@ -143,7 +143,7 @@ def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evi
     build(folder, robot, body, plant, oracle=truth)
     tracking = study.tracking
     tracked = {}
-    fmus = {law: export_bare(fitted[law], folder / f"{law}.fmu") for law in tracking.sources}
+    fmus = {law: export_bare(models[law], folder / f"{law}.fmu") for law in tracking.sources}
     for name, change in study.controllers.items():
         changed = tracking.model_copy(update={"gains": tracking.gains.model_copy(update=change)})
         loop = assemble(

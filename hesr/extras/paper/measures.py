@@ -154,9 +154,11 @@ def euler_factor(e: Evidence, case: Case, joint: int) -> float:
 def memory(e: Evidence, case: Case, joint: int, *, rest: float) -> float:
     """Return the gap of the torques after sliding both ways and a rest [s], over that before it."""
     law = _law(e, case, joint)
-    trained = case.models[e.study.literal].trained[joint]
-    dq = np.repeat([0.5 * trained.speed, 0.0], [400, 1 + round(rest / trained.sample_time)])
-    t = trained.sample_time * np.arange(len(dq))
+    trained_range = case.models[e.study.literal].trained[joint]
+    dq = np.repeat(
+        [0.5 * trained_range.speed, 0.0], [400, 1 + round(rest / trained_range.sample_time)]
+    )
+    t = trained_range.sample_time * np.arange(len(dq))
     gap = predict(law, t=t, dq=dq) - predict(law, t=t, dq=-dq)
     return float(gap[-1] / gap[400])
 
@@ -164,15 +166,17 @@ def memory(e: Evidence, case: Case, joint: int, *, rest: float) -> float:
 @_of_cases
 def audited(e: Evidence, case: Case, joint: int, *, what: str) -> float:
     """Return a result of the passivity audit of the literal law: energy [J] or step [N.m]."""
-    trained = case.models[e.study.literal].trained[joint]
-    return float(getattr(audit(_law(e, case, joint), trained), what))
+    trained_range = case.models[e.study.literal].trained[joint]
+    return float(getattr(audit(_law(e, case, joint), trained_range), what))
 
 
 @_of_joints
 def published(e: Evidence, joint: int) -> float:
     """Return the largest energy [J] that a cycle of the law of Table I generates."""
-    trained = next(iter(e.cases[TWIN].values())).models[e.study.literal].trained[joint]
-    return audit(FrictionModel.read(model_file("uf850-table1")).laws[joint], trained).generated
+    trained_range = next(iter(e.cases[TWIN].values())).models[e.study.literal].trained[joint]
+    return audit(
+        FrictionModel.read(model_file("uf850-table1")).laws[joint], trained_range
+    ).generated
 
 
 @_of_cases

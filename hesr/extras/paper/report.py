@@ -65,14 +65,21 @@ class PaperResult:
     @classmethod
     def of(cls, e: Evidence, command: str) -> "PaperResult":
         """Judge claims by the evidence."""
-        laws = {truth: next(iter(of.values())).models for truth, of in e.cases.items()}
+        laws = {truth: next(iter(models.values())).models for truth, models in e.cases.items()}
         return cls(
             command=command,
             claims=tuple(judged(claim, e) for claim in e.study.claims),
-            rmse={t: {k: measures.level(e, truth=t, law=k) for k in of} for t, of in laws.items()},
+            rmse={
+                t: {k: measures.level(e, truth=t, law=k) for k in models}
+                for t, models in laws.items()
+            },
             ratios={
-                t: {k: measures.errors(e, truth=t, others=[k]) for k in of if k != e.study.literal}
-                for t, of in laws.items()
+                t: {
+                    k: measures.errors(e, truth=t, others=[k])
+                    for k in models
+                    if k != e.study.literal
+                }
+                for t, models in laws.items()
             },
             tracking={
                 controller: {law: tuple(row.mean.tolist()) for law, row in rows.items()}

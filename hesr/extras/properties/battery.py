@@ -85,9 +85,9 @@ def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties
     path = kept / f"{key}.json"
     with suppress(ArtifactError):  # missing or incomplete
         return read_properties(path)[subject.name]
-    found = measure(subject, load=load)
-    write_properties(path, {subject.name: found})
-    return found
+    properties = measure(subject, load=load)
+    write_properties(path, {subject.name: properties})
+    return properties
 
 
 def measure(subject: Subject, *, load: float = 0.0) -> Properties:
@@ -107,8 +107,8 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             joints = bench.joints
             inertia = _require_inertia(subject, joints)
             seen = _ranges(model, joints)
-            bench.places = np.array([one.middle for one in seen])
-            speed = np.array([one.speed for one in seen])
+            bench.places = np.array([trained_range.middle for trained_range in seen])
+            speed = np.array([trained_range.speed for trained_range in seen])
             scale = None
             try:
                 scale = measure_scale(bench, speed, load)
@@ -160,8 +160,8 @@ def _moved(
     laws = model.laws if model else (None,) * n
     states = [None if law is None else len(law.form.memory) for law in laws]
     loads = [
-        (scale.load,) if law is None else loads_of(law, one)
-        for law, one in zip(laws, seen, strict=True)
+        (scale.load,) if law is None else loads_of(law, trained_range)
+        for law, trained_range in zip(laws, seen, strict=True)
     ]
     experiments: dict[str, Callable[[], list[PropertyResult]]] = {
         "presliding": partial(presliding, bench, scale),
@@ -184,7 +184,7 @@ def _moved(
 
 def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
     """Return the largest trained load (n,) [N.m], or load plus friction level."""
-    trained = np.array([max(one.tau_load, key=abs) for one in seen])
+    trained = np.array([max(trained_range.tau_load, key=abs) for trained_range in seen])
     return np.where(trained != 0.0, trained, scale.load + scale.level)
 
 
@@ -210,7 +210,7 @@ def _finite(found: PropertyResult) -> PropertyResult:
 def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
     sample = model.sample_time if model else _SAMPLE_TIME
     if model and model.trained:
-        return [replace(seen, sample_time=sample) for seen in model.trained]
+        return [replace(trained_range, sample_time=sample) for trained_range in model.trained]
     still = (0.0, 0.0)
     dq = (-UNKNOWN_SPEED, UNKNOWN_SPEED)
     unknown = TrainedRange(sample_time=sample, dq=dq, q=still, tau_load=still, tau=still)

@@ -138,7 +138,11 @@ def standing_inertia(
     if body.robot in INERTIA:
         return INERTIA[body.robot]
     n = robot.n
-    middle = np.array([seen.middle for seen in model.trained]) if model.trained else np.zeros(n)
+    middle = (
+        np.array([trained_range.middle for trained_range in model.trained])
+        if model.trained
+        else np.zeros(n)
+    )
     q: Array = np.tile(middle, (n + 1, 1))
     still = np.zeros_like(q)
     # One joint accelerates per row; the last row is gravity.

@@ -238,7 +238,7 @@ def chatter(
     bench: FrictionBench, scale: Scale, trained: list[TrainedRange]
 ) -> list[PropertyResult]:
     """Rest under encoder noise, with the sample time and discretisation of the law."""
-    noise = [audit.encoder_noise(seen) for seen in trained]
+    noise = [audit.encoder_noise(trained_range) for trained_range in trained]
     dq, q = (np.column_stack([of_joint[part] for of_joint in noise]) for part in (0, 1))
     settling = noise[0][2]
     sample = trained[0].sample_time
@@ -267,7 +267,10 @@ def work(
     found: list[list[audit.Cycle]] = [[] for _ in trained]
     for wanted in audit.FREQUENCIES:
         motions = [
-            audit.closed_motions(r, np.multiply(audit.AMPLITUDES, r.speed), wanted) for r in trained
+            audit.closed_motions(
+                trained_range, np.multiply(audit.AMPLITUDES, trained_range.speed), wanted
+            )
+            for trained_range in trained
         ]
         for k in range(max(map(len, loads))):
             held = np.array([of_joint[min(k, len(of_joint) - 1)] for of_joint in loads])
@@ -287,7 +290,9 @@ def work(
 
 def _with_moving_load(bench: FrictionBench, trained: list[TrainedRange]) -> list[list[audit.Cycle]]:
     found: list[list[audit.Cycle]] = [[] for _ in trained]
-    of_joints = (loaded_motions(r, _ANGLES, _PHASES, _LOADED_TURNS) for r in trained)
+    of_joints = (
+        loaded_motions(trained_range, _ANGLES, _PHASES, _LOADED_TURNS) for trained_range in trained
+    )
     for motions in zip(*of_joints, strict=True):
         dq, q, load = (
             np.column_stack([getattr(m, part) for m in motions]) for part in ("dq", "q", "load")

@@ -43,16 +43,16 @@ def predict_following(
     robot: Robot,
     body: RigidBody,
     models: Mapping[str, FrictionModel],
-    plant: FrictionModel,
+    model: FrictionModel,
 ) -> Following:
-    """Predict following errors of laws on the first log with commands, for the friction `plant`."""
+    """Predict following errors of laws on the first log with commands, for the friction `model`."""
     try:
         known = [log for log in logs if log.q_cmd is not None or log.dq_cmd is not None]
         log = max((known or logs)[0].parts(), key=lambda part: np.ptp(part.t))
         log = log.rows(log.t - log.t[0] <= _LONGEST)
         servo = identify_servo(log, robot, body.parameters)
         with scratch_folder() as folder:
-            return _predicted(log, robot, body, models, plant, servo, folder / "Plant.fmu")
+            return _predicted(log, robot, body, models, model, servo, folder / "Plant.fmu")
     except HesrError as error:
         return Following(missing=str(error).rstrip("."))
 
@@ -62,16 +62,16 @@ def _predicted(
     robot: Robot,
     body: RigidBody,
     models: Mapping[str, FrictionModel],
-    plant: FrictionModel,
+    model: FrictionModel,
     servo: ServoFit,
     fmu: Path,
 ) -> Following:
     commands = dict(feed_forward(log, robot, body, models, servo))
     kv, ki, kp = (tuple(map(float, gains)) for gains in cascade(servo.factors))
     plant_body = PlantBody.of(robot, body)
-    export_plant(plant, fmu, body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
+    export_plant(model, fmu, body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
     error = commanded(log)[0] - log.q
-    missed = _missed(log, robot, body, plant)
+    missed = _missed(log, robot, body, model)
     generator = np.random.default_rng(0)
     drawn = [servo.factors, *(servo.drawn(generator) for _ in range(_DRAWS))]
     rows = []
@@ -131,10 +131,10 @@ def feed_forward(
         yield law, (q, dq + _inverse(load + friction - supported, t, servo))
 
 
-def _missed(log: Log, robot: Robot, body: RigidBody, law: FrictionModel) -> Array:
+def _missed(log: Log, robot: Robot, body: RigidBody, model: FrictionModel) -> Array:
     """Return the torque (N, n) that body and law miss on a log, smoothed as its motion."""
     records = friction_records(log, robot, body)
-    missed = np.column_stack([record.tau for record in records]) - law.predict(records)
+    missed = np.column_stack([record.tau for record in records]) - model.predict(records)
     return smooth(replace(log, q=missed, dq=None), robot.description.log.filter_cutoff).q
 
 

@@ -78,16 +78,16 @@ class ParFamH(Estimator):
         samples = JointRows.of(records, coefficients=COEFFICIENTS)
         features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
         search = self._paper if self.search == "paper" else self._evolve
-        trained = TrainedRange.of(records)
-        chosen = refine.select(features, search(features, rng), samples.folds, trained)
+        trained_range = TrainedRange.of(records)
+        chosen = refine.select(features, search(features, rng), samples.folds, trained_range)
         law = chosen.canonical().law(self.name, self.discretisation)
-        return self._enlarged(law, features, trained, rng)
+        return self._enlarged(law, features, trained_range, rng)
 
     def _enlarged(
         self,
         law: FrictionLaw,
         features: HysteresisFeatures,
-        trained: TrainedRange,
+        trained_range: TrainedRange,
         rng: np.random.Generator,
     ) -> FrictionLaw:
         # A law without a state has no (alpha, beta).
@@ -99,10 +99,10 @@ class ParFamH(Estimator):
         if self.units > 1:
             columns = features.columns(law.values["alpha"], law.values["beta"])
             more = with_unit(best, columns, self.functions, self.starts, rng)
-            best = extended(best, more, trained)
+            best = extended(best, more, trained_range)
         if self.denominator:
             rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
-            best = extended(best, [rational], trained)
+            best = extended(best, [rational], trained_range)
         return law if best.structure == law.structure else replace(best.law(), name=self.name)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
@@ -241,8 +241,10 @@ class ParFamHX(Described):
         columns = bare.problem.columns(bare.point)
         moving = [bare.structure["linear"].index(x) for x in ("dq", "h", "dh")]
         features = np.column_stack([np.ones(len(columns)), columns[:, moving]])
-        trained = TrainedRange.of(records)
-        best = extended(bare, with_unit(bare, features, self.functions, self.starts, rng), trained)
+        trained_range = TrainedRange.of(records)
+        best = extended(
+            bare, with_unit(bare, features, self.functions, self.starts, rng), trained_range
+        )
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
     def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:

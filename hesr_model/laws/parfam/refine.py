@@ -34,7 +34,7 @@ def select(
     features: HysteresisFeatures,
     found: Sequence[Candidate],
     folds: Sequence[Mask],
-    trained: TrainedRange,
+    trained_range: TrainedRange,
 ) -> Candidate:
     """Return the simplest pruned candidate within `SAME` of the best; FitError if all explode."""
     looked = list(found)
@@ -52,7 +52,9 @@ def select(
     for group in (hopeful, [k for k in looked if k.cost > HOPEFUL * best], linear):
         pruned = sorted(distinct([prune(features, k) for k in group]), key=_terms)
         laws = (k.law("candidate", features.discretisation) for k in pruned)
-        finalists = [k for k, law in zip(pruned, laws, strict=True) if not explodes(law, trained)]
+        finalists = [
+            k for k, law in zip(pruned, laws, strict=True) if not explodes(law, trained_range)
+        ]
         if finalists:
             costs = [left_out_cost(features, k, folds, portions=PORTIONS) for k in finalists]
             return finalists[first_best(costs, SAME)]
