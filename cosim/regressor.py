@@ -182,9 +182,17 @@ class FrictionRegressor:
         logs = self._logs(X)
         if logs is not None:
             records = self._records(parts_of(logs))
-            found = np.vstack([self._whole(model.predict(r), r) for r in records])
+            found = np.vstack(
+                [
+                    self._whole(model.predict(joint_records), joint_records)
+                    for joint_records in records
+                ]
+            )
             wanted = np.vstack(
-                [self._whole(np.column_stack([j.tau for j in r]), r) for r in records]
+                [
+                    self._whole(np.column_stack([j.tau for j in joint_records]), joint_records)
+                    for joint_records in records
+                ]
             )
         else:
             found = self.predict(X)
@@ -214,7 +222,7 @@ class FrictionRegressor:
         if logs is not None:
             (records,) = self._records(logs)
             t = records[0].t
-            tau = np.column_stack([r.tau for r in records])
+            tau = np.column_stack([record.tau for record in records])
             wanted = self._whole(tau, records)
         else:
             t = self._table(X).t

@@ -128,19 +128,19 @@ class Comparison:
         )
 
 
-def by_joint(logs: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
+def by_joint(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
     """Transpose records [log][joint] to [joint][log]."""
-    return [list(of_joint) for of_joint in zip(*logs, strict=True)]
+    return [list(of_joint) for of_joint in zip(*records, strict=True)]
 
 
 def causal(records: Records) -> list[list[FrictionRecord]]:
     """Return records with the velocity that a user of an FMU has."""
-    return [[r.causal for r in of_joint] for of_joint in records]
+    return [[record.causal for record in joint_records] for joint_records in records]
 
 
 def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
     """Return the records of the named logs, [joint][part]."""
-    return by_joint([part for name in names for part in records[name]])
+    return by_joint([joint_records for name in names for joint_records in records[name]])
 
 
 def compare(
@@ -156,7 +156,7 @@ def compare(
     predictions of a `zero_phase` velocity.
     """
     scores = {
-        law: [score(r, p) for r, p in zip(records, predicted, strict=True)]
+        law: [score(joint_records, p) for joint_records, p in zip(records, predicted, strict=True)]
         for law, predicted in predictions.items()
     }
     fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
@@ -189,23 +189,27 @@ def compare(
         detectable=tuple(detectable for _, detectable, _ in against),
         seconds=tuple(seconds for *_, seconds in against),
         zero_phase={
-            law: tuple(score(r, p).rmse for r, p in zip(records, of, strict=True))
+            law: tuple(
+                score(joint_records, p).rmse for joint_records, p in zip(records, of, strict=True)
+            )
             for law, of in (zero_phase or {}).items()
         },
     )
 
 
 def _table(
-    of_joint: Sequence[FrictionRecord],
+    joint_records: Sequence[FrictionRecord],
     predictions: Mapping[str, Sequence[Sequence[Array]]],
     joint: int,
     ranked: Sequence[str],
 ) -> LawErrors:
     errors = {
-        law: [p - r.tau for r, p in zip(of_joint, predicted[joint], strict=True)]
+        law: [p - record.tau for record, p in zip(joint_records, predicted[joint], strict=True)]
         for law, predicted in predictions.items()
     }
-    return law_errors(errors, [float(np.median(np.diff(r.t))) for r in of_joint], ranked)
+    return law_errors(
+        errors, [float(np.median(np.diff(record.t))) for record in joint_records], ranked
+    )
 
 
 def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
@@ -255,9 +259,9 @@ def _band_scores(
             ]
             found[name] = tuple(
                 score_band(
-                    of_joint, predictions[name][k], [(lo[:, k], up[:, k]) for lo, up in ends]
+                    joint_records, predictions[name][k], [(lo[:, k], up[:, k]) for lo, up in ends]
                 )
-                for k, of_joint in enumerate(records)
+                for k, joint_records in enumerate(records)
             )
     return found
 
@@ -304,16 +308,16 @@ def within(
     """
     kept_records = []
     kept_torques = []
-    for of_joint, predicted in zip(records, torques, strict=True):
-        rows = [time_band(r.t - r.t[0], start, stop) for r in of_joint]
+    for joint_records, predicted in zip(records, torques, strict=True):
+        rows = [time_band(record.t - record.t[0], start, stop) for record in joint_records]
         kept = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]
         if not kept:
-            longest = max(float(r.t[-1] - r.t[0]) for r in of_joint)
+            longest = max(float(record.t[-1] - record.t[0]) for record in joint_records)
             raise ConfigError(
                 f"the band from {start:g} to {stop:g} s is empty; the longest log of its test set "
                 f"lasts {longest:.3g} s."
             )
-        kept_records.append([of_joint[k].rows(rows[k]) for k in kept])
+        kept_records.append([joint_records[k].rows(rows[k]) for k in kept])
         kept_torques.append([predicted[k][rows[k]] for k in kept])
     return kept_records, kept_torques
 

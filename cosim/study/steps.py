@@ -407,7 +407,7 @@ class Job:
             for test, row, lag, *_ in counted(cases, partial(self.progress, "replaying the FMUs")):
                 tested = records_of(tests[test], records)
                 replayed[test, lag][row] = [
-                    [tau[-len(r.t) :] for tau, r in zip(*of_joint, strict=True)]
+                    [tau[-len(record.t) :] for tau, record in zip(*of_joint, strict=True)]
                     for of_joint in zip(next(results), tested, strict=True)
                 ]
         for name, logs in tests.items():
@@ -421,7 +421,10 @@ class Job:
             if per_log:
                 comparisons[name] = replace(comparisons[name], per_log=())
                 fitted = {
-                    law: [with_own(p, r, per_log) for p, r in zip(whole, tested, strict=True)]
+                    law: [
+                        with_own(p, record, per_log)
+                        for p, record in zip(whole, tested, strict=True)
+                    ]
                     for law, whole in predicted.items()
                 }
                 fitted_name = f"{name}, {' and '.join(per_log)} of each log fitted"

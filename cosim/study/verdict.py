@@ -292,7 +292,8 @@ def _improve(
         if "tau_load" in beyond and TAU_LOAD in law.form.inputs:
             heavier.append(name)
         dq, load, tau = (
-            np.concatenate([getattr(r, what) for r in learnt]) for what in ("dq", "tau_load", "tau")
+            np.concatenate([getattr(record, what) for record in learnt])
+            for what in ("dq", "tau_load", "tau")
         )
         if np.mean(np.abs(dq) < MOVING) < _RESTS:
             resting.append(name)

@@ -265,8 +265,8 @@ def _torque_constants(
     description = model.description
 
     def motions(given: Any) -> list[Motion]:
-        read = logs_of(given, model)
-        return [smooth(part, description.log.filter_cutoff) for part in parts_of(read)]
+        logs = logs_of(given, model)
+        return [smooth(part, description.log.filter_cutoff) for part in parts_of(logs)]
 
     progress("estimating torque constants", 0, 1)
     return constants.torque_constants(

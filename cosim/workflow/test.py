@@ -74,7 +74,7 @@ class LawReport(Answer):
 
         if self.scores is None:
             return []
-        sliding = [of_joint[0].sliding for of_joint in self.records]
+        sliding = [joint_records[0].sliding for joint_records in self.records]
         inputs = input_classes({law.name: law.model for law in self.laws if law.model})
         shown: list[ResultTable | str] = [
             errors("test", self.scores, measure, inputs, sliding) for measure in MEASURES
@@ -371,18 +371,25 @@ def _leaving(law: Subject, records: Records) -> list[str]:
     from hesr_model.rigid_body.residual import all_at_friction
 
     model = law.model
-    if model is None or not model.trained or model.joints != tuple(r[0].joint for r in records):
+    if (
+        model is None
+        or not model.trained
+        or model.joints != tuple(joint_records[0].joint for joint_records in records)
+    ):
         return []
-    coupled = [[replace(r, coupling=model.coupling) for r in of_joint] for of_joint in records]
+    coupled = [
+        [replace(joint_records, coupling=model.coupling) for joint_records in of_joint]
+        for of_joint in records
+    ]
     warm = model.thermal or (None,) * len(coupled)
     moved = all_at_friction(coupled)
     found = [
         {
             k: v
-            for k, v in outside(trained_range, r, thermal).items()
+            for k, v in outside(trained_range, joint_records, thermal).items()
             if k in (*map(str, law.form.inputs), "temperature")
         }
-        for law, trained_range, thermal, r in zip(
+        for law, trained_range, thermal, joint_records in zip(
             model.laws, model.trained, warm, moved, strict=True
         )
     ]

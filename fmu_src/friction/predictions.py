@@ -22,7 +22,7 @@ def predict_model(
 
     With `measured_start` the initial state is estimated from the first measured torques.
     """
-    joints = tuple(of_joint[0].joint for of_joint in records)
+    joints = tuple(joint_records[0].joint for joint_records in records)
     if joints != model.joints:
         raise ArtifactError(
             f"friction model '{model.law}' is for the joints {', '.join(model.joints)}; the robot "

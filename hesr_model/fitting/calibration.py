@@ -42,8 +42,10 @@ def calibrated(
     errors, certain = _left_out(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
         return law, None
-    dq, load = (np.concatenate([getattr(r, name) for r in records]) for name in ("dq", "tau_load"))
-    seen = sum(_rests(r) for r in records) >= RESTS
+    dq, load = (
+        np.concatenate([getattr(record, name) for record in records]) for name in ("dq", "tau_load")
+    )
+    seen = sum(_rests(record) for record in records) >= RESTS
     some = slice(None, None, -(-len(errors) // _ENOUGH))
     squares = errors[some] ** 2
     best = (np.inf, SLOW_SPEEDS[0], np.zeros(5))
@@ -77,7 +79,7 @@ def calibrated(
 
 def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:
     """Return the (N,) errors of fits without the row's log, and their predicted variance."""
-    errors = np.concatenate([r.tau for r in records]) - _predicted(law, records)
+    errors = np.concatenate([record.tau for record in records]) - _predicted(law, records)
     if law.covariance is None:
         return errors, np.zeros_like(errors)
     jacobian = _sensitivities(law, records)
@@ -113,7 +115,7 @@ def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array
 
 
 def _predicted(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
-    return np.concatenate([predict_record(law, r) for r in records])
+    return np.concatenate([predict_record(law, record) for record in records])
 
 
 def variance_shares(columns: Array, squares: Array, known: Array) -> Array:

@@ -94,7 +94,7 @@ def with_own(
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
     log = log_of_rows(records)
     whole = np.concatenate(predicted)
-    own = _fitted(whole, np.concatenate([r.tau for r in records]), log, wanted)
+    own = _fitted(whole, np.concatenate([record.tau for record in records]), log, wanted)
     ends = np.cumsum([len(torque) for torque in predicted])
     level, offset = _of_rows(own, log)
     return np.split(level * whole + offset, ends[:-1])
@@ -186,19 +186,20 @@ def adapt(
 
     Raises FitError if the joints differ.
     """
-    joints = tuple(of_joint[0].joint for of_joint in records)
+    joints = tuple(joint_records[0].joint for joint_records in records)
     if joints != prior.joints:
         raise FitError(
             f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
         )
     moved = all_at_friction(records)
-    laws = [_adapted(prior, k, of_joint) for k, of_joint in enumerate(moved)]
+    laws = [_adapted(prior, k, joint_records) for k, joint_records in enumerate(moved)]
     errors = tuple(map(training_error, laws, moved))
-    seconds = sum(float(np.ptp(r.t)) for r in moved[0])
+    seconds = sum(float(np.ptp(record.t)) for record in moved[0])
     model = replace(prior, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
     return model, [
-        f"{joint}: error over {seconds:.3g} s {training_error(law, of_joint):.3g} -> {error:.3g}"
-        for joint, law, of_joint, error in zip(joints, prior.laws, moved, errors, strict=True)
+        f"{joint}: error over {seconds:.3g} s {training_error(law, joint_records):.3g} -> "
+        f"{error:.3g}"
+        for joint, law, joint_records, error in zip(joints, prior.laws, moved, errors, strict=True)
     ]
 
 
@@ -224,7 +225,7 @@ def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) ->
 
     def error(point: Array) -> Array:
         moved = at(point)
-        return np.concatenate([predict_record(moved, r) - r.tau for r in records])
+        return np.concatenate([predict_record(moved, record) - record.tau for record in records])
 
     torque = np.concatenate([record.tau for record in records])
     best = first

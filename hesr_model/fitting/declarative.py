@@ -61,17 +61,17 @@ class Described(Estimator):
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple if it lowers the error."""
         whole = dict(structure)
-        samples = problem.samples
+        rows = problem.samples
         chosen = None
-        if self.ripple and samples.gear_ratio is not None:
+        if self.ripple and rows.gear_ratio is not None:
             columns = problem.columns(point)
-            chosen = ripple.select(columns, samples, samples.gear_ratio, samples.folds)
+            chosen = ripple.select(columns, rows, rows.gear_ratio, rows.folds)
         if chosen:
             waves, times = chosen
             whole["ripple"] = to_json(waves)
             numbers = problem.named(point)
             space = waves.extend_space(problem.space)
-            problem = Separable(waves.extend(problem.form), space, samples)
+            problem = Separable(waves.extend(problem.form), space, rows)
             point = min(
                 (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),
                 key=lambda trial: problem.solve(trial)[1],
@@ -80,7 +80,7 @@ class Described(Estimator):
         if not self.limited:
             return law
         # No training row is at the kink.
-        most = {LOAD_MOST.name: 1.001 * float(np.max(np.abs(samples.tau_load)))}
+        most = {LOAD_MOST.name: 1.001 * float(np.max(np.abs(rows.tau_load)))}
         whole["limited"] = True
         return replace(law, structure=whole, form=self.form(whole), values={**law.values, **most})
 
@@ -113,8 +113,8 @@ class OneForm(Described):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
         form = self.core({})
-        samples = JointRows.of(records, coefficients=len(form.coefficients))
-        problem = Separable(form, self.space().at_joint(slides=samples.sliding), samples)
+        rows = JointRows.of(records, coefficients=len(form.coefficients))
+        problem = Separable(form, self.space().at_joint(slides=rows.sliding), rows)
         return self.finish({}, problem, problem.settled(problem.search(rng)))
 
 

@@ -100,7 +100,7 @@ def fit(
     """Fit one law to every joint; each of `logs` has one record per joint, of the same joints."""
     if not logs:
         raise FitError(f"law '{law}': no log given; pass the records of at least one.")
-    joints = [tuple(record.joint for record in log) for log in logs]
+    joints = [tuple(record.joint for record in joint_records) for joint_records in logs]
     for own in joints[1:]:
         if own != joints[0]:
             raise FitError(
@@ -143,7 +143,7 @@ def fit_models(
     coupling = records[0][0].coupling
     records = all_at_friction(records)
     if per_log:
-        own = [own_of_logs(of_joint, per_log) for of_joint in records]
+        own = [own_of_logs(joint_records, per_log) for joint_records in records]
         known = {
             r[0].joint: {log: asdict(n) for log, n in o.items()}
             for r, o in zip(records, own, strict=True)
@@ -156,38 +156,38 @@ def fit_models(
                 partial(
                     _fitted,
                     (variants or {}).get(law, law),
-                    of_joint,
+                    joint_records,
                     kept=kept,
                     progress=Path(folder, f"{law}.{joint}"),
                     seed=seed,
                     options=(options or {}).get(law),
                 )
-                for joint, of_joint in enumerate(records)
+                for joint, joint_records in enumerate(records)
             ]
             for law in laws
         }
         plain = _run(jobs, [r[0].joint for r in records], workers, progress, left_out)
     pooled = {law: with_pooled_errors(of_joints) for law, of_joints in plain.items()}
     banded = [
-        partial(calibrated, law, of_joint)
+        partial(calibrated, law, joint_records)
         for of_joints in pooled.values()
-        for law, of_joint in zip(of_joints, records, strict=True)
+        for law, joint_records in zip(of_joints, records, strict=True)
     ]
     names = [f"{r[0].joint}, {law}" for law in pooled for r in records]
     with parallel.results_of(banded, workers, names=names) as results:
         fitted = {law: tuple(next(results) for _ in records) for law in pooled}
-    periods = [float(np.median(np.diff(r.t))) for of_joint in records for r in of_joint]
+    periods = [float(np.median(np.diff(r.t))) for joint_records in records for r in joint_records]
     left = {law: [e for _, e in of_law if e is not None] for law, of_law in fitted.items()}
     return {
         law: FrictionModel(
             law=law,
             robot=robot,
-            joints=tuple(of_joint[0].joint for of_joint in records),
+            joints=tuple(joint_records[0].joint for joint_records in records),
             laws=tuple(own for own, _ in fitted[law]),
-            sliding=tuple(of_joint[0].sliding for of_joint in records),
+            sliding=tuple(joint_records[0].sliding for joint_records in records),
             coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),
-            trained=tuple(TrainedRange.of(of_joint) for of_joint in records),
+            trained=tuple(TrainedRange.of(joint_records) for joint_records in records),
             training_rmse=tuple(map(training_error, plain[law], records)),
             left_out_rmse=tuple(left[law]) if len(left[law]) == len(records) else (),
             provenance=dict(provenance or {}),
@@ -247,7 +247,7 @@ def _fitted(
         except FitError as error:
             return error
         if path:
-            period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
+            period = float(np.median(np.concatenate([np.diff(record.t) for record in records])))
             FrictionModel(
                 law=fitted.name,
                 robot="robot",

@@ -46,23 +46,23 @@ class JointRows:
     @classmethod
     def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
         """Join the records of one joint; raises FitError or LogError if they do not suffice."""
-        rows = sum(len(r.t) for r in records)
+        rows = sum(len(record.t) for record in records)
         joint = records[0].joint if records else "?"
         if rows < coefficients:
             raise FitError(
                 f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
             )
         require_reversals(records)
-        begins = np.concatenate([np.arange(len(r.t)) == 0 for r in records])
+        begins = np.concatenate([np.arange(len(record.t)) == 0 for record in records])
         logs = log_of_rows(records)
         names = ("dq", "q", "tau_load", "tau")
         return cls(
-            dt=np.concatenate([np.diff(r.t, prepend=r.t[0]) for r in records]),
+            dt=np.concatenate([np.diff(record.t, prepend=record.t[0]) for record in records]),
             begins=begins,
             record=logs if logs.any() else np.cumsum(begins) - 1,
             gear_ratio=records[0].gear_ratio,
             sliding=records[0].sliding,
-            **{n: np.concatenate([getattr(r, n) for r in records]) for n in names},
+            **{n: np.concatenate([getattr(record, n) for record in records]) for n in names},
         )
 
     @cached_property
@@ -81,8 +81,10 @@ _settling = lowered((DQ,), (SETTLING,))
 
 def log_of_rows(records: Sequence[FrictionRecord]) -> Integers:
     """Return the (N,) index of each row's log."""
-    logs = list(dict.fromkeys(r.log for r in records))
-    return np.repeat([logs.index(r.log) for r in records], [len(r.t) for r in records])
+    logs = list(dict.fromkeys(record.log for record in records))
+    return np.repeat(
+        [logs.index(record.log) for record in records], [len(record.t) for record in records]
+    )
 
 
 def in_one_piece(rows: Mask) -> Mask | slice:

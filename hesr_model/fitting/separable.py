@@ -108,16 +108,16 @@ class Separable:
 
     @cached_property
     def _run(self) -> KernelRun:
-        s = self.samples
+        rows = self.samples
         euler = self.discretisation == "euler"
         return KernelRun(
             self._kernel,
-            (s.dq, s.q, s.tau_load),
-            s.dt,
-            np.flatnonzero(s.begins),
+            (rows.dq, rows.q, rows.tau_load),
+            rows.dt,
+            np.flatnonzero(rows.begins),
             euler=euler,
             start=self.start,
-            target=s.tau,
+            target=rows.tau,
         )
 
     def solve(self, point: Array) -> tuple[Array, float]:

@@ -44,7 +44,7 @@ def with_standard_errors(
         return law
     moved = _searched(law, space.at_joint(slides=records[0].sliding)) if space else _every(law)
     # Initial states are measured, so they are constant.
-    starts = [record_start(law, r) for r in records]
+    starts = [record_start(law, record) for record in records]
 
     def at(point: Array) -> tuple[Array, Array]:
         values = moved.values(point)
@@ -61,7 +61,7 @@ def with_standard_errors(
     whole = replace(law, covariance=covariance.mapped(list(moves), np.array(list(moves.values()))))
     if law.structure.keys() - {"limited"}:
         return _stated(whole, {})
-    q, r = np.linalg.qr(jacobian)
+    q, record = np.linalg.qr(jacobian)
 
     def moved_by(index: int, step: Array) -> tuple[float, Array]:
         point = moved.point.copy()
@@ -75,7 +75,7 @@ def with_standard_errors(
 
     wider = {
         name: wider_side(
-            own, covariance.matrix, q, r, partial(moved_by, list(law.values).index(name))
+            own, covariance.matrix, q, record, partial(moved_by, list(law.values).index(name))
         )
         for name, own in moves.items()
         if name not in moved.held
@@ -100,9 +100,9 @@ def _derivatives(of: Callable[[Array], tuple[Array, Array]], point: Array) -> tu
 def _covariance(
     used: Integers, jacobian: Array, torque: Array, records: Sequence[FrictionRecord]
 ) -> Covariance:
-    residual = np.concatenate([r.tau for r in records]) - torque
+    residual = np.concatenate([record.tau for record in records]) - torque
     labels = blocks_of_time(log_of_rows(records))
-    spreads = [r.tau_load_spread for r in records if r.tau_load_spread is not None]
+    spreads = [record.tau_load_spread for record in records if record.tau_load_spread is not None]
     carried = jacobian.T @ np.concatenate(spreads) if len(spreads) == len(records) else None
     return covariance_of_fit([str(k) for k in used], jacobian, residual, labels, carried=carried)
 
@@ -225,4 +225,4 @@ def _predicted(
     law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
 ) -> Array:
     parts = zip(records, starts, strict=True)
-    return np.concatenate([predict(law, **r.motion, start=start) for r, start in parts])
+    return np.concatenate([predict(law, **record.motion, start=start) for record, start in parts])

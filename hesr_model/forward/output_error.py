@@ -72,13 +72,15 @@ def refine(
     logs in open loop must not become worse. Laws proven passive remain so. Raises SimulationError
     if a log is too short.
     """
-    logs = [motion_records(motion, robot, body) for motion in motions]
-    sets = [simulation.windows_of(logs, LENGTH)]
-    longest = max(float(log[0].t[-1] - log[0].t[0]) for log in logs)
-    free = simulation.weightless(logs, robot, body)
+    records = [motion_records(motion, robot, body) for motion in motions]
+    sets = [simulation.windows_of(records, LENGTH)]
+    longest = max(
+        float(joint_records[0].t[-1] - joint_records[0].t[0]) for joint_records in records
+    )
+    free = simulation.weightless(records, robot, body)
     if free and longest >= simulation.RUN_IN + 4.0 * LONG:
-        sets.append(simulation.windows_of(logs, LONG))
-    problem = _Problem(robot, body, model, motions, logs, sets, with_body=with_body)
+        sets.append(simulation.windows_of(records, LONG))
+    problem = _Problem(robot, body, model, motions, records, sets, with_body=with_body)
     halves = [problem.of_blocks(k) for k in range(2)]
     before = after = np.full((len(sets), robot.n), np.nan)
     if all(len(windows.t) for half in halves for windows in half.sets):
@@ -88,7 +90,7 @@ def refine(
         after = rms(np.array([half.sizes(change) for half, change in pairs]))
     if not rms(after / before, axis=None) < 1.0:
         return Refined(body=body, friction=model, ratio=1.0, before=before, left_out=before)
-    problem.whole = [simulation.whole(log) for log in logs] if free else []
+    problem.whole = [simulation.whole(joint_records) for joint_records in records] if free else []
     return problem.refined(problem.solved(rounds, starts, seed), before, after)
 
 
@@ -121,8 +123,9 @@ class _Problem:
         ]
         self.size = len(self.columns) + len(self._names)
         self._loads = [
-            robot.regressor(m.q, m.dq, m.ddq)[:, :, self.columns] * body.parameters[self.columns]
-            for m in motions
+            robot.regressor(motion.q, motion.dq, motion.ddq)[:, :, self.columns]
+            * body.parameters[self.columns]
+            for motion in motions
         ]
         still = np.zeros(self.size)
         self.position_sizes = self.sizes(still)
@@ -256,8 +259,15 @@ class _Problem:
         found = []
         for log, loads in zip(self._logs, self._loads, strict=True):
             more = loads @ theta[: len(self.columns)]
-            own = [replace(r, tau_load=r.tau_load + more[:, k]) for k, r in enumerate(log)]
-            found.append(model.predict(own) + more - np.column_stack([r.tau for r in log]))
+            joint_records = [
+                replace(record, tau_load=record.tau_load + more[:, k])
+                for k, record in enumerate(log)
+            ]
+            found.append(
+                model.predict(joint_records)
+                + more
+                - np.column_stack([record.tau for record in log])
+            )
         return np.concatenate(found)
 
     def _moved_body(self, theta: Array) -> RigidBody:

@@ -56,16 +56,18 @@ class Windows:
     def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
         """Return each law's states (m, W), run in along the logs, `delay` rows before windows."""
         found: list[list[Array]] = [[] for _ in model.laws]
-        for number, log in enumerate(self.logs):
+        for number, joint_records in enumerate(self.logs):
             rows = [max(row - delay, 0) for place, row in self.places if place == number]
-            for i, (law, record) in enumerate(zip(model.laws, at_friction(log), strict=True)):
+            for i, (law, record) in enumerate(
+                zip(model.laws, at_friction(joint_records), strict=True)
+            ):
                 found[i].append(states_over(law, **record.motion)[:, rows])
         return [np.concatenate(parts, axis=1) for parts in found]
 
 
-def windows_of(logs: Logs, length: float) -> Windows:
+def windows_of(records: Logs, length: float) -> Windows:
     """Cut logs into windows of a length [s] after a run-in; raise SimulationError if none fits."""
-    times = [log[0].t for log in logs]
+    times = [joint_records[0].t for joint_records in records]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
     places = [
         (number, row)
@@ -73,11 +75,11 @@ def windows_of(logs: Logs, length: float) -> Windows:
         for row in range(int(np.searchsorted(t, t[0] + RUN_IN)), len(t) - steps, steps)
     ]
     if not places:
-        names = ", ".join(dict.fromkeys(log[0].log for log in logs))
+        names = ", ".join(dict.fromkeys(joint_records[0].log for joint_records in records))
         raise SimulationError(
             f"log {names}: too short for a window of {length:g} s after a run-in of {RUN_IN:g} s."
         )
-    return _cut(logs, places, steps)
+    return _cut(records, places, steps)
 
 
 def joined(sets: Sequence[Windows]) -> Windows:
@@ -90,39 +92,49 @@ def joined(sets: Sequence[Windows]) -> Windows:
             for first, w in zip(firsts, sets, strict=False)
             for part, row in w.places
         ),
-        logs=[log for w in sets for log in w.logs],
+        logs=[joint_records for w in sets for joint_records in w.logs],
     )
 
 
-def whole(log: Sequence[FrictionRecord]) -> Windows:
+def whole(joint_records: Sequence[FrictionRecord]) -> Windows:
     """Return a log, [joint], as one window without run-in."""
-    return _cut([log], [(0, 0)], len(log[0].t) - 1)
+    return _cut([joint_records], [(0, 0)], len(joint_records[0].t) - 1)
 
 
-def _cut(logs: Logs, places: Sequence[tuple[int, int]], steps: int) -> Windows:
-    if logs[0][0].tau_body is not None:
+def _cut(records: Logs, places: Sequence[tuple[int, int]], steps: int) -> Windows:
+    if records[0][0].tau_body is not None:
         raise SimulationError(
-            f"log '{logs[0][0].log}': the load of its friction is a pressure, which a simulation "
+            f"log '{records[0][0].log}': the load of its friction is a pressure, which a "
+            "simulation "
             "of motion does not know."
         )
     signals = {
-        "q": [np.column_stack([r.q for r in log]) for log in logs],
-        "dq": [np.column_stack([r.dq for r in log]) for log in logs],
-        "tau": [np.column_stack([r.measured for r in log]) for log in logs],
-        "t": [log[0].t for log in logs],
+        "q": [np.column_stack([record.q for record in joint_records]) for joint_records in records],
+        "dq": [
+            np.column_stack([record.dq for record in joint_records]) for joint_records in records
+        ],
+        "tau": [
+            np.column_stack([record.measured for record in joint_records])
+            for joint_records in records
+        ],
+        "t": [joint_records[0].t for joint_records in records],
     }
     cut = {
         name: np.stack([parts[n][row : row + steps + 1] for n, row in places])
         for name, parts in signals.items()
     }
-    return Windows(**cut, places=tuple(places), logs=logs)
+    return Windows(**cut, places=tuple(places), logs=records)
 
 
-def weightless(logs: Logs, robot: Robot, body: RigidBody) -> bool:
+def weightless(records: Logs, robot: Robot, body: RigidBody) -> bool:
     """Return whether gravity acts on no joint; otherwise whole logs diverge with any friction."""
-    q = np.concatenate([np.column_stack([r.q for r in log]) for log in logs])
+    q = np.concatenate(
+        [np.column_stack([record.q for record in joint_records]) for joint_records in records]
+    )
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
-    largest = max(np.abs(r.measured).max() for log in logs for r in log)
+    largest = max(
+        np.abs(record.measured).max() for joint_records in records for record in joint_records
+    )
     return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
 
 

@@ -261,10 +261,10 @@ class FrictionModel:
         """
         if records is not None:
             self._require_joints(records)
-            moved = at_friction([replace(r, coupling=self.coupling) for r in records])
+            moved = at_friction([replace(record, coupling=self.coupling) for record in records])
             columns = [
-                predict_record(law, r, measured_start=measured_start, thermal=thermal)
-                for law, r, thermal in zip(
+                predict_record(law, record, measured_start=measured_start, thermal=thermal)
+                for law, record, thermal in zip(
                     self.laws, moved, self.thermal or repeat(None, len(moved)), strict=True
                 )
             ]
@@ -303,7 +303,7 @@ class FrictionModel:
             If the records do not match the model's joints, or the model has no band.
         """
         columns = {
-            name: np.column_stack([getattr(r, name) for r in records])
+            name: np.column_stack([getattr(record, name) for record in records])
             for name in ("dq", "q", "tau_load")
         }
         torque = self.predict(records)

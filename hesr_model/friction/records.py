@@ -35,7 +35,7 @@ def predict_record(
 
 def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:
     """Return the RMSE [N.m] of a law over all records of its joint."""
-    return rmse(np.concatenate([predict_record(law, r) - r.tau for r in records]))
+    return rmse(np.concatenate([predict_record(law, record) - record.tau for record in records]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +52,9 @@ class Score:
 
 def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
     """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
-    error = np.concatenate([r.tau - p for r, p in zip(records, predictions, strict=True)])
+    error = np.concatenate([record.tau - p for record, p in zip(records, predictions, strict=True)])
     near, fast = _kinds(records)
-    tau_std = float(np.std(np.concatenate([r.tau for r in records])))
+    tau_std = float(np.std(np.concatenate([record.tau for record in records])))
     return Score(
         tau_std=tau_std,
         rmse=rmse(error),
@@ -83,12 +83,14 @@ def score_band(
 ) -> BandScore:
     """Score the ends (N,) [N.m] of one joint's band on each record's rows."""
     inside = [
-        (r.tau >= lower) & (r.tau <= upper)
-        for r, (lower, upper) in zip(records, bands, strict=True)
+        (record.tau >= lower) & (record.tau <= upper)
+        for record, (lower, upper) in zip(records, bands, strict=True)
     ]
     held = np.concatenate(inside)
     near, fast = _kinds(records)
-    error = np.concatenate([np.abs(r.tau - p) for r, p in zip(records, predictions, strict=True)])
+    error = np.concatenate(
+        [np.abs(record.tau - p) for record, p in zip(records, predictions, strict=True)]
+    )
     constant = 2.0 * float(np.quantile(error, held.mean()))
     width = float(np.concatenate([upper - lower for lower, upper in bands]).mean())
     return BandScore(
@@ -101,8 +103,8 @@ def score_band(
 
 
 def _kinds(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
-    near = np.concatenate([near_reversals(r.t, r.dq) for r in records])
-    return near, np.concatenate([moving(r.dq) for r in records])
+    near = np.concatenate([near_reversals(record.t, record.dq) for record in records])
+    return near, np.concatenate([moving(record.dq) for record in records])
 
 
 def rmse(error: Array) -> float:

@@ -47,9 +47,9 @@ class TrainedRange:
         """Return the ranges of a joint's records."""
         ranges = {}
         for name in (*INPUT_UNITS, "tau"):
-            values = np.concatenate([getattr(r, name) for r in records])
+            values = np.concatenate([getattr(record, name) for record in records])
             ranges[name] = float(np.min(values)), float(np.max(values))
-        period = float(np.median(np.concatenate([np.diff(r.t) for r in records])))
+        period = float(np.median(np.concatenate([np.diff(record.t) for record in records])))
         return cls(sample_time=round(period, 9), **ranges)
 
     @property

@@ -86,14 +86,14 @@ class NetworkEstimator(Estimator):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Cross-validate every choice and fit the best one (seeded by `rng`)."""
         largest = self.form({self.key: max(self.tried)})
-        samples = JointRows.of(records, coefficients=len(largest.coefficients))
-        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
-        return first_tame(self._best_first(candidates(features, self.cells), samples, rng), records)
+        rows = JointRows.of(records, coefficients=len(largest.coefficients))
+        features = HysteresisFeatures(samples=rows, discretisation=self.discretisation)
+        return first_tame(self._best_first(candidates(features, self.cells), rows, rng), records)
 
     def _best_first(
-        self, inputs: Sequence[Inputs], samples: JointRows, rng: np.random.Generator
+        self, inputs: Sequence[Inputs], rows: JointRows, rng: np.random.Generator
     ) -> Iterator[FrictionLaw]:
-        costs_of, law_of = self._search(samples, rng)
+        costs_of, law_of = self._search(rows, rng)
         choices = list(product(inputs, self.tried))
         costs = np.array([costs_of(*choice) for choice in counted(choices, step)])
         for place in np.argsort(costs, axis=None):
@@ -102,7 +102,7 @@ class NetworkEstimator(Estimator):
 
     @abstractmethod
     def _search(
-        self, samples: JointRows, rng: np.random.Generator
+        self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         """Return the costs of inputs and a size, and the law of these and indices of a cost."""
 
@@ -196,16 +196,16 @@ class RbfnnH(NetworkEstimator):
         return LawForm(coefficients=(*coefficients, *own), memory=(hysteresis,), output=output)
 
     def _search(
-        self, samples: JointRows, rng: np.random.Generator
+        self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         def law(inputs: Inputs, count: int, factor: int, ridge: int) -> FrictionLaw:
             centres, spacing = clustered(inputs.z, count, rng)
             width = FACTORS[factor] * spacing
             columns = gaussians(inputs.z, centres, width)
-            bias, weights = ridge_weights(columns, samples.tau, (RIDGES[ridge],))
+            bias, weights = ridge_weights(columns, rows.tau, (RIDGES[ridge],))
             return self._law(inputs, centres, width, float(bias[0]), weights[:, 0])
 
-        return lambda inputs, count: left_out(inputs.z, samples, count, rng), law
+        return lambda inputs, count: left_out(inputs.z, rows, count, rng), law
 
     def _law(
         self, inputs: Inputs, centres: Array, width: float, bias: float, weights: Array
@@ -219,17 +219,17 @@ class RbfnnH(NetworkEstimator):
         return self._of(len(weights), values)
 
 
-def left_out(z: Array, samples: JointRows, count: int, rng: np.random.Generator) -> Array:
+def left_out(z: Array, rows: JointRows, count: int, rng: np.random.Generator) -> Array:
     """Return (factors, ridges) mean square errors [N^2.m^2] of networks by cross-validation."""
     total = np.zeros((len(FACTORS), len(RIDGES)))
-    for fold in samples.folds:
+    for fold in rows.folds:
         centres, spacing = clustered(z[~fold], count, rng)
         for i, factor in enumerate(FACTORS):
             columns = gaussians(z, centres, factor * spacing)
-            bias, weights = ridge_weights(columns[~fold], samples.tau[~fold], RIDGES)
-            error = columns[fold] @ weights + bias - samples.tau[fold, None]
+            bias, weights = ridge_weights(columns[~fold], rows.tau[~fold], RIDGES)
+            error = columns[fold] @ weights + bias - rows.tau[fold, None]
             total[i] += np.sum(error**2, axis=0)
-    return total / len(samples.tau)
+    return total / len(rows.tau)
 
 
 def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:

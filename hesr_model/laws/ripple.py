@@ -92,11 +92,11 @@ class Ripple:
             linear=(*space.linear, *self.names),
         )
 
-    def columns(self, samples: JointRows, times: Times) -> Array:
+    def columns(self, rows: JointRows, times: Times) -> Array:
         """Return the (N, 2 orders) waves, cosines and sines."""
         lag, smoothing = times
-        angle = self.gear_ratio * (samples.q - lag * samples.dq)
-        fast = self.gear_ratio * smoothing * samples.dq
+        angle = self.gear_ratio * (rows.q - lag * rows.dq)
+        fast = self.gear_ratio * smoothing * rows.dq
         waves = {k: wave / (1.0 + (k * fast) ** 2) for k, wave in _powers(angle, self.orders)}
         parts = [part for k in self.orders for part in (waves[k].real, waves[k].imag)]
         return np.stack(parts, axis=1)
@@ -112,14 +112,14 @@ def _powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArra
 
 
 def select(
-    base: Array, samples: JointRows, gear_ratio: float, folds: Sequence[Mask]
+    base: Array, rows: JointRows, gear_ratio: float, folds: Sequence[Mask]
 ) -> tuple[Ripple, Times] | None:
     """Return the ripple with lag and smoothing that predicts left-out logs best, or None.
 
     `base` (N, L) are the columns of the law without ripple. Orders are added one by one while the
     error on left-out logs falls.
     """
-    tau = samples.tau
+    tau = rows.tau
     gain = max(GAIN, CHANCE / len(tau))
     chosen = Ripple(gear_ratio=gear_ratio, orders=())
     times = _TIMES[0]
@@ -127,12 +127,12 @@ def select(
     cost = left_out_cost(base, tau, folds)
 
     def left_out(ripple: Ripple, at: Times) -> float:
-        return left_out_cost(np.hstack([base, ripple.columns(samples, at)]), tau, folds)
+        return left_out_cost(np.hstack([base, ripple.columns(rows, at)]), tau, folds)
 
     while len(chosen.orders) < MOST:
         residual = tau - columns @ least_squares(columns, tau)
         near = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR] if chosen.orders else _TIMES
-        ranked = _ranking(samples, residual, chosen, [times] if chosen.orders else _TIMES)
+        ranked = _ranking(rows, residual, chosen, [times] if chosen.orders else _TIMES)
         for order, at in ranked[:_ATTEMPTS]:
             extended = replace(chosen, orders=(*chosen.orders, order))
             if left_out(extended, at) < (1.0 - gain) * cost:
@@ -142,18 +142,18 @@ def select(
         chosen = extended
         times = min(near, key=lambda at: left_out(chosen, at))
         cost = left_out(chosen, times)
-        columns = np.hstack([base, chosen.columns(samples, times)])
+        columns = np.hstack([base, chosen.columns(rows, times)])
     return (chosen, times) if chosen.orders else None
 
 
 def _ranking(
-    samples: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
+    rows: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
 ) -> list[tuple[int, Times]]:
     explained = []
     orders = [order for order in ORDERS if order not in chosen.orders]
-    weights = {order: _weights(samples, chosen.gear_ratio, order, candidates) for order in orders}
+    weights = {order: _weights(rows, chosen.gear_ratio, order, candidates) for order in orders}
     for lag in dict.fromkeys(lag for lag, _ in candidates):
-        angle = chosen.gear_ratio * (samples.q - lag * samples.dq)
+        angle = chosen.gear_ratio * (rows.q - lag * rows.dq)
         for order, rotated in _powers(angle, weights):
             smoothings, plain, squared = weights[order]
             # Cosine and sine, also of the doubled angle for their squares.
@@ -181,9 +181,9 @@ def starts(times: Times) -> Iterator[dict[str, float]]:
 
 
 def _weights(
-    samples: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
+    rows: JointRows, gear_ratio: float, order: int, candidates: Sequence[Times]
 ) -> tuple[list[float], Array, Array]:
     smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
-    fast = order * gear_ratio * np.outer(smoothings, samples.dq)
+    fast = order * gear_ratio * np.outer(smoothings, rows.dq)
     plain = 1.0 / (1.0 + fast**2)
     return smoothings, plain, plain**2

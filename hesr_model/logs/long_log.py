@@ -109,7 +109,7 @@ class LongLog:
         if whole.steps.values[-1] > longest:
             parts = self._split(self._pieces(), longest)
             pieces = (log.split(longest) for log in self.stretches)
-            self.stretches = [max(own, key=lambda piece: len(piece.t)) for own in pieces]
+            self.stretches = [max(logs, key=lambda piece: len(piece.t)) for logs in pieces]
         self.stretches = [
             replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
         ]

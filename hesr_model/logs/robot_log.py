@@ -137,10 +137,10 @@ class Log:
         parts = self.split(self.longest_step)
         if len(parts) == 1:
             return (self,)
-        kept = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
-        if not kept:
+        logs = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
+        if not logs:
             raise without_parts(self.where, len(parts) - 1, self.longest_step)
-        return kept
+        return logs
 
     @classmethod
     def read(cls, path: PathArg, robot: RobotLike) -> "Log":

@@ -68,7 +68,9 @@ def gear_forms(motions: Sequence[Motion], robot: Robot, used: Sequence[Mask]) ->
     def smooth(values: Array) -> Array:
         cutoff = robot.description.log.filter_cutoff
         pairs = zip(motions, parts, strict=True)
-        return np.concatenate([zero_phase(m.t, values[rows], cutoff)(m.t) for m, rows in pairs])
+        return np.concatenate(
+            [zero_phase(motion.t, values[rows], cutoff)(motion.t) for motion, rows in pairs]
+        )
 
     data |= {"smooth": smooth(data["tau"]), "link": smooth(np.sign(data["dq_link"]))}
     each = [{n: x[:, j] for n, x in data.items()} for j in range(robot.n)]

@@ -89,7 +89,9 @@ def without_known(motions: Sequence[Motion], robot: Robot) -> list[Motion]:
         return list(motions)
     own = np.zeros_like(robot.nominal_parameters)
     own[known] = robot.nominal_parameters[known]
-    return [replace(m, tau=m.tau - robot.torque(own, *m.states)) for m in motions]
+    return [
+        replace(motion, tau=motion.tau - robot.torque(own, *motion.states)) for motion in motions
+    ]
 
 
 def used_rows(motions: Sequence[Motion], robot: Robot, slow: Array | None = None) -> list[Mask]:

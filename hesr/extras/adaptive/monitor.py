@@ -223,9 +223,15 @@ def _state(one: Followed) -> State:
 
 def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
     found = [
-        Alarm(log=r.log, joint=r.joint, time=float(r.t[row]), kind=kind, sign=int(alarm[row]))
+        Alarm(
+            log=record.log,
+            joint=record.joint,
+            time=float(record.t[row]),
+            kind=kind,
+            sign=int(alarm[row]),
+        )
         for one in log
-        for r in [one.record]
+        for record in [one.record]
         for kind in ("drift", "shift")
         for alarm in [one.outputs[kind]]
         for row in np.flatnonzero((alarm != 0.0) & (np.diff(alarm, prepend=0.0) != 0.0))

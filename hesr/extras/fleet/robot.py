@@ -118,11 +118,11 @@ class _Robot:
         if not stream.fits:  # a joint that is always slow
             stream, sample = self._collected(stream.slow)
         body = stream.body(sample, self._where)
-        records = by_joint([motion_records(m, self._model, body) for m in sample])
+        records = by_joint([motion_records(motion, self._model, body) for motion in sample])
         source = {
             "robot": member.name,
             "fleet": study.name,
-            "sample": sum(len(m.t) for m in sample),
+            "sample": sum(len(motion.t) for motion in sample),
             **self._model.description.constants,
         }
         failed: dict[str, FitError] = {}
@@ -194,11 +194,13 @@ class _Robot:
         plain = replace(body, covariance=None)
         found: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._motions():
-            logs = [at_friction(motion_records(part, self._model, plain)) for part in parts]
+            records = [at_friction(motion_records(part, self._model, plain)) for part in parts]
             for law, model in models.items():
                 for joint, own in enumerate(model.laws):
-                    predicted = np.concatenate([predict_record(own, r[joint]) for r in logs])
-                    tau = np.concatenate([r[joint].tau for r in logs])
+                    predicted = np.concatenate(
+                        [predict_record(own, joint_records[joint]) for joint_records in records]
+                    )
+                    tau = np.concatenate([joint_records[joint].tau for joint_records in records])
                     found.setdefault((law, joint), {})[parts[0].name] = _day(predicted, tau)
         days = self._member.days
         return [

@@ -94,11 +94,11 @@ class _Bam(OneForm):
         """Fit with each exponent and keep the least squares."""
         if not self._falls():
             return super().fit(records, rng)
-        samples = JointRows.of(records, coefficients=len(self.core({}).coefficients))
-        space = self.space().at_joint(slides=samples.sliding)
+        rows = JointRows.of(records, coefficients=len(self.core({}).coefficients))
+        space = self.space().at_joint(slides=rows.sliding)
         fits = []
         for alpha in ALPHAS:
-            problem = Separable(self.core({"alpha": alpha}), space, samples)
+            problem = Separable(self.core({"alpha": alpha}), space, rows)
             point = problem.polish(problem.search(rng))
             fits.append((problem.solve(point)[1], alpha, problem, point))
         _, alpha, problem, point = min(fits, key=lambda fit: fit[0])

@@ -149,12 +149,12 @@ class MlpH(NetworkEstimator):
         return family.form({"linear": ["1"], "units": [unit] * cls.size(structure)})
 
     def _search(
-        self, samples: JointRows, rng: np.random.Generator
+        self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
-        level = float(samples.tau.mean())
-        scale = max(float(samples.tau.std()), _TINY)
-        y = (samples.tau - level) / scale
-        folds = samples.folds
+        level = float(rows.tau.mean())
+        scale = max(float(rows.tau.std()), _TINY)
+        y = (rows.tau - level) / scale
+        folds = rows.folds
         starts = {
             hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
             for hidden in self.tried

@@ -41,14 +41,14 @@ class LuGreStaticFirst(LuGre):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Fit the static curve (seeded by `rng`), then search the deflection F_c / sigma_0."""
         form = self.core({})
-        samples = JointRows.of(records, coefficients=len(form.coefficients))
-        space = self.space().at_joint(slides=samples.sliding)
+        rows = JointRows.of(records, coefficients=len(form.coefficients))
+        space = self.space().at_joint(slides=rows.sliding)
         stiff = replace(
             bristle_space(("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF),
             values=(*space.values, ("sigma_1", sympy.Integer(0))),
         )
-        curve = Separable(form, stiff, samples)
-        problem = Separable(form, space, samples)
+        curve = Separable(form, stiff, rows)
+        problem = Separable(form, space, rows)
         static = curve.polish(curve.search(rng))
         (f_c, *others), _ = curve.solve(static)
 
@@ -56,7 +56,7 @@ class LuGreStaticFirst(LuGre):
             point = np.array([place, *static[1:]])
             columns = problem.columns(point)
             unknowns = np.array([f_c, 0.0, *others])
-            left = samples.tau - columns @ unknowns
+            left = rows.tau - columns @ unknowns
             slope = columns[:, 1]
             unknowns[1] = max(0.0, float(slope @ left) / max(float(slope @ slope), 1e-300))
             return float(np.sum((left - unknowns[1] * slope) ** 2)), point, unknowns

@@ -109,12 +109,13 @@ def read_grounds(rules: BoardFile) -> dict[str, Ground]:
                 _require_same(log.file, log.sha256, f" Its source is {log.source} ({log.licence}).")
                 logs.append(Log.read(log.file, model.description))
         examined(logs, model, rules.accept)
-        records = [friction_records(part, model, body) for part in parts_of(logs)]
-        for part in records:
-            seconds = part[0].t[-1] - part[0].t[0]
+        records = [friction_records(joint_records, model, body) for joint_records in parts_of(logs)]
+        for joint_records in records:
+            seconds = joint_records[0].t[-1] - joint_records[0].t[0]
             if seconds <= rules.warm_up:
                 raise ConfigError(
-                    f"log '{part[0].log}' lasts {seconds:.3g} s, not longer than the warm-up of "
+                    f"log '{joint_records[0].log}' lasts {seconds:.3g} s, not longer than the "
+                    "warm-up of "
                     f"{rules.warm_up:g} s."
                 )
         grounds[robot.name] = Ground(model=model, body=body, records=records)
@@ -148,14 +149,19 @@ class Judge:
 
     def __init__(self, ground: Ground, *, warm_up: float, block: float) -> None:
         parts = ground.records
-        self._rows = [part[0].t - part[0].t[0] >= warm_up for part in parts]
+        self._rows = [
+            joint_records[0].t - joint_records[0].t[0] >= warm_up for joint_records in parts
+        ]
         self._tau = [
-            np.column_stack([r.tau for r in part])[rows]
-            for part, rows in zip(parts, self._rows, strict=True)
+            np.column_stack([record.tau for record in joint_records])[rows]
+            for joint_records, rows in zip(parts, self._rows, strict=True)
         ]
         self.tau_std: Array = np.vstack(self._tau).std(axis=0)
         self._block = max(1, round(block / float(np.median(np.diff(parts[0][0].t)))))
-        kinds = [_kinds(part, rows) for part, rows in zip(parts, self._rows, strict=True)]
+        kinds = [
+            _kinds(joint_records, rows)
+            for joint_records, rows in zip(parts, self._rows, strict=True)
+        ]
         self._masks: Mapping[Kind, list[Mask]] = {
             kind: [of_part[kind] for of_part in kinds] for kind in kinds[0]
         }
@@ -204,9 +210,9 @@ class Judge:
         return Interval(value=value, low=low, high=high)
 
 
-def _kinds(part: Sequence[FrictionRecord], rows: Mask) -> dict[Kind, Mask]:
-    fast = np.column_stack([moving(r.dq) for r in part])[rows]
-    near = np.column_stack([near_reversals(r.t, r.dq) for r in part])[rows]
+def _kinds(joint_records: Sequence[FrictionRecord], rows: Mask) -> dict[Kind, Mask]:
+    fast = np.column_stack([moving(record.dq) for record in joint_records])[rows]
+    near = np.column_stack([near_reversals(record.t, record.dq) for record in joint_records])[rows]
     return {"all": np.ones_like(fast), "moving": fast, "reversals": near, "rests": ~fast}
 
 

@@ -64,7 +64,10 @@ def tried(entry: Entry, ground: board_file.Ground, *, properties: bool) -> Tried
             )
         columns: list[dict[str, Any]] = [
             {"t": part[0].t}
-            | {x: np.column_stack([getattr(r, x) for r in part]) for x in ("dq", *_OPTIONAL)}
+            | {
+                x: np.column_stack([getattr(record, x) for record in part])
+                for x in ("dq", *_OPTIONAL)
+            }
             for part in ground.records
         ]
         begin = time.perf_counter()

@@ -65,14 +65,14 @@ def projected(
     least squares with non-negative F_i and sigma_2, on the law along a Fourier motion at trained
     speeds. Reproducible bit for bit on one machine; the step of the law is `sample_time` [s].
     """
-    seen, unseen = records(law, trained_range, sample_time)
+    record, unseen = records(law, trained_range, sample_time)
     form, space = _family(_poles(law))
-    problem = Separable(form, space, JointRows.of([seen], coefficients=len(form.coefficients)))
+    problem = Separable(form, space, JointRows.of([record], coefficients=len(form.coefficients)))
     with threadpool_limits(1):
         point = problem.polish(problem.search(np.random.default_rng(0)))
         unknowns, _ = problem.solve(point)
     found = FrictionLaw(name="projected", form=form, values=problem.values(point, unknowns))
-    return found, misfit(found, seen), misfit(found, unseen)
+    return found, misfit(found, record), misfit(found, unseen)
 
 
 def records(
@@ -82,7 +82,7 @@ def records(
     peak = np.array([trained_speed(trained_range)])
     middle = np.zeros(1)
     low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
-    found = []
+    joint_records = []
     for seed, period in ((2, 40.0), (1, 20.0)):
         trajectory = random_fourier(
             seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle
@@ -99,10 +99,10 @@ def records(
                 f"law '{law.name}': its torque is not finite at speeds up to "
                 f"{np.max(np.abs(dq)):.3g} rad/s, so it cannot be projected."
             )
-        found.append(
+        joint_records.append(
             FrictionRecord(log="projection", joint="", t=t, dq=dq, q=q, tau_load=load, tau=tau)
         )
-    return found
+    return joint_records
 
 
 def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:

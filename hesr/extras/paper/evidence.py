@@ -88,7 +88,7 @@ class Case:
     def errors(self, law: str, test: str, joint: int) -> list[Array]:
         """Return the errors (N,) [N.m] of a law on every log."""
         pairs = zip(self.torques[test][law][joint], self.tests[test][joint], strict=True)
-        return [p - r.tau for p, r in pairs]
+        return [p - record.tau for p, record in pairs]
 
     def ratio(
         self, law: str, others: Sequence[str], test: str, joint: int, *, reversals: bool
@@ -96,11 +96,14 @@ class Case:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
         logs = self.tests[test][joint]
         errors = {}
-        near = [near_reversals(r.t, r.dq) if reversals else np.ones(len(r.t)) for r in logs]
+        near = [
+            near_reversals(record.t, record.dq) if reversals else np.ones(len(record.t))
+            for record in logs
+        ]
         for name in (law, *others):
             own = self.errors(name, test, joint)
             errors[name] = [rows * error for rows, error in zip(near, own, strict=True)]
-        found = law_errors(errors, [float(np.median(np.diff(r.t))) for r in logs])
+        found = law_errors(errors, [float(np.median(np.diff(record.t))) for record in logs])
         ratio = found.ratios(min(others, key=lambda o: found.log_rmse[found.laws.index(o)]))[law]
         return Number(value=ratio.value, low=ratio.low, high=ratio.high)
 
@@ -163,7 +166,10 @@ def _under(truth: FrictionModel, records: LogRecords, made: Mapping[str, Recordi
         was = made[name].truth
         inputs = zip(truth.laws, of_joints, was.dq.T, was.tau_f_true.T, strict=True)
         found[name] = [
-            [replace(r, tau=r.tau - f + predict(law, t=r.t, dq=dq)) for law, r, dq, f in inputs]
+            [
+                replace(record, tau=record.tau - f + predict(law, t=record.t, dq=dq))
+                for law, record, dq, f in inputs
+            ]
         ]
     return found
 

@@ -139,8 +139,12 @@ def body_error(e: Evidence, joint: int, *, test: str) -> float:
 def explained(e: Evidence, joint: int, *, log: str, by: str) -> float:
     """Return the share of a variance: of torque by the body, or of the residual by friction."""
     truth = e.recordings[log].truth.tau_f_true[:, joint]
-    r = e.records[log][0][joint]
-    left, whole = (r.tau, r.tau + r.tau_load) if by == "body" else (r.tau - truth, r.tau)
+    record = e.records[log][0][joint]
+    left, whole = (
+        (record.tau, record.tau + record.tau_load)
+        if by == "body"
+        else (record.tau - truth, record.tau)
+    )
     return 1.0 - float(np.var(left) / np.var(whole))
 
 
@@ -182,8 +186,8 @@ def published(e: Evidence, joint: int) -> float:
 @_of_cases
 def moved(e: Evidence, case: Case, joint: int) -> float:
     """Return alpha after stage 3 over that of stage 1."""
-    samples = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
-    features = HysteresisFeatures(samples=samples, discretisation="euler")
+    rows = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
+    features = HysteresisFeatures(samples=rows, discretisation="euler")
     return _law(e, case, joint).values["alpha"] / calibrate.geometric(features)[0]
 
 
@@ -211,11 +215,11 @@ def recovery(e: Evidence, case: Case, joint: int, *, noise: Sequence[float]) -> 
 @_of_cases
 def starts(e: Evidence, case: Case, joint: int, *, count: int, within: float) -> float:
     """Return the share of random starts whose local search finds the best fit of LuGre."""
-    samples = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
-    problem = Separable(LuGre.core({}), LuGre().space(), samples)
+    rows = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
+    problem = Separable(LuGre.core({}), LuGre().space(), rows)
     low, high = problem.bounds.T
     points = np.random.default_rng(e.study.seed).uniform(low, high, (count, len(low)))
     ends = (problem.solve(problem.polish(point, evaluations=60))[1] for point in points)
-    found = np.sqrt(np.array([*ends]) / len(samples.tau))
+    found = np.sqrt(np.array([*ends]) / len(rows.tau))
     best = min(case.models["lugre"].training_rmse[joint], float(found.min()))
     return float(np.mean(found <= within * best))

@@ -109,7 +109,10 @@ def errors_on(
         predicted = scores.predict_models(models, scores.causal(tested))
         predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(len(tested))]
         errors[test] = {
-            law: [score(r, p).rmse for r, p in zip(tested, of_law, strict=True)]
+            law: [
+                score(joint_records, p).rmse
+                for joint_records, p in zip(tested, of_law, strict=True)
+            ]
             for law, of_law in predicted.items()
         }
     return errors

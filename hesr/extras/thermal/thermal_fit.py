@@ -75,22 +75,25 @@ class ThermalFit:
 
 
 def fit_thermal(
-    model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
+    model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, tuple[ThermalFit, ...]]:
     """Fit the temperature dependence of a fitted model to logs [log][joint]."""
     if model.coupling is not None:
         raise FitError(
             f"friction model '{model.law}': a thermal model does not support coupled joints."
         )
-    found = tuple(_of_joint(law, [log[j] for log in logs]) for j, law in enumerate(model.laws))
+    found = tuple(
+        _of_joint(law, [joint_records[j] for joint_records in records])
+        for j, law in enumerate(model.laws)
+    )
     return replace(model, thermal=tuple(f.thermal for f in found)), found
 
 
 def add_temperature(
-    model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]
+    model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
     """Return a law with its temperature dependence, and a sentence per joint."""
-    warm, found = fit_thermal(model, logs)
+    warm, found = fit_thermal(model, records)
     return warm, [
         f"{one.joint}: Coulomb friction falls by {100 * one.thermal.coulomb:.2g} ± "
         f"{200 * one.coulomb_error:.1g} % per {'K' if one.thermal.measured else 'W of friction'}, "
@@ -101,9 +104,9 @@ def add_temperature(
 
 
 def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit:
-    measured = [r.temperature for r in records if r.temperature is not None]
+    measured = [record.temperature for record in records if record.temperature is not None]
     if measured and len(measured) < len(records):
-        without = next(r.log for r in records if r.temperature is None)
+        without = next(record.log for record in records if record.temperature is None)
         raise FitError(f"log {without}: temperatures are missing, but other logs have them.")
     problem = _Problem(law, records)
     if measured:
@@ -117,7 +120,7 @@ def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit
         start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(every)), 1))
         fitted = problem.solved(start, lambda _: measured)
         return replace(fitted, thermal=problem.heated(fitted.thermal, measured))
-    longest = max(float(np.ptp(r.t)) for r in records)
+    longest = max(float(np.ptp(record.t)) for record in records)
     if longest < LEAST_TIME:
         raise FitError(
             f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
@@ -143,8 +146,8 @@ class _Problem:
     def __init__(self, law: FrictionLaw, records: Sequence[FrictionRecord]) -> None:
         self._law = Factored(law)
         self._records = records
-        self._known = [np.isfinite(r.tau) for r in records]
-        self._steps = [np.diff(r.t, prepend=r.t[0]) for r in records]
+        self._known = [np.isfinite(record.tau) for record in records]
+        self._steps = [np.diff(record.t, prepend=record.t[0]) for record in records]
 
     def solved(
         self,
@@ -167,7 +170,9 @@ class _Problem:
         def left(thermal: Thermal, offset: float) -> Array:
             torques = self._torques(thermal, temperatures(thermal))
             rows = zip(torques, self._records, self._known, strict=True)
-            return np.concatenate([(tau + offset - r.tau)[known] for tau, r, known in rows])
+            return np.concatenate(
+                [(tau + offset - record.tau)[known] for tau, record, known in rows]
+            )
 
         low, high, scale = np.array(list(_UNKNOWNS.values())[: 6 if searched else 5]).T
         first = np.zeros(len(scale))
@@ -195,13 +200,13 @@ class _Problem:
 
     def _torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
         return [
-            self._law.torque(r, *thermal.factors(t))
-            for r, t in zip(self._records, temperatures, strict=True)
+            self._law.torque(record, *thermal.factors(t))
+            for record, t in zip(self._records, temperatures, strict=True)
         ]
 
     def by_heat(self, thermal: Thermal) -> list[Array]:
         """Return the temperature of each record from its friction [degC]."""
-        found = [np.full_like(r.t, thermal.ambient) for r in self._records]
+        found = [np.full_like(record.t, thermal.ambient) for record in self._records]
         for _ in range(_ROUNDS):
             found = [
                 thermal.ambient + thermal.rise(power, dt)
@@ -211,7 +216,7 @@ class _Problem:
 
     def _powers(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
         torques = self._torques(thermal, temperatures)
-        return [np.abs(tau * r.dq) for tau, r in zip(torques, self._records, strict=True)]
+        return [np.abs(tau * record.dq) for tau, record in zip(torques, self._records, strict=True)]
 
     def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
         powers = self._powers(thermal, temperatures)
@@ -221,8 +226,8 @@ class _Problem:
             rows = []
             body = replace(thermal, resistance=1.0, time_constant=time)
             logs = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)
-            for power, dt, r, own in logs:
-                left = np.exp(-(r.t - r.t[0]) / time)
+            for power, dt, record, own in logs:
+                left = np.exp(-(record.t - record.t[0]) / time)
                 rows.append(
                     np.column_stack([body.rise(power, dt), 1.0 - left, np.outer(left, own)])
                 )

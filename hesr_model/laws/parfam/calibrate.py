@@ -63,9 +63,9 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     1 / alpha is the mean settling time after a reversal: area over height. beta is the slope of the
     torque over speed at its sign change, relative to the sliding level.
     """
-    s = features.samples
+    rows = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
-    level = 0.5 * float(np.quantile(s.tau, 0.9) - np.quantile(s.tau, 0.1))
+    level = 0.5 * float(np.quantile(rows.tau, 0.9) - np.quantile(rows.tau, 0.1))
     courses = _courses(features)
     slopes = [slope for _, slope in courses if slope is not None]
     slope = float(np.median(slopes)) if slopes else 0.0
@@ -77,19 +77,19 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
 
 def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
     """Return the torque after each reversal, positive in the direction of motion, and its slope."""
-    s = features.samples
-    tau = s.tau - float(np.median(s.tau))
-    flips = np.flatnonzero((s.dq[:-1] * s.dq[1:] < 0.0) & ~s.begins[1:])
-    ends = np.flatnonzero(np.append(s.begins[1:], True)) + 1
+    rows = features.samples
+    tau = rows.tau - float(np.median(rows.tau))
+    flips = np.flatnonzero((rows.dq[:-1] * rows.dq[1:] < 0.0) & ~rows.begins[1:])
+    ends = np.flatnonzero(np.append(rows.begins[1:], True)) + 1
     courses: list[tuple[Array, float | None]] = []
     for k, following in zip(flips, np.append(flips[1:], len(tau) - 1), strict=True):
         stop = min(int(following), k + 1 + COURSE, int(ends[np.searchsorted(ends, k + 1)]))
-        after = np.sign(s.dq[k + 1]) * tau[k + 1 : stop]
+        after = np.sign(rows.dq[k + 1]) * tau[k + 1 : stop]
         crossing = np.flatnonzero(after >= 0.0)
         slope = None
         if len(crossing):
             i = k + 1 + int(crossing[0])
-            step = s.dq[i] - s.dq[i - 1]
+            step = rows.dq[i] - rows.dq[i - 1]
             slope = abs(float((tau[i] - tau[i - 1]) / step)) if step else None
         courses.append((after, slope))
     return courses
@@ -97,7 +97,7 @@ def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
 
 def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
     """Return height over area [1/s] of the mean course; 0 without reversals."""
-    s = features.samples
+    rows = features.samples
     total = np.zeros(COURSE)
     count = np.zeros(COURSE)
     for course in courses:
@@ -109,7 +109,7 @@ def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
         return 0.0
     way = np.abs(mean - mean[-(len(mean) // 10) :].mean())
     start = int(np.argmax(way[: len(mean) // 4 + 1]))
-    area = float(way[start:].sum() * np.median(s.dt[~s.begins]))
+    area = float(way[start:].sum() * np.median(rows.dt[~rows.begins]))
     return float(way[start]) / area if area > 0.0 else 0.0
 
 

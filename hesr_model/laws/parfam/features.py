@@ -66,14 +66,14 @@ class HysteresisFeatures:
 
     def columns(self, alpha: float, beta: float) -> Array:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
-        s = self.samples
+        rows = self.samples
         z = alpha * self.samples.dt
         a = np.exp(-z) if self.discretisation == "exact" else 1.0 - z
-        target = np.tanh(beta * s.dq)
-        h = s.recurrence(a, (1.0 - a) * target, target)  # h+ = a h + (1 - a) tanh(beta dq)
+        target = np.tanh(beta * rows.dq)
+        h = rows.recurrence(a, (1.0 - a) * target, target)  # h+ = a h + (1 - a) tanh(beta dq)
         columns = np.empty((len(h), 4), order="F")
         columns[:, 0] = 1.0
-        columns[:, 1] = s.dq
+        columns[:, 1] = rows.dq
         columns[:, 2] = h
         columns[:, 3] = alpha * (target - h)
         return columns
@@ -85,13 +85,13 @@ class HysteresisFeatures:
     def slopes(self, g: str | None) -> KernelRun:
         """Return the run of a candidate's slopes by `NUMBERS` and of its residual, (N, 12)."""
         if g not in self._runs:
-            s = self.samples
+            rows = self.samples
             self._runs[g] = KernelRun(
                 _kernel(g, self.discretisation),
-                (s.dq, s.tau),
-                s.dt,
-                np.flatnonzero(s.begins),
+                (rows.dq, rows.tau),
+                rows.dt,
+                np.flatnonzero(rows.begins),
                 euler=self.discretisation == "euler",
-                target=s.tau,
+                target=rows.tau,
             )
         return self._runs[g]

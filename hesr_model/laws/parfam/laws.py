@@ -75,11 +75,11 @@ class ParFamH(Estimator):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Run the three stages, with starts and hops drawn from `rng`."""
-        samples = JointRows.of(records, coefficients=COEFFICIENTS)
-        features = HysteresisFeatures(samples=samples, discretisation=self.discretisation)
+        rows = JointRows.of(records, coefficients=COEFFICIENTS)
+        features = HysteresisFeatures(samples=rows, discretisation=self.discretisation)
         search = self._paper if self.search == "paper" else self._evolve
         trained_range = TrainedRange.of(records)
-        chosen = refine.select(features, search(features, rng), samples.folds, trained_range)
+        chosen = refine.select(features, search(features, rng), rows.folds, trained_range)
         law = chosen.canonical().law(self.name, self.discretisation)
         return self._enlarged(law, features, trained_range, rng)
 
@@ -179,8 +179,8 @@ class ParFamV(Described):
         return self.finish(structure, problem, point)
 
 
-def _space(samples: JointRows) -> SearchSpace:
-    limit = STEEPEST / float(np.sqrt(np.mean(samples.dq**2)))
+def _space(rows: JointRows) -> SearchSpace:
+    limit = STEEPEST / float(np.sqrt(np.mean(rows.dq**2)))
     bound = evolve.ARGUMENT_LIMIT
     return SearchSpace(
         bounds=(("theta1_0", (-bound, bound)), ("theta1_dq", (-limit, limit))),
@@ -235,9 +235,9 @@ class ParFamHX(Described):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search state, terms, unit and ripple in turn (seeded by `rng`)."""
-        samples = JointRows.of(records, coefficients=len(self.linear) + 6)
+        rows = JointRows.of(records, coefficients=len(self.linear) + 6)
         states = ("bristle", "generalised") if self.memory else ("paper",)
-        bare = choose([self._bare(state, samples, rng) for state in states], STATE_GAIN)
+        bare = choose([self._bare(state, rows, rng) for state in states], STATE_GAIN)
         columns = bare.problem.columns(bare.point)
         moving = [bare.structure["linear"].index(x) for x in ("dq", "h", "dh")]
         features = np.column_stack([np.ones(len(columns)), columns[:, moving]])
@@ -247,25 +247,25 @@ class ParFamHX(Described):
         )
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
-    def _bare(self, state: str, samples: JointRows, rng: np.random.Generator) -> Trial:
+    def _bare(self, state: str, rows: JointRows, rng: np.random.Generator) -> Trial:
         # A bristle contains the Stribeck curve.
         linear = [x for x in self.linear if state != "bristle" or x != "h_bump"]
         structure = {"linear": linear, "units": [], "state": state}
-        problem = pose(structure, samples)
+        problem = pose(structure, rows)
         found = problem.search(rng, effort=30)
         return self._thinned(Trial(structure=structure, problem=problem, point=found))
 
     def _thinned(self, trial: Trial) -> Trial:
-        samples = trial.problem.samples
+        rows = trial.problem.samples
         columns = trial.problem.columns(trial.point)
         linear = trial.structure["linear"]
         kept = list(range(columns.shape[1]))
-        cost = left_out_cost(columns, samples.tau, samples.folds)
+        cost = left_out_cost(columns, rows.tau, rows.folds)
         for i in reversed(range(columns.shape[1])):
             if linear[i] in ("dq", "h", "dh"):
                 continue
             fewer = [k for k in kept if k != i]
-            without = left_out_cost(columns[:, fewer], samples.tau, samples.folds)
+            without = left_out_cost(columns[:, fewer], rows.tau, rows.folds)
             if no_worse(without, cost):
                 kept = fewer
                 cost = without

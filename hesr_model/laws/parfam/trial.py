@@ -50,11 +50,11 @@ class Trial:
 
 
 def pose(
-    structure: Mapping[str, Any], samples: JointRows, discretisation: Discretisation = "exact"
+    structure: Mapping[str, Any], rows: JointRows, discretisation: Discretisation = "exact"
 ) -> Separable:
     """Return the least-squares problem of a structure."""
-    space = search_space(structure, samples)
-    return Separable(family.form(structure), space, samples, discretisation)
+    space = search_space(structure, rows)
+    return Separable(family.form(structure), space, rows, discretisation)
 
 
 def with_unit(
@@ -100,10 +100,10 @@ def left_out(trial: Trial) -> float:
     return total
 
 
-def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpace:
+def search_space(structure: Mapping[str, Any], rows: JointRows) -> SearchSpace:
     """Return the search space of a structure."""
     state = structure.get("state", "paper")
-    alpha, beta = calibrate.bounds(HysteresisFeatures(samples=samples, discretisation="exact"))
+    alpha, beta = calibrate.bounds(HysteresisFeatures(samples=rows, discretisation="exact"))
     bounds: list[tuple[str, tuple[float, float]]] = []
     values: list[tuple[str, sympy.Expr]] = []
     if state == "bristle":
@@ -119,13 +119,13 @@ def search_space(structure: Mapping[str, Any], samples: JointRows) -> SearchSpac
     linear = [family.linear_name(x) for x in structure["linear"]]
     for k, unit in enumerate(structure["units"], start=1):
         linear.append(family.gain_name(k))
-        scales = {"1": 1.0, "dq": float(samples.dq.std()), "h": 1.0, "dh": 1.0}
+        scales = {"1": 1.0, "dq": float(rows.dq.std()), "h": 1.0, "dh": 1.0}
         for x in unit["arguments"]:
             limit = evolve.ARGUMENT_LIMIT / scales[x]
             bounds.append((family.argument_name(k, x), (-limit, limit)))
     for x in structure.get("denominator", ()):
         # The sum of all terms stays below DIVISOR_LIMIT.
-        largest = float(np.abs(samples.dq).max()) if x == "dq" else 1.0
+        largest = float(np.abs(rows.dq).max()) if x == "dq" else 1.0
         limit = DIVISOR_LIMIT / len(structure["denominator"]) / largest
         bounds.append((family.denominator_name(x), (-limit, limit)))
     return SearchSpace(bounds=tuple(bounds), linear=tuple(linear), values=tuple(values))

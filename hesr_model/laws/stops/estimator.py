@@ -34,16 +34,16 @@ class Waves:
     lag: float
 
 
-def waves(frequencies: Sequence[int], lag: float, samples: JointRows) -> Array:
+def waves(frequencies: Sequence[int], lag: float, rows: JointRows) -> Array:
     """Return the (N, 2 K) cosines and sines of the joint angle before the lag."""
-    phase = np.outer(samples.q - lag * samples.dq, np.asarray(frequencies, dtype=float))
-    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(samples.q), -1)
+    phase = np.outer(rows.q - lag * rows.dq, np.asarray(frequencies, dtype=float))
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(rows.q), -1)
 
 
-def select_waves(base: Array, samples: JointRows, weights: Array, gear_ratio: float) -> Waves:
+def select_waves(base: Array, rows: JointRows, weights: Array, gear_ratio: float) -> Waves:
     """Return the waves that lower the error of `base` (N, K) by more than one standard error."""
-    problem = _Problem(base=base, samples=samples, weights=weights)
-    blocks = blocks_of(samples.dt, samples.begins)
+    problem = _Problem(base=base, samples=rows, weights=weights)
+    blocks = blocks_of(rows.dt, rows.begins)
     chosen = Waves(frequencies=(), lag=0.0)
     errors = problem.left_out(chosen)
     while len(chosen.frequencies) < MOST:
@@ -71,9 +71,11 @@ class _Problem:
         return np.hstack([self.base, own]) if chosen.frequencies else self.base
 
     def left_out(self, chosen: Waves) -> Array:
-        s = self.samples
+        rows = self.samples
         free = 1 + 2 * len(chosen.frequencies)
-        return Normal.of(self.columns(chosen), s.tau, s.folds, self.weights, free=free).left_out()
+        return Normal.of(
+            self.columns(chosen), rows.tau, rows.folds, self.weights, free=free
+        ).left_out()
 
     def residual(self, chosen: Waves) -> Array:
         columns = self.weights[:, None] * self.columns(chosen)
@@ -97,7 +99,7 @@ class _Problem:
 
 def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
     """Return the waves plus the one that fits the residual best, over all lags for the first."""
-    samples = problem.samples
+    rows = problem.samples
     residual = problem.residual(chosen)
     taken = {round(n / gear_ratio) for n in chosen.frequencies}
     orders = [order for order in ORDERS if order not in taken]
@@ -105,14 +107,14 @@ def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
         return None
     fits = {}
     for lag in [chosen.lag] if taken else LAGS:
-        first = np.exp(1j * gear_ratio * (samples.q - lag * samples.dq))
+        first = np.exp(1j * gear_ratio * (rows.q - lag * rows.dq))
         power = residual.astype(complex)
         for order in ORDERS:
             power = power * first
             fits[order, float(lag)] = abs(complex(power.sum()))
     order, lag = max((key for key in fits if key[0] in orders), key=fits.__getitem__)
     whole = round(order * gear_ratio)
-    angle = samples.q - lag * samples.dq
+    angle = rows.q - lag * rows.dq
     near = range(max(1, whole - NEAR), whole + NEAR + 1)
     frequency = max(near, key=lambda n: abs(complex(residual @ np.exp(1j * n * angle))))
     return Waves(frequencies=(*chosen.frequencies, frequency), lag=lag)
@@ -141,30 +143,30 @@ class _Stops(Estimator):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Solve for all forces with sign constraints; `rng` is not used."""
         del rng
-        samples = JointRows.of(records, coefficients=20)
-        scales = range(len(FINER) if samples.sliding else 1)
-        tried = [dictionary(samples, load=self.load, scale=scale) for scale in scales]
+        rows = JointRows.of(records, coefficients=20)
+        scales = range(len(FINER) if rows.sliding else 1)
+        tried = [dictionary(rows, load=self.load, scale=scale) for scale in scales]
         if not self.skeleton_only:
             tried = [search(terms, load=self.load) for terms in tried]
         best = tried[first_best([terms.cost for terms in tried])]
         structure, columns = best.active()
         structure = replace(structure, limited=self.load)
         lag = 0.0
-        if self.ripple and samples.gear_ratio is not None:
-            chosen = select_waves(columns, samples, best.weights, samples.gear_ratio)
+        if self.ripple and rows.gear_ratio is not None:
+            chosen = select_waves(columns, rows, best.weights, rows.gear_ratio)
             if chosen.frequencies:
-                window = WINDOW * float(np.median(samples.dt[~samples.begins]))
+                window = WINDOW * float(np.median(rows.dt[~rows.begins]))
                 window, lag = float(f"{window:.3g}"), chosen.lag
                 structure = replace(structure, ripple=chosen.frequencies, window=window)
-                columns = np.hstack([columns, waves(chosen.frequencies, lag, samples)])
+                columns = np.hstack([columns, waves(chosen.frequencies, lag, rows)])
         return self._law(best, structure, columns, lag)
 
     def _law(self, best: Terms, structure: Structure, columns: Array, lag: float) -> FrictionLaw:
-        samples = best.samples
+        rows = best.samples
         form = structure.form()
         names = (*structure.forces, "tau_0", *structure.waves)
         free = 1 + len(structure.waves)
-        normal = Normal.of(columns, samples.tau, samples.folds, best.weights, free=free)
+        normal = Normal.of(columns, rows.tau, rows.folds, best.weights, free=free)
         x = normal.solve()
         if structure.ripple:
             x = forms.constrained(

@@ -30,48 +30,48 @@ def every(kind: str, scale: int = 0) -> Structure:
     return Structure(stops=tuple((kind, first + node) for node in range(len(DEFLECTIONS))))
 
 
-def fixed(samples: JointRows) -> dict[str, float]:
+def fixed(rows: JointRows) -> dict[str, float]:
     """Return the coefficients that follow from the largest load and speed of a joint."""
-    load = float(np.max(np.abs(samples.tau_load)))
-    speed = float(np.max(np.abs(samples.dq)))
+    load = float(np.max(np.abs(rows.tau_load)))
+    speed = float(np.max(np.abs(rows.dq)))
     thin = {THINNING[k].name: share * speed for k, share in SHARES.items()}
     return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thin}
 
 
-def times(samples: JointRows) -> tuple[float, ...]:
+def times(rows: JointRows) -> tuple[float, ...]:
     """Return the ageing times [s] up to a twelfth of the shortest left-out part."""
-    shortest = min(float(samples.dt[fold].sum()) for fold in samples.folds)
+    shortest = min(float(rows.dt[fold].sum()) for fold in rows.folds)
     return tuple(time for time in TIMES if 3.0 * time <= shortest / 4.0)
 
 
-def weights(samples: JointRows, longest: float = 0.0) -> Array:
+def weights(rows: JointRows, longest: float = 0.0) -> Array:
     """Return (N,) weights: 0 while the unknown initial state of a record matters, then 1.
 
     The deflections are forgotten after a distance, the age after three times the `longest` T [s].
     """
-    found = np.empty(len(samples.q))
-    first = np.flatnonzero(samples.begins)
+    found = np.empty(len(rows.q))
+    first = np.flatnonzero(rows.begins)
     for start, end in zip(first, [*first[1:], len(found)], strict=True):
-        q = samples.q[start:end]
+        q = rows.q[start:end]
         way = np.maximum.accumulate(q) - np.minimum.accumulate(q)
         forgotten = way > 2.0 * DEFLECTIONS[-1]
-        since = np.cumsum(samples.dt[start:end]) - samples.dt[start]
+        since = np.cumsum(rows.dt[start:end]) - rows.dt[start]
         found[start:end] = (forgotten | ~forgotten.any()) & (since >= 3.0 * longest)
     return found
 
 
-def oldest(samples: JointRows, counted: Array, v_s: float, time: float) -> float:
+def oldest(rows: JointRows, counted: Array, v_s: float, time: float) -> float:
     """Return the largest age of the rows with a weight (N,), rounded up to three digits."""
-    kept = np.exp(-samples.dt / time)
-    grown = (1.0 - kept) * np.exp(-((samples.dq / v_s) ** 2))
-    kept, grown = np.where(samples.begins, 0.0, kept), np.where(samples.begins, 1.0, grown)
+    kept = np.exp(-rows.dt / time)
+    grown = (1.0 - kept) * np.exp(-((rows.dq / v_s) ** 2))
+    kept, grown = np.where(rows.begins, 0.0, kept), np.where(rows.begins, 1.0, grown)
     return float(np.ceil(1e3 * np.max(recurrence(kept, grown, 1.0) * counted)) / 1e3)
 
 
-def columns(structure: Structure, numbers: Mapping[str, float], samples: JointRows) -> Array:
+def columns(structure: Structure, numbers: Mapping[str, float], rows: JointRows) -> Array:
     """Return the (N, K) columns [N.m per unit] of a structure's forces and waves."""
     form, space = _posed(structure)
-    problem = Separable(form, space, samples, start=forms.start_at_rest(form))
+    problem = Separable(form, space, rows, start=forms.start_at_rest(form))
     return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]
 
 
@@ -149,17 +149,17 @@ class Terms:
         return chosen, np.hstack(self.blocks)[:, np.concatenate([enough, flows, [True]])]
 
 
-def dictionary(samples: JointRows, *, load: bool, scale: int = 0) -> Terms:
+def dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
     """Return the bounds of the skeleton with the best v_s and T, at a scale of deflections."""
-    speed = float(np.max(np.abs(samples.dq)))
-    ageing = times(samples)
-    counted = weights(samples, max(ageing, default=0.0))
+    speed = float(np.max(np.abs(rows.dq)))
+    ageing = times(rows)
+    counted = weights(rows, max(ageing, default=0.0))
     first = Terms(
         bounds=("1", *("age",) * bool(ageing), *("load",) * load),
-        numbers=fixed(samples),
-        samples=samples,
+        numbers=fixed(rows),
+        samples=rows,
         weights=counted,
-        products=Products(samples.tau, samples.folds, counted),
+        products=Products(rows.tau, rows.folds, counted),
         scale=scale,
     )
     trials = []
