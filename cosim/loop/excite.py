@@ -92,24 +92,24 @@ class TwinArm:
         Returns the arm at the start of each command, without the first `unlogged` ones. The servo's
         integral holds gravity and ripple at `q0`.
         """
-        fmu = self._component
+        instance = self._component
         noise = self.plant.noise
-        if fmu.used:
-            fmu.reset()
+        if instance.used:
+            instance.reset()
         start: dict[str, Value] = {
             "q0": tuple(np.asarray(q0, dtype=float).tolist()),
             "q_noise": noise.encoder,
             "tau_meas_noise": noise.torque,
             "noise_seed": seed_halves(seed),
         }
-        fmu.initialise(start=fmu.variables.expanded(start))
+        instance.initialise(start=instance.variables.expanded(start))
         joints = range(1, len(self.plant.joints) + 1)
-        inputs = fmu.buffer([f"dq_cmd[{i}]" for i in joints])
-        outputs = fmu.buffer([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
+        inputs = instance.buffer([f"dq_cmd[{i}]" for i in joints])
+        outputs = instance.buffer([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
         step = 1.0 / self.plant.sample_rate
         times = step * np.arange(len(commands) - 1, dtype=float)
         first = outputs.read().copy()
-        rows = through(fmu, inputs, outputs, times, np.full(len(times), step), commands[:-1])
+        rows = through(instance, inputs, outputs, times, np.full(len(times), step), commands[:-1])
         values = np.vstack([first, rows])[unlogged:].reshape(-1, len(_OUTPUTS), len(joints))
         return ArmRun(**{name: values[:, k] for k, name in enumerate(_OUTPUTS)})
 

@@ -140,7 +140,7 @@ class Master:
                 c.name: cleanup.enter_context(lend(c.fmu, name=c.name, system=sandbox))
                 for c in self.spec.components
             }
-            variables = {name: slave.variables for name, slave in self._slaves.items()}
+            variables = {name: instance.variables for name, instance in self._slaves.items()}
             if self.source:
                 variables[self.source.name] = self.source.variables
             self._wiring = Wiring(self.spec, variables, self.path)
@@ -160,18 +160,18 @@ class Master:
         values = np.zeros(len(place))
         stations = []
         for component in self.spec.components:
-            slave = self._slaves[component.name]
+            instance = self._slaves[component.name]
             own = [element for element in names if element[0] == component.name]
             fed = [into for into in wiring.sources if into[0] == component.name]
             start = place[own[0]] if own else 0
             part = values[start : start + len(own)]
             stations.append(
                 Station(
-                    slave=slave,
+                    slave=instance,
                     every=self.spec.every(component),
-                    inputs=mixed_buffer(slave, [variable for _, variable in fed]),
+                    inputs=mixed_buffer(instance, [variable for _, variable in fed]),
                     sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
-                    outputs=mixed_buffer(slave, [variable for _, variable in own], part),
+                    outputs=mixed_buffer(instance, [variable for _, variable in own], part),
                     begin=self.spec.begin,
                     conversions=[
                         (i, convert)
@@ -323,11 +323,11 @@ class Master:
         self._layout.values[:] = 0.0
         if self.source:
             self.source.begin(self._slaves)
-        for name, slave in self._slaves.items():
-            if slave.used:
-                slave.reset()
-            start = self._wiring.start[name] | slave.variables.expanded(more.get(name, {}))
-            slave.enter_initialisation(time=self.spec.begin, stop=self.spec.stop, start=start)
+        for name, instance in self._slaves.items():
+            if instance.used:
+                instance.reset()
+            start = self._wiring.start[name] | instance.variables.expanded(more.get(name, {}))
+            instance.enter_initialisation(time=self.spec.begin, stop=self.spec.stop, start=start)
         if self._scheme.first == "propagated":
             before = None
             for _ in self._wiring.order:
@@ -335,8 +335,8 @@ class Master:
                 if before is not None and np.array_equal(before, self._layout.values):
                     break
                 before = self._layout.values.copy()
-        for slave in self._slaves.values():
-            slave.exit_initialisation()
+        for instance in self._slaves.values():
+            instance.exit_initialisation()
         for station in self._layout.stations:
             station.read_outputs()
         if self._scheme.first == "zero":

@@ -52,9 +52,9 @@ _TABLES = {
 }
 
 
-def to_h(signals: ArmSignals, table: Interface, *, state: int, digest: str) -> str:
+def to_h(signals: ArmSignals, interface: Interface, *, state: int, digest: str) -> str:
     """Return signals.h; `state` is the size of MuJoCo's integration state."""
-    at = table.places
+    at = interface.places
     rows = {name: list(map(_row, found)) for name, found in _rows(signals, at).items()}
     arrays = [
         f"static const {kind} {name}[] = {{{', '.join(rows[name]) or empty}}};"
@@ -194,7 +194,7 @@ def arm(
     if model.nplugin:
         raise ExportError(f"model '{name}': plugins of MuJoCo are not supported in an FMU.")
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
-    table = Interface(
+    interface = Interface(
         variables=variables(signals),
         own=_OWN + _OF_LOSS * len(signals.losses) + state,
         model_exchange=False,
@@ -204,14 +204,14 @@ def arm(
     digest = hashlib.sha256(compiled).hexdigest()
     about = description(signals, name)
     return Content(
-        table=table,
+        table=interface,
         about=about,
         sources={name: own_source(name) for name in _SOURCES}
-        | {"signals.h": to_h(signals, table, state=state, digest=digest)},
+        | {"signals.h": to_h(signals, interface, state=state, digest=digest)},
         members={
             "resources/model.mjb": compiled,
             "resources/model.xml": source,
-            **arm_page(signals, table, about),
+            **arm_page(signals, interface, about),
             **licences("mujoco"),
         },
         libraries={platform: library(platform) for platform in platforms},
@@ -219,10 +219,10 @@ def arm(
     )
 
 
-def arm_page(signals: ArmSignals, table: Interface, about: Description) -> dict[str, bytes]:
+def arm_page(signals: ArmSignals, interface: Interface, about: Description) -> dict[str, bytes]:
     """Return the page of the FMU of a model as a member of its archive."""
     page = BlockPage(equations=tuple(_signal_lines(signals)), notes=_NOTES)
-    return {"documentation/index.html": block_html(page, table, about).encode()}
+    return {"documentation/index.html": block_html(page, interface, about).encode()}
 
 
 def arm_stimuli(signals: ArmSignals) -> Stimuli:

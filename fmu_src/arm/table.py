@@ -132,7 +132,7 @@ class ArmSignals:
 def variables(signals: ArmSignals) -> tuple[Variable, ...]:
     """Return inputs, outputs and the parameters that apply to the model."""
     parameters = tuple(_parameters(signals))
-    return (*_connectors(signals, tuple(p.name for p in parameters)), *parameters)
+    return (*_connectors(signals, tuple(variable.name for variable in parameters)), *parameters)
 
 
 def noise_name(output: ArmOutput) -> str:

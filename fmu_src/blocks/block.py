@@ -29,9 +29,9 @@ def vector(
         )
 
 
-def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
+def places(interface: Interface, guard: str, first: Mapping[str, str], **sizes: int) -> str:
     """Return a C header with the index of the first variable of each kind and further constants."""
-    constants = {name: table.places[variable] for name, variable in first.items()} | sizes
+    constants = {name: interface.places[variable] for name, variable in first.items()} | sizes
     lines = ",\n".join(f"    {name} = {value}" for name, value in constants.items())
     return (
         "/* Generated: index of the first variable of each kind; other joints follow it. */\n"
@@ -40,7 +40,7 @@ def places(table: Interface, guard: str, first: Mapping[str, str], **sizes: int)
 
 
 def content(
-    table: Interface,
+    interface: Interface,
     *,
     name: str,
     text: str,
@@ -57,10 +57,12 @@ def content(
     about = Description(
         name=name, identifier=name.lower(), text=text, created=RELEASED, step=step, owner=owner
     )
-    inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
+    inputs = waves(
+        {variable.name: 1.0 for variable in interface.variables if variable.role == "input"}
+    )
     stimuli = Stimuli(step=step, inputs=inputs, parameters=example or {})
-    members = {"documentation/index.html": block_html(page, table, about).encode()}
-    return Content(table=table, about=about, sources=sources, members=members, stimuli=stimuli)
+    members = {"documentation/index.html": block_html(page, interface, about).encode()}
+    return Content(table=interface, about=about, sources=sources, members=members, stimuli=stimuli)
 
 
 def block(
@@ -87,17 +89,17 @@ def block(
     own = [Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)]
     # Values of the last sample are not states of a solver.
     free = not (component.remembered or component.sample_time)
-    table = Interface(
+    interface = Interface(
         variables=tuple(_variables(component, own)),
         own=own_size(own),
         model_exchange=free,
         directional_derivatives=free,
     )
     return content(
-        table,
+        interface,
         name=name,
         text=text,
-        sources=equation_sources(equations_header(own, table, {})),
+        sources=equation_sources(equations_header(own, interface, {})),
         step=step,
         page=component_page(component, notes),
         example={joint.names[of]: value for of, value in example.items() for joint in own},

@@ -56,8 +56,8 @@ def inverse_dynamics(
         name = f"spring[{term.joint + 1}].{term.name}"
         text = f"{_SPRINGS[term.linear]} of joint {term.joint + 1}"
         own.append(Variable(name, "tunable", text, unit=term.unit, start=value))
-    made_of = [*needed, *(v.name for v in own)]
-    table = Interface(
+    made_of = [*needed, *(variable.name for variable in own)]
+    interface = Interface(
         variables=(
             *vector("q", "input", "rad", "position", zeros),
             *vector("dq", "input", "rad/s", "velocity", zeros),
@@ -70,12 +70,12 @@ def inverse_dynamics(
     first = {"POSITION": "q", "VELOCITY": "dq", "ACCELERATION": "ddq", "TORQUE": "tau"}
     first |= {"PARAMETERS": "link[1].m", "ROTORS": "link[1].Ir"}
     return content(
-        table,
+        interface,
         name="InverseDynamics",
         text="Rigid-body torque of a motion, by the recursive Newton-Euler algorithm.",
         sources={
             "inverse_dynamics.c": own_source("inverse_dynamics.c"),
-            "places.h": places(table, "PLACES_H", first, JOINTS=n, LINKS=robot.links),
+            "places.h": places(interface, "PLACES_H", first, JOINTS=n, LINKS=robot.links),
             "tree.h": _tree(robot),
         },
         step=step,

@@ -96,7 +96,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         for name, (unit, what) in _MOTION.items()
         for variable in vector(name + tail, "output", unit, text.format(what), zeros, made_of)
     ]
-    table = Interface(
+    interface = Interface(
         variables=(*outputs, kind, *scalars, *vectors, *series),
         model_exchange=False,
         directional_derivatives=False,
@@ -109,11 +109,11 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
     parameters = ("kind", "a", "b", *(name for name, *_ in (*_SCALARS, *_PARAMETERS)))
     first |= {name.upper(): name for name in parameters}
     kinds = {name.upper(): i for i, (name, _) in enumerate(KIND.items, start=1)}
-    header = places(table, "MOTION_H", first, JOINTS=joints, HARMONICS=HARMONICS, **kinds)
+    header = places(interface, "MOTION_H", first, JOINTS=joints, HARMONICS=HARMONICS, **kinds)
     numbers = range(1, joints + 1)
     example = {f"{name}[{i},{k}]": value for i in numbers for name, k, value in _FROM_REST}
     return content(
-        table,
+        interface,
         name="Trajectory",
         text="Desired motion of all joints: Fourier series, sine or sweep.",
         sources={"trajectory.c": own_source("trajectory.c"), "motion.h": header},

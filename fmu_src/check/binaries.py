@@ -122,19 +122,23 @@ _FOLDER = "binaries/"
 _PYTHON = re.compile("_?Py[A-Z_][A-Za-z_]+")
 
 
-def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iterator[Problem]:
+def problems(
+    model_description: ParsedDescription, contents: Contents, folder: Path
+) -> Iterator[Problem]:
     """Yield the problems of the binaries; `folder` is for temporary files."""
     for platform, names in _by_platform(contents).items():
-        expected = PLATFORMS[about.fmi].get(platform)
+        expected = PLATFORMS[model_description.fmi].get(platform)
         # Subfolders may contain only static libraries.
         if expected is None or not any("/" not in name for name in names):
             continue
-        for identifier in dict.fromkeys(kind.identifier for kind in about.kinds):
-            kinds = [kind for kind in about.kinds if kind.identifier == identifier]
+        for identifier in dict.fromkeys(kind.identifier for kind in model_description.kinds):
+            kinds = [kind for kind in model_description.kinds if kind.identifier == identifier]
             name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
             if name in contents.files:
                 file = contents.files[name]
-                for rule, text in _of_library(file, about, kinds, expected, names, folder):
+                for rule, text in _of_library(
+                    file, model_description, kinds, expected, names, folder
+                ):
                     yield rule, f"{plain(name)}: {text}"
             elif name not in contents.names:
                 what = " and ".join(kind.element for kind in kinds)
@@ -145,12 +149,12 @@ def problems(about: ParsedDescription, contents: Contents, folder: Path) -> Iter
                 )
 
 
-def skipped(about: ParsedDescription, contents: Contents) -> list[str]:
+def skipped(model_description: ParsedDescription, contents: Contents) -> list[str]:
     """Return the folders whose binaries are not checked, with the reason."""
     return [
         f"binaries/{plain(platform)}: not checked; the platform is unknown."
         for platform in _by_platform(contents)
-        if platform not in PLATFORMS[about.fmi]
+        if platform not in PLATFORMS[model_description.fmi]
     ]
 
 
@@ -183,7 +187,7 @@ def _by_platform(contents: Contents) -> dict[str, set[str]]:
 
 def _of_library(
     file: Path,
-    about: ParsedDescription,
+    model_description: ParsedDescription,
     kinds: list[InterfaceKind],
     expected: Platform,
     beside: set[str],
@@ -206,28 +210,28 @@ def _of_library(
     texts = [
         text
         for part in right
-        for text in (*_exports(part, about, kinds), *_needs(part, expected, beside))
+        for text in (*_exports(part, model_description, kinds), *_needs(part, expected, beside))
     ]
     yield from dict.fromkeys(texts)
 
 
 def _exports(
-    part: Mapping[str, Any], about: ParsedDescription, kinds: list[InterfaceKind]
+    part: Mapping[str, Any], model_description: ParsedDescription, kinds: list[InterfaceKind]
 ) -> Iterator[Problem]:
     if not part["shared"]:
         yield "binary-format", "it is a program or object file; expected a shared library."
     exports = set(part["exports"])
-    if about.fmi == 2:
+    if model_description.fmi == 2:
         for kind in kinds:
             yield from _missing(kind, exports)
     elif missing := [name for name in REQUIRED_3 if name not in exports]:
         text = f"it does not export {listed(missing)}; FMI 3.0 requires all of its "
         yield "binary-functions", text
     # One library may serve several versions of FMI.
-    own = f"fmi{about.fmi}"
+    own = f"fmi{model_description.fmi}"
     strange = sorted(n for n in exports if n.startswith(own) and n not in KNOWN)
     if strange:
-        text = f"it exports {listed(strange)}, which FMI {about.fmi}.0 does not have."
+        text = f"it exports {listed(strange)}, which FMI {model_description.fmi}.0 does not have."
         yield "binary-unknown", text
 
 

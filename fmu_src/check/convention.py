@@ -91,7 +91,7 @@ def judge(fmu: Path) -> FrictionModel:
 def run(fmu: Path, motion: ReferenceMotion, setting: str) -> Array:
     """Return the torque (N, n) [N.m] of a friction FMU in one of `SETTINGS`."""
     outputs = [f"{TORQUE}[{i}]" for i in range(1, motion.dq.shape[1] + 1)]
-    with FmuInstance(fmu) as component:
-        torque = play(component, setting, outputs, motion.t, motion.columns(), {})
+    with FmuInstance(fmu) as instance:
+        torque = play(instance, setting, outputs, motion.t, motion.columns(), {})
     require_finite(fmu, motion.t, torque)
     return torque

@@ -275,8 +275,8 @@ class _Reader3(_Reader):
         return -1 if reference is None else self._numbers.get(reference, -1 - reference)
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
-        found = super().variable(index, element)
-        own = dict(found.own)
+        variable = super().variable(index, element)
+        own = dict(variable.own)
         if "start" not in own and element.find("Start") is not None:  # of a String
             own["start"] = " ".join(e.get("value", "") or "?" for e in element.findall("Start"))
         if "derivative" in own:
@@ -288,11 +288,11 @@ class _Reader3(_Reader):
             for d in element.findall("Dimension")
         ]
         known = [size for size in parts if size is not None]
-        usual = "continuous" if found.kind in FLOATS else "discrete"
+        usual = "continuous" if variable.kind in FLOATS else "discrete"
         more = {
             "variability": element.get("variability", usual),
             "own": own,
             "size": prod(known) if len(known) == len(parts) else None,
             "others": names_of(element.findall("Alias")),
         }
-        return ParsedVariable(**(vars(found) | more))  # faster than `replace`
+        return ParsedVariable(**(vars(variable) | more))  # faster than `replace`

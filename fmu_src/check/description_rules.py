@@ -31,11 +31,11 @@ _C_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 _DATE = re.compile(r"[0-9]{4}(-[0-9]{2}){2}T[0-9]{2}(:[0-9]{2}){2}Z")
 
 
-def _kinds(about: ParsedDescription) -> Iterator[Problem]:
-    if not about.kinds:
+def _kinds(model_description: ParsedDescription) -> Iterator[Problem]:
+    if not model_description.kinds:
         yield "kind-missing", f"the elements {' and '.join(KINDS)} are both missing."
-    state = "FMUstate" if about.fmi == 2 else "FMUState"
-    for kind in about.kinds:
+    state = "FMUstate" if model_description.fmi == 2 else "FMUState"
+    for kind in model_description.kinds:
         if not _C_NAME.fullmatch(kind.identifier):
             yield (
                 "kind-identifier",
@@ -56,20 +56,25 @@ def _kinds(about: ParsedDescription) -> Iterator[Problem]:
             )
 
 
-def _identity(about: ParsedDescription) -> Iterator[Problem]:
-    token = "guid" if about.fmi == 2 else "instantiationToken"
-    if not about.attributes.get(token, "").strip():
+def _identity(model_description: ParsedDescription) -> Iterator[Problem]:
+    token = "guid" if model_description.fmi == 2 else "instantiationToken"
+    if not model_description.attributes.get(token, "").strip():
         text = f"the attribute {token} is empty; it must identify the binaries of the FMU."
         yield "token-empty", text
-    date = about.attributes.get("generationDateAndTime") if about.fmi == 2 else None
+    date = (
+        model_description.attributes.get("generationDateAndTime")
+        if model_description.fmi == 2
+        else None
+    )
     if date is not None and not _DATE.fullmatch(date):
         text = f"generationDateAndTime is {quoted(date)}; the format is YYYY-MM-DDThh:mm:ssZ."
         yield "date-format", text
 
 
-def _experiment(about: ParsedDescription) -> Iterator[Problem]:
+def _experiment(model_description: ParsedDescription) -> Iterator[Problem]:
     start, stop, step, tolerance = (
-        real(about.experiment.get(n)) for n in ("startTime", "stopTime", "stepSize", "tolerance")
+        real(model_description.experiment.get(n))
+        for n in ("startTime", "stopTime", "stepSize", "tolerance")
     )
     if start is not None and stop is not None and stop <= start:
         text = f"DefaultExperiment has stopTime {stop:.15g}, not after its startTime {start:.15g}."
@@ -81,20 +86,20 @@ def _experiment(about: ParsedDescription) -> Iterator[Problem]:
         if value is not None and value <= 0:
             text = f"DefaultExperiment has {name} {value:.15g}; it must be positive."
             yield "experiment-times", text
-    for name, text in about.experiment.items():
+    for name, text in model_description.experiment.items():
         if text.strip() in ("INF", "+INF", "-INF", "NaN"):
             said = f"DefaultExperiment has {name} {text.strip()}; it must be finite."
             yield "experiment-times", said
 
 
-def _definitions(about: ParsedDescription) -> Iterator[Problem]:
-    yield from repeated("unit-twice", "unit", (name for name, _ in about.units))
-    for unit, displays in about.units:
+def _definitions(model_description: ParsedDescription) -> Iterator[Problem]:
+    yield from repeated("unit-twice", "unit", (name for name, _ in model_description.units))
+    for unit, displays in model_description.units:
         yield from repeated("unit-twice", f"display unit of {quoted(unit)},", displays)
-    yield from repeated("type-twice", "type", (t.name for t in about.types))
-    yield from repeated("category-twice", "log category", about.categories)
-    variables = {v.name for v in about.variables}
-    for simple in about.types:
+    yield from repeated("type-twice", "type", (t.name for t in model_description.types))
+    yield from repeated("category-twice", "log category", model_description.categories)
+    variables = {variable.name for variable in model_description.variables}
+    for simple in model_description.types:
         if simple.name in variables:
             yield "type-name", f"the type {quoted(simple.name)} has the name of a variable."
         who = f"enumeration {quoted(simple.name)}"
@@ -116,16 +121,20 @@ def repeated(
 def _of_each(
     rule: Callable[[ParsedDescription, ParsedVariable], Iterator[Problem]],
 ) -> Callable[[ParsedDescription], Iterator[Problem]]:
-    def of_all(about: ParsedDescription) -> Iterator[Problem]:
-        for v in about.variables:
-            for name, text in rule(about, v):
-                yield name, f"the variable {quoted(v.name)} {text}"
+    def of_all(model_description: ParsedDescription) -> Iterator[Problem]:
+        for variable in model_description.variables:
+            for name, text in rule(model_description, variable):
+                yield name, f"the variable {quoted(variable.name)} {text}"
 
     return of_all
 
 
-def _independent(about: ParsedDescription) -> Iterator[Problem]:
-    found = [v.name for v in about.variables if v.causality == "independent"]
+def _independent(model_description: ParsedDescription) -> Iterator[Problem]:
+    found = [
+        variable.name
+        for variable in model_description.variables
+        if variable.causality == "independent"
+    ]
     if len(found) > 1:
         yield (
             "variable-independent",
@@ -134,12 +143,15 @@ def _independent(about: ParsedDescription) -> Iterator[Problem]:
 
 
 @_of_each
-def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    if v.kind not in ("Real", "Integer", "Enumeration", *about.continuous) and "Int" not in v.kind:
+def _ranges(model_description: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
+    if (
+        variable.kind not in ("Real", "Integer", "Enumeration", *model_description.continuous)
+        and "Int" not in variable.kind
+    ):
         return
-    low, high = (real(v.get(name)) for name in ("min", "max"))
+    low, high = (real(variable.get(name)) for name in ("min", "max"))
     bounded = low is not None or high is not None
-    starts = [real(text) for text in (v.get("start") or "").split()] if bounded else []
+    starts = [real(text) for text in (variable.get("start") or "").split()] if bounded else []
     if low is not None and high is not None and low > high:
         yield "variable-range", f"has min {low:.15g}, above its max {high:.15g}."
     elif outside := [
@@ -151,177 +163,212 @@ def _ranges(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
         bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
         text = f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}."
         yield "variable-range", text
-    nominal = real(v.get("nominal"))
+    nominal = real(variable.get("nominal"))
     if nominal is not None and nominal <= 0:
         yield "variable-nominal", f"has the nominal value {nominal:.15g}; it must be positive."
-    if v.kind == "Enumeration" and v.type and v.type.kind == "Enumeration":
-        value = integer(v.own.get("start"))
-        if value is not None and value not in v.type.values:
+    if variable.kind == "Enumeration" and variable.type and variable.type.kind == "Enumeration":
+        value = integer(variable.own.get("start"))
+        if value is not None and value not in variable.type.values:
             yield (
                 "variable-item",
                 f"has the start value {value}, which is not an item of the enumeration "
-                f"{quoted(v.type.name)}.",
+                f"{quoted(variable.type.name)}.",
             )
 
 
 @_of_each
-def _inputs(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    if v.causality == "input" and v.declared_initial is not None:
+def _inputs(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
+    if variable.causality == "input" and variable.declared_initial is not None:
         text = (
-            f"has initial '{plain(v.declared_initial)}', which is invalid with causality 'input'."
+            f"has initial '{plain(variable.declared_initial)}', which is invalid with causality "
+            "'input'."
         )
         yield "variable-initial", text
 
 
 @_of_each
-def _types(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    if v.type is not None and v.type.kind != v.kind:
+def _types(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
+    if variable.type is not None and variable.type.kind != variable.kind:
         yield (
             "variable-type",
-            f"is of type {plain(v.kind)}, but its declared type {quoted(v.type.name)} is of type "
-            f"{plain(v.type.kind)}.",
+            f"is of type {plain(variable.kind)}, but its declared type "
+            f"{quoted(variable.type.name)} is of type "
+            f"{plain(variable.type.kind)}.",
         )
 
 
 @_of_each
-def _display_units(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    display = v.own.get("displayUnit")
-    if display is not None and v.get("unit") is None:
+def _display_units(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
+    display = variable.own.get("displayUnit")
+    if display is not None and variable.get("unit") is None:
         yield "variable-unit", f"has the display unit {quoted(display)} but no unit."
 
 
 @_of_each
-def _derivatives(about: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    state = about.variable(integer(v.own.get("derivative")))
+def _derivatives(
+    model_description: ParsedDescription, variable: ParsedVariable
+) -> Iterator[Problem]:
+    state = model_description.variable(integer(variable.own.get("derivative")))
     if state is not None and (
-        state is v
-        or state.kind not in about.continuous
+        state is variable
+        or state.kind not in model_description.continuous
         or state.variability != "continuous"
-        or state.size != v.size
+        or state.size != variable.size
     ):
-        size = "" if about.fmi == 2 else " and of its size"
+        size = "" if model_description.fmi == 2 else " and of its size"
         yield (
             "variable-derivative",
             f"is the derivative of {quoted(state.name)}, which is not another continuous "
-            f"variable of type {' or '.join(about.continuous)}{size}.",
+            f"variable of type {' or '.join(model_description.continuous)}{size}.",
         )
 
 
-def _aliases(about: ParsedDescription) -> Iterator[Problem]:
+def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
     sets: dict[tuple[str, int], list[ParsedVariable]] = defaultdict(list)
-    for v in about.variables:
-        base = "Integer" if v.kind == "Enumeration" else v.kind
-        if v.reference is not None:
-            sets[base, v.reference].append(v)
+    for variable in model_description.variables:
+        base = "Integer" if variable.kind == "Enumeration" else variable.kind
+        if variable.reference is not None:
+            sets[base, variable.reference].append(variable)
     for (_, reference), members in sets.items():
         if len(members) < 2:
             continue
-        who = f"the variables {listed(v.name for v in members)} share value reference {reference}"
-        constants = [v for v in members if v.variability == "constant"]
+        who = (
+            f"the variables {listed(variable.name for variable in members)} share value reference "
+            f"{reference}"
+        )
+        constants = [variable for variable in members if variable.variability == "constant"]
         if constants and len(constants) < len(members):
             yield "alias-constant", f"{who}, but only some of them are constant."
-        if len({v.own.get("start") for v in constants}) > 1:
+        if len({variable.own.get("start") for variable in constants}) > 1:
             yield "alias-constant", f"{who}, but as constants have different values."
-        if sum(_settable(v) for v in members) > 1:
+        if sum(_settable(variable) for variable in members) > 1:
             yield "alias-settable", f"{who}, but more than one of them can be set."
-        if len({v.get("unit") for v in members}) > 1:
+        if len({variable.get("unit") for variable in members}) > 1:
             yield "alias-unit", f"{who}, but have different units."
 
 
 @_of_each
-def _sizes(_: ParsedDescription, v: ParsedVariable) -> Iterator[Problem]:
-    given = len((v.own.get("start") or "").split())
-    if v.size is None:
+def _sizes(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
+    given = len((variable.own.get("start") or "").split())
+    if variable.size is None:
         yield "variable-size", "has a dimension of unknown size."
-    elif v.kind not in ("String", "Binary") and given > 1 and given != v.size:
-        yield "variable-size", f"has {given} start values for {v.size} elements."
+    elif variable.kind not in ("String", "Binary") and given > 1 and given != variable.size:
+        yield "variable-size", f"has {given} start values for {variable.size} elements."
 
 
-def _settable(v: ParsedVariable) -> bool:
-    initial = v.declared_initial or ("exact" if v.causality == "parameter" else "")
-    started = v.variability != "constant" and initial in ("exact", "approx")
-    return started or v.causality == "input"
+def _settable(variable: ParsedVariable) -> bool:
+    initial = variable.declared_initial or ("exact" if variable.causality == "parameter" else "")
+    started = variable.variability != "constant" and initial in ("exact", "approx")
+    return started or variable.causality == "input"
 
 
-def _listed_derivatives(about: ParsedDescription) -> Iterator[Problem]:
-    if all(kind.element != "ModelExchange" for kind in about.kinds):
+def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Problem]:
+    if all(kind.element != "ModelExchange" for kind in model_description.kinds):
         return
-    place = about.lists["Derivatives"]
-    found = {u.index for u in about.structure["Derivatives"]}
-    declared = [v for v in about.variables if "derivative" in v.own]
+    place = model_description.lists["Derivatives"]
+    found = {u.index for u in model_description.structure["Derivatives"]}
+    declared = [
+        variable for variable in model_description.variables if "derivative" in variable.own
+    ]
     wrong = {
         ("structure-states", "lacks"): [
-            v for v in declared if v.variability == "continuous" and v.index not in found
+            variable
+            for variable in declared
+            if variable.variability == "continuous" and variable.index not in found
         ],
         ("structure-derivatives", "lists"): [
-            v for v in declared if v.variability != "continuous" and v.index in found
+            variable
+            for variable in declared
+            if variable.variability != "continuous" and variable.index in found
         ],
     }
     for (rule, verb), variables in wrong.items():
         if variables:
             yield (
                 rule,
-                f"{place} {verb} {listed(v.name for v in variables)}; it must list every "
+                f"{place} {verb} {listed(variable.name for variable in variables)}; it must list "
+                "every "
                 "derivative of a state and no other variable.",
             )
 
 
-def _order(about: ParsedDescription) -> Iterator[Problem]:
+def _order(model_description: ParsedDescription) -> Iterator[Problem]:
     place = "InitialUnknowns"
-    found = [v for u in about.structure[place] if (v := about.variable(u.index))]
-    for before, after in pairwise(found if about.fmi == 2 else ()):
+    found = [
+        variable
+        for u in model_description.structure[place]
+        if (variable := model_description.variable(u.index))
+    ]
+    for before, after in pairwise(found if model_description.fmi == 2 else ()):
         if after.index < before.index:
             yield (
                 "structure-order",
-                f"{about.lists[place]} lists {quoted(after.name)} after {quoted(before.name)}; it "
+                f"{model_description.lists[place]} lists {quoted(after.name)} after "
+                f"{quoted(before.name)}; it "
                 "must follow the order of the variables.",
             )
 
 
-def _indices(about: ParsedDescription) -> Iterator[Problem]:
+def _indices(model_description: ParsedDescription) -> Iterator[Problem]:
     for name in STRUCTURE:
-        for index, times in Counter(u.index for u in about.structure[name]).items():
-            variable = about.variable(index)
+        for index, times in Counter(u.index for u in model_description.structure[name]).items():
+            variable = model_description.variable(index)
             if variable is None:
-                text = f"{about.lists[name]} lists {about.shown(index)}, which does not exist."
+                text = (
+                    f"{model_description.lists[name]} lists {model_description.shown(index)}, "
+                    "which does not exist."
+                )
                 yield "structure-index", text
             elif times > 1:
-                text = f"{about.lists[name]} lists {quoted(variable.name)} {times} times."
+                text = (
+                    f"{model_description.lists[name]} lists {quoted(variable.name)} {times} times."
+                )
                 yield "structure-index", text
 
 
-def _dependencies(about: ParsedDescription) -> Iterator[Problem]:
-    inputs = any(v.causality == "input" and v.kind != "Clock" for v in about.variables)
+def _dependencies(model_description: ParsedDescription) -> Iterator[Problem]:
+    inputs = any(
+        variable.causality == "input" and variable.kind != "Clock"
+        for variable in model_description.variables
+    )
     for name in STRUCTURE:
-        unknowns = about.structure[name]
-        silent = [_named(about, u) for u in unknowns if u.dependencies is None and inputs]
+        unknowns = model_description.structure[name]
+        silent = [
+            _named(model_description, u) for u in unknowns if u.dependencies is None and inputs
+        ]
         if silent:
             yield (
                 "structure-loops",
-                f"{about.lists[name]} gives no dependencies for {listed(silent)}, "
+                f"{model_description.lists[name]} gives no dependencies for {listed(silent)}, "
                 "so importers assume all inputs and find false algebraic loops.",
             )
         for unknown in unknowns:
-            who = f"{about.lists[name]} gives {quoted(_named(about, unknown))}"
+            who = (
+                f"{model_description.lists[name]} gives "
+                f"{quoted(_named(model_description, unknown))}"
+            )
             known = unknown.dependencies or ()
-            missing = [i for i in known if about.variable(i) is None]
+            missing = [i for i in known if model_description.variable(i) is None]
             if missing:
-                text = f"{who} a dependency on {about.shown(missing[0])}, which does not exist."
+                text = (
+                    f"{who} a dependency on {model_description.shown(missing[0])}, which does not "
+                    "exist."
+                )
                 yield "structure-dependency", text
-            elif about.fmi == 2 and any(a >= b for a, b in pairwise(known)):
+            elif model_description.fmi == 2 and any(a >= b for a, b in pairwise(known)):
                 yield "structure-order", f"{who} dependencies that are not in ascending order."
 
 
-def _named(about: ParsedDescription, unknown: Unknown) -> str:
-    variable = about.variable(unknown.index)
-    return variable.name if variable else about.shown(unknown.index)
+def _named(model_description: ParsedDescription, unknown: Unknown) -> str:
+    variable = model_description.variable(unknown.index)
+    return variable.name if variable else model_description.shown(unknown.index)
 
 
 def terminal_problems(
-    root: etree._Element, about: ParsedDescription, contents: Contents
+    root: etree._Element, model_description: ParsedDescription, contents: Contents
 ) -> Iterator[Problem]:
     """Yield missing references and repeated names of terminals."""
-    known = {name for v in about.variables for name in (v.name, *v.others)}
+    known = {name for v in model_description.variables for name in (v.name, *v.others)}
     yield from repeated(
         "terminal-twice", "terminal", names_of(root.findall("Terminals/Terminal")), "there"
     )

@@ -127,9 +127,9 @@ class _Found:
         version = str(root.get("fmiVersion", ""))
         invalid = self._add(archive.schema_problems(_MODEL, contents.files[_MODEL], self._folder))
         file = contents.files.get(_BUILD)
-        about = read_description(root, archive.parse(_BUILD, file)[0] if file else None)
+        model_description = read_description(root, archive.parse(_BUILD, file)[0] if file else None)
         if version != "1.0":
-            self._check_rules(about, contents)
+            self._check_rules(model_description, contents)
         else:
             self.skipped.append("Rules, sources and binaries: not checked in FMI 1.0.")
         if damaged or broken or invalid:
@@ -137,20 +137,22 @@ class _Found:
                 "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
             )
         else:
-            self._run_others(contents, version, len(about.variables))
+            self._run_others(contents, version, len(model_description.variables))
         for kind in self._kinds:
-            self._add_run(plugins.find("hesr.checks", kind)(about, contents, self._folder))
+            self._add_run(
+                plugins.find("hesr.checks", kind)(model_description, contents, self._folder)
+            )
 
-    def _check_rules(self, about: ParsedDescription, contents: Contents) -> None:
-        more = RULES_2 if about.fmi == 2 else RULES_3
-        self._add(chain.from_iterable(rule(about) for rule in (*RULES, *more)))
+    def _check_rules(self, model_description: ParsedDescription, contents: Contents) -> None:
+        more = RULES_2 if model_description.fmi == 2 else RULES_3
+        self._add(chain.from_iterable(rule(model_description) for rule in (*RULES, *more)))
         if TERMINALS in contents.files:
             connected, _ = archive.parse(TERMINALS, contents.files[TERMINALS])
             if connected is not None:
-                self._add(terminal_problems(connected, about, contents))
-        self._add(sources.problems(about, contents))
-        self._add(binaries.problems(about, contents, self._folder))
-        self.skipped += binaries.skipped(about, contents)
+                self._add(terminal_problems(connected, model_description, contents))
+        self._add(sources.problems(model_description, contents))
+        self._add(binaries.problems(model_description, contents, self._folder))
+        self.skipped += binaries.skipped(model_description, contents)
 
     def _run_others(self, contents: Contents, version: str, count: int) -> None:
         readable = [_MODEL]

@@ -140,13 +140,13 @@ _DIRECTIVE = re.compile(
 _FOLDER = "sources/"
 
 
-def problems(about: ParsedDescription, contents: Contents) -> Iterator[Problem]:
+def problems(model_description: ParsedDescription, contents: Contents) -> Iterator[Problem]:
     """Yield missing source files."""
     names = set(contents.names)
     binaries = any(name.startswith("binaries/") for name in names)
-    if not binaries and not any(kind.sources for kind in about.kinds):
+    if not binaries and not any(kind.sources for kind in model_description.kinds):
         yield "binary-none", "binaries and a list of source files are both missing."
-    for kind in about.kinds:
+    for kind in model_description.kinds:
         for source in kind.sources:
             if posixpath.normpath(_FOLDER + source) not in names:  # some begin with "./"
                 yield (
@@ -154,17 +154,17 @@ def problems(about: ParsedDescription, contents: Contents) -> Iterator[Problem]:
                     f"{kind.element} lists the source file {quoted(source)}, which is not in "
                     "sources/.",
                 )
-    yield from _includes(about, contents)
+    yield from _includes(model_description, contents)
 
 
-def _includes(about: ParsedDescription, contents: Contents) -> Iterator[Problem]:
+def _includes(model_description: ParsedDescription, contents: Contents) -> Iterator[Problem]:
     code = {
         name
         for name in contents.files
         if name.startswith(_FOLDER) and name.lower().endswith(SUFFIXES)
     }
     names = frozenset(contents.names)
-    listed = (source for kind in about.kinds for source in kind.sources)
+    listed = (source for kind in model_description.kinds for source in kind.sources)
     start = {posixpath.normpath(_FOLDER + source) for source in listed} & code
     # Nothing states the folders of headers for sources that are not listed.
     others = set[str]() if start else {posixpath.basename(name) for name in names}

@@ -58,13 +58,13 @@ def own_size(joints: Sequence[Joint]) -> int:
     sizes = _sizes(joints)
     of_joint = ("INPUTS", "STATES", "REMEMBERED", "REMEMBERED", "INVARIANTS")
     own = sum(sizes[f"MAX_{name}"] for name in of_joint)
-    signs = sum(len(Functions(j.component, "").jumps.expressions) for j in joints)
+    signs = sum(len(Functions(joint.component, "").jumps.expressions) for joint in joints)
     return sizes["OWN_FIXED"] + len(joints) * own + signs
 
 
 def prepared_size(joints: Sequence[Joint]) -> tuple[int, int]:
     """Return the shape of a solver's memory for arguments of laws, in whole vectors of 2 or 4."""
-    most = max(1, *(_count(j.component, j.gathered, "prepared") for j in joints))
+    most = max(1, *(_count(joint.component, joint.gathered, "prepared") for joint in joints))
     return most, _lanes(len(joints))
 
 
@@ -75,16 +75,16 @@ def _lanes(joints: int) -> int:
 
 def indicators(joints: Sequence[Joint]) -> int:
     """Return the total number of signs that are held between events."""
-    return sum(_held(Functions(j.component, "")) for j in joints)
+    return sum(_held(Functions(joint.component, "")) for joint in joints)
 
 
-def _held(own: Functions) -> int:
-    return len(own.jumps.expressions) if own.component.events else 0
+def _held(functions: Functions) -> int:
+    return len(functions.jumps.expressions) if functions.component.events else 0
 
 
 def equations_header(
     joints: Sequence[Joint],
-    table: Interface,
+    interface: Interface,
     places: Mapping[str, str],
     *,
     wanted: Sequence[str] = FRICTION,
@@ -109,25 +109,27 @@ def equations_header(
     before = 0
     for i, joint in enumerate(joints, start=1):
         own = functions[joint.component]
-        rows.append(f"    {{{', '.join(_row(joint, i, own, table, before, names[own.name]))}}},")
-        arrays += _arrays(joint, i, own, table)
+        rows.append(
+            f"    {{{', '.join(_row(joint, i, own, interface, before, names[own.name]))}}},"
+        )
+        arrays += _arrays(joint, i, own, interface)
         before += len(own.jumps.expressions)
     together = ""
     if steps_together and wanted == FRICTION and coupling is None:
-        together = _together(joints, table, functions[joints[0].component], texts)
+        together = _together(joints, interface, functions[joints[0].component], texts)
     sample_time = joints[0].component.sample_time
     constants = _sizes(joints) | {
         "DISCRETISATION": -1,
         "START_MODE": -1,
         "SAMPLED": int(bool(sample_time)),
-        "SAMPLE_TIME_PLACE": table.places[sample_time] if sample_time else 0,
+        "SAMPLE_TIME_PLACE": interface.places[sample_time] if sample_time else 0,
         "EXACT": 1,
         "EULER": 2,
         "STEADY": 1,
         "HOLDS": int(any(j.component.holds for j in joints)),
         "COUPLED": int(coupling is not None),
         "BAND": next((k for k, e in enumerate(joints[0].component.outputs) if e.name == LOWER), 0),
-        **{name: table.places[variable] for name, variable in places.items()},
+        **{name: interface.places[variable] for name, variable in places.items()},
     }
     if wanted[0] == "attempts":
         constants["PREPARED"], constants["LANES"] = prepared_size(joints)
@@ -146,13 +148,13 @@ def equations_header(
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
         together=together,
-        each=_each(joints, table, functions, names, wanted, coupled=coupling is not None),
+        each=_each(joints, interface, functions, names, wanted, coupled=coupling is not None),
     )
 
 
 def _each(
     joints: Sequence[Joint],
-    table: Interface,
+    interface: Interface,
     functions: Mapping[Component, Functions],
     names: Mapping[str, Sequence[str]],
     wanted: Sequence[str],
@@ -164,7 +166,7 @@ def _each(
     for i, joint in enumerate(joints):
         own = functions[joint.component]
         called = [names[own.name][1 + wanted.index(n)] for n in ("step", "switches") if n in wanted]
-        places = (table.places[joint.names[q.name]] for q in own.gathers)
+        places = (interface.places[joint.names[q.name]] for q in own.gathers)
         reads = (f"input_of(v, {i}, {j})" if coupled else f"v[{k}]" for j, k in enumerate(places))
         gather = ", ".join(f"u[{j}] = {read}" for j, read in enumerate(reads))
         lines.append(f"    DO({', '.join((str(i), *called))}, ({gather}))")
@@ -172,30 +174,32 @@ def _each(
 
 
 def _together(
-    joints: Sequence[Joint], table: Interface, own: Functions, texts: Sequence[str]
+    joints: Sequence[Joint], interface: Interface, functions: Functions, texts: Sequence[str]
 ) -> str:
     """Return the step of three or more joints with short equal equations, and indices of its lanes.
 
     Lanes hide latencies; those without a joint repeat the first. Previous values, constants and
     angles are not supported. `texts` are the written functions.
     """
-    component = own.component
+    component = functions.component
     holds = component.remembered or component.sample_time or component.holds
-    alike = len(joints) > 2 and all(j.component == component for j in joints)
-    if not alike or holds or own.gathered or not own.tunable:
+    alike = len(joints) > 2 and all(joint.component == component for joint in joints)
+    if not alike or holds or functions.gathered or not functions.tunable:
         return ""
-    if not any(text.startswith(f"QUICK void {own.name}_step(") for text in texts):
+    if not any(text.startswith(f"QUICK void {functions.name}_step(") for text in texts):
         return ""
-    text = _texts(own, ("together",))["together"]
+    text = _texts(functions, ("together",))["together"]
     if "far |=" in text:
         return ""
     order = [i if i < len(joints) else 0 for i in range(_lanes(len(joints)))]
     padded = [joints[i] for i in order]
     size = _sizes(joints)["MAX_INVARIANTS"]
-    reads = ([table.places[j.names[q.name]] for j in padded] for q in own.gathers)
+    reads = ([interface.places[joint.names[q.name]] for joint in padded] for q in functions.gathers)
     indices = {
-        "k_at[LANES]": [table.first(j.parameters) if j.parameters else 0 for j in padded],
-        "x_at[LANES]": [table.first(j.states) if j.states else 0 for j in padded],
+        "k_at[LANES]": [
+            interface.first(joint.parameters) if joint.parameters else 0 for joint in padded
+        ],
+        "x_at[LANES]": [interface.first(joint.states) if joint.states else 0 for joint in padded],
         "c_at[LANES]": [size * i for i in order],
         "u_at[][LANES]": list(reads),
     }
@@ -204,7 +208,7 @@ def _together(
         for name, places in indices.items()
         if f"{name[:4]}[" in text
     ]
-    return "\n".join([*lines, text, f"#define TOGETHER {own.name}_together\n"])
+    return "\n".join([*lines, text, f"#define TOGETHER {functions.name}_together\n"])
 
 
 _BRACES = str.maketrans("[]", "{}")
@@ -221,25 +225,25 @@ def _written(
     texts: dict[str, str] = {}
     by_body: dict[str, str] = {}
     names: dict[str, list[str]] = {}
-    for own in components:
-        found = _texts(own, wanted)
+    for functions in components:
+        found = _texts(functions, wanted)
         for function, text in found.items():
-            name = f"{own.name}_{function}"
+            name = f"{functions.name}_{function}"
             found[function] = by_body.setdefault(text.replace(name, "", 1), name)
             if found[function] == name:
                 texts[name] = text
-        refused = f"{own.name}_refused" if _wanted("refused", own) else "NULL"
-        names[own.name] = [refused, *(found.get(n, "NULL") for n in wanted)]
+        refused = f"{functions.name}_refused" if _wanted("refused", functions) else "NULL"
+        names[functions.name] = [refused, *(found.get(n, "NULL") for n in wanted)]
     return list(texts.values()), names
 
 
-def _texts(own: Functions, needed: Sequence[str]) -> dict[str, str]:
-    wanted = [name for name in needed if _wanted(name, own)]
-    about = (own.name, f"{own.tunable} {own.gathered}", repr(own.component))
+def _texts(functions: Functions, needed: Sequence[str]) -> dict[str, str]:
+    wanted = [name for name in needed if _wanted(name, functions)]
+    about = (functions.name, f"{functions.tunable} {functions.gathered}", repr(functions.component))
     made = kept(
         "functions",
         (software(), *wanted, *about),
-        lambda: json.dumps([getattr(own, name)() for name in wanted]).encode(),
+        lambda: json.dumps([getattr(functions, name)() for name in wanted]).encode(),
     )
     return dict(zip(wanted, json.loads(made), strict=True))
 
@@ -255,16 +259,18 @@ def _coupling(coupling: Coupling | None, joints: int) -> str:
 
 def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
     def most(count: Callable[[Component], int]) -> int:
-        return max([1, *(count(j.component) for j in joints)])
+        return max([1, *(count(joint.component) for joint in joints)])
 
     return {
         "JOINTS": len(joints),
         "OWN_FIXED": 5,
-        "MAX_INPUTS": max(1, *(_gathered(j) for j in joints)),
+        "MAX_INPUTS": max(1, *(_gathered(joint) for joint in joints)),
         "MAX_STATES": most(lambda c: len(c.memory)),
         "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
-        "MAX_REMEMBERED": max(len(j.component.remembered) for j in joints),
-        "MAX_INVARIANTS": max(_count(j.component, j.gathered, "invariant") for j in joints),
+        "MAX_REMEMBERED": max(len(joint.component.remembered) for joint in joints),
+        "MAX_INVARIANTS": max(
+            _count(joint.component, joint.gathered, "invariant") for joint in joints
+        ),
         "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
         "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
     }
@@ -286,36 +292,41 @@ def _gathered(joint: Joint) -> int:
 
 
 def _row(
-    joint: Joint, i: int, own: Functions, table: Interface, before: int, names: Sequence[str]
+    joint: Joint,
+    i: int,
+    functions: Functions,
+    interface: Interface,
+    before: int,
+    names: Sequence[str],
 ) -> list[str]:
     component = joint.component
     first_state, first_start, first_parameter = (
-        table.first(variables) if variables else 0
+        interface.first(variables) if variables else 0
         for variables in ((*joint.states, *joint.derivatives), joint.starts, joint.parameters)
     )
     row = (
-        *(len(own.gathers), f"inputs_{i}", len(component.outputs), f"outputs_{i}"),
+        *(len(functions.gathers), f"inputs_{i}", len(component.outputs), f"outputs_{i}"),
         *(len(component.memory), first_state, first_start),
         *(len(component.parameters), first_parameter),
         f"constants_{i}" if joint.constants else "NULL",
         len(component.remembered),
-        table.places[joint.slope] if joint.slope else -1,
-        *(len(own.jumps.expressions), _held(own), before, f"{own.name}_names"),
+        interface.places[joint.slope] if joint.slope else -1,
+        *(len(functions.jumps.expressions), _held(functions), before, f"{functions.name}_names"),
     )
     return [*map(str, row), *names]
 
 
-def _wanted(function: str, own: Functions) -> bool:
+def _wanted(function: str, functions: Functions) -> bool:
     if function in ("rates", "follow", "tangent"):
-        return not own.component.sampled_memory
+        return not functions.component.sampled_memory
     if function == "start":
-        return bool(own.component.remembered)
-    return function != "refused" or bool(own.component.requirements)
+        return bool(functions.component.remembered)
+    return function != "refused" or bool(functions.component.requirements)
 
 
-def _arrays(joint: Joint, i: int, own: Functions, table: Interface) -> list[str]:
-    reads = [table.places[joint.names[q.name]] for q in own.gathers]
-    writes = [table.places[joint.names[e.name]] for e in joint.component.outputs]
+def _arrays(joint: Joint, i: int, functions: Functions, interface: Interface) -> list[str]:
+    reads = [interface.places[joint.names[q.name]] for q in functions.gathers]
+    writes = [interface.places[joint.names[e.name]] for e in joint.component.outputs]
     lines = [_array("int", f"inputs_{i}", reads), _array("int", f"outputs_{i}", writes)]
     if joint.constants:
         lines.append(_array("double", f"constants_{i}", map(literal, joint.constants)))
@@ -326,9 +337,9 @@ def _array(kind: str, name: str, values: Iterable[object]) -> str:
     return f"static const {kind} {name}[] = {{{', '.join(map(str, values))}}};"
 
 
-def _signs(own: Functions) -> str:
-    names = ", ".join(f'"{e}"' for e in own.jumps.expressions)
-    return f"static const char *const {own.name}_names[] = {{{names or 'NULL'}}};\n"
+def _signs(functions: Functions) -> str:
+    names = ", ".join(f'"{e}"' for e in functions.jumps.expressions)
+    return f"static const char *const {functions.name}_names[] = {{{names or 'NULL'}}};\n"
 
 
 _HEADER = """\

@@ -127,12 +127,14 @@ def si_exponents(unit: str) -> dict[str, int]:
     return {base: exponent for base, exponent in exponents.items() if exponent}
 
 
-def to_xml(table: Interface, about: Description, guid: str) -> bytes:
+def to_xml(interface: Interface, about: Description, guid: str) -> bytes:
     """Return modelDescription.xml.
 
     Dependencies are declared, because importers find false algebraic loops without them.
     """
-    root = root_element(about, "2.0", {"guid": guid}, numberOfEventIndicators=str(table.indicators))
+    root = root_element(
+        about, "2.0", {"guid": guid}, numberOfEventIndicators=str(interface.indicators)
+    )
     common = {
         "modelIdentifier": about.identifier,
         "needsExecutionTool": "false",
@@ -140,26 +142,28 @@ def to_xml(table: Interface, about: Description, guid: str) -> bytes:
         "canNotUseMemoryManagementFunctions": "true",
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": str(table.directional_derivatives).lower(),
+        "providesDirectionalDerivative": str(interface.directional_derivatives).lower(),
     }
     for name, own in _KINDS.items():
-        if name == "CoSimulation" or table.model_exchange:
+        if name == "CoSimulation" or interface.model_exchange:
             kind = ET.SubElement(root, name, common | own)
             files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
             for source in about.sources:
                 ET.SubElement(files, "File", name=source)
-    add_units(root, table)
-    _types(root, table)
+    add_units(root, interface)
+    _types(root, interface)
     add_run(root, about)
     variables = ET.SubElement(root, "ModelVariables")
-    for i, variable in enumerate(table.variables):
-        variables.append(_scalar(variable, i, table))
+    for i, variable in enumerate(interface.variables):
+        variables.append(_scalar(variable, i, interface))
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [v for v in table.variables if v.role in ("output", "on_demand")]
-    _unknowns(structure, "Outputs", outputs, table, RUNNING)
-    _unknowns(structure, "Derivatives", table.derivatives, table, RUNNING)
-    initial = [v for v in table.variables if v in outputs or v.derivative_of or v.role == "state"]
-    _unknowns(structure, "InitialUnknowns", initial, table, STARTING, initially=True)
+    outputs = [v for v in interface.variables if v.role in ("output", "on_demand")]
+    _unknowns(structure, "Outputs", outputs, interface, RUNNING)
+    _unknowns(structure, "Derivatives", interface.derivatives, interface, RUNNING)
+    initial = [
+        v for v in interface.variables if v in outputs or v.derivative_of or v.role == "state"
+    ]
+    _unknowns(structure, "InitialUnknowns", initial, interface, STARTING, initially=True)
     return to_bytes(root)
 
 
@@ -182,10 +186,10 @@ def root_element(
     return ET.Element("fmiModelDescription", attributes)
 
 
-def add_units(root: ET.Element, table: Interface) -> None:
+def add_units(root: ET.Element, interface: Interface) -> None:
     """Add the definitions of all units."""
     definitions = ET.SubElement(root, "UnitDefinitions")
-    for name in dict.fromkeys(v.unit for v in table.variables if v.unit):
+    for name in dict.fromkeys(variable.unit for variable in interface.variables if variable.unit):
         unit = ET.SubElement(definitions, "Unit", name=name)
         base = {base: str(exponent) for base, exponent in si_exponents(name).items()}
         if name in OFFSETS:
@@ -211,8 +215,10 @@ def to_bytes(root: ET.Element) -> bytes:
     return written + b"\n"
 
 
-def _types(root: ET.Element, table: Interface) -> None:
-    enumerations = dict.fromkeys(v.enumeration for v in table.variables if v.enumeration)
+def _types(root: ET.Element, interface: Interface) -> None:
+    enumerations = dict.fromkeys(
+        variable.enumeration for variable in interface.variables if variable.enumeration
+    )
     if not enumerations:
         return
     definitions = ET.SubElement(root, "TypeDefinitions")
@@ -246,9 +252,9 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
         return {"min": "1", "max": str(count), "start": str(int(first.start))}
     found = {}
     if not (first.computed or first.role == "state"):
-        found["start"] = " ".join(_value_text(v, v.start) for v in elements)
-    least = [v.least for v in elements if v.least is not None]
-    greatest = [v.greatest for v in elements if v.greatest is not None]
+        found["start"] = " ".join(_value_text(variable, variable.start) for variable in elements)
+    least = [variable.least for variable in elements if variable.least is not None]
+    greatest = [variable.greatest for variable in elements if variable.greatest is not None]
     found |= {"min": _value_text(first, max(least))} if least else {}
     return found | ({"max": _value_text(first, min(greatest))} if greatest else {})
 
@@ -259,7 +265,7 @@ def _value_text(variable: Variable, value: float) -> str:
     return str(int(value)) if variable.integer else repr(float(value))
 
 
-def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
+def _scalar(variable: Variable, place: int, interface: Interface) -> ET.Element:
     attributes = common_attributes(variable, variable.name, place, variable.description)
     element = ET.Element("ScalarVariable", attributes)
     if variable.enumeration:
@@ -275,7 +281,7 @@ def _scalar(variable: Variable, place: int, table: Interface) -> ET.Element:
     if variable.nominal != 1.0:
         real["nominal"] = repr(variable.nominal)
     if variable.derivative_of:
-        real["derivative"] = str(table.places[variable.derivative_of] + 1)
+        real["derivative"] = str(interface.places[variable.derivative_of] + 1)
     ET.SubElement(element, "Real", real)
     return element
 
@@ -284,15 +290,15 @@ def _unknowns(
     structure: ET.Element,
     kind: str,
     unknowns: Sequence[Variable],
-    table: Interface,
+    interface: Interface,
     known: Sequence[Role],
     *,
     initially: bool = False,
 ) -> None:
     parent = ET.SubElement(structure, kind) if unknowns else structure
     for variable in unknowns:
-        names = table.made_of(variable, known, initially=initially)
-        numbers = " ".join(map(str, sorted({table.places[name] + 1 for name in names})))
+        names = interface.made_of(variable, known, initially=initially)
+        numbers = " ".join(map(str, sorted({interface.places[name] + 1 for name in names})))
         ET.SubElement(
-            parent, "Unknown", index=str(table.places[variable.name] + 1), dependencies=numbers
+            parent, "Unknown", index=str(interface.places[variable.name] + 1), dependencies=numbers
         )

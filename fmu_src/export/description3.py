@@ -28,50 +28,52 @@ static const int extents[VARIABLES] = {{{}}};
 """
 
 
-def to_extents(table: Interface) -> str:
+def to_extents(interface: Interface) -> str:
     """Return extents.h: number of elements of the variable that starts at an index, or 0."""
-    extents = ["0"] * len(table.variables)
-    for array in table.parts:
+    extents = ["0"] * len(interface.variables)
+    for array in interface.parts:
         extents[array.place] = str(len(array.elements))
     return _EXTENTS.format(", ".join(extents))
 
 
-def to_xml3(table: Interface, about: Description, token: str) -> bytes:
+def to_xml3(interface: Interface, about: Description, token: str) -> bytes:
     """Return modelDescription.xml of FMI 3.0."""
     root = root_element(about, "3.0", {"instantiationToken": token})
     common = {
         "modelIdentifier": about.identifier,
         "canGetAndSetFMUState": "true",
         "canSerializeFMUState": "true",
-        "providesDirectionalDerivatives": str(table.directional_derivatives).lower(),
+        "providesDirectionalDerivatives": str(interface.directional_derivatives).lower(),
     }
-    if table.model_exchange:
+    if interface.model_exchange:
         ET.SubElement(root, "ModelExchange", common, needsCompletedIntegratorStep="true")
     common |= {"canHandleVariableCommunicationStepSize": "true", "hasEventMode": "true"}
-    early = str(table.inner_steps).lower()
+    early = str(interface.inner_steps).lower()
     ET.SubElement(root, "CoSimulation", common, mightReturnEarlyFromDoStep=early)
-    add_units(root, table)
+    add_units(root, interface)
     # fmi-sim reads units and nominal values from types only.
     types = ET.SubElement(root, "TypeDefinitions")
-    for of, nominal in dict.fromkeys((v.unit, v.nominal) for v in table.variables if v.unit):
+    for of, nominal in dict.fromkeys(
+        (variable.unit, variable.nominal) for variable in interface.variables if variable.unit
+    ):
         element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
         element.attrib.update(shown_as(of))
         if nominal != 1.0:
             element.set("nominal", repr(nominal))
     add_run(root, about)
     variables = ET.SubElement(root, "ModelVariables")
-    for array in table.parts:
-        variables.append(_variable(array, table))
-    time = {"name": "time", "valueReference": str(len(table.variables))}
+    for array in interface.parts:
+        variables.append(_variable(array, interface))
+    time = {"name": "time", "valueReference": str(len(interface.variables))}
     time |= {"causality": "independent", "variability": "continuous"}
     ET.SubElement(variables, "Float64", time, description="simulation time")
-    if table.indicators and table.model_exchange:
-        about_signs = {"name": _INDICATORS, "valueReference": str(len(table.variables) + 1)}
+    if interface.indicators and interface.model_exchange:
+        about_signs = {"name": _INDICATORS, "valueReference": str(len(interface.variables) + 1)}
         about_signs |= {"causality": "local", "variability": "continuous", "initial": "calculated"}
         text = "positive while the signs that are held agree with the inputs"
         indicator = ET.SubElement(variables, "Float64", about_signs, description=text)
-        ET.SubElement(indicator, "Dimension", start=str(table.indicators))
-    _structure(root, table)
+        ET.SubElement(indicator, "Dimension", start=str(interface.indicators))
+    _structure(root, interface)
     return to_bytes(root)
 
 
@@ -80,7 +82,7 @@ def _type_of(unit: str, nominal: float) -> str:
     return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 
 
-def _variable(array: ArrayVariable, table: Interface) -> ET.Element:
+def _variable(array: ArrayVariable, interface: Interface) -> ET.Element:
     first = array.elements[0]
     text = first.description if first.enumeration else _description(array)
     attributes = common_attributes(first, array.name, array.place, text)
@@ -93,7 +95,7 @@ def _variable(array: ArrayVariable, table: Interface) -> ET.Element:
         kind = "Float64"
         attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
     if first.derivative_of:
-        attributes["derivative"] = str(table.part_of[first.derivative_of].place)
+        attributes["derivative"] = str(interface.part_of[first.derivative_of].place)
     element = ET.Element(kind, attributes)
     for size in array.shape:
         ET.SubElement(element, "Dimension", start=str(size))
@@ -101,7 +103,7 @@ def _variable(array: ArrayVariable, table: Interface) -> ET.Element:
 
 
 def _description(array: ArrayVariable) -> str:
-    texts = [v.description for v in array.elements]
+    texts = [variable.description for variable in array.elements]
     if len(texts) == 1:
         return texts[0]
     words = [text.split(" ") for text in texts]
@@ -118,35 +120,41 @@ def _column_text(words: Sequence[str]) -> str:
     return ", ".join(bare) + words[-1][len(bare[-1]) :]
 
 
-def _structure(root: ET.Element, table: Interface) -> None:
+def _structure(root: ET.Element, interface: Interface) -> None:
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [a for a in table.parts if a.elements[0].role in ("output", "on_demand")]
+    outputs = [
+        array for array in interface.parts if array.elements[0].role in ("output", "on_demand")
+    ]
     # States of a co-simulation are internal.
-    derivatives = table.derivatives if table.model_exchange else ()
-    rates = list(dict.fromkeys(table.part_of[v.name] for v in derivatives))
-    states = [a for a in table.parts if a.elements[0].role == "state"] if derivatives else []
-    _unknowns(structure, "Output", outputs, table, RUNNING)
-    _unknowns(structure, "ContinuousStateDerivative", rates, table, RUNNING)
+    derivatives = interface.derivatives if interface.model_exchange else ()
+    rates = list(dict.fromkeys(interface.part_of[variable.name] for variable in derivatives))
+    states = (
+        [array for array in interface.parts if array.elements[0].role == "state"]
+        if derivatives
+        else []
+    )
+    _unknowns(structure, "Output", outputs, interface, RUNNING)
+    _unknowns(structure, "ContinuousStateDerivative", rates, interface, RUNNING)
     initial = dict.fromkeys((*outputs, *states, *rates))
-    _unknowns(structure, "InitialUnknown", initial, table, STARTING, initially=True)
-    if table.indicators and table.model_exchange:
-        ET.SubElement(structure, "EventIndicator", valueReference=str(len(table.variables) + 1))
+    _unknowns(structure, "InitialUnknown", initial, interface, STARTING, initially=True)
+    if interface.indicators and interface.model_exchange:
+        ET.SubElement(structure, "EventIndicator", valueReference=str(len(interface.variables) + 1))
 
 
 def _unknowns(
     structure: ET.Element,
     kind: str,
     unknowns: Iterable[ArrayVariable],
-    table: Interface,
+    interface: Interface,
     known: tuple[Role, ...],
     *,
     initially: bool = False,
 ) -> None:
     for array in unknowns:
         places = {
-            table.part_of[name].place
-            for v in array.elements
-            for name in table.made_of(v, known, initially=initially)
+            interface.part_of[name].place
+            for variable in array.elements
+            for name in interface.made_of(variable, known, initially=initially)
         }
         about = {"valueReference": str(array.place)}
         ET.SubElement(structure, kind, about, dependencies=" ".join(map(str, sorted(places))))
@@ -181,7 +189,9 @@ class Terminal:
     members: Mapping[str, tuple[str, Kind]]
 
 
-def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool) -> bytes | None:
+def to_terminals(
+    interface: Interface, terminals: Sequence[Terminal], *, icon: bool
+) -> bytes | None:
     """Return terminalsAndIcons.xml, or None if it would be empty."""
     if not terminals and not icon:
         return None
@@ -193,7 +203,7 @@ def to_terminals(table: Interface, terminals: Sequence[Terminal], *, icon: bool)
         ET.SubElement(picture, "Icon", place)
     if terminals:
         parent = ET.SubElement(root, "Terminals")
-        names = [array.name for array in table.parts]
+        names = [array.name for array in interface.parts]
         for terminal in terminals:
             first, _ = next(iter(terminal.members.values()))
             for name in names:

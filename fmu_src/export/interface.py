@@ -117,7 +117,7 @@ class Interface:
     @cached_property
     def places(self) -> dict[str, int]:
         """Index of each variable, its value reference in FMI 2.0, and first index of each array."""
-        found = {one.name: one.place for one in self.arrays}
+        found = {array.name: array.place for array in self.arrays}
         return found | {variable.name: i for i, variable in enumerate(self.variables)}
 
     @cached_property
@@ -128,10 +128,10 @@ class Interface:
         first, and have one role and one unit.
         """
         found: list[ArrayVariable] = []
-        counts = Counter(_split(v.name)[0] for v in self.variables)
+        counts = Counter(_split(variable.name)[0] for variable in self.variables)
         for (name, _), group in groupby(enumerate(self.variables), lambda pair: _alike(pair[1])):
             places, elements = zip(*group, strict=True)
-            indices = [_split(v.name)[1] for v in elements]
+            indices = [_split(variable.name)[1] for variable in elements]
             shape = indices[-1]
             whole = list(product(*(range(1, size + 1) for size in shape)))
             if name and indices == whole and len(whole) == counts[name]:
@@ -156,12 +156,12 @@ class Interface:
     @cached_property
     def part_of(self) -> dict[str, "ArrayVariable"]:
         """The variable of FMI 3.0 that contains each variable."""
-        return {v.name: array for array in self.parts for v in array.elements}
+        return {variable.name: array for array in self.parts for variable in array.elements}
 
     @cached_property
     def derivatives(self) -> tuple[Variable, ...]:
         """Time derivatives of the states, in the order of FMI's continuous states."""
-        return tuple(v for v in self.variables if v.derivative_of)
+        return tuple(variable for variable in self.variables if variable.derivative_of)
 
     def initially(self, variable: Variable) -> tuple[str, ...]:
         """Return the names, without states, that determine a variable at the start."""
@@ -175,8 +175,12 @@ class Interface:
 
     @cached_property
     def _states(self) -> dict[str, Variable]:
-        names = [v.derivative_of for v in self.derivatives]
-        return {v.name: v for v in self.variables if v.role == "state" or v.name in names}
+        names = [variable.derivative_of for variable in self.derivatives]
+        return {
+            variable.name: variable
+            for variable in self.variables
+            if variable.role == "state" or variable.name in names
+        }
 
     def made_of(
         self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
@@ -191,7 +195,9 @@ class Interface:
     def first(self, names: Sequence[str]) -> int:
         """Index of the first of `names`, which must be consecutive."""
         start = self.places[names[0]]
-        if [v.name for v in self.variables[start : start + len(names)]] != list(names):
+        if [variable.name for variable in self.variables[start : start + len(names)]] != list(
+            names
+        ):
             raise ValueError(f"{names} are not consecutive variables")
         return start
 
@@ -208,7 +214,10 @@ class ArrayVariable:
 
 def _scalars(place: int, elements: Sequence[Variable]) -> list[ArrayVariable]:
     """Return consecutive variables from an index as scalars."""
-    return [ArrayVariable(v.name, (), i, (v,)) for i, v in enumerate(elements, place)]
+    return [
+        ArrayVariable(variable.name, (), i, (variable,))
+        for i, variable in enumerate(elements, place)
+    ]
 
 
 def _split(name: str) -> tuple[str, tuple[int, ...]]:
@@ -230,27 +239,27 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
     places = interface.places
     used = {
         name
-        for v in variables
-        if v.computed or v.role == "state"
-        for name in (*v.dependencies, *v.initial_dependencies)
+        for variable in variables
+        if variable.computed or variable.role == "state"
+        for name in (*variable.dependencies, *variable.initial_dependencies)
     }
     rows: list[str] = []
     inputs = [0]
     watched = []
     kinds = []
     numbers = []
-    for i, v in enumerate(variables):
-        bounds = _bounds(v)
-        numbers.append(f"    {{{literal(v.start)}, {bounds}}},")
-        counts = int(v.role != "input" or v.name in used)
-        own_derivative = v.derivative_of and v.role == "local"
-        role = "DERIVATIVE" if own_derivative else v.role.upper()
-        kind = _c_type(v)
+    for i, variable in enumerate(variables):
+        bounds = _bounds(variable)
+        numbers.append(f"    {{{literal(variable.start)}, {bounds}}},")
+        counts = int(variable.role != "input" or variable.name in used)
+        own_derivative = variable.derivative_of and variable.role == "local"
+        role = "DERIVATIVE" if own_derivative else variable.role.upper()
+        kind = _c_type(variable)
         free = bounds == "-INFINITY, INFINITY" and role not in ("ON_DEMAND", "DERIVATIVE")
-        kinds.append(((role, kind, counts, bounds, free), v.name))
-        if v.role == "input":
+        kinds.append(((role, kind, counts, bounds, free), variable.name))
+        if variable.role == "input":
             inputs.append(i)
-        elif v.role in ("output", "local", "state") and not own_derivative:
+        elif variable.role in ("output", "local", "state") and not own_derivative:
             watched.append(i)
     for (role, kind, counts, _, free), group in groupby(kinds, lambda pair: pair[0]):
         names = [name for _, name in group]
@@ -259,8 +268,8 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
             f'    {{"{name}", {role}, {kind}, {counts}, {n}}},'
             for name, n in zip(names, left, strict=True)
         )
-    states = [places[v.derivative_of or ""] for v in interface.derivatives]
-    derivatives = [places[v.name] for v in interface.derivatives]
+    states = [places[variable.derivative_of or ""] for variable in interface.derivatives]
+    derivatives = [places[variable.name] for variable in interface.derivatives]
     return _INTERFACE.format(
         guid=guid,
         step=literal(step),
@@ -269,7 +278,7 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
         variables=len(rows),
         slopes=1 + inputs[-1],  # up to the last input; C has no empty arrays
         states=len(states),
-        booleans=sum(v.boolean for v in variables),
+        booleans=sum(variable.boolean for variable in variables),
         watched=len(watched),
         rows="\n".join(rows),
         numbers="\n".join(numbers),

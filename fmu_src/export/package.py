@@ -125,11 +125,13 @@ def write_fmu(
             f"platform '{missing[0]}': this FMU needs a library, which is given for "
             f"{', '.join(content.libraries)} only."
         )
-    table = content.table
+    interface = content.table
     about = content.about
     guid, sources = translation_unit(content, fmi)
     members: dict[str, bytes] = {
-        "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(table, about, guid),
+        "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(
+            interface, about, guid
+        ),
         **own_licence(),
         **content.members,
     }
@@ -139,7 +141,9 @@ def write_fmu(
         picture = members.pop("model.png", None)
         if picture:
             members[description3.ICON] = picture
-        connected = description3.to_terminals(table, content.terminals, icon=picture is not None)
+        connected = description3.to_terminals(
+            interface, content.terminals, icon=picture is not None
+        )
         if connected:
             members[description3.TERMINALS] = connected
     folders = _FOLDERS if fmi == 3 else {}
@@ -168,7 +172,7 @@ def own_licence() -> dict[str, bytes]:
 
 def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str, str]]:
     """Return the GUID of an FMU and its C files by name; all.c includes the others."""
-    table = content.table
+    interface = content.table
     about = content.about
     own = content.sources
     patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
@@ -179,9 +183,9 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
     includes = "".join(f'#include "{name}"\n' for name in sources if name.endswith(".c"))
     sources["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
     if fmi == 3:
-        sources["extents.h"] = description3.to_extents(table)
-    guid = _guid(table, about, sources)
-    return guid, sources | {"interface.h": to_c(table, guid, about.step)}
+        sources["extents.h"] = description3.to_extents(interface)
+    guid = _guid(interface, about, sources)
+    return guid, sources | {"interface.h": to_c(interface, guid, about.step)}
 
 
 def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
@@ -213,10 +217,10 @@ def _built(source: Path, identifier: str, target: Target, own: Binary | None) ->
     return build(source, identifier, target, flags)
 
 
-def _guid(table: Interface, about: Description, sources: Mapping[str, str]) -> str:
+def _guid(interface: Interface, about: Description, sources: Mapping[str, str]) -> str:
     """Return a GUID of the content, without the GUID itself."""
-    content = hashlib.sha256(to_xml(table, about, ""))
-    content.update(to_c(table, "", about.step).encode())
+    content = hashlib.sha256(to_xml(interface, about, ""))
+    content.update(to_c(interface, "", about.step).encode())
     for name, text in sorted(sources.items()):
         content.update(f"\0{name}\0{text}".encode())
     return f"{{{UUID(bytes=content.digest()[:16])}}}"

@@ -31,14 +31,16 @@ def discrete_equations(
     joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
     factors = friction_component.scales(model) if components[0].shared else ()
     signals = (*_signals(model, joints, switches), friction_component.start_mode(), *factors)
-    table = Interface(
+    interface = Interface(
         variables=(*signals, *_own(model, components, joints)),
         indicators=indicators(joints),
         own=own_size(joints),
         model_exchange=False,
         directional_derivatives=False,
     )
-    return table, equations_header(joints, table, {"START_MODE": friction_component.START_MODE})
+    return interface, equations_header(
+        joints, interface, {"START_MODE": friction_component.START_MODE}
+    )
 
 
 THERMAL_LINES = (
@@ -75,7 +77,7 @@ _WARMTH = 10.0  # amplitude of temperatures in the reference results [K]
 _UNEXPLAINED = 2.0  # peak of the measured friction beyond the law, in standard deviations
 
 
-def _stimuli(model: FrictionModel, table: Interface, about: Description) -> Stimuli:
+def _stimuli(model: FrictionModel, interface: Interface, about: Description) -> Stimuli:
     """Return a motion in the trained range; measured torques differ from those of the law.
 
     The difference grows with the speed, so that the factors of an adaptive law change.
@@ -98,7 +100,7 @@ def _stimuli(model: FrictionModel, table: Interface, about: Description) -> Stim
     for i, thermal in enumerate(model.thermal, start=1):
         inputs |= waves({f"{TEMPERATURE.name}[{i}]": _WARMTH}, middle=thermal.reference)
     rounded = {name: np.round(rows, _DECIMALS) for name, rows in inputs.items()}
-    names = {v.name for v in table.variables if v.role == "input"}
+    names = {variable.name for variable in interface.variables if variable.role == "input"}
     return Stimuli(step=step, inputs={n: rows for n, rows in rounded.items() if n in names})
 
 

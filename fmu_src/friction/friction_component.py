@@ -146,16 +146,16 @@ def friction_equations(
     Raises ExportError for names that FMI forbids, or different discretisations.
     """
     joints = joints_of(model, more, band=band, events=events)
-    table = Interface(
+    interface = Interface(
         variables=tuple(_variables(model, joints, band=band)),
         indicators=indicators(joints),
         own=own_size(joints),
     )
     places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
     header = equations_header(
-        joints, table, places, coupling=model.coupling, steps_together=steps_together
+        joints, interface, places, coupling=model.coupling, steps_together=steps_together
     )
-    return table, header
+    return interface, header
 
 
 def _variables(
@@ -274,10 +274,12 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
         for i, law in enumerate(model.laws, start=1):
             least, greatest = limits[i - 1][k]
             limits_of_own = {"least": least, "greatest": greatest, "limited": True}
-            own = of_joint(model, scale, i, "tunable", start=1.0, **limits_of_own)
+            variable = of_joint(model, scale, i, "tunable", start=1.0, **limits_of_own)
             if scale == VISCOUS and not has_viscous(law.form):
-                own = replace(own, description=f"{own.description}; its law has no such term")
-            yield own
+                variable = replace(
+                    variable, description=f"{variable.description}; its law has no such term"
+                )
+            yield variable
 
 
 def band_numbers(model: FrictionModel) -> Iterator[Variable]:

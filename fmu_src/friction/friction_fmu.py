@@ -160,11 +160,14 @@ def _as_run(model: FrictionModel, low_pass: float | None) -> FrictionModel:
 
 
 def bare_content(
-    model: FrictionModel, about: Description, table: Interface, header: str
+    model: FrictionModel, about: Description, interface: Interface, header: str
 ) -> package.Content:
     """Return the FMU of a model without pages, with the model itself."""
     return package.Content(
-        table=table, about=about, sources=package.equation_sources(header), members=embedding(model)
+        table=interface,
+        about=about,
+        sources=package.equation_sources(header),
+        members=embedding(model),
     )
 
 

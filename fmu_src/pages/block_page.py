@@ -41,20 +41,20 @@ class BlockPage:
     laws: Sequence[LawEntry] = ()
 
 
-def block_html(page: BlockPage, table: Interface, about: Description) -> str:
+def block_html(page: BlockPage, interface: Interface, about: Description) -> str:
     """Return the page as one self-contained file."""
     return rendered(
         "block.html.j2",
         about=about,
         page=page,
-        groups=variable_groups(table),
-        exchange=table.model_exchange,
+        groups=variable_groups(interface),
+        exchange=interface.model_exchange,
     )
 
 
-def variable_groups(table: Interface) -> dict[str, list[dict[str, Any]]]:
+def variable_groups(interface: Interface) -> dict[str, list[dict[str, Any]]]:
     """Return the rows of the tables of all variables, by their title."""
-    groups = {title: list(_rows(table, roles)) for title, roles in _GROUPS.items()}
+    groups = {title: list(_rows(interface, roles)) for title, roles in _GROUPS.items()}
     return {title: rows for title, rows in groups.items() if rows}
 
 
@@ -108,8 +108,8 @@ class _Printer(StrPrinter):  # type: ignore[misc] # SymPy is not typed
         return f"abs({self._print(expr.args[0])})"
 
 
-def _rows(table: Interface, roles: Sequence[Role]) -> Iterator[dict[str, Any]]:
-    for array in table.arrays:
+def _rows(interface: Interface, roles: Sequence[Role]) -> Iterator[dict[str, Any]]:
+    for array in interface.arrays:
         first = array.elements[0]
         if first.role not in roles:
             continue
@@ -158,7 +158,9 @@ def _common_text(array: ArrayVariable) -> str:
 def _common_word(column: Sequence[str], array: ArrayVariable) -> str:
     if len(set(column)) == 1:
         return column[0]
-    indices = [v.name.rpartition("[")[2].rstrip("]").split(",") for v in array.elements]
+    indices = [
+        variable.name.rpartition("[")[2].rstrip("]").split(",") for variable in array.elements
+    ]
     for place, letter in enumerate(_INDICES[: len(array.shape)]):
         pairs = [(word, index[place]) for word, index in zip(column, indices, strict=True)]
         general = {word.replace(index, letter) for word, index in pairs if index in word}

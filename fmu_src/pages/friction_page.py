@@ -40,7 +40,7 @@ _HOLDS = 0.01  # [N.m]; less counts as zero
 
 
 def drive_html(
-    model: FrictionModel, table: Interface, about: Description, template: str = "drive.html.j2"
+    model: FrictionModel, interface: Interface, about: Description, template: str = "drive.html.j2"
 ) -> str:
     """Return the page as one self-contained file."""
     joints, refused = law_entries(model)
@@ -49,15 +49,15 @@ def drive_html(
         template,
         about=about,
         model=model,
-        exchange=table.model_exchange,
+        exchange=interface.model_exchange,
         titles=list(dict.fromkeys(title(law) for law in model.laws)),
-        substep=table.variables[table.places["substep"]].start,
+        substep=interface.variables[interface.places["substep"]].start,
         discretisation=model.laws[0].discretisation,
         loaded=[name for name, law in pairs if TAU_LOAD in law.form.inputs],
         joints=joints,
         refused=refused,
-        groups=variable_groups(table),
-        arrays=[array.name for array in table.arrays],
+        groups=variable_groups(interface),
+        arrays=[array.name for array in interface.arrays],
     )
 
 
@@ -125,7 +125,7 @@ _RANGES = (*INPUT_UNITS, "tau")
 
 def to_html(
     model: FrictionModel,
-    table: Interface,
+    interface: Interface,
     about: Description,
     *,
     live: str = "",
@@ -139,7 +139,7 @@ def to_html(
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
     used = {symbol for law in model.laws for symbol in law.form.inputs}
     titles = list(dict.fromkeys(title(law) for law in model.laws))
-    start = table.variables[table.places["discretisation"]].start
+    start = interface.variables[interface.places["discretisation"]].start
     errors = [f"{error:.3g}" for error in model.training_rmse]
     return rendered(
         "index.html.j2",
@@ -147,12 +147,12 @@ def to_html(
         model=model,
         live=live,
         properties=properties,
-        groups=variable_groups(table),
+        groups=variable_groups(interface),
         titles=titles,
         unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
         joints=list(map(_joint, count(1), model.joints, model.laws)),
-        events=bool(table.indicators),
+        events=bool(interface.indicators),
         steep=STEEP,
         training=training(model.provenance),
         units=units,

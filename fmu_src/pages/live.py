@@ -202,7 +202,7 @@ class Knob:
     reference: int | None = None
 
 
-def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str, Any]:
+def live_data(model: FrictionModel, interface: Interface, module: bytes) -> dict[str, Any]:
     """Return the JSON data of an interactive section; `module` is the result of `wasm`."""
     trained = model.trained or (None,) * len(model.joints)
     connectors = (*(u.name for u in INPUTS), "tau")
@@ -215,11 +215,11 @@ def live_data(model: FrictionModel, table: Interface, module: bytes) -> dict[str
         joints.append(
             {
                 "name": name,
-                "references": {x: table.places[f"{x}[{i}]"] for x in connectors},
+                "references": {x: interface.places[f"{x}[{i}]"] for x in connectors},
                 "units": {x: unit_of_joint(unit, slides=slides) for x, unit in _UNITS.items()},
                 "speeds": list(trained_range.dq) if trained_range else None,
                 "motion": list(map(asdict, motion)),
-                "coefficients": list(map(asdict, _coefficients(law, i, table))),
+                "coefficients": list(map(asdict, _coefficients(law, i, interface))),
             }
         )
     return {"module": packed(module), "step": model.sample_time, "joints": joints}
@@ -254,12 +254,12 @@ def _motion(law: FrictionLaw, trained_range: TrainedRange | None, step: float) -
         yield Knob("load", "load torque, constant", "N.m", middle, low, high)
 
 
-def _coefficients(law: FrictionLaw, joint: int, table: Interface) -> Iterator[Knob]:
+def _coefficients(law: FrictionLaw, joint: int, interface: Interface) -> Iterator[Knob]:
     own = place(law, joint).parameters
     names = (*own, *scales_of(joint))
     for name, coefficient in zip_longest(names, law.form.coefficients if own else ()):
-        reference = table.places[name]
-        variable = table.variables[reference]
+        reference = interface.places[name]
+        variable = interface.variables[reference]
         factor = coefficient is None or _is_factor(law.form, coefficient.symbol)
         least = variable.least
         most = variable.greatest

@@ -241,11 +241,11 @@ def _interface(
     zeros = (0.0,) * len(laws)
     starts = list(_parameters(plant_body))
     own_parameters = list(inertial_parameters(plant_body))
-    inertial = tuple(v.name for v in own_parameters)
+    inertial = tuple(variable.name for variable in own_parameters)
     motion = tuple(f"{name}[{i}]" for name in ("q", "dq") for i in numbers)
     own_servo = list(servo.parameters()) if servo else []
     commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
-    stops = tuple(v.name for v in starts if v.name.startswith(("q_m", "stop")))
+    stops = tuple(variable.name for variable in starts if variable.name.startswith(("q_m", "stop")))
     load = (*commands, *motion, *stops, *inertial)
     torque = sympy.Symbol(TORQUE, real=True)
 
@@ -255,12 +255,12 @@ def _interface(
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
     of_friction = (n for one in friction for n in one)
-    everything = (*load, *(v.name for v in own_servo), *of_friction)
-    at_start = {"q_cmd": [v.start for v in starts[: len(laws)]]}
+    everything = (*load, *(variable.name for variable in own_servo), *of_friction)
+    at_start = {"q_cmd": [variable.start for variable in starts[: len(laws)]]}
     found = [
-        v
+        variable
         for name, (unit, text) in _inputs(servo).items()
-        for v in vector(name, "input", unit, text, at_start.get(name, zeros))
+        for variable in vector(name, "input", unit, text, at_start.get(name, zeros))
     ]
     for name, unit, text in (*_OUTPUTS, *(_OF_SERVO if servo else ())):
         for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
@@ -281,12 +281,14 @@ def _interface(
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     how = "how the states of the friction are relaxed over an inner step"
     found += [discretisation(model, how), start_mode(), *own_parameters, *scales(model)]
-    for i, (law, own) in enumerate(zip(model.laws, laws, strict=True), start=1):
+    for i, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1):
         of_load = {TAU_LOAD.name: (*load, *friction[i - 1])}
-        found += law_variables(law, i, own, sources(i) | of_load)
-    found = [at_joint(v, model.slides) for v in found]
+        found += law_variables(law, i, joint, sources(i) | of_load)
+    found = [at_joint(variable, model.slides) for variable in found]
     return Interface(
-        variables=tuple(of_the_last_step(v, commands) if servo else v for v in found),
+        variables=tuple(
+            of_the_last_step(variable, commands) if servo else variable for variable in found
+        ),
         own=_memory(laws, plant_body.robot.links, servo),
         model_exchange=servo is None,
         directional_derivatives=servo is None,
@@ -381,10 +383,14 @@ def content(
 ) -> Content:
     """Return the FMU of a plant before compilation."""
     joints = joints_of(model, names={TORQUE: "tau_friction"})
-    table = _interface(model, plant_body, servo, tool=tool)
-    springs = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
+    interface = _interface(model, plant_body, servo, tool=tool)
+    springs = next((n for n in interface.places if n.startswith("spring[")), "gravity[1]")
     header = equations_header(
-        joints, table, _PLACES | {"SPRINGS": springs}, wanted=SOLVER_OF_ALL, coupling=model.coupling
+        joints,
+        interface,
+        _PLACES | {"SPRINGS": springs},
+        wanted=SOLVER_OF_ALL,
+        coupling=model.coupling,
     )
     about = description_of(
         model,
@@ -405,17 +411,17 @@ def content(
         "equations.h": header,
     }
     sources |= {"change.h": change_header(plant_body.robot)}
-    sources |= {"servo.h": places(table, "SERVO_H", found, **kinds)}
-    sources |= {"tool.h": tool_header(plant_body.robot, table.places.get("tool_position[1]"))}
+    sources |= {"servo.h": places(interface, "SERVO_H", found, **kinds)}
+    sources |= {"tool.h": tool_header(plant_body.robot, interface.places.get("tool_position[1]"))}
     members = {}
     if not bare:
-        page = drive_html(model, table, about, template="plant.html.j2").encode()
+        page = drive_html(model, interface, about, template="plant.html.j2").encode()
         members = {"documentation/index.html": page, **embedding(model)}
     inputs = waves(
         {f"{name}[{i}]": 1.0 for name in _inputs(servo) for i in range(1, len(joints) + 1)}
     )
     return Content(
-        table=table,
+        table=interface,
         about=about,
         sources=sources,
         members=members,

@@ -266,11 +266,13 @@ def numbered_text(number: float) -> str:
     return _TEXTS[int(number)]
 
 
-def mixed_buffer(slave: FmuInstance, names: Sequence[str], values: Array | None = None) -> Buffer:
+def mixed_buffer(
+    instance: FmuInstance, names: Sequence[str], values: Array | None = None
+) -> Buffer:
     """Return a buffer of variables of any type; see `MixedBuffer`."""
-    if all(slave.variables[name].type == "Real" for name in names):
-        return slave.buffer(names, values)
-    return MixedBuffer(slave, names, np.zeros(len(names)) if values is None else values)
+    if all(instance.variables[name].type == "Real" for name in names):
+        return instance.buffer(names, values)
+    return MixedBuffer(instance, names, np.zeros(len(names)) if values is None else values)
 
 
 def _setter(kind: str) -> str:
@@ -278,12 +280,13 @@ def _setter(kind: str) -> str:
     return kind if kind in ("Boolean", "String", "Float32") else "Integer"
 
 
-def _require_exact(slave: FmuInstance, names: Sequence[str], values: Iterable[float]) -> None:
+def _require_exact(instance: FmuInstance, names: Sequence[str], values: Iterable[float]) -> None:
     """Raise SimulationError for an integer that its floating-point number would change."""
     for name, value in zip(names, values, strict=True):
         if abs(value) > _LARGEST_EXACT:
             raise SimulationError(
-                f"{slave.fmu.name} ('{slave.name}') at t = {slave.time:.9g} s: '{name}' is "
+                f"{instance.fmu.name} ('{instance.name}') at t = {instance.time:.9g} s: '{name}' "
+                "is "
                 f"{value:.0f}; integers of a run are at most 2^53 in magnitude."
             )
 

@@ -32,15 +32,15 @@ def replay(
     a thermal FMU. Raises SimulationError if the log does not fit or the FMU fails.
     """
     if isinstance(fmu, Path):
-        with FmuInstance(fmu) as component:
+        with FmuInstance(fmu) as instance:
             return replay(
-                component, t, dq, q, tau_load, start, temperature=temperature, output=output
+                instance, t, dq, q, tau_load, start, temperature=temperature, output=output
             )
-    component = fmu
+    instance = fmu
     time = np.asarray(t, dtype=float)
     if not len(time):
-        raise SimulationError(f"{component.fmu}: the log to be replayed has no samples.")
-    names = {v.name for v in component.description.modelVariables}
+        raise SimulationError(f"{instance.fmu}: the log to be replayed has no samples.")
+    names = {v.name for v in instance.description.modelVariables}
     joints = sum(name.startswith("tau[") for name in names)
     zero = np.zeros((len(time), joints))
     indices = range(1, joints + 1)
@@ -54,23 +54,23 @@ def replay(
     for name, part in zip(given, parts, strict=True):
         if part.shape != zero.shape:
             raise SimulationError(
-                f"{component.fmu}: '{name}' has the shape {part.shape}; expected {zero.shape}, "
+                f"{instance.fmu}: '{name}' has the shape {part.shape}; expected {zero.shape}, "
                 f"{len(time)} samples of {joints} joints."
             )
     if np.any(np.diff(time) <= 0.0):
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise SimulationError(f"{component.fmu}: time does not increase at row {row} of the log.")
-    inputs = component.buffer([f"{name}[{i}]" for name in given for i in indices])
-    outputs = component.buffer([f"{output}[{i}]" for i in indices])
+        raise SimulationError(f"{instance.fmu}: time does not increase at row {row} of the log.")
+    inputs = instance.buffer([f"{name}[{i}]" for name in given for i in indices])
+    outputs = instance.buffer([f"{output}[{i}]" for i in indices])
     rows = np.hstack(parts)
     torque = np.empty_like(zero)
-    if component.used:
-        component.reset()
+    if instance.used:
+        instance.reset()
     inputs.values[:] = rows[0]
-    component.initialise(time=float(time[0]), start=start, inputs=inputs)
+    instance.initialise(time=float(time[0]), start=start, inputs=inputs)
     torque[0] = outputs.read()
-    torque[1:] = through(component, inputs, outputs, time[:-1], np.diff(time), rows[1:])
-    require_finite(component.fmu, time, torque)
+    torque[1:] = through(instance, inputs, outputs, time[:-1], np.diff(time), rows[1:])
+    require_finite(instance.fmu, time, torque)
     return torque
 
 

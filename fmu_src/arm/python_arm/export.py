@@ -29,11 +29,11 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
     """Write an MJCF, without references to files, as an FMU for hosts with HESR and MuJoCo."""
     check_request(output, ("linux64",))
     signals = signals_of(mjcf, table)
-    shown = Interface(
+    interface = Interface(
         variables=variables(signals), model_exchange=False, directional_derivatives=False
     )
     description_of_arm = description(signals, model_name(signals.model, mjcf))
-    about = _about(mjcf, table, shown, description_of_arm)
+    about = _about(mjcf, table, interface, description_of_arm)
     with scratch_folder() as folder:
         parts = [Path(folder, MODEL), Path(folder, ABOUT)]
         parts[0].write_bytes(mjcf.read_bytes())
@@ -47,7 +47,7 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
         with zipfile.ZipFile(_built(Path(folder), parts)) as archive:
             members = {name: archive.read(name) for name in sorted(archive.namelist())}
     members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has no line breaks
-    members |= arm_page(signals, shown, description_of_arm)
+    members |= arm_page(signals, interface, description_of_arm)
     members |= result_files(members, arm_stimuli(signals))
     members |= own_licence()
     write_archive(members | licences("pythonfmu"), output, RELEASED)
@@ -56,11 +56,11 @@ def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path
 
 
 def _about(
-    mjcf: Path, table: Path | SignalTable | None, shown: Interface, about: Description
+    mjcf: Path, table: Path | SignalTable | None, interface: Interface, about: Description
 ) -> dict[str, Any]:
     named = SignalTable.read(table) if isinstance(table, Path) else table
-    content = hashlib.sha256(to_xml(shown, about, "") + mjcf.read_bytes()).hexdigest()
-    root = ET.fromstring(to_xml(shown, about, content))
+    content = hashlib.sha256(to_xml(interface, about, "") + mjcf.read_bytes()).hexdigest()
+    root = ET.fromstring(to_xml(interface, about, content))
     kind = root.find("CoSimulation")
     if kind is None:
         raise ValueError("the description is not one of co-simulation")

@@ -87,7 +87,9 @@ class Simulation:
     def __init__(self, signals: ArmSignals) -> None:
         self.signals = signals
         self.variables = variables(signals)
-        self.defaults = {v.name: v.start for v in self.variables if v.role == "fixed"}
+        self.defaults = {
+            variable.name: variable.start for variable in self.variables if variable.role == "fixed"
+        }
         self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
         self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
         drives = [(c, k) for k, one in enumerate(signals.inputs) for c in one.controls]

@@ -123,7 +123,9 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
     choice = friction_component.discretisation(
         model, "how the states of the friction are relaxed over an inner step"
     )
-    found = [v for n, unit, text in _INPUTS for v in vector(n, "input", unit, text, zeros)]
+    found = [
+        variable for n, unit, text in _INPUTS for variable in vector(n, "input", unit, text, zeros)
+    ]
     for n, unit, text, deps in _OUTPUTS:
         found += _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))
     found += friction
@@ -131,10 +133,12 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
         found += vector(n, "fixed", unit, text, getattr(own, n, zeros))
     found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     found += [choice, friction_component.start_mode(), *friction_component.scales(model), *own_laws]
-    variables = [_at_joint(v, model.slides) for v in found]
-    inputs = {v.name for v in variables if v.role == "input"}
+    variables = [_at_joint(variable, model.slides) for variable in found]
+    inputs = {variable.name for variable in variables if variable.role == "input"}
     return Interface(
-        variables=tuple(friction_component.of_the_last_step(v, inputs) for v in variables),
+        variables=tuple(
+            friction_component.of_the_last_step(variable, inputs) for variable in variables
+        ),
         own=1,  # STARTED of drive.c
         model_exchange=False,
         directional_derivatives=False,
@@ -217,8 +221,8 @@ def export_drive(
 def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content:
     """Return the FMU of a drive before compilation."""
     joints = friction_component.joints_of(model, names={TORQUE: "tau_f"})
-    table = _interface(model, joints, own)
-    header = equations_header(joints, table, _PLACES, wanted=SOLVER, coupling=model.coupling)
+    interface = _interface(model, joints, own)
+    header = equations_header(joints, interface, _PLACES, wanted=SOLVER, coupling=model.coupling)
     about = description_of(
         model,
         name=f"Drive of {model.robot} with {model_title(model)}",
@@ -231,10 +235,10 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
     sources = {name: own_source(name) for name in names}
     members = {}
     if not bare:
-        page = drive_html(model, table, about).encode()
+        page = drive_html(model, interface, about).encode()
         members = {"documentation/index.html": page, **embedding(model)}
     return Content(
-        table=table,
+        table=interface,
         about=about,
         sources=sources | {"equations.h": header},
         members=members,

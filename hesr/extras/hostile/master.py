@@ -70,16 +70,16 @@ class _Run:
 
 
 def problems(
-    about: ParsedDescription, contents: Contents, folder: Path
+    model_description: ParsedDescription, contents: Contents, folder: Path
 ) -> tuple[list[Problem], list[str]]:
     """Run an FMU of FMI 2.0; return findings, and reasons for scenarios that were not run."""
     damaged = any(rule_of(name).severity == "error" for name, _ in contents.problems)
-    if damaged or about.attributes.get("fmiVersion") != "2.0":
+    if damaged or model_description.attributes.get("fmiVersion") != "2.0":
         return [], ["Hostile master: not run; it needs FMI 2.0 and a valid archive."]
     own = f"binaries/{PLATFORM}/"
     kinds = {
         kind.element: kind
-        for kind in about.kinds
+        for kind in model_description.kinds
         if f"{own}{kind.identifier}{SUFFIX}" in contents.files
     }
     if not kinds:
@@ -89,7 +89,7 @@ def problems(
             target = folder / "hostile" / name
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(file.read_bytes())
-    master = _Master(about, kinds, folder)
+    master = _Master(model_description, kinds, folder)
     return list(with_rule("hostile", master.findings())), master.skipped
 
 
@@ -98,8 +98,12 @@ class _Master:
         self, about: ParsedDescription, kinds: Mapping[str, InterfaceKind], folder: Path
     ) -> None:
         self._folder = folder
-        reals = [v for v in about.variables if v.kind == "Real" and v.reference is not None]
-        self._outputs = [v for v in reals if v.causality == "output"]
+        reals = [
+            variable
+            for variable in about.variables
+            if variable.kind == "Real" and variable.reference is not None
+        ]
+        self._outputs = [variable for variable in reals if variable.causality == "output"]
         self._simulation = simulation = kinds.get("CoSimulation")
         self._exchange = exchange = kinds.get("ModelExchange")
         step = real(about.experiment.get("stepSize"))
@@ -116,8 +120,10 @@ class _Master:
             "variable": self._varies,
             "states": len(about.structure["Derivatives"]),
             "indicators": integer(about.attributes.get("numberOfEventIndicators")) or 0,
-            "inputs": [_excitation(v) for v in reals if v.causality == "input"],
-            "outputs": [v.reference for v in self._outputs],
+            "inputs": [
+                _excitation(variable) for variable in reals if variable.causality == "input"
+            ],
+            "outputs": [variable.reference for variable in self._outputs],
         }
 
     def _scenarios(self) -> list[str]:
@@ -197,7 +203,9 @@ class _Master:
             around = _around(own_run, others or reference, self._step)
             own = np.maximum(own, _excess(own_run, around).max(axis=0))
         # The jumps of discrete outputs depend on the step.
-        free = np.array([np.inf if v.variability == "discrete" else 0.0 for v in self._outputs])
+        free = np.array(
+            [np.inf if variable.variability == "discrete" else 0.0 for variable in self._outputs]
+        )
         for name in ("summed", *_FREE):
             if name in runs:
                 longer = max(1.0, float(runs[name].steps.max(initial=0.0)) / self._step)

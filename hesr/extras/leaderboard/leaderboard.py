@@ -55,8 +55,8 @@ class Tried:
 def tried(entry: Entry, ground: board_file.Ground, *, properties: bool) -> Tried:
     """Replay an entry over all logs of its robot."""
     ours = is_ours(entry.fmu) if entry.fmu.is_file() else False
-    with FmuInstance(entry.fmu) as component:
-        joints = FrictionBench(component).joints
+    with FmuInstance(entry.fmu) as instance:
+        joints = FrictionBench(instance).joints
         if joints != ground.model.n:
             raise SimulationError(
                 f"{entry.fmu}: is for {joints} joints; the robot '{entry.robot}' has "
@@ -71,12 +71,12 @@ def tried(entry: Entry, ground: board_file.Ground, *, properties: bool) -> Tried
             for part in ground.records
         ]
         begin = time.perf_counter()
-        torques = [replay(component, **part) for part in columns]
+        torques = [replay(instance, **part) for part in columns]
         seconds = time.perf_counter() - begin
         steps = sum(len(part) for part in torques)
         used = ["dq"]
         for name in _OPTIONAL:
-            without = (replay(component, **part | {name: None}) for part in columns)
+            without = (replay(instance, **part | {name: None}) for part in columns)
             if any(np.any(one != torque) for one, torque in zip(without, torques, strict=True)):
                 used.append(name)
     # The torque of a foreign FMU need not be that of its embedded law.

@@ -85,7 +85,7 @@ def header_of(whole: package.Content, name: str) -> str:
         return re.sub(r'#include "([^"]+)"\n', lambda m: text_of(m[1]), text)
 
     template = code_templates(HERE / "templates").get_template("observer.h.j2")
-    outputs = [(a.name, len(a.elements), a.place) for a in outputs_of(whole.table)]
+    outputs = [(array.name, len(array.elements), array.place) for array in outputs_of(whole.table)]
     own = text_of("observer.c")
     return str(template.render(name=name, text=whole.about.text, own=own, outputs=outputs))
 
@@ -125,13 +125,15 @@ def observed_logs(
     bare = content(model, plant_body, limits, bandwidth=bandwidth, bare=True)
     arrays = outputs_of(bare.table)
     found = []
-    names = [v.name for v in bare.table.variables if v.role == "input"]
+    names = [variable.name for variable in bare.table.variables if variable.role == "input"]
     with (
         scratch_folder() as folder,
-        FmuInstance(package.write_fmu(bare, folder / "own.fmu")) as fmu,
+        FmuInstance(package.write_fmu(bare, folder / "own.fmu")) as instance,
     ):
-        inputs = fmu.buffer(names)
-        outputs = fmu.buffer([v.name for a in arrays for v in a.elements])
+        inputs = instance.buffer(names)
+        outputs = instance.buffer(
+            [variable.name for array in arrays for variable in array.elements]
+        )
         for log in parts_of(logs):
             dq = _speed(log, plant_body)
             rows = np.hstack([log.q, dq, log.tau])
@@ -139,15 +141,18 @@ def observed_logs(
                 if log.temperature is None:
                     raise LogError(f"log '{log.name}': has no temperatures, which the law needs.")
                 rows = np.hstack([rows, log.temperature])
-            if fmu.used:
-                fmu.reset()
+            if instance.used:
+                instance.reset()
             inputs.values[:] = rows[0]
-            fmu.initialise(time=float(log.t[0]), inputs=inputs)
+            instance.initialise(time=float(log.t[0]), inputs=inputs)
             first = outputs.read().copy()
-            others = through(fmu, inputs, outputs, log.t[:-1], np.diff(log.t), rows[1:])
-            ends = np.cumsum([len(a.elements) for a in arrays])[:-1]
+            others = through(instance, inputs, outputs, log.t[:-1], np.diff(log.t), rows[1:])
+            ends = np.cumsum([len(array.elements) for array in arrays])[:-1]
             parts = np.split(np.vstack([first, others]), ends, axis=1)
-            own = {a.name: x.reshape(-1, *a.shape) for a, x in zip(arrays, parts, strict=True)}
+            own = {
+                array.name: x.reshape(-1, *array.shape)
+                for array, x in zip(arrays, parts, strict=True)
+            }
             found.append(ObservedLog(name=log.name, t=log.t, dq=dq, outputs=own))
     return found
 

@@ -133,11 +133,13 @@ def _interface(
     laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
     zeros = (0.0,) * len(laws)
     rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if current else _INPUTS[2]]
-    found = [v for n, unit, text in rows for v in vector(n, "input", unit, text, zeros)]
+    found = [
+        variable for n, unit, text in rows for variable in vector(n, "input", unit, text, zeros)
+    ]
     for i, thermal in enumerate(model.thermal, start=1):
         of_joint = friction_component.of_joint(model, TEMPERATURE, i, "input")
         found.append(replace(of_joint, start=thermal.reference))
-    inputs = tuple(v.name for v in found)
+    inputs = tuple(variable.name for variable in found)
 
     def mixed_inputs(i: int) -> dict[str, tuple[str, ...]]:
         moving = {n: friction_component.mixed(n, i, model.coupling) for n in ("dq", "q")}
@@ -145,12 +147,12 @@ def _interface(
 
     parameters = [*own, *inertial_parameters(plant_body), *friction_component.scales(model)]
     of_laws = [
-        v
-        for i, (law, one) in enumerate(zip(model.laws, laws, strict=True), start=1)
-        for v in friction_component.law_variables(law, i, one, mixed_inputs(i))
+        variable
+        for i, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1)
+        for variable in friction_component.law_variables(law, i, joint, mixed_inputs(i))
     ]
-    states = (v.name for v in of_laws if not v.derivative_of)
-    made_of = (*inputs, *(v.name for v in parameters), *states)
+    states = (variable.name for variable in of_laws if not variable.derivative_of)
+    made_of = (*inputs, *(variable.name for variable in parameters), *states)
     for name, unit, text in _OUTPUTS:
         found += vector(name, "output", unit, text, zeros, made_of)
     text = "whether the external torque of a joint is beyond its threshold"
@@ -158,22 +160,28 @@ def _interface(
     for name, unit, shape, text in _WRENCH if has_wrench(plant_body.robot) else ():
         for place in np.ndindex(*shape):
             index = ",".join(str(k + 1) for k in place)
-            one = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
-            found.append(one)
+            joint = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
+            found.append(joint)
     relaxing = friction_component.discretisation(model, "how the states of friction are relaxed")
     found += [*parameters, relaxing, friction_component.start_mode(), *of_laws]
-    turned = (at_joint(v, model.slides) for v in found)
+    turned = (at_joint(variable, model.slides) for variable in found)
     return Interface(
-        variables=tuple(friction_component.of_the_last_step(v, inputs) for v in turned),
+        variables=tuple(
+            friction_component.of_the_last_step(variable, inputs) for variable in turned
+        ),
         own=1 + len(laws) * (len(laws) + 4) + 10 * plant_body.robot.links,
         model_exchange=False,
         directional_derivatives=False,
     )
 
 
-def outputs_of(table: Interface) -> list[ArrayVariable]:
+def outputs_of(interface: Interface) -> list[ArrayVariable]:
     """Return the outputs other than the contact."""
-    return [a for a in table.arrays if a.elements[0].role == "output" and a.name != "contact"]
+    return [
+        array
+        for array in interface.arrays
+        if array.elements[0].role == "output" and array.name != "contact"
+    ]
 
 
 def content(
@@ -196,22 +204,28 @@ def content(
     if not 0.0 < bandwidth < np.inf:
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
     own = list(_parameters(model, limits, bandwidth, constants))
-    table = _interface(model, plant_body, own, bool(constants))
+    interface = _interface(model, plant_body, own, bool(constants))
     thermal = (f"thermal_{f.name}" for f in fields(Thermal)[:_THERMAL])
     absent = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
     first = {name.upper(): "contact" for name in absent}  # of an observer without these
-    named = [a for a in table.arrays if a.name.isidentifier() and a.elements[0].role != "state"]
-    first |= {a.name.upper(): a.elements[0].name for a in named}
+    named = [
+        array
+        for array in interface.arrays
+        if array.name.isidentifier() and array.elements[0].role != "state"
+    ]
+    first |= {array.name.upper(): array.elements[0].name for array in named}
     first |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
     first |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
-    first["SPRINGS"] = next((n for n in table.places if n.startswith("spring[")), "gravity[1]")
+    first["SPRINGS"] = next((n for n in interface.places if n.startswith("spring[")), "gravity[1]")
     laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
     names = ("coupling.h", "law_math.h", "regroup.h")
     sources = {name: package.own_source(name) for name in names} | {
         "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
         "dynamics.h": dynamics_header(plant_body.robot, of_joints=True),
         "jacobian.h": jacobian_header(plant_body.robot),
-        "equations.h": equations_header(laws, table, first, wanted=SOLVER, coupling=model.coupling),
+        "equations.h": equations_header(
+            laws, interface, first, wanted=SOLVER, coupling=model.coupling
+        ),
     }
     about = description_of(
         model,
@@ -221,17 +235,19 @@ def content(
         step=model.sample_time,
     )
     if bare:
-        return package.Content(table=table, about=about, sources=sources, members={})
+        return package.Content(table=interface, about=about, sources=sources, members={})
     joints, refused = law_entries(model)
     titles = list(dict.fromkeys(map(title, model.laws)))
     sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
     sheet |= {"refused": refused, "bandwidth": bandwidth, "constants": constants}
     sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(plant_body.robot)}
-    sheet |= {"groups": variable_groups(table)}
+    sheet |= {"groups": variable_groups(interface)}
     page = rendered("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
-    inputs = waves({v.name: 1.0 for v in table.variables if v.role == "input"})
+    inputs = waves(
+        {variable.name: 1.0 for variable in interface.variables if variable.role == "input"}
+    )
     return package.Content(
-        table=table,
+        table=interface,
         about=about,
         sources=sources,
         members={"documentation/index.html": page.encode(), **embedding(model)},

@@ -102,8 +102,8 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             if model is None:
                 raise ConfigError(f"{subject.name}: model and FMU are both missing.")
             fmu = export_bare(model, Path(folder, "friction.fmu"))
-        with FmuInstance(fmu) as component:
-            bench = FrictionBench(component)
+        with FmuInstance(fmu) as instance:
+            bench = FrictionBench(instance)
             joints = bench.joints
             inertia = _require_inertia(subject, joints)
             seen = _ranges(model, joints)
@@ -121,8 +121,8 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             turning = replace(model, sliding=())
             own = inertia.tolist()
             drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
-            with FmuInstance(drive) as component:
-                driven = DriveBench(component, bench.places)
+            with FmuInstance(drive) as instance:
+                driven = DriveBench(instance, bench.places)
                 loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
                 runs = {e.__name__: partial(e, driven, scale) for e in _DRIVEN}
                 runs[_DRIVE] = partial(dissipation, driven, scale, _peaks(seen, scale), loaded)

@@ -62,7 +62,11 @@ def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
             rows = zip(place(law, i).parameters, law.form.coefficients, strict=True)
             found += [(name, law.values[c.name], c.unit) for name, c in rows]
     shown = any(exposed(law) for law in model.laws)
-    return found if shown else [(v.name, v.start, v.unit or "1") for v in scales(model)]
+    return (
+        found
+        if shown
+        else [(variable.name, variable.start, variable.unit or "1") for variable in scales(model)]
+    )
 
 
 def _covariances(model: FrictionModel) -> list[ET.Element]:
