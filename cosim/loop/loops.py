@@ -69,12 +69,12 @@ class _Kept:
 def _tracked(
     row: LoopRow, motions: Sequence[LoopMotion], duration: float, limits: Array, traced: bool
 ) -> Tracked:
-    spec = closed_loop.system(row.setting, duration=duration, limits=limits)
+    system = closed_loop.system(row.setting, duration=duration, limits=limits)
     rmse = []
     last = []
     failures = []
     trace: Trace | None = None
-    with Master(spec, loaded=POOL) as master:
+    with Master(system, loaded=POOL) as master:
         for motion in motions:
             result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
             q_d, q = (result.vector(name) for name in ("trajectory.q", "arm.q_true"))

@@ -39,7 +39,7 @@ PLANT = "Plant.fmu"
 _SIGNALS = {"arm.q_true": "arm.q", "arm.tau_meas": "arm.tau_motor"}
 
 
-def on_plant(spec: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
+def on_plant(system: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
     """Return a loop with the generated plant instead of the arm."""
 
     def moved(component: ComponentSpec) -> ComponentSpec:
@@ -51,12 +51,12 @@ def on_plant(spec: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
     def named(signal: str) -> str:
         return _SIGNALS.get(signal, signal)
 
-    return spec.model_copy(
+    return system.model_copy(
         update={
-            "components": tuple(map(moved, spec.components)),
-            "connections": {into: named(out) for into, out in spec.connections.items()},
-            "observe": tuple(map(named, spec.observe)),
-            "limits": {named(signal): bounds for signal, bounds in spec.limits.items()},
+            "components": tuple(map(moved, system.components)),
+            "connections": {into: named(out) for into, out in system.connections.items()},
+            "observe": tuple(map(named, system.observe)),
+            "limits": {named(signal): bounds for signal, bounds in system.limits.items()},
         }
     )
 
@@ -118,9 +118,9 @@ def write_loops(
     platforms: Sequence[str] = HOST,
 ) -> list[Finding]:
     """Write the loops; return a finding if no plant can be built."""
-    spec = example(loop)
+    system = example(loop)
     gains = loop.tracking.gains
-    write_system(spec, folder / "closed_loop.toml")
+    write_system(system, folder / "closed_loop.toml")
     try:
         known = list(models.values())
         model = next((one for one in known if one.laws[0].form.memory), known[0])
@@ -137,7 +137,7 @@ def write_loops(
         found = f"the loop was not written with a generated plant ({reason})"
         remedy = "set 'physical = true' in the study"
         return [Finding(check="plant", severity="advice", found=found, remedy=remedy)]
-    write_system(on_plant(spec, plant, gains), folder / "plant_loop.toml")
+    write_system(on_plant(system, plant, gains), folder / "plant_loop.toml")
     return []
 
 
@@ -158,8 +158,8 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
         # The arm is a PythonFMU under a PD controller, in the third run a native FMU.
         for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
             own = replace(loop, fmus=replace(loop.fmus, arm=arm))
-            spec = example(own, compensation="torque_error", duration=_SECONDS)
-            with Master(spec, native=native) as master:
+            system = example(own, compensation="torque_error", duration=_SECONDS)
+            with Master(system, native=native) as master:
                 runs.append(master.run().signals)
     worst = max(_difference(run, runs[0]) for run in runs[1:])
     if worst <= _AGREEMENT:

@@ -48,13 +48,17 @@ def copy_loops(results: Path, output: Path) -> Path:
     with folder_written_whole(output) as folder:
         (folder / "fmus").mkdir()
         for path in loops:
-            spec = SystemSpec.read(path)
-            for fmu in (*(c.fmu for c in spec.components), *results.glob("fmus/Velocity.fmu")):
+            system = SystemSpec.read(path)
+            for fmu in (
+                *(component.fmu for component in system.components),
+                *results.glob("fmus/Velocity.fmu"),
+            ):
                 shutil.copyfile(fmu, folder / "fmus" / fmu.name)
             own = tuple(
-                c.model_copy(update={"fmu": folder / "fmus" / c.fmu.name}) for c in spec.components
+                component.model_copy(update={"fmu": folder / "fmus" / component.fmu.name})
+                for component in system.components
             )
-            write_system(spec.model_copy(update={"components": own}), folder / path.name)
+            write_system(system.model_copy(update={"components": own}), folder / path.name)
         complete_loops(folder)
     return output
 

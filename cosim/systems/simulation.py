@@ -74,10 +74,11 @@ class System:
         return system
 
     def __repr__(self) -> str:
-        spec = self.spec
+        system = self.spec
         return (
-            f"System('{spec.name}', {len(spec.components)} components, {spec.stop:g} s in steps of "
-            f"{spec.step:g} s)"
+            f"System('{system.name}', {len(system.components)} components, {system.stop:g} s in "
+            "steps of "
+            f"{system.step:g} s)"
         )
 
     def run(self, progress: Progress = silent) -> Signals:
@@ -137,8 +138,10 @@ class Master:
             lend = self.loaded.lend if self.loaded else partial(FmuInstance, exchange=self.exchange)
             sandbox = None if self.isolate else cleanup.enter_context(SystemSandbox(SECONDS))
             self._slaves = {
-                c.name: cleanup.enter_context(lend(c.fmu, name=c.name, system=sandbox))
-                for c in self.spec.components
+                component.name: cleanup.enter_context(
+                    lend(component.fmu, name=component.name, system=sandbox)
+                )
+                for component in self.spec.components
             }
             variables = {name: instance.variables for name, instance in self._slaves.items()}
             if self.source:

@@ -149,7 +149,7 @@ def opened_single(
             _NAME, variables, t=t, columns=columns, points=points, exchange=exchange
         )
     count = len(points) - 1
-    spec = SystemSpec(
+    system = SystemSpec(
         name=str(about.modelName or fmu.stem),
         step=experiment.step if even else float(points[-1] - points[0]) / count,
         begin=experiment.begin,
@@ -160,7 +160,7 @@ def opened_single(
         observe=tuple(f"{_NAME}.{name}" for name in _observed(about)),
     )
     master = Master(
-        spec,
+        system,
         fmu,
         isolate=isolate,
         source=source,

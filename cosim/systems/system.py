@@ -132,18 +132,18 @@ def opened_system(
         yield spec
 
 
-def write_system(spec: SystemSpec, path: Path) -> Path:
+def write_system(system: SystemSpec, path: Path) -> Path:
     """Write a system as TOML with relative paths of FMUs, and return the path."""
     with written_whole(path) as temporary:
-        text = "\n".join(_lines(spec, path.parent.resolve()))
+        text = "\n".join(_lines(system, path.parent.resolve()))
         temporary.write_text(f"{text}\n", encoding="utf-8")
     return path
 
 
-def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
+def _lines(system: SystemSpec, folder: Path) -> Iterator[str]:
     for key in ("name", "step", "stop", "order", "observe"):
-        yield f"{key} = {toml(getattr(spec, key))}"
-    for component in spec.components:
+        yield f"{key} = {toml(getattr(system, key))}"
+    for component in system.components:
         yield from ("", "[[components]]", f"name = {toml(component.name)}")
         fmu = Path(os.path.relpath(component.fmu.resolve(), folder)).as_posix()
         yield f"fmu = {toml(fmu)}"
@@ -152,7 +152,7 @@ def _lines(spec: SystemSpec, folder: Path) -> Iterator[str]:
         if component.start:
             yield from ("", "[components.start]", *_pairs(component.start))
     for table in ("connections", "limits"):
-        pairs = getattr(spec, table)
+        pairs = getattr(system, table)
         if pairs:
             yield from ("", f"[{table}]", *_pairs(pairs))
 

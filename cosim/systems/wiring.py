@@ -35,7 +35,7 @@ class Wiring:
         self.sources: dict[Element, Element] = {}
         for target, source in spec.connections.items():
             self._connect(target, source, f"connection '{target}' = '{source}'")
-        starts = {c.name: c.start for c in spec.components}
+        starts = {component.name: component.start for component in spec.components}
         self.start = {name: self._start(name, starts.get(name, {})) for name in slaves}
         observed = (self.elements(s, f"observed '{s}'") for s in spec.observe)
         self.observed = list(dict.fromkeys(chain.from_iterable(observed)))

@@ -94,7 +94,7 @@ def _of_losses(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
     coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _OF_LOSSES]
     values = losses.of_joint(i) | {"viscous": viscous}
     constant, load, direct, speed, evolution, reference, slip, longest, viscous_ = (
-        c.symbol for c in coefficients
+        quantity.symbol for quantity in coefficients
     )
     rate = absolute(DQ) / slip + 1 / longest
     age = Relaxation(name="s", unit="s", drive=sympy.Integer(1), rate=rate)
@@ -119,9 +119,9 @@ def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
             for name, unit, text in _COEFFICIENTS
         ]
         coefficients += own
-        values |= {c.name: float(x) for c, x in zip(own, numbers, strict=True)}
+        values |= {quantity.name: float(x) for quantity, x in zip(own, numbers, strict=True)}
         stiffness, coulomb, static, stribeck, damping, cogging, poles, phase = (
-            c.symbol for c in own
+            quantity.symbol for quantity in own
         )
         level = coulomb + (static - coulomb) * sympy.exp(-((DQ / stribeck) ** 2))
         element = Relaxation(

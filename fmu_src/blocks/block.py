@@ -108,15 +108,15 @@ def block(
 
 def _names(component: Component, joint: int) -> dict[str, str]:
     of_joint = (*component.inputs, *component.parameters, *component.outputs)
-    return {q.name: f"{q.name}[{joint}]" for q in of_joint} | {
-        q.name: q.name for q in component.shared
+    return {quantity.name: f"{quantity.name}[{joint}]" for quantity in of_joint} | {
+        quantity.name: quantity.name for quantity in component.shared
     }
 
 
 def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
     zeros = [0.0] * len(joints)
-    for q in component.inputs:
-        yield from vector(q.name, "input", q.unit, q.description, zeros)
+    for quantity in component.inputs:
+        yield from vector(quantity.name, "input", quantity.unit, quantity.description, zeros)
     for equation in component.outputs:
         at_once = frozenset() if component.holds else component.sources(equation.symbol)
         initial = component.sources(equation.symbol, starting=True)
@@ -138,7 +138,9 @@ def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
 
 
 def _named(component: Component, joint: Joint, used: Collection[object]) -> tuple[str, ...]:
-    return tuple(joint.names[q.name] for q in component.given if q.symbol in used)
+    return tuple(
+        joint.names[quantity.name] for quantity in component.given if quantity.symbol in used
+    )
 
 
 def _parameter(parameter: Quantity, name: str, text: str) -> Variable:

@@ -80,32 +80,40 @@ class Functions:
 
     @property
     def _outputs(self) -> tuple[sympy.Symbol, ...]:
-        return tuple(e.symbol for e in self.component.outputs)
+        return tuple(equation.symbol for equation in self.component.outputs)
 
     @property
     def _states(self) -> tuple[sympy.Symbol, ...]:
-        return tuple(m.state for m in self.component.memory)
+        return tuple(element.state for element in self.component.memory)
 
     @property
     def gathers(self) -> tuple[Quantity, ...]:
         """Arguments stored in u."""
-        own = self.component
-        return (*own.inputs, *(own.parameters if self.gathered else ()), *own.shared)
+        component = self.component
+        return (
+            *component.inputs,
+            *(component.parameters if self.gathered else ()),
+            *component.shared,
+        )
 
     @property
     def _inputs(self) -> tuple[sympy.Symbol, ...]:
-        return tuple(q.symbol for q in self.gathers)
+        return tuple(quantity.symbol for quantity in self.gathers)
 
     @property
     def _parameters(self) -> tuple[sympy.Symbol, ...]:
-        return () if self.gathered else tuple(q.symbol for q in self.component.parameters)
+        return (
+            ()
+            if self.gathered
+            else tuple(quantity.symbol for quantity in self.component.parameters)
+        )
 
     @cached_property
     def _arguments(self) -> Arguments:
-        own = self.component
+        component = self.component
         found = Arguments().plus(self._parameters, "k").plus(self._inputs, "u")
         found = found.plus(self.jumps.signs, "s").plus(self._states, "x")
-        found = found.plus((previous(e.name) for e in own.remembered), "p")
+        found = found.plus((previous(equation.name) for equation in component.remembered), "p")
         return found.single(DT, "dt").single(EULER, "euler")
 
     @cached_property
@@ -148,12 +156,12 @@ class Functions:
 
     @property
     def _reading_targets(self) -> dict[str, sympy.Symbol]:
-        remembered = (e.symbol for e in self.component.remembered)
+        remembered = (equation.symbol for equation in self.component.remembered)
         return _array("y", self._outputs) | _array("r", remembered)
 
     @property
     def _derivative_targets(self) -> dict[str, sympy.Symbol]:
-        return _array("dx", (m.derivative for m in self.component.memory))
+        return _array("dx", (element.derivative for element in self.component.memory))
 
     def switches(self) -> str:
         """Write the arguments of the held signs into z."""
@@ -196,7 +204,7 @@ class Functions:
     def refused(self) -> str:
         """Return the index in u of an invalid parameter, or -1."""
         places = {symbol: f"u[{i}]" for i, symbol in enumerate(self._inputs)}
-        names = [q.name for q in self.gathers]
+        names = [quantity.name for quantity in self.gathers]
         lines = []
         for requirement in self.component.requirements:
             place = names.index(requirement.name)
@@ -274,7 +282,10 @@ class Functions:
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""
         memory = self.component.memory
-        rates = (positive(m.rate) if isinstance(m, Relaxation) else _ZERO for m in memory)
+        rates = (
+            positive(element.rate) if isinstance(element, Relaxation) else _ZERO
+            for element in memory
+        )
         return self._evaluated("rates", "rate", rates)
 
     def begin(self) -> str:
@@ -284,7 +295,9 @@ class Functions:
 
     def begin_tangent(self) -> str:
         """Propagate the change tx of the start values x to the initial values, along dk and du."""
-        targets = _array("tx", (change_of(initial_symbol(m)) for m in self.component.memory))
+        targets = _array(
+            "tx", (change_of(initial_symbol(element)) for element in self.component.memory)
+        )
         return self._with_changes("begin_tangent", beginning(self.component), targets, self._seeds)
 
     def tangent(self) -> str:

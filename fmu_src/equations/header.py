@@ -100,8 +100,13 @@ def equations_header(
     distinct = list(dict.fromkeys(j.component for j in joints))
     first = {j.component: j for j in reversed(joints)}
     functions = {
-        c: Functions(c, f"law_{i}", tunable=not first[c].constants, gathered=first[c].gathered)
-        for i, c in enumerate(distinct, start=1)
+        component: Functions(
+            component,
+            f"law_{i}",
+            tunable=not first[component].constants,
+            gathered=first[component].gathered,
+        )
+        for i, component in enumerate(distinct, start=1)
     }
     texts, names = _written(functions.values(), wanted)
     arrays = []
@@ -128,7 +133,10 @@ def equations_header(
         "STEADY": 1,
         "HOLDS": int(any(j.component.holds for j in joints)),
         "COUPLED": int(coupling is not None),
-        "BAND": next((k for k, e in enumerate(joints[0].component.outputs) if e.name == LOWER), 0),
+        "BAND": next(
+            (k for k, equation in enumerate(joints[0].component.outputs) if equation.name == LOWER),
+            0,
+        ),
         **{name: interface.places[variable] for name, variable in places.items()},
     }
     if wanted[0] == "attempts":
@@ -166,7 +174,7 @@ def _each(
     for i, joint in enumerate(joints):
         own = functions[joint.component]
         called = [names[own.name][1 + wanted.index(n)] for n in ("step", "switches") if n in wanted]
-        places = (interface.places[joint.names[q.name]] for q in own.gathers)
+        places = (interface.places[joint.names[quantity.name]] for quantity in own.gathers)
         reads = (f"input_of(v, {i}, {j})" if coupled else f"v[{k}]" for j, k in enumerate(places))
         gather = ", ".join(f"u[{j}] = {read}" for j, read in enumerate(reads))
         lines.append(f"    DO({', '.join((str(i), *called))}, ({gather}))")
@@ -194,7 +202,10 @@ def _together(
     order = [i if i < len(joints) else 0 for i in range(_lanes(len(joints)))]
     padded = [joints[i] for i in order]
     size = _sizes(joints)["MAX_INVARIANTS"]
-    reads = ([interface.places[joint.names[q.name]] for joint in padded] for q in functions.gathers)
+    reads = (
+        [interface.places[joint.names[quantity.name]] for joint in padded]
+        for quantity in functions.gathers
+    )
     indices = {
         "k_at[LANES]": [
             interface.first(joint.parameters) if joint.parameters else 0 for joint in padded
@@ -287,8 +298,12 @@ def _count(component: Component, gathered: bool, name: str) -> int:
 
 
 def _gathered(joint: Joint) -> int:
-    own = joint.component
-    return len(own.inputs) + len(own.shared) + (len(own.parameters) if joint.gathered else 0)
+    component = joint.component
+    return (
+        len(component.inputs)
+        + len(component.shared)
+        + (len(component.parameters) if joint.gathered else 0)
+    )
 
 
 def _row(
@@ -325,8 +340,8 @@ def _wanted(function: str, functions: Functions) -> bool:
 
 
 def _arrays(joint: Joint, i: int, functions: Functions, interface: Interface) -> list[str]:
-    reads = [interface.places[joint.names[q.name]] for q in functions.gathers]
-    writes = [interface.places[joint.names[e.name]] for e in joint.component.outputs]
+    reads = [interface.places[joint.names[quantity.name]] for quantity in functions.gathers]
+    writes = [interface.places[joint.names[equation.name]] for equation in joint.component.outputs]
     lines = [_array("int", f"inputs_{i}", reads), _array("int", f"outputs_{i}", writes)]
     if joint.constants:
         lines.append(_array("double", f"constants_{i}", map(literal, joint.constants)))

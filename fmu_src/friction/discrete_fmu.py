@@ -28,7 +28,9 @@ def discrete_equations(
     model: FrictionModel, components: Sequence[Component], switches: Sequence[Quantity] = ()
 ) -> tuple[Interface, str]:
     """Return variables and equations.h of an FMU; all joints share the switches, initially 1."""
-    joints = [_joint(model, i, own, switches) for i, own in enumerate(components, start=1)]
+    joints = [
+        _joint(model, i, component, switches) for i, component in enumerate(components, start=1)
+    ]
     factors = friction_component.scales(model) if components[0].shared else ()
     signals = (*_signals(model, joints, switches), friction_component.start_mode(), *factors)
     interface = Interface(
@@ -108,28 +110,33 @@ _PHASE = 0.35  # lead of each joint over the one before it [rad]
 _DECIMALS = 6  # of stimuli, so that files have the exact inputs
 
 
-def _joint(model: FrictionModel, i: int, own: Component, switches: Sequence[Quantity]) -> Joint:
+def _joint(
+    model: FrictionModel, i: int, component: Component, switches: Sequence[Quantity]
+) -> Joint:
     at = friction_component.place(model.laws[i - 1], i)
-    slow = tuple(m.name for m in own.memory if isinstance(m, Slow))
-    names = {q.name: f"{q.name}[{i}]" for q in (*own.inputs, *own.shared, *own.outputs)}
+    slow = tuple(element.name for element in component.memory if isinstance(element, Slow))
+    names = {
+        quantity.name: f"{quantity.name}[{i}]"
+        for quantity in (*component.inputs, *component.shared, *component.outputs)
+    }
     # Joints that differ only in starts share C code.
-    parameters = (replace(p, description="", unit="1") for p in own.parameters)
+    parameters = (replace(p, description="", unit="1") for p in component.parameters)
     bare = tuple(replace(p, start=0.0) if isinstance(p, Parameter) else p for p in parameters)
     return Joint(
-        component=replace(own, parameters=bare),
+        component=replace(component, parameters=bare),
         names=names | {switch.name: switch.name for switch in switches},
         states=(*(f"{n}[{i}]" for n in slow), *at.states),
         derivatives=(*(f"der({n}[{i}])" for n in slow), *at.derivatives),
         starts=(*(f"{n}_start[{i}]" for n in slow), *at.starts),
-        parameters=tuple(f"joint[{i}].{p.name}" for p in own.parameters),
+        parameters=tuple(f"joint[{i}].{p.name}" for p in component.parameters),
     )
 
 
 def _signals(
     model: FrictionModel, joints: list[Joint], switches: Sequence[Quantity]
 ) -> Iterator[Variable]:
-    own = joints[0].component
-    for quantity in own.inputs:
+    component = joints[0].component
+    for quantity in component.inputs:
         if quantity in switches:
             text = quantity.description
             variable = friction_component.typed_variable(
@@ -141,7 +148,7 @@ def _signals(
             # The factors of temperature are 1 at the reference.
             start = model.thermal[i - 1].reference if quantity == TEMPERATURE else 0.0
             yield friction_component.of_joint(model, quantity, i, "input", start=start)
-    for quantity in own.outputs:
+    for quantity in component.outputs:
         for i, joint in enumerate(joints, start=1):
             # Later it changes with steps only, not with inputs set between them.
             at_start = friction_component.dependencies(joint, quantity.symbol, starting=True)

@@ -93,9 +93,9 @@ def exposed(law: FrictionLaw) -> bool:
 def place(law: FrictionLaw, joint: int) -> Place:
     """Return the names of a joint's variables; joints count from 1."""
     return Place(
-        states=tuple(f"{r.name}[{joint}]" for r in law.form.memory),
-        derivatives=tuple(f"der({r.name}[{joint}])" for r in law.form.memory),
-        starts=tuple(f"{r.name}_start[{joint}]" for r in law.form.memory),
+        states=tuple(f"{element.name}[{joint}]" for element in law.form.memory),
+        derivatives=tuple(f"der({element.name}[{joint}])" for element in law.form.memory),
+        starts=tuple(f"{element.name}_start[{joint}]" for element in law.form.memory),
         parameters=tuple(f"joint[{joint}].{name}" for name in law.values) if exposed(law) else (),
     )
 
@@ -124,10 +124,10 @@ def component(
     if band:
         shared = (*shared, *NUMBERS, COVERAGE)
         equations = (*equations, *band_equations(form.memory, form.output, squares=coupled))
-    own = replace(
+    component = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
-    return own if events else event_free(own)
+    return component if events else event_free(component)
 
 
 def friction_equations(
@@ -204,7 +204,7 @@ def adding(joint: int, coupling: Coupling | None) -> tuple[int, ...]:
 
 
 def _mixed_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple[str, ...]]:
-    return {q.name: mixed(q.name, coordinate, coupling) for q in QUANTITIES}
+    return {quantity.name: mixed(quantity.name, coordinate, coupling) for quantity in QUANTITIES}
 
 
 def _output_dependencies(
@@ -307,7 +307,9 @@ def joints_of(
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
         own = component(law, more, band=band, coupled=model.coupling is not None, events=events)
-        stems = {q.name: q.name for q in (*own.inputs, *own.shared, *own.outputs)} | (names or {})
+        stems = {
+            quantity.name: quantity.name for quantity in (*own.inputs, *own.shared, *own.outputs)
+        } | (names or {})
         own_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
         found.append(
             Joint(
@@ -333,20 +335,22 @@ def dependencies(
     Initial states (`initial_symbol`) depend on start values. `inputs` has the variables behind
     inputs; `starting` means before the first step.
     """
-    own = joint.component
-    beginnings = initial_state(own.memory, own.settling)
+    component = joint.component
+    beginnings = initial_state(component.memory, component.settling)
     used = (
         sources(beginnings, symbol)
         if symbol in beginnings
-        else own.sources(symbol, starting=starting)
+        else component.sources(symbol, starting=starting)
     )
     found: list[str] = []
-    for quantity in (*own.inputs, *own.shared):
+    for quantity in (*component.inputs, *component.shared):
         if quantity.symbol in used:
             found += (inputs or {}).get(quantity.name, (joint.names[quantity.name],))
-    states = zip(own.memory, joint.starts if symbol in beginnings else joint.states, strict=True)
+    states = zip(
+        component.memory, joint.starts if symbol in beginnings else joint.states, strict=True
+    )
     found += [name for element, name in states if element.state in used]
-    parameters = zip(own.parameters, joint.parameters, strict=False)
+    parameters = zip(component.parameters, joint.parameters, strict=False)
     found += [name for quantity, name in parameters if quantity.symbol in used]
     return tuple(found)
 
@@ -382,13 +386,19 @@ def law_variables(
         yield Variable(name, "fixed", text, unit=element.unit, start=start)
     if not exposed(law):
         return
-    for name, c in zip(own.parameters, law.form.coefficients, strict=True):
-        yield Variable(name, "tunable", c.description, unit=c.unit, start=law.values[c.name])
+    for name, quantity in zip(own.parameters, law.form.coefficients, strict=True):
+        yield Variable(
+            name,
+            "tunable",
+            quantity.description,
+            unit=quantity.unit,
+            start=law.values[quantity.name],
+        )
 
 
 def nominal(law: FrictionLaw, element: Element) -> float:
     """Size of a state in slow sliding, drive / rate or the bound of a stop; 1 if unusable."""
-    at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    at = {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
     at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
     numbers = {symbol: sympy.Float(value) for symbol, value in at.items()}
     first, second = (float(e.xreplace(numbers)) for e in element.parts)

@@ -18,9 +18,9 @@ def require_numbers(model: FrictionModel) -> None:
         part = _undefined(law)
         if part is not None:
             at = ", ".join(
-                f"{c.name} = {law.values[c.name]:g}"
-                for c in law.form.coefficients
-                if c.symbol in part.free_symbols
+                f"{quantity.name} = {law.values[quantity.name]:g}"
+                for quantity in law.form.coefficients
+                if quantity.symbol in part.free_symbols
             )
             raise ExportError(
                 f"law '{model.law}' of joint '{joint}' cannot be run: {shown(part)} in it is not "
@@ -66,12 +66,15 @@ def shown(expression: sympy.Expr) -> str:
 
 
 def _undefined(law: FrictionLaw) -> sympy.Expr | None:
-    values = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
+    values = {
+        quantity.symbol: sympy.Float(law.values[quantity.name])
+        for quantity in law.form.coefficients
+    }
     known: dict[sympy.Basic, sympy.Basic] = {}
     # Functions of undefined values get one arbitrary value each.
     opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
     form = law.form
-    for whole in (*(part for m in form.memory for part in m.parts), form.output):
+    for whole in (*(part for element in form.memory for part in element.parts), form.output):
         # Parts before the expressions that contain them.
         for part in sympy.postorder_traversal(whole):
             if part not in known:

@@ -66,8 +66,12 @@ def component_page(component: Component, notes: Sequence[str] = ()) -> BlockPage
 
 def equation_lines(component: Component) -> list[str]:
     """Return the equations of one joint as text, then the values before the first sample."""
-    shown = _Printer([p for p in component.shared if isinstance(p, Choice)])
-    lines = [line for e in component.equations for line in shown.lines(e.name, e.expression)]
+    shown = _Printer([quantity for quantity in component.shared if isinstance(quantity, Choice)])
+    lines = [
+        line
+        for equation in component.equations
+        for line in shown.lines(equation.name, equation.expression)
+    ]
     starts = component.starts.items()
     return lines + [f"{name} = {shown.doprint(start)} at the start" for name, start in starts]
 

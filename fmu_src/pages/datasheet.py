@@ -187,8 +187,8 @@ def fastest(law: FrictionLaw, trained_range: TrainedRange) -> dict[str, float]:
     places = np.linspace(*trained_range.q, 33)
     loads = np.unique([*trained_range.tau_load, np.clip(0.0, *trained_range.tau_load)])
     grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, places, loads)]
-    symbols = tuple(c.symbol for c in law.form.coefficients)
-    at_rest = dict.fromkeys((m.state for m in law.form.memory), 0)
+    symbols = tuple(quantity.symbol for quantity in law.form.coefficients)
+    at_rest = dict.fromkeys((element.state for element in law.form.memory), 0)
     own = law.form.relaxations
     rates = lowered((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in own])
     with np.errstate(all="ignore"):  # results that are not finite are reported as such

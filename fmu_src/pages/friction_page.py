@@ -234,7 +234,7 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "exposed": exposed(law),
         "intervals": bool(law.standard_errors),
         "uncertainty": _explain_intervals(law),
-        "states": [m.name for m in law.form.memory],
+        "states": [element.name for element in law.form.memory],
         "starts": [figure(value, 6) for value in law.start],
         "start_samples": law.start_samples,
         "switches": {
@@ -248,7 +248,7 @@ def _half_jump(law: FrictionLaw, z: sympy.Expr) -> float:
     """Return half of the jump of the torque at z = 0, without load and memory; 0 for a bend."""
     output = law.form.output
     numbers = dict.fromkeys(output.free_symbols, 0.0)
-    numbers |= {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    numbers |= {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
     ahead, back = (
         float(output.xreplace({sgn(z): sympy.Integer(way)}).subs(numbers)) for way in (1, -1)
     )
@@ -260,15 +260,17 @@ def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
     errors = law.standard_errors
     return [
         {
-            "symbol": symbol(c.name),
-            "name": f"{prefix}{c.name}",
-            "value": figure(law.values[c.name], 6),
-            "exact": f"{law.values[c.name]:.17g}",
-            "interval": f"± {figure(_INTERVAL * errors[c.name], 2)}" if c.name in errors else "–",
-            "unit": "–" if c.unit == "1" else c.unit,
-            "text": c.description,
+            "symbol": symbol(quantity.name),
+            "name": f"{prefix}{quantity.name}",
+            "value": figure(law.values[quantity.name], 6),
+            "exact": f"{law.values[quantity.name]:.17g}",
+            "interval": f"± {figure(_INTERVAL * errors[quantity.name], 2)}"
+            if quantity.name in errors
+            else "–",
+            "unit": "–" if quantity.unit == "1" else quantity.unit,
+            "text": quantity.description,
         }
-        for c in law.form.coefficients
+        for quantity in law.form.coefficients
     ]
 
 

@@ -294,7 +294,7 @@ def ends(value: float, *, factor: bool) -> tuple[float, float, str]:
 
 
 def _is_factor(form: LawForm, c: sympy.Symbol) -> bool:
-    inner = {s for m in form.memory for part in m.parts for s in part.free_symbols}
+    inner = {s for element in form.memory for part in element.parts for s in part.free_symbols}
     # A state's derivative contains the coefficients of its element.
     terms = (term for term in sympy.Add.make_args(form.output) if term.has(c))
     return c not in inner and all(

@@ -39,16 +39,16 @@ def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
     """Return the equations of a law as MathML, on request with values of four digits for names."""
     printer = _Printer(law.form, law.values if numbers else {})
     lines = [[f"{_name('tau')}{_EQUALS}", *printer.terms(law.form.output)]]
-    for m in law.form.memory:
-        state = _name(m.name)
-        rate = printer.text(m.parts[1])
-        if isinstance(m, Stop):
-            lines.append([f"{_dotted(state)}{_EQUALS}", *printer.terms(m.parts[0])])
+    for element in law.form.memory:
+        state = _name(element.name)
+        rate = printer.text(element.parts[1])
+        if isinstance(element, Stop):
+            lines.append([f"{_dotted(state)}{_EQUALS}", *printer.terms(element.parts[0])])
             lines.append([f"<mo>|</mo>{state}<mo>|</mo><mo>≤</mo>{rate}"])
             continue
-        if isinstance(m.rate, sympy.Add):
+        if isinstance(element.rate, sympy.Add):
             rate = f"<mrow><mo>(</mo>{rate}<mo>)</mo></mrow>"
-        terms = (*printer.terms(m.drive), f"{_MINUS}{rate}{_TIMES}{state}")
+        terms = (*printer.terms(element.drive), f"{_MINUS}{rate}{_TIMES}{state}")
         lines.append([f"{_dotted(state)}{_EQUALS}", *terms])
     return [" ".join(f'<math displaystyle="true">{part}</math>' for part in line) for line in lines]
 
@@ -64,11 +64,16 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
     def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
         super().__init__()
         own = form.coefficients
-        numbers = {c.symbol: values[c.name] for c in own if c.name in values}
+        numbers = {
+            quantity.symbol: values[quantity.name] for quantity in own if quantity.name in values
+        }
         self._values = {s: sympy.Float(f"{x:.{_DIGITS}g}") for s, x in numbers.items()}
-        written = {c.symbol: _name(c.name) for c in own}
-        for m in form.memory:
-            written |= {m.derivative: _dotted(_name(m.name)), m.state: _name(m.name)}
+        written = {quantity.symbol: _name(quantity.name) for quantity in own}
+        for element in form.memory:
+            written |= {
+                element.derivative: _dotted(_name(element.name)),
+                element.state: _name(element.name),
+            }
         written |= {Q: _name("q"), DQ: _name("dq"), TAU_LOAD: _name("tau_load")}
         self._replaced = {old: sympy.Symbol(f"{i:04d}", real=True) for i, old in enumerate(written)}
         self._written = dict(zip(self._replaced.values(), written.values(), strict=True))

@@ -128,15 +128,22 @@ def storage(law: FrictionLaw) -> Mapping[str, float]:
     """Return k of k x^2 [J per square of its unit] of each state in the storage of a proven law."""
     proof = _Proof(law)
     proof.certificate()
-    return {m.name: proof.stored.get(m.name, 0.0) for m in law.form.memory}
+    return {element.name: proof.stored.get(element.name, 0.0) for element in law.form.memory}
 
 
 class _Proof:
     def __init__(self, law: FrictionLaw) -> None:
         self.law = law
-        self.numbers = {c.symbol: sympy.Float(law.values[c.name]) for c in law.form.coefficients}
-        self.memory: tuple[Element, ...] = tuple(m.subs(self.numbers) for m in law.form.memory)
-        self.still = {s: sympy.S.Zero for m in self.memory for s in (m.state, m.derivative)}
+        self.numbers = {
+            quantity.symbol: sympy.Float(law.values[quantity.name])
+            for quantity in law.form.coefficients
+        }
+        self.memory: tuple[Element, ...] = tuple(
+            element.subs(self.numbers) for element in law.form.memory
+        )
+        self.still = {
+            s: sympy.S.Zero for element in self.memory for s in (element.state, element.derivative)
+        }
         self.output = law.form.output.xreplace(self.numbers)
         self.stored: dict[str, float] = {}
         self.texts: list[str] = []

@@ -111,7 +111,7 @@ class Component:
     events: bool = True
 
     def __post_init__(self) -> None:
-        given = [q.symbol for q in self.given]
+        given = [quantity.symbol for quantity in self.given]
         states = [s for m in self.memory for s in (m.state, m.derivative)]
         named = [e.symbol for e in self.equations]
         names = Counter([*given, *states, *named])
@@ -143,50 +143,63 @@ class Component:
     @cached_property
     def ordered(self) -> tuple[Equation, ...]:
         """Equations, each after those it uses."""
-        own = {e.symbol: e for e in self.equations}
-        return tuple(own[s] for s in in_order({s: e.expression for s, e in own.items()}))
+        own = {equation.symbol: equation for equation in self.equations}
+        return tuple(
+            own[s] for s in in_order({s: equation.expression for s, equation in own.items()})
+        )
 
     @property
     def outputs(self) -> tuple[Equation, ...]:
         """Visible equations."""
-        return tuple(e for e in self.equations if e.output)
+        return tuple(equation for equation in self.equations if equation.output)
 
     @property
     def remembered(self) -> tuple[Equation, ...]:
         """Equations with a previous value."""
-        return tuple(e for e in self.equations if e.start is not None)
+        return tuple(equation for equation in self.equations if equation.start is not None)
 
     @property
     def starts(self) -> Mapping[sympy.Symbol, sympy.Expr]:
         """Previous values before the first step."""
-        return {previous(e.name): e.start for e in self.equations if e.start is not None}
+        return {
+            previous(equation.name): equation.start
+            for equation in self.equations
+            if equation.start is not None
+        }
 
     @cached_property
     def starting(self) -> Mapping[sympy.Symbol, sympy.Expr]:
         """Ordered equations before the first step: previous values are starts, dt is 0."""
         found = {
-            e.symbol: e.expression.xreplace(self.starts).xreplace({DT: sympy.Integer(0)})
-            for e in self.equations
+            equation.symbol: equation.expression.xreplace(self.starts).xreplace(
+                {DT: sympy.Integer(0)}
+            )
+            for equation in self.equations
         }
         return {symbol: found[symbol] for symbol in in_order(found)}
 
     @cached_property
     def sampled_memory(self) -> bool:
         """True if memory reads previous values; it then moves by whole steps only."""
-        read = sympy.Tuple(*(part for m in self.memory for part in m.parts)).free_symbols
-        return any(previous(e.name) in read for e in self.remembered)
+        read = sympy.Tuple(
+            *(part for element in self.memory for part in element.parts)
+        ).free_symbols
+        return any(previous(equation.name) in read for equation in self.remembered)
 
     @cached_property
     def holds(self) -> bool:
         """True if outputs depend on `dt` and previous values and so change by steps only."""
-        timed = any(DT in e.expression.free_symbols for e in self.equations)
+        timed = any(DT in equation.expression.free_symbols for equation in self.equations)
         return timed and bool(self.remembered)
 
     def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
         """Return the given symbols and states behind an expression, at the start if `starting`."""
-        into = {e.symbol: e.expression for e in self.equations}
+        into = {equation.symbol: equation.expression for equation in self.equations}
         into |= self.starts if starting else {}
-        into |= {m.derivative: sympy.Tuple(m.state, *m.parts) for m in self.memory}
+        into |= {
+            element.derivative: sympy.Tuple(element.state, *element.parts)
+            for element in self.memory
+        }
         seen: set[sympy.Symbol] = set()
         waiting = set(expression.free_symbols)
         while waiting:

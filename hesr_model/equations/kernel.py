@@ -39,10 +39,14 @@ class Kernel:
         self.known = [] if once else fixed_nodes(graph, results)
         self.fixed = program_of(graph, self.known)
         self.main = program_of(graph, results, self.known)
-        graph = Graph((*numbers, *(m.state for m in self.memory)), inputs)
+        graph = Graph((*numbers, *(element.state for element in self.memory)), inputs)
         graph.assign(initial_state(self.memory, settling))
-        self.first = program_of(graph, [graph.of(initial_symbol(m)) for m in self.memory])
-        self.row_by_row = any(m.state in sympy.Tuple(*m.parts).free_symbols for m in self.memory)
+        self.first = program_of(
+            graph, [graph.of(initial_symbol(element)) for element in self.memory]
+        )
+        self.row_by_row = any(
+            element.state in sympy.Tuple(*element.parts).free_symbols for element in self.memory
+        )
 
 
 class KernelRun(ProgramRun):

@@ -219,7 +219,7 @@ def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
         most = min(i + STOPS, len(memory))
         while end < most and all(isinstance(memory[k], Stop) for k in (i, end)):
             states.add(memory[end].state)
-            read = sympy.Tuple(*(part for m in memory[i : end + 1] for part in m.parts))
+            read = sympy.Tuple(*(part for element in memory[i : end + 1] for part in element.parts))
             if states & read.free_symbols:
                 break
             end += 1

@@ -66,12 +66,14 @@ def beginning(component: Component) -> Definitions:
 
 def derivatives(memory: Iterable[Element]) -> Definitions:
     """Return each state's continuous derivative."""
-    return {m.derivative: m.continuous() for m in memory}
+    return {element.derivative: element.continuous() for element in memory}
 
 
 def readings(component: Component) -> Definitions:
     """Return derivatives of the states and all ordered equations."""
-    return derivatives(component.memory) | {e.symbol: e.expression for e in component.ordered}
+    return derivatives(component.memory) | {
+        equation.symbol: equation.expression for equation in component.ordered
+    }
 
 
 def first_readings(component: Component) -> Definitions:
@@ -113,16 +115,18 @@ class Jumps:
     @cached_property
     def expressions(self) -> tuple[sympy.Expr, ...]:
         """Arguments of signs and magnitudes, functions of inputs and parameters alone."""
-        own = self.component
-        given = {q.symbol for q in own.given}
-        inputs = {q.symbol for q in own.inputs}
-        parts = [e.expression for e in own.equations]
-        parts += [part for m in own.memory for part in (*m.parts, m.continuous())]
+        component = self.component
+        given = {quantity.symbol for quantity in component.given}
+        inputs = {quantity.symbol for quantity in component.inputs}
+        parts = [e.expression for e in component.equations]
+        parts += [
+            part for element in component.memory for part in (*element.parts, element.continuous())
+        ]
         signs = {(e, node.args[0]) for e in parts for node in e.atoms(sgn)}
         jumps = {z for e, z in signs if _jumps(e, z)}
         bends = {z for _, z in signs} | {n.args[0] for e in parts for n in e.atoms(absolute)}
         if not self.every:
-            bends = {e for e in bends if e.free_symbols & inputs <= {*own.reversing}}
+            bends = {e for e in bends if e.free_symbols & inputs <= {*component.reversing}}
         found = [e for e in jumps | bends if e.free_symbols <= given and e.free_symbols & inputs]
         return tuple(sorted(found, key=sympy.default_sort_key))
 
@@ -142,12 +146,14 @@ class Jumps:
 def event_free(component: Component) -> Component:
     """Return a component without events, whose jumps are steep lines."""
     jumps = Jumps(replace(component, reversing=())).expressions
-    steep = {sgn(e): clip(e / STEEP, 1) for e in jumps}
+    steep = {sgn(equation): clip(equation / STEEP, 1) for equation in jumps}
     equations = []
-    for e in component.equations:
-        start = None if e.start is None else e.start.xreplace(steep)
-        equations.append(replace(e, expression=e.expression.xreplace(steep), start=start))
-    memory = tuple(m.subs(steep) for m in component.memory)
+    for equation in component.equations:
+        start = None if equation.start is None else equation.start.xreplace(steep)
+        equations.append(
+            replace(equation, expression=equation.expression.xreplace(steep), start=start)
+        )
+    memory = tuple(element.subs(steep) for element in component.memory)
     return replace(component, events=False, memory=memory, equations=tuple(equations))
 
 
@@ -192,7 +198,7 @@ def straight_line(
 
 def sampled(component: Component) -> Definitions:
     """Return the assignments of a step: `moved` states, then readings."""
-    after = {m.state: moved(m) for m in component.memory}
+    after = {element.state: moved(element) for element in component.memory}
     return step(component.memory) | {s: e.xreplace(after) for s, e in readings(component).items()}
 
 

@@ -20,16 +20,20 @@ class Steps:
     def __init__(
         self, component: Component, observed: Sequence[str] | None = None, *, lanes: bool = False
     ) -> None:
-        own = [e.name for e in component.outputs] if observed is None else list(observed)
+        own = (
+            [equation.name for equation in component.outputs]
+            if observed is None
+            else list(observed)
+        )
         self.observed = tuple(own)
         self.component = component
-        given = [q.symbol for q in component.given]
-        states = [m.state for m in component.memory]
+        given = [quantity.symbol for quantity in component.given]
+        states = [element.state for element in component.memory]
         seen = [sympy.Symbol(name, real=True) for name in own]
-        remembered = [e.symbol for e in component.remembered]
-        before = [previous(e.name) for e in component.remembered]
-        begun = [program.initial_symbol(m) for m in component.memory]
-        moved = [program.moved(m) for m in component.memory]
+        remembered = [equation.symbol for equation in component.remembered]
+        before = [previous(equation.name) for equation in component.remembered]
+        begun = [program.initial_symbol(element) for element in component.memory]
+        moved = [program.moved(element) for element in component.memory]
         sampled = program.sampled(component) | {EULER: sympy.Integer(0)}
         lowered = partial(_function, lanes=lanes)
         self.settle = lowered((given, states), program.beginning(component), (begun,))
@@ -52,7 +56,11 @@ class Steps:
         settled: bool = True,
     ) -> Array:
         """Return the observed equations (observed, N); if `settled`, row 0 settles the states."""
-        used = {q.name: columns[q.name] for q in self.component.inputs if q.name in columns}
+        used = {
+            quantity.name: columns[quantity.name]
+            for quantity in self.component.inputs
+            if quantity.name in columns
+        }
         run = self.run(values, start, list(used))
         first = [float(c[0]) for c in used.values()]
         if settled:
@@ -73,7 +81,7 @@ class ComponentRun:
         states: Sequence[float],
         inputs: Sequence[str],
     ) -> None:
-        names = [q.name for q in steps.component.given]
+        names = [quantity.name for quantity in steps.component.given]
         self._steps = steps
         self._given: list[Any] = [float(values.get(name, 0.0)) for name in names]
         self._places = [names.index(name) for name in inputs]

@@ -256,8 +256,11 @@ def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, fl
     """Return bounds of adapted coefficients: half to twice if nonlinear, else of the same sign."""
     form = law.form
     found = {}
-    memory = set().union(*(part.free_symbols for m in form.memory for part in m.parts))
-    still = {DQ: 0, **{s: 0 for m in form.memory for s in (m.state, m.derivative)}}
+    memory = set().union(*(part.free_symbols for element in form.memory for part in element.parts))
+    still = {
+        DQ: 0,
+        **{s: 0 for element in form.memory for s in (element.state, element.derivative)},
+    }
     for name in names:
         symbol = sympy.Symbol(name, real=True)
         value = law.values[name]

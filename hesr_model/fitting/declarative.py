@@ -52,7 +52,7 @@ class Described(Estimator):
         if cls.limited and structure.get("limited"):
             swap = {TAU_LOAD: clip(TAU_LOAD, LOAD_MOST.symbol)}
             coefficients = core.coefficients
-            memory = (m.subs(swap) for m in core.memory)
+            memory = (element.subs(swap) for element in core.memory)
             core = replace(core, coefficients=(*coefficients, LOAD_MOST), memory=tuple(memory))
         if "ripple" not in structure:
             return core

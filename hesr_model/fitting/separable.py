@@ -218,7 +218,7 @@ class Separable:
             known[name] = max(known[name], LEAST)
         symbols = {sympy.Symbol(name, real=True): value for name, value in known.items()}
         known |= {name: float(e.subs(symbols)) for name, e in self.space.values}
-        return {c.name: float(known[c.name]) for c in self.form.coefficients}
+        return {quantity.name: float(known[quantity.name]) for quantity in self.form.coefficients}
 
     def law(self, point: Array, name: str, structure: Mapping[str, Any]) -> FrictionLaw:
         """Return the law at a point."""
@@ -251,11 +251,11 @@ def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
     # Expand products so that factors cancel. Other simplifications may cause an overflow by
     # 1/exp(x).
-    memory = tuple(m.subs(replaced) for m in form.memory)
+    memory = tuple(element.subs(replaced) for element in form.memory)
     output = sympy.expand_mul(form.output.xreplace(replaced))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)
     rest = output.xreplace(dict.fromkeys(linear, sympy.Integer(0)))
-    parts = (part for m in memory for part in m.parts)
+    parts = (part for element in memory for part in element.parts)
     mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
     if mixed or rest != 0:
         raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")

@@ -107,7 +107,9 @@ def band_equations(
     memory: Sequence[Element], output: sympy.Expr, *, squares: bool = False
 ) -> tuple[Equation, ...]:
     """Return a band's outputs, or the `squares` of their distances, after intermediate values."""
-    floor, slow, slow_speed, rest, fast, load, tail, envelope = (q.symbol for q in NUMBERS)
+    floor, slow, slow_speed, rest, fast, load, tail, envelope = (
+        quantity.symbol for quantity in NUMBERS
+    )
     parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
     sizes = (floor, slow, rest, fast, load)
     variance = sympy.Add(*(size**2 * part for size, part in zip(sizes, parts, strict=True)))
@@ -149,12 +151,12 @@ def _creeping(
     memory: Sequence[Element], output: sympy.Expr, name: str, speed: float
 ) -> Iterator[Equation]:
     at = {DQ: sympy.Float(speed)}
-    memory = [m.subs(at) for m in memory]
+    memory = [element.subs(at) for element in memory]
     lines = initial_state(memory, sympy.S.One)
     own = {symbol: sympy.Symbol(f"{name}_{symbol.name}", real=True) for symbol in lines}
-    at |= {m.state: sympy.S.Zero for m in memory}  # start of iterations
+    at |= {element.state: sympy.S.Zero for element in memory}  # start of iterations
     for symbol, expression in lines.items():
         yield Equation(name=own[symbol].name, expression=expression.xreplace(own | at))
-    at |= {m.state: own[initial_symbol(m)] for m in memory}
-    at |= {m.derivative: sympy.S.Zero for m in memory}
+    at |= {element.state: own[initial_symbol(element)] for element in memory}
+    at |= {element.derivative: sympy.S.Zero for element in memory}
     yield Equation(name=name, expression=output.xreplace(at))

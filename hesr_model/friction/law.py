@@ -72,18 +72,22 @@ class LawForm:
     @property
     def relaxations(self) -> tuple[Relaxation, ...]:
         """Relaxations of the memory."""
-        return tuple(m for m in self.memory if isinstance(m, Relaxation))
+        return tuple(element for element in self.memory if isinstance(element, Relaxation))
 
     @property
     def stops(self) -> tuple[Stop, ...]:
         """Stops of the memory."""
-        return tuple(m for m in self.memory if isinstance(m, Stop))
+        return tuple(element for element in self.memory if isinstance(element, Stop))
 
     @cached_property
     def inputs(self) -> tuple[sympy.Symbol, ...]:
         """Inputs that the law uses, in the order of `INPUTS`."""
-        parts = sympy.Tuple(self.output, *(part for m in self.memory for part in m.parts))
-        return tuple(q.symbol for q in QUANTITIES if q.symbol in parts.free_symbols)
+        parts = sympy.Tuple(
+            self.output, *(part for element in self.memory for part in element.parts)
+        )
+        return tuple(
+            quantity.symbol for quantity in QUANTITIES if quantity.symbol in parts.free_symbols
+        )
 
     @cached_property
     def sliding(self) -> "LawForm":
@@ -91,9 +95,13 @@ class LawForm:
         return replace(
             self,
             coefficients=tuple(
-                replace(c, unit=unit_of_joint(c.unit, slides=True)) for c in self.coefficients
+                replace(quantity, unit=unit_of_joint(quantity.unit, slides=True))
+                for quantity in self.coefficients
             ),
-            memory=tuple(replace(m, unit=unit_of_joint(m.unit, slides=True)) for m in self.memory),
+            memory=tuple(
+                replace(element, unit=unit_of_joint(element.unit, slides=True))
+                for element in self.memory
+            ),
         )
 
 
@@ -123,7 +131,7 @@ class FrictionLaw:
     band: Band | None = None
 
     def __post_init__(self) -> None:
-        needed = [c.name for c in self.form.coefficients]
+        needed = [quantity.name for quantity in self.form.coefficients]
         if sorted(needed) != sorted(self.values):
             odd = sorted(set(needed) ^ set(self.values))[0]
             raise ArtifactError(
@@ -169,7 +177,7 @@ def behind_low_pass(law: FrictionLaw, cutoff: float) -> FrictionLaw:
     swap = {DQ: speed.state}
     form = replace(
         law.form,
-        memory=(speed, *(m.subs(swap) for m in law.form.memory)),
+        memory=(speed, *(element.subs(swap) for element in law.form.memory)),
         output=law.form.output.xreplace(swap),
     )
     return replace(law, form=form, start=(0.0, *law.start))
@@ -181,7 +189,9 @@ _DIGITS = 4
 def equations(law: FrictionLaw) -> list[str]:
     """Return torque, derivatives x' and moved stops x+ of a law as text, to four digits."""
     rounded = {name: sympy.Float(f"{x:.{_DIGITS}g}", _DIGITS) for name, x in law.values.items()}
-    return form_lines(law.form, {c.symbol: rounded[c.name] for c in law.form.coefficients})
+    return form_lines(
+        law.form, {quantity.symbol: rounded[quantity.name] for quantity in law.form.coefficients}
+    )
 
 
 def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:
@@ -210,9 +220,9 @@ def text_of(expression: sympy.Expr) -> str:
 def coefficient_lines(law: FrictionLaw) -> list[str]:
     """Return each coefficient with unit and, if known, 95 % interval."""
     lines = []
-    for c in law.form.coefficients:
-        error = law.standard_errors.get(c.name)
+    for quantity in law.form.coefficients:
+        error = law.standard_errors.get(quantity.name)
         interval = "" if error is None else f" +- {1.96 * error:.2g}"
-        unit = "" if c.unit == "1" else f" {c.unit}"
-        lines.append(f"{c.name} = {law.values[c.name]:.5g}{interval}{unit}")
+        unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+        lines.append(f"{quantity.name} = {law.values[quantity.name]:.5g}{interval}{unit}")
     return lines

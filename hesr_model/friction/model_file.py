@@ -52,7 +52,7 @@ class JointEntry:
     @classmethod
     def of(cls, law: FrictionLaw, **others: Any) -> Self:
         """Return the entry of a law; `others` are the fields outside the law."""
-        units = {c.name: c.unit for c in law.form.coefficients}
+        units = {quantity.name: quantity.unit for quantity in law.form.coefficients}
         return cls(
             law=law.name,
             structure=law.structure,

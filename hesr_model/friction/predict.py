@@ -23,30 +23,37 @@ _PIECE = 2048  # rows run for all joints before the next ones, to stay in the pr
 
 @lru_cache(maxsize=256)
 def _moving(form: LawForm, *, states: bool = False) -> Kernel:
-    wanted = tuple(m.state for m in form.memory) if states else (form.output,)
+    wanted = tuple(element.state for element in form.memory) if states else (form.output,)
     return Kernel(form.memory, _symbols(form), INPUTS, wanted, form.component.settling, once=True)
 
 
 @lru_cache(maxsize=64)
 def _reading(form: LawForm) -> Kernel:
     """Return the torque and each element's guarded parts, for inputs and states of each row."""
-    states = tuple(m.state for m in form.memory)
-    torque = form.output.xreplace({m.derivative: m.continuous() for m in form.memory})
-    parts = [part for m in form.memory for part in (m.parts[0], positive(m.parts[1]))]
+    states = tuple(element.state for element in form.memory)
+    torque = form.output.xreplace(
+        {element.derivative: element.continuous() for element in form.memory}
+    )
+    parts = [
+        part for element in form.memory for part in (element.parts[0], positive(element.parts[1]))
+    ]
     return Kernel((), _symbols(form), (*INPUTS, *states), (torque, *parts), once=True)
 
 
 @lru_cache(maxsize=64)
 def _band(form: LawForm) -> Kernel:
-    names = {e.symbol: e.expression for e in band_equations(form.memory, form.output)}
-    numbers = (*_symbols(form), *(q.symbol for q in (*NUMBERS, COVERAGE)))
+    names = {
+        equation.symbol: equation.expression
+        for equation in band_equations(form.memory, form.output)
+    }
+    numbers = (*_symbols(form), *(quantity.symbol for quantity in (*NUMBERS, COVERAGE)))
     ends = [sympy.Symbol(name, real=True) for name in (LOWER, UPPER)]
     inputs = (*INPUTS, sympy.Symbol(TORQUE, real=True))
     return Kernel((), numbers, inputs, ends, names=names, once=True)
 
 
 def _symbols(form: LawForm) -> tuple[sympy.Symbol, ...]:
-    return tuple(c.symbol for c in form.coefficients)
+    return tuple(quantity.symbol for quantity in form.coefficients)
 
 
 def numbers(law: FrictionLaw) -> Array:
@@ -180,8 +187,8 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
 
         def deflected(share: float) -> tuple[float, ...]:
             return tuple(
-                share * bound if isinstance(m, Stop) else x
-                for m, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
+                share * bound if isinstance(element, Stop) else x
+                for element, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
             )
 
         return best(deflected, -1.0, 1.0)
@@ -206,7 +213,7 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
 def _kernel(form: LawForm, *, own: bool) -> Kernel:
     symbols = _symbols(form)
     given, columns = (symbols, INPUTS) if own else ((), (*symbols, *INPUTS))
-    states = tuple(m.state for m in form.memory)
+    states = tuple(element.state for element in form.memory)
     return Kernel(form.memory, given, columns, (form.output, *states), once=True)
 
 

@@ -38,11 +38,11 @@ LEAST = 1e-9  # smallest factor used as a divisor; at 0 the state of a bristle i
 def scaled(form: LawForm) -> LawForm:
     """Return a form with `SCALES` as last coefficients; it is unchanged if both are 1."""
     level: sympy.Expr = COULOMB.symbol
-    if any(isinstance(m, Relaxation) and is_bristle(m) for m in form.memory):
+    if any(isinstance(element, Relaxation) and is_bristle(element) for element in form.memory):
         level = larger(level, LEAST)
-    memory = tuple(scaled_bound(m, level) for m in form.memory)
-    carrying = [m for m, own in zip(form.memory, memory, strict=True) if m != own]
-    normed = {s: s / level for m in carrying for s in (m.state, m.derivative)}
+    memory = tuple(scaled_bound(element, level) for element in form.memory)
+    carrying = [element for element, own in zip(form.memory, memory, strict=True) if element != own]
+    normed = {s: s / level for element in carrying for s in (element.state, element.derivative)}
     common, terms = _terms(form.output)
     parts: dict[str, list[sympy.Expr]] = {"viscous": [], "coulomb": [], "carried": [], "rest": []}
     for term in terms:
@@ -76,7 +76,7 @@ def has_viscous(form: LawForm) -> bool:
 
 
 def _states(form: LawForm) -> set[sympy.Symbol]:
-    return {s for m in form.memory for s in (m.state, m.derivative)}
+    return {s for element in form.memory for s in (element.state, element.derivative)}
 
 
 def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:

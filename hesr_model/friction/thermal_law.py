@@ -34,14 +34,14 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
     viscous = larger(VISCOUS.symbol * warm.viscous, least_viscosity(law))
     torque = own.hysteresis + viscous * own.viscous + own.rest
     base = law.form.component
-    [known] = base.equations
+    [equation] = base.equations
     return replace(
         base,
         inputs=(*base.inputs, TEMPERATURE),
         parameters=(*base.parameters, *thermal_parameters(thermal)),
         shared=SCALES,
         memory=(warm.memory, *own.memory),
-        equations=(replace(known, expression=torque, start=sympy.S.Zero),),
+        equations=(replace(equation, expression=torque, start=sympy.S.Zero),),
     )
 
 

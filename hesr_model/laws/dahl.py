@@ -52,8 +52,10 @@ class DahlBasis(OneForm):
             for i, k in zip(_ELEMENTS, _KAPPA, strict=True)
         )
         load = absolute(TAU_LOAD) if cls.load else 0
-        factors = [f.symbol + m.symbol * load for f, m in zip(_FORCE, _LOAD, strict=True)]
-        torque = sum(f * x.state for f, x in zip(factors, elements, strict=True))
+        factors = [
+            quantity.symbol + m.symbol * load for quantity, m in zip(_FORCE, _LOAD, strict=True)
+        ]
+        torque = sum(quantity * x.state for quantity, x in zip(factors, elements, strict=True))
         return LawForm(
             coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),
             memory=elements,
@@ -65,7 +67,7 @@ class DahlBasis(OneForm):
         linear = (*_FORCE, *(_LOAD if self.load else ()), SIGMA_2, TAU_0)
         return SearchSpace(
             bounds=(),
-            linear=tuple(c.name for c in linear),
+            linear=tuple(quantity.name for quantity in linear),
             values=tuple(
                 (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
             ),

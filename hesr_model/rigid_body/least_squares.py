@@ -86,7 +86,10 @@ def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers)
     """Return the covariance from residuals summed by sample; `labels` are log numbers."""
     labels = covariance.blocks_of_time(labels)
     hessian = sum(
-        (w**2 * b.matrix.T @ b.matrix for b, w in zip(blocks, solution.weights, strict=True)),
+        (
+            w**2 * block.matrix.T @ block.matrix
+            for block, w in zip(blocks, solution.weights, strict=True)
+        ),
         start=np.diag(solution.pull**2),
     )
     parts = parts_of_blocks(blocks, solution, labels, hessian)

@@ -243,8 +243,8 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
     parts = [
-        weight * np.column_stack([b.matrix[:, size:], b.matrix[:, :size], b.target])
-        for weight, b in zip(weights, blocks, strict=True)
+        weight * np.column_stack([block.matrix[:, size:], block.matrix[:, :size], block.target])
+        for weight, block in zip(weights, blocks, strict=True)
     ]
     (factor,) = scipy.linalg.qr(np.concatenate(parts), mode="r", check_finite=False)
     factor = np.asarray(factor[: factor.shape[1]])

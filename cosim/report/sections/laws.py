@@ -71,7 +71,9 @@ def equations(results: Results) -> dict[str, Any]:
 
 
 def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
-    coefficients = {c.name: c for law in model.laws for c in law.form.coefficients}
+    coefficients = {
+        quantity.name: quantity for law in model.laws for quantity in law.form.coefficients
+    }
 
     def cell(law: FrictionLaw, name: str) -> TableCell:
         error = law.standard_errors.get(name)
@@ -85,11 +87,11 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
         head=("coefficient", "unit", *results.joints),
         rows=[
             row_of(
-                Markup("{} {}").format(Markup(symbol(name)), c.description),
-                "–" if c.unit == "1" else c.unit,
+                Markup("{} {}").format(Markup(symbol(name)), quantity.description),
+                "–" if quantity.unit == "1" else quantity.unit,
                 *(cell(law, name) for law in model.laws),
             )
-            for name, c in coefficients.items()
+            for name, quantity in coefficients.items()
         ],
     )
 

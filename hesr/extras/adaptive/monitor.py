@@ -96,10 +96,15 @@ class Follower:
         self._model = model
         self._tuning = tuning
         components = adaptive_components(model, tuning)
-        self._steps = [Steps(own) for own in components]
+        self._steps = [Steps(component) for component in components]
         self._values = [
-            dict(law.values) | {p.name: p.start for p in own.parameters if isinstance(p, Parameter)}
-            for law, own in zip(model.laws, components, strict=True)
+            dict(law.values)
+            | {
+                quantity.name: quantity.start
+                for quantity in component.parameters
+                if isinstance(quantity, Parameter)
+            }
+            for law, component in zip(model.laws, components, strict=True)
         ]
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:

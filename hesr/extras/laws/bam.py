@@ -76,14 +76,21 @@ class _Bam(OneForm):
             known = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
             raise ArtifactError(f"law '{cls.name}' has {known} to choose, found {dict(structure)}.")
         at_rest = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
-        level = sum(c.symbol * factor for c, factor in cls.terms).xreplace({_AT_REST: at_rest})
+        level = sum(quantity.symbol * factor for quantity, factor in cls.terms).xreplace(
+            {_AT_REST: at_rest}
+        )
         return LawForm(
-            coefficients=(*(c for c, _ in cls.terms), SIGMA_2, TAU_0, *((V_S,) if falls else ())),
+            coefficients=(
+                *(quantity for quantity, _ in cls.terms),
+                SIGMA_2,
+                TAU_0,
+                *((V_S,) if falls else ()),
+            ),
             output=level * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
         )
 
     def space(self) -> SearchSpace:
-        names = (*(c.name for c, _ in self.terms), SIGMA_2.name)
+        names = (*(quantity.name for quantity, _ in self.terms), SIGMA_2.name)
         return SearchSpace(
             bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),
             linear=(*names, TAU_0.name),

@@ -117,7 +117,7 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
 
 
 def _poles(law: FrictionLaw) -> list[float]:
-    values = {c.symbol: law.values[c.name] for c in law.form.coefficients}
+    values = {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
     angles = [wave.args[0] for wave in law.form.output.atoms(sympy.sin, sympy.cos)]
     slopes = (sympy.diff(angle, Q).subs(values) for angle in angles)
     return sorted({abs(float(slope)) for slope in slopes if slope.is_number and slope != 0})
@@ -135,8 +135,8 @@ def _family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
         for name, wave in (("a", sympy.cos), ("b", sympy.sin))
     ]
     torque = sum(
-        f.symbol * (z.state + TIME.symbol * z.derivative) / sympy.Float(x)
-        for f, z, x in zip(_FORCES, bristles, DEFLECTIONS, strict=True)
+        quantity.symbol * (z.state + TIME.symbol * z.derivative) / sympy.Float(x)
+        for quantity, z, x in zip(_FORCES, bristles, DEFLECTIONS, strict=True)
     )
     torque += SIGMA_2.symbol * DQ + TAU_0.symbol + sum(c.symbol * wave for c, wave in waves)
     linear = (*_FORCES, SIGMA_2, TAU_0, *(c for c, _ in waves))

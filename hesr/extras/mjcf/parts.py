@@ -83,7 +83,7 @@ def parts_of(law: FrictionLaw) -> JointFriction:
             raise NoCounterpartError(
                 f"its state '{relaxation.name}' starts at {start:g}, MuJoCo's at 0"
             )
-    values = {c.symbol: law.values[c.name] for c in form.coefficients}
+    values = {quantity.symbol: law.values[quantity.name] for quantity in form.coefficients}
     zeros = {symbol: 0 for symbol, value in values.items() if value == 0.0}
     motions = [_Motion.of(r, zeros, values) for r in form.relaxations]
     if form.relaxations and law.discretisation != "exact":

@@ -160,13 +160,18 @@ def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
     form = law.form
     found = equations(form)
     _check_names(law, found)
-    coefficients = [(c.name, c.unit, c.description) for c in form.coefficients]
-    starts = [(start_of(m.name), m.unit, f"Start value of {m.name}") for m in form.memory]
+    coefficients = [
+        (quantity.name, quantity.unit, quantity.description) for quantity in form.coefficients
+    ]
+    starts = [
+        (start_of(element.name), element.unit, f"Start value of {element.name}")
+        for element in form.memory
+    ]
     return {
         "name": name,
         "title": f"Equations of {title(law)}",
         "parameters": [*coefficients, *starts],
-        "states": [(m.name, m.unit) for m in form.memory],
+        "states": [(element.name, element.unit) for element in form.memory],
         "equations": found,
         "steady": _STEADY if found.beginning else "",
         "moving": f"{MOVING:g}",
@@ -176,7 +181,7 @@ def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
 def _check_names(law: FrictionLaw, found: Equations) -> None:
     seen = {*(u.name for u in INPUTS), "tau", _STEADY}
     names = [*law.values, *found.signs]
-    names += [n for m in law.form.memory for n in (m.name, start_of(m.name))]
+    names += [n for element in law.form.memory for n in (element.name, start_of(element.name))]
     for name in names:
         odd = "used twice" if name in seen else _oddity(name, _WORDS | set(FUNCTIONS))
         if odd:
@@ -196,7 +201,10 @@ def _joints(
         audit = audits[i] if audits else None
         speed = float(np.abs(motion.dq[:, i]).max())
         largest = audit.largest if audit else 0.0
-        parts = (law.form.output.subs(DT, 0), *(part for m in law.form.memory for part in m.parts))
+        parts = (
+            law.form.output.subs(DT, 0),
+            *(part for element in law.form.memory for part in element.parts),
+        )
         jumps = any(part.has(sgn) for part in parts)
         found.append(
             {

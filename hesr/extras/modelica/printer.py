@@ -73,7 +73,7 @@ def equations(form: LawForm) -> Equations:
     ]
     held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
     held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
-    printer = _Printer({m.derivative: f"der({m.name})" for m in form.memory})
+    printer = _Printer({element.derivative: f"der({element.name})" for element in form.memory})
 
     def text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
         # No sign is held before the first event.
@@ -81,10 +81,11 @@ def equations(form: LawForm) -> Equations:
         return printer.text(own, level, of=expression)
 
     lines = [
-        f"der({m.name}) = {text(m.drive)} - {text(m.rate, PRECEDENCE['Mul'])}*{m.name}"
-        if isinstance(m, Relaxation)
-        else f"der({m.name}) = {text(m.continuous())}"
-        for m in form.memory
+        f"der({element.name}) = {text(element.drive)} - "
+        f"{text(element.rate, PRECEDENCE['Mul'])}*{element.name}"
+        if isinstance(element, Relaxation)
+        else f"der({element.name}) = {text(element.continuous())}"
+        for element in form.memory
     ]
     return Equations(
         signs={
@@ -99,12 +100,14 @@ def equations(form: LawForm) -> Equations:
 
 
 def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
-    if any(m.seeks for m in form.memory):
+    if any(element.seeks for element in form.memory):
         return {}
     found = initial_state(form.memory, SETTLING)
-    names = {m.state: sympy.Symbol(start_of(m.name), real=True) for m in form.memory}
-    names |= {initial_symbol(m): m.state for m in form.memory}
-    return {m.name: found[initial_symbol(m)].xreplace(names) for m in form.memory}
+    names = {
+        element.state: sympy.Symbol(start_of(element.name), real=True) for element in form.memory
+    }
+    names |= {initial_symbol(element): element.state for element in form.memory}
+    return {element.name: found[initial_symbol(element)].xreplace(names) for element in form.memory}
 
 
 def start_of(state: str) -> str:

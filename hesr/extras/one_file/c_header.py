@@ -104,7 +104,9 @@ def header(model: FrictionModel, name: str) -> str:
     require_exportable(model, "one C header", coupled=False)
     joints = joints_of(model)
     distinct = list(dict.fromkeys(j.component for j in joints))
-    functions = [Functions(c, f"{name}_law_{i}") for i, c in enumerate(distinct, start=1)]
+    functions = [
+        Functions(component, f"{name}_law_{i}") for i, component in enumerate(distinct, start=1)
+    ]
     euler = any(law.discretisation == "euler" for law in model.laws)
     texts = []
     for own in functions:
@@ -161,7 +163,7 @@ def _rows(
                 "first_coefficient": coefficients,
                 "switches": len(own.jumps.expressions),
                 "invariants": max(len(own.invariant), 1),
-                "names": [m.name for m in law.form.memory],
+                "names": [element.name for element in law.form.memory],
                 "euler": euler and bool(law.form.relaxations),
             }
         )

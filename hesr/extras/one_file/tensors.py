@@ -104,8 +104,8 @@ def _function(
     program = {symbol: _wrapped(e) for symbol, e in program.items()}
     lines, names = straight_line(program, (*read, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]
-    known = {c.symbol: f'c["{c.name}"]' for c in form.coefficients}
-    known |= {m.state: x for m, x in zip(form.memory, states, strict=True)}
+    known = {quantity.symbol: f'c["{quantity.name}"]' for quantity in form.coefficients}
+    known |= {element.state: x for element, x in zip(form.memory, states, strict=True)}
     known |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
     printer = _Printer(known | names)
     body = [f"{names.get(symbol, str(symbol))} = {printer.text(e)}" for symbol, e in lines.items()]
@@ -175,15 +175,21 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
 
 def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
     torque = form.component.outputs[0].symbol
-    ends = [moved(m) for m in form.memory]
+    ends = [moved(element) for element in form.memory]
     start = initial_state(form.memory, form.component.settling)
-    first = [initial_symbol(m) for m in form.memory]
+    first = [initial_symbol(element) for element in form.memory]
     return {
         "name": name,
         "function": _function(form, name, sampled(form.component), (DT,), (torque,), ends),
         "begin": _function(form, f"{name}_begin", start, (), (), first),
         "joints": tuple(joints),
-        "values": {c.name: tuple(law.values[c.name] for law in laws) for c in form.coefficients},
-        "units": {c.name: c.unit for c in form.coefficients},
-        "starts": {m.name: tuple(law.start[i] for law in laws) for i, m in enumerate(form.memory)},
+        "values": {
+            quantity.name: tuple(law.values[quantity.name] for law in laws)
+            for quantity in form.coefficients
+        },
+        "units": {quantity.name: quantity.unit for quantity in form.coefficients},
+        "starts": {
+            element.name: tuple(law.start[i] for law in laws)
+            for i, element in enumerate(form.memory)
+        },
     }

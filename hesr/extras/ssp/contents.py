@@ -65,22 +65,26 @@ class SystemContents:
         return "Integer" if kind == "Enumeration" else str(kind)
 
 
-def read_contents(spec: SystemSpec, path: Path) -> SystemContents:
+def read_contents(system: SystemSpec, path: Path) -> SystemContents:
     """Read the descriptions of a system's FMUs and check the system against them; see `Wiring`."""
     descriptions = {
-        c.name: description_of(c.fmu, f"{path}: component '{c.name}'") for c in spec.components
+        component.name: description_of(component.fmu, f"{path}: component '{component.name}'")
+        for component in system.components
     }
-    variables = {c.name: Variables(c.fmu, descriptions[c.name]) for c in spec.components}
-    for target in (target for target, steps in spec.conversions.items() if steps):
+    variables = {
+        component.name: Variables(component.fmu, descriptions[component.name])
+        for component in system.components
+    }
+    for target in (target for target, steps in system.conversions.items() if steps):
         raise ConfigError(f"{path}: connection of '{target}': a conversion cannot be exported.")
-    if spec.begin:
-        raise ConfigError(f"{path}: starts at {spec.begin:g} s; exports start at 0.")
+    if system.begin:
+        raise ConfigError(f"{path}: starts at {system.begin:g} s; exports start at 0.")
     return SystemContents(
-        spec=spec,
+        spec=system,
         path=path,
         descriptions=descriptions,
         variables=variables,
-        wiring=Wiring(spec, variables, path),
+        wiring=Wiring(system, variables, path),
         created=_newest(d.generationDateAndTime for d in descriptions.values()),
     )
 

@@ -60,7 +60,7 @@ def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
     for i, law in enumerate(model.laws, start=1):
         if exposed(law):
             rows = zip(place(law, i).parameters, law.form.coefficients, strict=True)
-            found += [(name, law.values[c.name], c.unit) for name, c in rows]
+            found += [(name, law.values[quantity.name], quantity.unit) for name, quantity in rows]
     shown = any(exposed(law) for law in model.laws)
     return (
         found

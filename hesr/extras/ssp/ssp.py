@@ -48,15 +48,15 @@ _ENGINES = {
 _TOLERANCE = "0.0001"  # required by OMSimulator; FMUs with a fixed step ignore it
 
 
-def export_ssp(spec: SystemSpec, path: Path, output: Path, *, ssp: Version = "1.0") -> str | None:
+def export_ssp(system: SystemSpec, path: Path, output: Path, *, ssp: Version = "1.0") -> str | None:
     """Write the system of a file as an SSP; return a sentence on missing parts, if any."""
-    contents = read_contents(spec, path)
+    contents = read_contents(system, path)
     write_ssp(contents, output, version=ssp)
     # Engines refuse connectors of unconnected inputs, parameters and local variables.
     used = set(contents.used)
     observed = [".".join(e) for e in contents.wiring.observed if e not in used]
     parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
-    parts += [f"has no limits of {listed(spec.limits)}"] if spec.limits else []
+    parts += [f"has no limits of {listed(system.limits)}"] if system.limits else []
     return f"The SSP {', and '.join(parts)}." if parts else None
 
 

@@ -66,9 +66,12 @@ def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
 
 def _structure(path: Path) -> Iterator[Problem]:
     try:
-        with opened_ssp(path, {"stop": 1.0, "step": 1.0, "start": 0.0}, {}) as spec:
-            about = {c.name: (c.fmu, model_description(c.fmu)) for c in spec.components}
-            Wiring(spec, {name: Variables(*own) for name, own in about.items()}, path)
+        with opened_ssp(path, {"stop": 1.0, "step": 1.0, "start": 0.0}, {}) as system:
+            about = {
+                component.name: (component.fmu, model_description(component.fmu))
+                for component in system.components
+            }
+            Wiring(system, {name: Variables(*own) for name, own in about.items()}, path)
     except UnsupportedError as error:
         yield "ssp-support", str(error).removeprefix(f"{path}: ")
     except HesrError as error:

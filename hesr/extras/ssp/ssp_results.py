@@ -50,24 +50,24 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
 
     It is empty without outputs, if an FMU is not trusted or has its own step, or a run fails.
     """
-    spec = contents.spec
+    system = contents.spec
     signals = [f"{component}.{output}" for component, output in contents.used]
-    mixed = any(spec.every(c) > 1 for c in spec.components)
-    if mixed or not signals or not all(is_ours(c.fmu) for c in spec.components):
+    mixed = any(system.every(c) > 1 for c in system.components)
+    if mixed or not signals or not all(is_ours(c.fmu) for c in system.components):
         return {}
-    t = np.round(spec.step * np.arange(min(ROWS, spec.steps) + 1), 12)
+    t = np.round(system.step * np.arange(min(ROWS, system.steps) + 1), 12)
     try:
-        found = {name: _run(spec, signals, t, name) for name in _SCHEMES}
+        found = {name: _run(system, signals, t, name) for name in _SCHEMES}
     except HesrError:
         return {}
     ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _SCHEMES.items())
-    files = {"extra/README.txt": _README.format(step=spec.step, ways=ways).encode()}
+    files = {"extra/README.txt": _README.format(step=system.step, ways=ways).encode()}
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
     files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
     own = ExperimentFiles(
         runs=[(name, text, name) for name, (_, text) in _SCHEMES.items()],
         t=t,
-        step=spec.step,
+        step=system.step,
         tolerance=TOLERANCE,
         stem=_STEM,
     )
@@ -80,31 +80,31 @@ def verify_ssp(path: Path) -> Verified:
     with Archive(path, "SSP") as archive:
         stored = experiments(archive, found)
     if stored:
-        with opened_ssp(path, {}, {}) as spec:
+        with opened_ssp(path, {}, {}) as system:
             for experiment in stored:
-                _judge(spec, experiment, found)
+                _judge(system, experiment, found)
     return found
 
 
-def _judge(spec: SystemSpec, experiment: ReferenceExperiment, found: Verified) -> None:
+def _judge(system: SystemSpec, experiment: ReferenceExperiment, found: Verified) -> None:
     own = experiment.name
     t = experiment.t
     signals = list(experiment.outputs)
 
     def played(way: str) -> np.ndarray:
-        rows = _run(spec, signals, t, way)
+        rows = _run(system, signals, t, way)
         return np.column_stack([rows[name] for name in signals])
 
-    if len(t) < 2 or np.any(np.abs(t - spec.step * np.arange(len(t))) > 1e-9 * spec.step):
+    if len(t) < 2 or np.any(np.abs(t - system.step * np.arange(len(t))) > 1e-9 * system.step):
         found.skipped.append(f"Experiment '{own}': its rows are not at the system's steps.")
         return
     judged(experiment, _SCHEMES, played, found)
 
 
-def _run(spec: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
-    update = {"stop": spec.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
+def _run(system: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
+    update = {"stop": system.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
     scheme = ExchangeScheme(order="jacobi", refreshed=_SCHEMES[way][0])
-    with Master(spec.model_copy(update=update), scheme=scheme) as master:
+    with Master(system.model_copy(update=update), scheme=scheme) as master:
         found = master.run().require_success().signals
     for signal in signals:
         if signal not in found:

@@ -126,5 +126,5 @@ def run_there(
         component.model_copy(update={"fmu": files[str(component.fmu)]})
         for component in task.spec.components
     )
-    local = task.spec.model_copy(update={"components": components})
-    return run_rows(replace(task, spec=local), values)
+    system = task.spec.model_copy(update={"components": components})
+    return run_rows(replace(task, spec=system), values)

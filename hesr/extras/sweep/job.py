@@ -87,9 +87,11 @@ def replay(path: Path, run: int) -> tuple[Plan, Signals]:
         if not 0 <= run < len(plan.values):
             raise ConfigError(f"{path}: run {run} is not one of 0 to {len(plan.values) - 1}.")
         own = SystemSpec.read(plan.study.system).observe
-        spec = plan.task.spec
-        spec = spec.model_copy(update={"observe": tuple(dict.fromkeys((*spec.observe, *own)))})
-        with Master(spec, plan.study.system) as master:
+        system = plan.task.spec
+        system = system.model_copy(
+            update={"observe": tuple(dict.fromkeys((*system.observe, *own)))}
+        )
+        with Master(system, plan.study.system) as master:
             return plan, master.run(start=plan.task.start(plan.values[run]))
     finally:
         release()

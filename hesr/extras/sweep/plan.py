@@ -171,37 +171,41 @@ class Plan:
 def planned(path: Path) -> Plan:
     """Read a sweep file and check it against its system."""
     study = SweepStudy.read(path)
-    spec = SystemSpec.read(study.system)
+    system = SystemSpec.read(study.system)
     signals = [s for o in study.outputs for s in (o.signal, o.reference) if s is not None]
-    spec = spec.model_copy(update={"observe": tuple(dict.fromkeys(signals))})
+    system = system.model_copy(update={"observe": tuple(dict.fromkeys(signals))})
     for output in study.outputs:
-        if output.start > spec.stop:
+        if output.start > system.stop:
             raise ConfigError(
                 f"{path}: output '{output.name}' starts at {output.start:g} s, but a run ends "
-                f"at {spec.stop:g} s.",
+                f"at {system.stop:g} s.",
                 code="sweep.start",
                 where=path,
                 key="outputs",
             )
-    targets = tuple(_targets(study, spec, path))
+    targets = tuple(_targets(study, system, path))
     values = chosen(study)
-    digests = {fmu: sha256(fmu) for fmu in {c.fmu for c in spec.components} if fmu.is_file()}
-    task = Task(key="", spec=spec, targets=targets, outputs=study.outputs)
-    with Master(spec, study.system, loaded=POOL) as master:
+    digests = {
+        fmu: sha256(fmu)
+        for fmu in {component.fmu for component in system.components}
+        if fmu.is_file()
+    }
+    task = Task(key="", spec=system, targets=targets, outputs=study.outputs)
+    with Master(system, study.system, loaded=POOL) as master:
         master.require_start(task.start(values[0]), path)
         for output in study.outputs:
             if output.reference:
                 master.require_alike(output.signal, output.reference, path)
-    task = replace(task, key=_key(study, spec, digests))
+    task = replace(task, key=_key(study, system, digests))
     return Plan(study=study, task=task, values=values, digests=digests)
 
 
-def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[VariedVariable]:
+def _targets(study: SweepStudy, system: SystemSpec, path: Path) -> list[VariedVariable]:
     found = []
     for column, one in enumerate(study.inputs):
         for name in one.variables:
             component, _, variable = name.partition(".")
-            base = _base(spec, component, variable, path) if one.factor else None
+            base = _base(system, component, variable, path) if one.factor else None
             whole = bool(one.values) and all(float(value).is_integer() for value in one.values)
             found.append(
                 VariedVariable(
@@ -218,8 +222,8 @@ def _targets(study: SweepStudy, spec: SystemSpec, path: Path) -> list[VariedVari
     return found
 
 
-def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:
-    starts = {c.name: c.start for c in spec.components}
+def _base(system: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:
+    starts = {c.name: c.start for c in system.components}
     value: Value | None = starts.get(component, {}).get(variable)
     if value is None or isinstance(value, str | bool):
         raise ConfigError(
@@ -232,13 +236,13 @@ def _base(spec: SystemSpec, component: str, variable: str, path: Path) -> tuple[
     return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
 
 
-def _key(study: SweepStudy, spec: SystemSpec, digests: dict[Path, str]) -> str:
+def _key(study: SweepStudy, system: SystemSpec, digests: dict[Path, str]) -> str:
     data = {
         "study": study.model_dump(mode="json", exclude={"system"}),
-        "system": spec.model_dump(mode="json", exclude={"components"}),
+        "system": system.model_dump(mode="json", exclude={"components"}),
         "components": [
-            c.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(c.fmu)}
-            for c in spec.components
+            component.model_dump(mode="json", exclude={"fmu"}) | {"fmu": digests.get(component.fmu)}
+            for component in system.components
         ],
         "version": version("hesr"),
         "numpy": np.__version__,

@@ -48,7 +48,7 @@ class Factored:
         own = parts(law, level)
         output = own.hysteresis + viscosity * own.viscous + own.rest
         self._law = law
-        symbols = (c.symbol for c in law.form.coefficients)
+        symbols = (quantity.symbol for quantity in law.form.coefficients)
         settling = law.form.component.settling
         inputs = (*INPUTS, level, viscosity)
         self._kernel = Kernel(own.memory, tuple(symbols), inputs, (output,), settling, once=True)

@@ -69,11 +69,11 @@ class Candidate:
         units = [] if self.g is None else [{"g": self.g, "arguments": arguments}]
         structure = {"linear": linear, "units": units}
         values: dict[str, float] = {}
-        for x, c, theta in zip(family.FEATURES, self.c, self.theta, strict=True):
-            values |= {family.linear_name(x): c, family.argument_name(1, x): theta}
+        for x, quantity, theta in zip(family.FEATURES, self.c, self.theta, strict=True):
+            values |= {family.linear_name(x): quantity, family.argument_name(1, x): theta}
         values |= {family.gain_name(1): self.gain, "alpha": self.alpha, "beta": self.beta}
         form = family.form(structure)
-        kept = {c.name: float(values[c.name]) for c in form.coefficients}
+        kept = {quantity.name: float(values[quantity.name]) for quantity in form.coefficients}
         return FrictionLaw(
             name=name, structure=structure, form=form, values=kept, discretisation=discretisation
         )

@@ -71,7 +71,9 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     }
 
     def weighted(weights: Sequence[Coefficient], features: Sequence[str]) -> sympy.Expr:
-        products = (c.symbol * symbols[x] for c, x in zip(weights, features, strict=True))
+        products = (
+            quantity.symbol * symbols[x] for quantity, x in zip(weights, features, strict=True)
+        )
         return sum(products, sympy.Integer(0))
 
     coefficients = [

@@ -86,7 +86,9 @@ def choose(trials: Sequence[Trial], gain: float) -> Trial:
 
 def extended(base: Trial, more: Sequence[Trial], trained_range: TrainedRange) -> Trial:
     """Return the best of `more` on left-out rows that stays in bounds, or `base`."""
-    return choose([base, *(t for t in more if not explodes(t.law(), trained_range))], UNIT_GAIN)
+    return choose(
+        [base, *(trial for trial in more if not explodes(trial.law(), trained_range))], UNIT_GAIN
+    )
 
 
 def left_out(trial: Trial) -> float:

@@ -182,7 +182,7 @@ class _Stops(Estimator):
             name=self.name,
             structure=to_json(structure),
             form=form,
-            values={c.name: values[c.name] for c in form.coefficients},
+            values={quantity.name: values[quantity.name] for quantity in form.coefficients},
             start=start_at_rest(form),
             start_samples=self.start_samples,
         )

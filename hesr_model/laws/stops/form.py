@@ -155,7 +155,10 @@ class Structure:
             )
             stops.append(x)
             terms.append((_torque(name, _describe_stop(kind, x.deflection)), x.state))
-        terms += [(c, DQ * factor) for c, factor in (_VISCOUS[kind] for kind in self.viscous)]
+        terms += [
+            (quantity, DQ * factor)
+            for quantity, factor in (_VISCOUS[kind] for kind in self.viscous)
+        ]
         # The mean over the part of a step beyond `window` certifies any step.
         beyond = positive(DT - sympy.Float(self.window))
         angle = Q - (LAG.symbol + beyond / 2) * DQ
@@ -175,7 +178,7 @@ class Structure:
                 *((LAG,) if self.ripple else ()),
             ),
             memory=(AGE, *stops) if AGE.state in used else tuple(stops),
-            output=sum((c.symbol * factor for c, factor in terms), TAU_0.symbol),
+            output=sum((quantity.symbol * factor for quantity, factor in terms), TAU_0.symbol),
         )
 
 
@@ -208,7 +211,7 @@ def force(kind: str, node: int) -> str:
 def start_at_rest(form: LawForm) -> tuple[float, ...]:
     """Return the states at rest, with aged contacts; empty if all are 0."""
     memory = form.memory
-    return tuple(1.0 if m == AGE else 0.0 for m in memory) if AGE in memory else ()
+    return tuple(1.0 if element == AGE else 0.0 for element in memory) if AGE in memory else ()
 
 
 def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:

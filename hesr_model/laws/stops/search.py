@@ -79,7 +79,9 @@ def columns(structure: Structure, numbers: Mapping[str, float], rows: JointRows)
 def _posed(structure: Structure) -> tuple[LawForm, SearchSpace]:
     form = structure.form()
     linear = (*structure.forces, *structure.waves, "tau_0")
-    others = tuple((c.name, _ANY) for c in form.coefficients if c.name not in linear)
+    others = tuple(
+        (quantity.name, _ANY) for quantity in form.coefficients if quantity.name not in linear
+    )
     return form, SearchSpace(bounds=others, linear=linear)
 
 
