@@ -60,7 +60,7 @@ def _values(proposal: Proposal, path: Path) -> dict[str, Any]:
     return {
         "first": proposal.first,
         "after": proposal.examination.findings,
-        "errors": sum(f.severity == "error" for f in proposal.first),
+        "errors": sum(finding.severity == "error" for finding in proposal.first),
         "mended": bool(proposal.reasons),
         "logs": _logs(proposal),
         "joints": _joints(proposal),

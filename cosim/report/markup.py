@@ -96,12 +96,12 @@ class Tables:
     place: Callable[[Path], Path] = lambda path: path  # of temporary files
     written: dict[str, tuple[str, str]] = field(default_factory=dict)
 
-    def csv(self, shown: ResultTable, name: str) -> str:
+    def csv(self, table: ResultTable, name: str) -> str:
         """Write a table as CSV only."""
         file = f"{name}.csv"
         with written_whole(self.place(self.folder / file)) as temporary:
-            temporary.write_text(csv_text(shown), encoding="utf-8")
-        self.written[file] = shown.caption, shown.note
+            temporary.write_text(csv_text(table), encoding="utf-8")
+        self.written[file] = table.caption, table.note
         return ""
 
     def table(self, shown: ResultTable, name: str, *, brief: bool = False) -> Markup:
@@ -144,9 +144,9 @@ def write_sections(
         temporary.write_text(numbered, encoding="utf-8")
 
 
-def table(what: ResultTable, *, brief: bool = False) -> Markup:
+def table(table: ResultTable, *, brief: bool = False) -> Markup:
     """Return a table with a button that copies it; `brief` ones are printed."""
-    return render("table.html.j2", table=what, symbols=MARKS, brief=brief)
+    return render("table.html.j2", table=table, symbols=MARKS, brief=brief)
 
 
 def paragraph(text: str | Markup, *, note: bool = False) -> Markup:

@@ -95,10 +95,10 @@ class Results:
         Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
         """
         test = self.tests[0]
-        scores = self.comparisons[test]
+        comparison = self.comparisons[test]
         law = self.recommended[joint]
-        pair = law, scores.ratios.of(law, joint)
-        of_laws = [scores.laws[one] for one in pair]
+        pair = law, comparison.ratios.of(law, joint)
+        of_laws = [comparison.laws[one] for one in pair]
         models = [self.models[one] for one in pair]
         days = sum("training" in log.roles for log in self.run.logs) > 1
         simulated = self.simulated.get(test)
@@ -120,9 +120,11 @@ class Results:
     @cached_property
     def best(self) -> str:
         """Law with the lowest error over the size of friction, on the first test set."""
-        scores = self.comparisons[self.tests[0]]
-        laws = (law for law in scores.laws if law != ORACLE and not law.endswith(MEASURED_START))
-        return min(laws, key=scores.size)
+        comparison = self.comparisons[self.tests[0]]
+        laws = (
+            law for law in comparison.laws if law != ORACLE and not law.endswith(MEASURED_START)
+        )
+        return min(laws, key=comparison.size)
 
     @cached_property
     def key_laws(self) -> list[str]:

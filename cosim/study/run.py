@@ -199,7 +199,10 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         partial(job.progress, "building FMUs"),
     )
     comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
-    write_json(folder / "evaluation.json", {name: to_json(c) for name, c in comparisons.items()})
+    write_json(
+        folder / "evaluation.json",
+        {name: to_json(comparison) for name, comparison in comparisons.items()},
+    )
     return Scored(
         study=study,
         robot=robot,

@@ -92,7 +92,7 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
         joints=tuple(joint.name for joint in used),
         followers=tuple(joint.name for joint in others if not joint.freedom),
         locked=rest,
-        doubts=tuple(replace(doubt, where=str(folder / model.name)) for doubt in robot.doubts),
+        doubts=tuple(replace(finding, where=str(folder / model.name)) for finding in robot.doubts),
     )
 
 

@@ -134,13 +134,15 @@ def verdict(
 
     `refined` are the laws refined by output error, None if the study does not refine.
     """
-    test, scores = next(iter(comparisons.items()))
-    laws, why = recommend(scores, models)
+    test, comparison = next(iter(comparisons.items()))
+    laws, why = recommend(comparison, models)
     law = laws[0] if len(set(laws)) == 1 else MIXED
-    shares = scores.unexplained(scores.of(laws).rmse)
-    percent = {joint: 100.0 * share for joint, share in zip(scores.joints, shares, strict=True)}
-    joints = tuple(replace(one, law=own) for one, own in zip(separation(scores), laws, strict=True))
-    named = zip(scores.joints, joints, strict=True)
+    shares = comparison.unexplained(comparison.of(laws).rmse)
+    percent = {joint: 100.0 * share for joint, share in zip(comparison.joints, shares, strict=True)}
+    joints = tuple(
+        replace(one, law=own) for one, own in zip(separation(comparison), laws, strict=True)
+    )
+    named = zip(comparison.joints, joints, strict=True)
     shown = {name: one.detectable[1] for name, one in named if one.detectable}
     return Verdict(
         law=law,
@@ -149,7 +151,7 @@ def verdict(
         test=test,
         why=why,
         unexplained=percent,
-        weak=tuple(_weak(scores.of(laws), percent, combined(law, properties, laws))),
+        weak=tuple(_weak(comparison.of(laws), percent, combined(law, properties, laws))),
         improve=(
             *_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio),
             *_simulate(trained, refined),
@@ -161,10 +163,10 @@ def verdict(
     )
 
 
-def separation(scores: Comparison) -> Iterator[Separation]:
+def separation(comparison: Comparison) -> Iterator[Separation]:
     """Yield the laws that the test cannot distinguish, by joint."""
     for of_joint, detectable, seconds in zip(
-        scores.leading, scores.detectable, scores.seconds, strict=True
+        comparison.leading, comparison.detectable, comparison.seconds, strict=True
     ):
         best, *tied = of_joint
         among = [detectable[law] for law in tied if law in detectable] or [*detectable.values()]
@@ -177,7 +179,7 @@ def separation(scores: Comparison) -> Iterator[Separation]:
 
 
 def recommend(
-    scores: Comparison, models: Mapping[str, FrictionModel]
+    comparison: Comparison, models: Mapping[str, FrictionModel]
 ) -> tuple[tuple[str, ...], str]:
     """Return the recommended law of each joint and the rule that decided.
 
@@ -185,20 +187,20 @@ def recommend(
     Joints with a short test, and those whose laws one FMU cannot combine, have the law of most
     joints.
     """
-    names = [law for law in scores.laws if law in models]
-    count = len(scores.joints)
-    long = [j for j in range(count) if not scores.too_short[j]]
+    names = [law for law in comparison.laws if law in models]
+    count = len(comparison.joints)
+    long = [j for j in range(count) if not comparison.too_short[j]]
     if not long:
         known = [law for law in names if models[law].left_out_rmse]
         if not known:
-            return (min(names, key=scores.size),) * count, f"{_SHORT}; it has the lowest error."
-        law = min(known, key=lambda name: fmean(scores.unexplained(models[name].left_out_rmse)))
+            return (min(names, key=comparison.size),) * count, f"{_SHORT}; it has the lowest error."
+        law = min(known, key=lambda name: fmean(comparison.unexplained(models[name].left_out_rmse)))
         return (law,) * count, f"{_SHORT}; it has the lowest error on left-out training logs."
-    lowest = [scores.laws[leading[0]].rmse[j] for j, leading in enumerate(scores.leading)]
-    rmse = {law: zip(scores.laws[law].rmse, lowest, strict=True) for law in names}
+    lowest = [comparison.laws[leading[0]].rmse[j] for j, leading in enumerate(comparison.leading)]
+    rmse = {law: zip(comparison.laws[law].rmse, lowest, strict=True) for law in names}
     above = {law: [e / max(least, 1e-300) for e, least in of_law] for law, of_law in rmse.items()}
     good = {
-        j: [law for law in scores.leading[j] if law in names and above[law][j] <= CLOSE]
+        j: [law for law in comparison.leading[j] if law in names and above[law][j] <= CLOSE]
         for j in long
     }
     spread = {n: (-sum(n in of for of in good.values()), max(above[n])) for n in names}
@@ -320,9 +322,9 @@ def _simulate(trained: Records, refined: Mapping[str, Refined] | None) -> Iterat
         yield "The training logs are too short to choose a law for simulation by left-out windows."
 
 
-def write_verdict(folder: Path, found: Verdict) -> None:
+def write_verdict(folder: Path, verdict: Verdict) -> None:
     """Write a verdict into a folder of results."""
-    write_json(folder / VERDICT, {"format": VERDICT_FORMAT, **to_json(found)})
+    write_json(folder / VERDICT, {"format": VERDICT_FORMAT, **to_json(verdict)})
 
 
 def read_verdict(folder: Path) -> Verdict | None:

@@ -140,7 +140,7 @@ def shortened(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
     """Return one line per finding: severity, sentence and name of the check."""
-    return [f"{f.severity}: {f.sentence} [{f.check}]" for f in findings]
+    return [f"{finding.severity}: {finding.sentence} [{finding.check}]" for finding in findings]
 
 
 def health_of(provenance: Mapping[str, Any]) -> list[Finding]:

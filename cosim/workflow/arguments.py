@@ -159,8 +159,8 @@ def checked_logs(
             from hesr_model.health.examine import of_log
             from hesr_model.health.positions import of_gaps
 
-            found = of_gaps(log.gaps, log.longest_step, len(log.starts))
-            findings += log_findings(of_log(log.stretches[0], [found]))
+            finding = of_gaps(log.gaps, log.longest_step, len(log.starts))
+            findings += log_findings(of_log(log.stretches[0], [finding]))
     own = [Path(robot)] if isinstance(robot, str | PathLike) else []
     paths = dict.fromkeys([*own, model.description.model, *(g.path for g in read if g.path)])
     return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths), longs=longs)

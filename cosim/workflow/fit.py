@@ -139,9 +139,9 @@ def fit(
             provenance=source,
             progress=partial(progress, f"fitting {own}"),
         )[own]
-        found = list(check_laws({own: model}, joined))
-        if found:
-            health = [*source["health"], *map(to_json, found)]
+        findings = list(check_laws({own: model}, joined))
+        if findings:
+            health = [*source["health"], *map(to_json, findings)]
             model = replace(model, provenance={**model.provenance, "health": health})
     else:
         model = fitted

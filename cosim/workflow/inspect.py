@@ -44,8 +44,12 @@ class Inspection(Answer):
     @property
     def fixed(self) -> Sequence[Finding]:
         """Findings that the proposed robot file removes."""
-        left = {(f.check, f.joints) for f in self.findings}
-        return [f for f in self.proposal.first if (f.check, f.joints) not in left]
+        left = {(finding.check, finding.joints) for finding in self.findings}
+        return [
+            finding
+            for finding in self.proposal.first
+            if (finding.check, finding.joints) not in left
+        ]
 
     @property
     def shows_tables(self) -> bool:  # type: ignore[override]  # derived from the proposal
@@ -54,7 +58,7 @@ class Inspection(Answer):
 
     def summary(self) -> str:
         """Return what is fixed, still open and guessed, then files and the next command."""
-        lines = [f"Fixed by the proposed robot file: {f.sentence}" for f in self.fixed]
+        lines = [f"Fixed by the proposed robot file: {finding.sentence}" for finding in self.fixed]
         lines += finding_lines(self.findings)
         if not self.proposal.first:
             lines.append("Nothing wrong or unusual was found.")
@@ -195,7 +199,7 @@ def inspect(
         known = with_joints(robot, names) if robot and names else robot
         constants = _torque_constants(logs, known, mass_error, loaded, payload, progress)
         proposal = with_constants(proposal, constants)
-    errors = any(f.severity == "error" for f in proposal.examination.findings)
+    errors = any(finding.severity == "error" for finding in proposal.examination.findings)
     written, failure = _write(proposal, output, write, None if errors else study)
     next_ = f"hesr run {study}" if study else ""
     if errors or failure:

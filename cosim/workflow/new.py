@@ -142,7 +142,7 @@ def answer(made: NewProject, _: PathArg | None) -> Answer:
     if made.locked:
         places = few([f"{name} = {x:.4g}" for name, x in made.locked.items()])
         lines.append(f"Locked [rad or m]: {places}; --joints selects other joints.")
-    lines += [doubt.sentence for doubt in made.doubts]
+    lines += [finding.sentence for finding in made.doubts]
     lines += [
         f"Its logs are sample data; replace them with yours: see {made.folder / 'README.txt'}.",
         f"Next: hesr run {made.folder / 'study.toml'}",

@@ -42,11 +42,11 @@ class RunResult(Answer):
         """Return the verdict, the number of warnings and the report."""
         from cosim.report.tables import loop
 
-        found = self.outcome.verdict
-        located = replace(found, fmu=str(self.outcome.fmus[found.law]))  # can be copied
-        if found.simulation:
-            fmu = str(self.outcome.fmus[found.simulation.law])
-            located = replace(located, simulation=replace(found.simulation, fmu=fmu))
+        verdict = self.outcome.verdict
+        located = replace(verdict, fmu=str(self.outcome.fmus[verdict.law]))  # can be copied
+        if verdict.simulation:
+            fmu = str(self.outcome.fmus[verdict.simulation.law])
+            located = replace(located, simulation=replace(verdict.simulation, fmu=fmu))
         lines = list(located.sentences)
         if self.outcome.following.rows:
             lines.append(loop.benefit(self.outcome.following, self._sliding))
@@ -115,7 +115,9 @@ class RunResult(Answer):
             "fmus": {law: str(path) for law, path in outcome.fmus.items()},
             "left_out": dict(outcome.left_out),
             "verdict": to_json(outcome.verdict),
-            "evaluation": {name: to_json(c) for name, c in outcome.comparisons.items()},
+            "evaluation": {
+                name: to_json(comparison) for name, comparison in outcome.comparisons.items()
+            },
             "closed_loop": to_json(outcome.loop) if outcome.loop else None,
             "following": to_json(outcome.following),
             "cache": {

@@ -278,12 +278,14 @@ def _predicted(
             progress(f"replaying {law.fmu.name}", 0, 1)
             predicted[law.name] = predict_fmu(law.fmu, causal(records))
             zero_phase[law.name] = predict_fmu(law.fmu, records)
-    scores = compare(records, predicted, input_classes(models), models, zero_phase)
+    comparison = compare(records, predicted, input_classes(models), models, zero_phase)
     positions = None
     if models:
         progress("simulating", 0, 1)
         positions = simulate_tests(models, {"": records}, read.robot, body).get("")
-    return replace(report, scores=scores, positions=positions, records=records, findings=findings)
+    return replace(
+        report, scores=comparison, positions=positions, records=records, findings=findings
+    )
 
 
 def _certified(report: LawReport, *, alone: bool) -> LawReport:

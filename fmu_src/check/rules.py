@@ -134,14 +134,14 @@ def findings(problems: Iterable[Problem]) -> list[Finding]:
             kept[problem] = None
         elif problem not in kept:
             more += 1
-    found = [
+    findings = [
         Finding(check=name, severity=rule_of(name).severity, found=text) for name, text in kept
     ]
     if more:
-        found.append(
+        findings.append(
             Finding(check="more", severity="advice", found=f"{more} more findings are not listed.")
         )
-    return found
+    return findings
 
 
 def rule_of(name: str) -> Rule:

@@ -53,7 +53,7 @@ class Report:
     @property
     def verdict(self) -> str:
         """One-line summary."""
-        counts = {s: sum(p.severity == s for p in self.problems) for s in SEVERITIES}
+        counts = {s: sum(finding.severity == s for finding in self.problems) for s in SEVERITIES}
         said = [
             f"{count} {severity}{'s' * (count > 1 and severity != 'advice')}"
             for severity, count in counts.items()
@@ -104,9 +104,9 @@ class _Found:
 
     def _add(self, problems: Iterable[Problem]) -> bool:
         """Add findings; return whether one is an error."""
-        found = rules.findings(problems)
-        self.problems += found
-        return any(finding.severity == "error" for finding in found)
+        findings = rules.findings(problems)
+        self.problems += findings
+        return any(finding.severity == "error" for finding in findings)
 
     def _add_run(self, found: tuple[list[Problem], list[str]]) -> None:
         self._add(found[0])

@@ -52,7 +52,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, model: Robot | N
     for log in logs:
         timed = of_log(log, positions.check_time(log, description))
         findings += timed
-        if any(f.severity == "error" for f in timed):
+        if any(finding.severity == "error" for finding in timed):
             continue
         for check in (positions.check_jumps, positions.check_steps, efforts.check_held):
             findings += of_log(log, check(log, description))
@@ -62,8 +62,13 @@ def examine(logs: Sequence[Log], description: RobotDescription, model: Robot | N
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
     logged = [as_logged(*both, description.logged) for both in zip(parts, torques, strict=False)]
     fits = [explained(part, torque) for part, torque in logged]
-    broken = {name for f in findings if f.check in ("wrap", "spikes") for name in f.joints}
-    coarse = {name for f in findings if f.check == "coarse" for name in f.joints}
+    broken = {
+        name
+        for finding in findings
+        if finding.check in ("wrap", "spikes")
+        for name in finding.joints
+    }
+    coarse = {name for finding in findings if finding.check == "coarse" for name in finding.joints}
     for part in parts:
         findings += of_log(part.log, check_velocity(part, description, broken))
         if model:
@@ -104,9 +109,12 @@ def _informed(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
 
 def hopeless(findings: Sequence[Finding]) -> bool:
     """Return whether errors of units or positions hide what the model would show."""
-    errors = [f for f in findings if f.severity == "error"]
+    errors = [finding for finding in findings if finding.severity == "error"]
     units = {"log.units.t", "log.units.q"}
-    return any(f.check in ("limits", "wrap", "spikes") or units & set(f.changes) for f in errors)
+    return any(
+        finding.check in ("limits", "wrap", "spikes") or units & set(finding.changes)
+        for finding in errors
+    )
 
 
 SYMPTOMS = (
@@ -118,8 +126,14 @@ SYMPTOMS = (
 def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
     local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
     every = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
-    kept = [f for f in findings if f.check not in SYMPTOMS or not (every or local & set(f.joints))]
-    signs = {f.joints: f.found for f in findings if f.check == "torque-sign"}
+    kept = [
+        finding
+        for finding in findings
+        if finding.check not in SYMPTOMS or not (every or local & set(finding.joints))
+    ]
+    signs = {
+        finding.joints: finding.found for finding in findings if finding.check == "torque-sign"
+    }
     told = [
         replace(c, found=signs[c.joints])
         if c.check in ("torque-sign", "position-sign") and c.joints in signs
@@ -130,15 +144,19 @@ def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Find
 
 
 def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
-    clear = {f.joints for f in findings if f.check in ("velocity-columns", "same-column")}
-    coarse = any(f.check == "coarse" for f in findings)
+    clear = {
+        finding.joints
+        for finding in findings
+        if finding.check in ("velocity-columns", "same-column")
+    }
+    coarse = any(finding.check == "coarse" for finding in findings)
     hidden = hopeless(findings)
-    mended = any(key.startswith("log.units") for f in findings for key in f.changes)
+    mended = any(key.startswith("log.units") for finding in findings for key in finding.changes)
     return [
-        f
-        for f in findings
-        if (f.check != "velocity-match" or f.joints not in clear)
-        and not (f.check in ("time-scale", "speed-limit") and (mended or coarse or hidden))
+        finding
+        for finding in findings
+        if (finding.check != "velocity-match" or finding.joints not in clear)
+        and not (finding.check in ("time-scale", "speed-limit") and (mended or coarse or hidden))
     ]
 
 
@@ -157,9 +175,13 @@ class HealthError(LogError):
 
 
 def _said(findings: Sequence[Finding]) -> str:
-    lines = [f"{f.sentence} [{f.check}]" for f in findings]
-    names = " ".join(f"--accept {name}" for name in dict.fromkeys(f.check for f in findings))
-    tried = "hesr inspect tries the changes on these logs. " * any(f.changes for f in findings)
+    lines = [f"{finding.sentence} [{finding.check}]" for finding in findings]
+    names = " ".join(
+        f"--accept {name}" for name in dict.fromkeys(finding.check for finding in findings)
+    )
+    tried = "hesr inspect tries the changes on these logs. " * any(
+        finding.changes for finding in findings
+    )
     told = f"{tried}To continue anyway: {names}."
     if len(lines) == 1:
         return f"{lines[0]} {told}"
@@ -193,7 +215,11 @@ def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> li
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
     """Return all findings, or raise HealthError with errors not accepted."""
-    refused = [f for f in findings if f.severity == "error" and f.check not in accepted]
+    refused = [
+        finding
+        for finding in findings
+        if finding.severity == "error" and finding.check not in accepted
+    ]
     if refused:
         raise HealthError(_said(refused), refused)
     return list(findings)

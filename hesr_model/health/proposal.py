@@ -77,10 +77,10 @@ def inspected(
 
 def _with_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
     """Return a proposal with reasons, whose findings begin with doubts about the model file."""
-    doubts = Robot(proposal.robot).doubts
+    findings = Robot(proposal.robot).doubts
     own = proposal.examination
-    own = replace(own, findings=tuple(errors_first([*doubts, *own.findings])))
-    first = errors_first([*doubts, *proposal.first])
+    own = replace(own, findings=tuple(errors_first([*findings, *own.findings])))
+    first = errors_first([*findings, *proposal.first])
     known = {**reasons, **proposal.reasons}
     return replace(proposal, first=first, reasons=known, examination=own)
 
@@ -98,12 +98,14 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, known: bool
     description, logs, examination = looked(_with_columns(paths[0], description, reasons))
     first = examination.findings
     for _ in range(_ROUNDS):
-        found = examination.findings
-        some_or_all = [f for f in found if f.check != "velocity-lag"]  # its dq may be wanted
+        findings = examination.findings
+        some_or_all = [
+            finding for finding in findings if finding.check != "velocity-lag"
+        ]  # its dq may be wanted
         for some in (some_or_all, *([one] for one in some_or_all)):
             changes, why = _changes(description, some)
             tried = looked(changed(description, changes)) if changes else None
-            if tried and _mends(found, some, tried[2].findings):
+            if tried and _mends(findings, some, tried[2].findings):
                 break
         else:
             why = {}
@@ -121,18 +123,20 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, known: bool
         heat = any(log.temperature is not None for log in logs)
         description, logs, examination = looked(without(description, rest, temperatures=heat))
     slides = enumerate(Robot(description).slides) if known else ()
-    found = examination.findings
+    findings = examination.findings
     left = tuple(
-        f
-        if not f.changes
+        finding
+        if not finding.changes
         or (
-            f.check == "velocity-lag"
+            finding.check == "velocity-lag"
             and _mends(
-                found, [f], looked(changed(description, _changes(description, [f])[0]))[2].findings
+                findings,
+                [finding],
+                looked(changed(description, _changes(description, [finding])[0]))[2].findings,
             )
         )
-        else replace(f, remedy=_NO_REMEDY, changes={})
-        for f in found
+        else replace(finding, remedy=_NO_REMEDY, changes={})
+        for finding in findings
     )
     examination = replace(examination, findings=left)
     return Proposal(
@@ -230,14 +234,21 @@ def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence
     """Return whether findings with changes are gone, and none is new unless it was hidden."""
     left = _places(after)
     known = _places(before)
-    gone = _places(f for f in mended if f.changes)
-    new = _places(f for f in after if f.severity == "error" or f.check not in _HIDDEN) - known
+    gone = _places(finding for finding in mended if finding.changes)
+    new = (
+        _places(
+            finding
+            for finding in after
+            if finding.severity == "error" or finding.check not in _HIDDEN
+        )
+        - known
+    )
     hidden = hopeless(before) and ("time-unit", "") not in new
     return not left & gone and (hidden or not new)
 
 
 def _places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
-    return {(f.check, joint) for f in findings for joint in f.joints or ("",)}
+    return {(finding.check, joint) for finding in findings for joint in finding.joints or ("",)}
 
 
 def _combined(declared: Any, before: Any, value: Any) -> Any:

@@ -92,15 +92,15 @@ class Robot:
     def doubts(self) -> tuple[Finding, ...]:
         """Doubtful numbers of the model file, without placeholders; errors first."""
         if self.description.known is not None:
-            return tuple(doubt for doubt in self._file.doubts if doubt.check == "odd-limits")
+            return tuple(finding for finding in self._file.doubts if finding.check == "odd-limits")
         low, high, _ = self.reach
         q = np.random.default_rng(0).uniform(low, high, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
         terms = {*self.description.springs, *self.description.balancers}
         left = [f.name for f in self.tree if f.name in self._file.springs and f.name not in terms]
-        own = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3], left)
+        findings = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3], left)
         rounded = {f.joints for f in self._file.doubts if f.check == "rounded-inertia"}
-        kept = (f for f in own if f.check != "no-inertia" or f.joints not in rounded)
+        kept = (f for f in findings if f.check != "no-inertia" or f.joints not in rounded)
         return (*kept, *self._file.doubts)
 
     @cached_property

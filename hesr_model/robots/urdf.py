@@ -51,14 +51,14 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
     plain = Element("robot", name=root.get("name", "robot"))
     followers = {}
     parents = {}
-    doubts: list[Finding] = []
+    findings: list[Finding] = []
     for link in root.iterfind("link"):
         kept = SubElement(plain, "link", name=link.get("name", ""))
         inertial = link.find("inertial")
         if inertial is not None:
             _require_numbers(path, link, inertial)
             kept.append(inertial)
-            doubts += _inertia_doubts(path, link.get("name", ""), inertial)
+            findings += _inertia_doubts(path, link.get("name", ""), inertial)
     for joint in root.iterfind("joint"):
         _require_numbers(path, joint, joint)
         _complete(path, joint)
@@ -73,7 +73,7 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
             offset = mimic.get("offset", "0")
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
     plain_text = ElementTree.tostring(plain, encoding="unicode")
-    return Urdf(text=plain_text, followers=followers, parents=parents, doubts=tuple(doubts))
+    return Urdf(text=plain_text, followers=followers, parents=parents, doubts=tuple(findings))
 
 
 def _require_numbers(path: Path, owner: Element, parent: Element) -> None:

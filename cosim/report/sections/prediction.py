@@ -55,33 +55,34 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
 
 
 def _test(results: Results, test: str) -> dict[str, Any]:
-    scores = results.comparisons[test]
+    comparison = results.comparisons[test]
     log = results.log_of(test)
     simulated = results.simulated.get(test)
     split = test != results.tests[0] and test in {band.test for band in results.run.bands}
-    whole, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
+    table, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
     laws = _key_laws(results)
     verdict = results.verdict
     decided = verdict.laws if verdict and verdict.test == test else ()
     window = (0.0, WINDOW) if log and log.duration > 1.5 * WINDOW else None
     return {
         "name": test,
-        "errors": whole,
+        "errors": table,
         "parts": parts,
         "log": log,
         "laws": ", ".join(map(title, laws)),
         "window": window,
         "traces": _chart(results, log, laws, window=window) if log and not split else None,
-        "simulated": simulated and tables.position_errors(test, simulated, scores, results.sliding),
-        "bands": tables.bands(test, scores) if scores.bands else None,
-        "separations": tables.separations(test, scores, decided),
+        "simulated": simulated
+        and tables.position_errors(test, simulated, comparison, results.sliding),
+        "bands": tables.bands(test, comparison) if comparison.bands else None,
+        "separations": tables.separations(test, comparison, decided),
     }
 
 
 def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
-    scores = results.comparisons[name]
+    comparison = results.comparisons[name]
     inputs = input_classes(results.models)
-    return tables.errors(name, scores, measure, inputs, results.sliding)
+    return tables.errors(name, comparison, measure, inputs, results.sliding)
 
 
 def _key_laws(results: Results) -> list[str]:

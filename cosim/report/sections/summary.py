@@ -56,16 +56,19 @@ def summary(results: Results) -> dict[str, Any]:
 def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
     """Return error, unexplained share, and ratio to the strongest reference of a law per joint."""
     test = results.tests[0]
-    scores = results.comparisons[test]
-    own = scores.of(laws).rmse
+    comparison = results.comparisons[test]
+    own = comparison.of(laws).rmse
     places = table.decimals(own)
     head = ["joint", "RMSE", "unexplained"]
     columns = [
         [table.fixed(error, places) for error in own],
-        [table.TableCell(text=f"{100 * s:.0f} %", value=100 * s) for s in scores.unexplained(own)],
+        [
+            table.TableCell(text=f"{100 * s:.0f} %", value=100 * s)
+            for s in comparison.unexplained(own)
+        ],
     ]
     caption = f"Error of {table.on_joints(laws)} on ‘{test}’ [{results.unit('N.m')}]"
-    found = _reference(scores, laws)
+    found = _reference(comparison, laws)
     if found:
         references, ratios, role = found
         head += ["reference", "ratio"]
@@ -73,7 +76,7 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
         said = f"{names}, {role}" if len(set(references)) == 1 else f"{role} ({names})"
         caption += f" and of {said}; small: 95\u00a0% interval"
         columns += [
-            [table.fixed(error, places) for error in scores.of(references).rmse],
+            [table.fixed(error, places) for error in comparison.of(references).rmse],
             [table.fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
     rows = [table.row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
@@ -81,9 +84,9 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
 
 
 def _reference(
-    scores: Comparison, laws: Sequence[str]
+    comparison: Comparison, laws: Sequence[str]
 ) -> tuple[Sequence[str], Sequence[ErrorRatio], str] | None:
-    found = scores.ratios
+    found = comparison.ratios
     joints = list(enumerate(laws))
     if any(law in found.laws for law in laws):
         itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
@@ -117,10 +120,10 @@ def _reference(
 def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     test = results.tests[0]
     log = results.log_of(test)
-    scores = results.comparisons[test]
+    comparison = results.comparisons[test]
     if log is None:
         return None
-    worst = int(np.argmax(scores.unexplained(scores.of(laws).rmse)))
+    worst = int(np.argmax(comparison.unexplained(comparison.of(laws).rmse)))
     (k, short, name), law = results.numbered[worst], laws[worst]
     torques = results.torques(log)
     t = torques["t"]

@@ -24,7 +24,7 @@ MEASURES = {
 
 def errors(
     name: str,
-    scores: Comparison,
+    comparison: Comparison,
     measure: str = "rmse",
     inputs: Mapping[str, str] | None = None,
     sliding: Sequence[bool] = (),
@@ -33,16 +33,16 @@ def errors(
 
     Bold: significantly better than all others that users can run.
     """
-    values = {law: getattr(of_law, measure) for law, of_law in scores.laws.items()}
+    values = {law: getattr(of_law, measure) for law, of_law in comparison.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
     whole = measure == "rmse"
-    ratios = scores.ratios.laws if whole else {}
-    alone = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in scores.leading]
-    ideal = scores.zero_phase if whole else {}
-    best = alone if whole and len(values) > 1 and alone else [""] * len(scores.joints)
+    ratios = comparison.ratios.laws if whole else {}
+    alone = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in comparison.leading]
+    ideal = comparison.zero_phase if whole else {}
+    best = alone if whole and len(values) > 1 and alone else [""] * len(comparison.joints)
     rows = []
     if whole:
-        cells = [fixed(s, n) for s, n in zip(scores.tau_std, places, strict=True)]
+        cells = [fixed(s, n) for s, n in zip(comparison.tau_std, places, strict=True)]
         cells += [fixed(None, 2)] * bool(ideal)
         rows.append(row_of("(std of friction)", *cells, quiet=True))
 
@@ -50,7 +50,7 @@ def errors(
         notes = ratio_notes(ratios[law][k]) if law in ratios else ()
         return fixed(value, places[k], best=law == best[k], notes=notes)
 
-    ranked = sorted(values, key=lambda law: (law == ORACLE, scores.size(law)))
+    ranked = sorted(values, key=lambda law: (law == ORACLE, comparison.size(law)))
     for label, laws in _by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(row_of(f"inputs {label}" if label else "for comparison"))
@@ -63,8 +63,8 @@ def errors(
             for law in laws
         ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
-    reference = title(scores.ratios.reference)
-    if scores.ratios.fair:
+    reference = title(comparison.ratios.reference)
+    if comparison.ratios.fair:
         reference = "the strongest classic law of the same inputs or fewer"
     small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
     if any(ratio.others for of_law in ratios.values() for ratio in of_law):
@@ -74,22 +74,22 @@ def errors(
     words = MEASURES[measure].format(speed=speed)
     return ResultTable(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small}"
-        f"{_fitted(scores.per_log)}",
-        head=("law", *joints(len(scores.joints)), *(["zero phase"] if ideal else [])),
+        f"{_fitted(comparison.per_log)}",
+        head=("law", *joints(len(comparison.joints)), *(["zero phase"] if ideal else [])),
         rows=rows,
     )
 
 
-def separations(name: str, scores: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
+def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
     """Return which laws a test does not separate from the best, and what would show; or None.
 
     `laws` are those recommended for each joint, if any.
     """
-    if not scores.detectable:
+    if not comparison.detectable:
         return None
     rows = []
-    shorts = joints(len(scores.joints))
-    for k, (short, one) in enumerate(zip(shorts, separation(scores), strict=True)):
+    shorts = joints(len(comparison.joints))
+    for k, (short, one) in enumerate(zip(shorts, separation(comparison), strict=True)):
         shown = percent_above(*one.detectable) if one.detectable else "too short"
         names = ", ".join(map(title, one.tied)) or "none"
         own = [title(law) for law in laws[k : k + 1]]
@@ -129,7 +129,7 @@ def left_out(
     )
 
 
-def bands(name: str, scores: Comparison) -> ResultTable:
+def bands(name: str, comparison: Comparison) -> ResultTable:
     """Return the share of test rows within each law's 95 % band.
 
     Notes: share of moving rows, share near reversals, width over that of an equal constant band.
@@ -141,12 +141,12 @@ def bands(name: str, scores: Comparison) -> ResultTable:
         width = "–" if band.width is None else f"× {band.width:.2f}"
         return fixed(100.0 * band.held, 1, notes=(*notes, width))
 
-    ranked = sorted(scores.bands, key=lambda law: (law == ORACLE, scores.size(law)))
+    ranked = sorted(comparison.bands, key=lambda law: (law == ORACLE, comparison.size(law)))
     return ResultTable(
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
-        head=("law", *joints(len(scores.joints))),
-        rows=[row_of(title(law), *map(cell, scores.bands[law])) for law in ranked],
+        head=("law", *joints(len(comparison.joints))),
+        rows=[row_of(title(law), *map(cell, comparison.bands[law])) for law in ranked],
     )
 
 
@@ -211,11 +211,11 @@ def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
 
 
 def position_errors(
-    name: str, found: PositionErrors, scores: Comparison, sliding: Sequence[bool] = ()
+    name: str, found: PositionErrors, comparison: Comparison, sliding: Sequence[bool] = ()
 ) -> ResultTable:
     """Return errors of laws by joint: torque for feed-forward, position for simulation."""
     laws = list(found.windows)
-    errors: list[list[Sequence[float | None]]] = [[scores.laws[law].rmse for law in laws]]
+    errors: list[list[Sequence[float | None]]] = [[comparison.laws[law].rmse for law in laws]]
     errors += [[found.windows[law][k] for law in laws] for k in range(len(found.lengths))]
     heads = [f"{length:g} s" for length in found.lengths]
     if found.open_loop:

@@ -276,7 +276,7 @@ def _rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
             "robot": robot.robot,
             "logs": robot.logs,
             "rows": robot.rows,
-            "findings": [f"{f.sentence} [{f.check}]" for f in robot.findings],
+            "findings": [f"{finding.sentence} [{finding.check}]" for finding in robot.findings],
             "refused": list(robot.refused),
             "failure": robot.failure or None,
         }

@@ -184,11 +184,19 @@ class _Robot:
 
     def _check(self, log: Log) -> None:
         accept = self._member.kind.accept
-        found = examine([log], self._model.description, self._model).findings
-        wrong = [f for f in found if f.severity == "error" and f.check not in accept]
+        findings = examine([log], self._model.description, self._model).findings
+        wrong = [
+            finding
+            for finding in findings
+            if finding.severity == "error" and finding.check not in accept
+        ]
         if wrong:
-            raise LogError("; ".join(f"{f.sentence.removesuffix('.')} [{f.check}]" for f in wrong))
-        self._findings = merged([*self._findings, *found])
+            raise LogError(
+                "; ".join(
+                    f"{finding.sentence.removesuffix('.')} [{finding.check}]" for finding in wrong
+                )
+            )
+        self._findings = merged([*self._findings, *findings])
 
     def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
         plain = replace(body, covariance=None)

@@ -22,23 +22,23 @@ def write_junit(path: Path, reports: Sequence[Report]) -> None:
         by_rule: dict[str, list[Finding]] = {}
         for finding in report.problems:
             by_rule.setdefault(finding.check, []).append(finding)
-        failed = sum(_failing(found) for found in by_rule.values())
+        failed = sum(_failing(findings) for findings in by_rule.values())
         about = {"name": str(report.path), "tests": str(len(by_rule) or 1), "errors": "0"}
         suite = ET.SubElement(root, "testsuite", about, failures=str(failed), skipped="0")
-        for name, found in (by_rule or {"check": []}).items():
+        for name, findings in (by_rule or {"check": []}).items():
             case = ET.SubElement(suite, "testcase", name=name, classname=str(report.path))
-            text = "\n".join(f"{finding.severity}: {finding.found}" for finding in found)
-            if _failing(found):
-                ET.SubElement(case, "failure", message=found[0].found, type=name).text = text
-            elif found:
+            text = "\n".join(f"{finding.severity}: {finding.found}" for finding in findings)
+            if _failing(findings):
+                ET.SubElement(case, "failure", message=findings[0].found, type=name).text = text
+            elif findings:
                 ET.SubElement(case, "system-out").text = text
     ET.indent(root)
     with written_whole(path) as temporary:
         temporary.write_bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n")
 
 
-def _failing(found: Iterable[Finding]) -> bool:
-    return any(finding.severity == "error" for finding in found)
+def _failing(findings: Iterable[Finding]) -> bool:
+    return any(finding.severity == "error" for finding in findings)
 
 
 def write_sarif(path: Path, reports: Sequence[Report]) -> None:

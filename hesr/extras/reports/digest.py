@@ -48,14 +48,14 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
 def robots(runs: Sequence[Results]) -> ResultTable:
     """Return errors of the recommended law over those of the strongest reference, by joint."""
     rows = []
-    for run in runs:
-        found = [run.against(k) for k in range(len(run.joints))]
+    for results in runs:
+        found = [results.against(k) for k in range(len(results.joints))]
         known = [[one for *_, of in found if (one := of[area])] for area in AREAS]
         means = (fixed(geometric_mean(of) if of else None, 2) for of in known)
-        rows += [row_of(run.run.robot), row_of("mean", "", "", *means)]
+        rows += [row_of(results.run.robot), row_of("mean", "", "", *means)]
         rows += [
             row_of(joint, title(law), title(other), *(fixed(of[area], 2) for area in AREAS))
-            for joint, (law, other, of) in zip(run.joints, found, strict=True)
+            for joint, (law, other, of) in zip(results.joints, found, strict=True)
         ]
     return ResultTable(
         caption="Error of the recommended law over that of the strongest classic law with the same "
@@ -69,11 +69,11 @@ def robots(runs: Sequence[Results]) -> ResultTable:
 
 def _data(results: Results) -> dict[str, ResultTable]:
     found = {}
-    for test, scores in results.comparisons.items():
+    for test, comparison in results.comparisons.items():
         name = file_name(test)
-        found[name] = errors(test, scores, inputs=results.run.inputs, sliding=results.sliding)
-        if scores.bands:
-            found[f"{name}_bands"] = bands(test, scores)
+        found[name] = errors(test, comparison, inputs=results.run.inputs, sliding=results.sliding)
+        if comparison.bands:
+            found[f"{name}_bands"] = bands(test, comparison)
     table = left_out(results.models, results.sliding)
     if table:
         found["left_out"] = table
@@ -134,11 +134,11 @@ def _run(results: Results) -> Iterator[str]:
 
 
 def _prediction(results: Results) -> str:
-    scores = results.comparisons[results.tests[0]]
+    comparison = results.comparisons[results.tests[0]]
     best = results.best
-    left = 100.0 * scores.size(best)
+    left = 100.0 * comparison.size(best)
     text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
-    ratios = scores.ratios.laws.get(best, ())
+    ratios = comparison.ratios.laws.get(best, ())
     if not ratios:
         return f"{text}."
     mean = geometric_mean(ratio.value for ratio in ratios)
@@ -149,9 +149,11 @@ def short(results: Results) -> ResultTable:
     """Return the best law, its references and ParFam-H on the first test set."""
     test = results.tests[0]
     best = results.best
-    scores = results.comparisons[test]
-    references = [scores.ratios.of(best, k) for k in range(len(scores.joints))]
-    return _rows(errors(test, scores, sliding=results.sliding), [*references, papers_law(), best])
+    comparison = results.comparisons[test]
+    references = [comparison.ratios.of(best, k) for k in range(len(comparison.joints))]
+    return _rows(
+        errors(test, comparison, sliding=results.sliding), [*references, papers_law(), best]
+    )
 
 
 def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
