@@ -309,10 +309,10 @@ class FrictionRegressor:
     def _fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):
             return self.model_
-        raise _unfitted()("this friction regressor is not fitted yet; call fit() first.")
+        raise _unfitted_error()("this friction regressor is not fitted yet; call fit() first.")
 
 
-def _unfitted() -> type[FitError]:
+def _unfitted_error() -> type[FitError]:
     """Return the error of an unfitted estimator, scikit-learn's own class if it is installed."""
     try:
         from sklearn.exceptions import NotFittedError

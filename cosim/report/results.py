@@ -106,7 +106,7 @@ class Results:
             [of.rmse[joint : joint + 1] for of in of_laws],
             [of.rmse_rest[joint : joint + 1] for of in of_laws],
             [of.rmse_reversal[joint : joint + 1] for of in of_laws],
-            [_simulated(simulated, one, joint) for one in pair],
+            [_simulated_errors(simulated, one, joint) for one in pair],
             [m.left_out_rmse[joint : joint + 1] if days and not m.coupling else () for m in models],
         )
         ratios = (o[0] / r[0] if o and r and o[0] and r[0] else None for o, r in errors)
@@ -196,7 +196,9 @@ class Results:
         )
 
 
-def _simulated(found: PositionErrors | None, law: str, joint: int) -> tuple[float | None, ...]:
+def _simulated_errors(
+    found: PositionErrors | None, law: str, joint: int
+) -> tuple[float | None, ...]:
     """Return the position error [rad; m] of whole logs, or else of the longest windows."""
     if found is None or law not in found.windows:
         return ()

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.study.steps import Job
 from cosim.study.study import Study
-from hesr_model.fitting.estimator import laws_with, registry
+from hesr_model.fitting.estimator import registry, select_laws
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.health.evidence import LEAST_TRAVEL
 from hesr_model.health.examine import bears_load, checked
@@ -115,7 +115,7 @@ def laws_of(proposal: Proposal) -> list[str]:
     loaded = bool(proposal.robot.log.cylinder) or any(
         map(bears_load, proposal.examination.explained)
     )
-    found = {name: registry()[name] for name in laws_with("proposed")}
+    found = {name: registry()[name] for name in select_laws("proposed")}
     return [
         name
         for name, law in found.items()
@@ -139,7 +139,7 @@ def dry_run(proposal: Proposal) -> None:
     body = identify(trained, robot)
     records = [friction_records(part, robot, body) for part in parts_of(trained)]
     for of_joint in zip(*records, strict=True):
-        fit_joint(laws_with("quick")[0], of_joint, seed=0)
+        fit_joint(select_laws("quick")[0], of_joint, seed=0)
 
 
 def _share(log: Log, seconds: float) -> float:

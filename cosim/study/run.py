@@ -20,11 +20,11 @@ from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST, get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.live import PageBody
-from hesr_model.audit.properties import Properties, combined
+from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
-from hesr_model.fitting.estimator import laws_with
+from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
 from hesr_model.health.examine import check_body, check_laws, checked
 from hesr_model.rigid_body.residual import friction_records
@@ -68,7 +68,7 @@ def run_study(
     """
     study = Study.read(path)
     if quick:
-        study = _shortened(study)
+        study = _shorten_study(study)
     targets(platforms)  # refuse unknown names, and none at all
     built_for = tuple(target.folder for target in targets((*HOST, *platforms)))
     used = USED.copy()
@@ -128,9 +128,9 @@ def run_study(
     )
 
 
-def _shortened(study: Study) -> Study:
+def _shorten_study(study: Study) -> Study:
     """Return a study with few laws and, in closed loop, one motion."""
-    laws = laws_with("quick")
+    laws = select_laws("quick")
     twin = study.twin and study.twin.model_copy(update={"truths": ()})
     tracking = study.tracking and study.tracking.model_copy(
         update={
@@ -172,7 +172,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     tested = {name for names in study.logs.test.values() for name in names}
     runs = {}
     for name, log in logs.items():  # a tested part includes all rows before it
-        whole = job.led_up_to(name, files[name]) if name in tested else None
+        whole = job.read_with_history(name, files[name]) if name in tested else None
         ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
         parts = [ends.get(part.t[-1], part) for part in log.parts()]
         runs[name] = [friction_records(part, robot, body) for part in parts]
@@ -255,7 +255,7 @@ def recommended(
             certificates=tuple(one.certificates[k] for k, one in joints),
             audits=tuple(one.audits[k] for k, one in joints),
         )
-    checks = combined(MIXED, found, words.laws)
+    checks = combine_results(MIXED, found, words.laws)
     export_fmu(model, folder / words.fmu, properties=checks, audit=audit, **more)
     return {MIXED: model}
 

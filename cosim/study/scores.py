@@ -9,9 +9,9 @@ import numpy as np
 
 from fmu_src.friction.predictions import Records, predict_model
 from hesr_model.errors import ConfigError
-from hesr_model.fitting.estimator import laws_with
+from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.inputs import INPUTS
-from hesr_model.friction.model import FrictionModel, band_around
+from hesr_model.friction.model import FrictionModel, compute_band
 from hesr_model.friction.records import BandScore, Score, score, score_band, time_band
 from hesr_model.inference.comparison import (
     LEAST_SECONDS,
@@ -169,7 +169,7 @@ def compare(
     ratios = [_ratios(*pair) for pair in zip(tables, references, strict=True)]
     others = [law for law in scores if any(law in of_joint for of_joint in ratios)]
     itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
-    against = [_against_best(table, ranked) for table in tables if ranked]
+    against = [_find_leaders(table, ranked) for table in tables if ranked]
     return Comparison(
         joints=tuple(of_joint[0].joint for of_joint in records),
         tau_std=tuple(s.tau_std for s in scores[fallback]),
@@ -222,7 +222,7 @@ def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorR
     }
 
 
-def _against_best(
+def _find_leaders(
     table: LawErrors, ranked: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
     """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
@@ -235,7 +235,7 @@ def _against_best(
     adjusted = holm({law: p for law in others if (p := found[law].p) is not None})
     tied = [law for law in others if adjusted[law] >= SIGNIFICANCE]
     detectable = {law: x for law in others if (x := found[law].detectable) is not None}
-    durations = [table.seconds_for(law, best, RECORDED, len(others)) for law in tied or others]
+    durations = [table.required_seconds(law, best, RECORDED, len(others)) for law in tied or others]
     return (best, *tied), detectable, float(np.median(durations))
 
 
@@ -254,7 +254,7 @@ def _band_scores(
         if model.banded:
             torques = map(np.column_stack, zip(*predictions[name], strict=True))
             ends = [
-                band_around(model, **m, torque=torque)
+                compute_band(model, **m, torque=torque)
                 for m, torque in zip(motions, torques, strict=True)
             ]
             found[name] = tuple(
@@ -292,7 +292,7 @@ def _reference(
     classic = [
         row
         for row in scores
-        if row.removesuffix(MEASURED_START) in laws_with("classic")
+        if row.removesuffix(MEASURED_START) in select_laws("classic")
         and set(inputs.get(row, "v").split(", ")) <= own
     ]
     with_start = [row for row in classic if suffix and row.endswith(suffix)]

@@ -32,8 +32,8 @@ from fmu_src.export.toolchain import HOST
 from fmu_src.friction.predictions import predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
-from hesr_model.fitting.days import with_own
-from hesr_model.fitting.estimator import estimator, laws_with, registry
+from hesr_model.fitting.days import add_fitted_nuisances
+from hesr_model.fitting.estimator import estimator, registry, select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import Refined, refine
 from hesr_model.friction.model import MIXED, FrictionModel
@@ -186,7 +186,7 @@ class Job:
         part = self.study.logs.parts.get(name)
         return log if part is None else self._part(log, name, part)
 
-    def led_up_to(self, name: str, file: Path) -> Log | None:
+    def read_with_history(self, name: str, file: Path) -> Log | None:
         """Read a part of a log and all rows before it, for its start; None for a whole log."""
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
@@ -257,7 +257,7 @@ class Job:
             return Following()
         names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
         logs = [run.logs[name] for name in names]
-        shown = {name: models[name] for name in laws_with("quick") if name in models}
+        shown = {name: models[name] for name in select_laws("quick") if name in models}
         shown[law] = shown.pop(law, models[law])
         found: Following = predict.load()(logs, run.robot, run.rigid_body, shown, models[law])
         write_json(folder / FOLLOWING, to_json(found))
@@ -422,7 +422,7 @@ class Job:
                 comparisons[name] = replace(comparisons[name], per_log=())
                 fitted = {
                     law: [
-                        with_own(p, record, per_log)
+                        add_fitted_nuisances(p, record, per_log)
                         for p, record in zip(whole, tested, strict=True)
                     ]
                     for law, whole in predicted.items()

@@ -12,7 +12,7 @@ from cosim.report.tables.table import on_joints, title
 from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
-from hesr_model.audit.properties import Properties, combined
+from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.forward.output_error import Refined
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel, compatible
@@ -151,7 +151,7 @@ def verdict(
         test=test,
         why=why,
         unexplained=percent,
-        weak=tuple(_weak(comparison.of(laws), percent, combined(law, properties, laws))),
+        weak=tuple(_weak(comparison.of(laws), percent, combine_results(law, properties, laws))),
         improve=(
             *_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio),
             *_simulate(trained, refined),
@@ -231,7 +231,7 @@ def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int
     return len(inputs), max(len(law.start) for law in laws), max(len(law.values) for law in laws)
 
 
-def percent_above(low: float, high: float) -> str:
+def format_percent_above(low: float, high: float) -> str:
     """Return a range of ratios as percentages above 1."""
     first = f"{100 * (low - 1):.0f}"
     last = f"{100 * (high - 1):.0f}"
@@ -252,7 +252,7 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         laws = {one.best, *one.tied}
         if one.detectable is not None and one.law in laws and len(laws) > 1:
             count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
-            parts.append(f"{count} on {name} ({percent_above(*one.detectable)})")
+            parts.append(f"{count} on {name} ({format_percent_above(*one.detectable)})")
             if one.detectable[1] > RECORDED:
                 wide.append(one.seconds)
     if parts:

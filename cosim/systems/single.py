@@ -13,7 +13,7 @@ from cosim.systems.sampled_inputs import SOURCE, SampledInputs, find_jumps
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec, Value
 from fmu_src.run.archive import Archive
-from fmu_src.run.variables import Variables, description_in
+from fmu_src.run.variables import Variables, read_packed_description
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.support.arrays import Array
 
@@ -122,7 +122,7 @@ def opened_single(
     """
     try:
         with Archive(fmu) as archive:
-            about, declared = description_in(archive)
+            about, declared = read_packed_description(archive)
     except ArtifactError as error:
         raise SimulationError(f"{error}") from error
     if about.fmiVersion == "1.0":
@@ -157,7 +157,7 @@ def opened_single(
         components=(ComponentSpec(name=_NAME, fmu=fmu, start=dict(values)),),
         connections={f"{_NAME}.{name}": f"{SOURCE}.{name}" for name in columns},
         open_inputs=True,
-        observe=tuple(f"{_NAME}.{name}" for name in _observed(about)),
+        observe=tuple(f"{_NAME}.{name}" for name in _observed_outputs(about)),
     )
     master = Master(
         system,
@@ -172,7 +172,7 @@ def opened_single(
         yield master
 
 
-def _observed(about: Any) -> list[str]:
+def _observed_outputs(about: Any) -> list[str]:
     """Return the outputs; the first continuous states or variables of an FMU without outputs."""
     known = [v for v in about.modelVariables if v.type in _SHOWN and v.name != "time"]
     outputs = [v.name for v in known if v.causality == "output"]

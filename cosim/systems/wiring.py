@@ -51,7 +51,7 @@ class Wiring:
                             code="system.open_input",
                             key=f"components.{name}.start.{variable}",
                         )
-        self.order = self._sorted()
+        self.order = self._sort_components()
 
     def started(self, more: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, float | str]]:
         """Return the start values of each component, replaced by the given ones."""
@@ -158,7 +158,7 @@ class Wiring:
                 key=_key_of(where),
             )
 
-    def _sorted(self) -> tuple[Element, ...]:
+    def _sort_components(self) -> tuple[Element, ...]:
         # Lists, not sets, for a reproducible order.
         graph: dict[Element, list[Element]] = {i: [out] for i, out in self.sources.items()}
         for name, slave in self._slaves.items():

@@ -116,7 +116,7 @@ class Written(Answer):
 
     def summary(self) -> str:
         """Return the lines, then the files."""
-        return shortened(self.lines, self.files)
+        return shorten_lines(self.lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the tables."""
@@ -127,7 +127,7 @@ class Written(Answer):
         return self.data
 
 
-def shortened(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
+def shorten_lines(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
     """Return lines and written files as text of at most `MOST_LINES` lines."""
     listed = [part for line in lines for part in line.split("\n")]
     written = [f"Written: {', '.join(map(str, files))}"] if files else []

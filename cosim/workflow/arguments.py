@@ -153,7 +153,7 @@ def checked_logs(
     known = model_of(robot) if robot is not None else None
     read = logs_of(logs, known, partial(progress, "reading logs"))
     model = known or robot_of(None, read)
-    findings = examined(read, model, accept)
+    findings = require_healthy(read, model, accept)
     for log in longs:
         if log.gaps:
             from hesr_model.health.examine import of_log
@@ -166,7 +166,7 @@ def checked_logs(
     return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths), longs=longs)
 
 
-def examined(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:
+def require_healthy(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot: refuse errors, log and return warnings."""
     require_different(logs)
     from hesr_model.health.examine import checked  # slow to import
@@ -204,7 +204,7 @@ def possible_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
 
     model = model_of(robot)
     identified = None if body is None else body_of(body, (), model)
-    if identified is None or is_possible(model, own := identified.parameters_for(model)):
+    if identified is None or is_possible(model, own := identified.parameters_of_robot(model)):
         return PlantBody.of(model, identified)
     found, off, largest = nearest(model, own)
     k = int(np.argmax(off / np.maximum(largest, 1e-12)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, finding_lines, shortened
+from cosim.workflow.answer import Answer, finding_lines, shorten_lines
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, path_of
@@ -58,7 +58,7 @@ class FmuReport(Answer):
 
     def summary(self) -> str:
         """Return verdict, first findings and omitted validators of each file."""
-        return shortened(self._lines(most=max(2, 16 // len(self.reports))), self.files)
+        return shorten_lines(self._lines(most=max(2, 16 // len(self.reports))), self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return all findings, and the tables of the kind ``convention``."""

@@ -339,7 +339,7 @@ def _write_law(law: LawArg, to: _Request) -> None:
 
     def write() -> None:
         model = arguments.model_given(law)
-        written = writer(model, output, **_completed(format_, given, model, to.progress))
+        written = writer(model, output, **_complete_options(format_, given, model, to.progress))
         for line in getattr(written, "lines", list)():
             _log.warning("%s", line)
 
@@ -372,7 +372,7 @@ def _motors(body: BodyArg) -> dict[str, Any]:
     return {"inertia": inertia.tolist(), "stiffness": stiffness, "damping": damping}
 
 
-def _completed(
+def _complete_options(
     format_: str, given: Mapping[str, Any], model: FrictionModel, progress: Stages
 ) -> dict[str, Any]:
     """Return the options of a format for a model: one value per joint, physics checks run."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, finding_lines, shortened
+from cosim.workflow.answer import Answer, finding_lines, shorten_lines
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support.files import PathArg, path_of, written_together
 from hesr_model.support.progress import Stages, silent
@@ -64,7 +64,7 @@ class Inspection(Answer):
             lines.append("Nothing wrong or unusual was found.")
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
         lines += [constant.sentence for constant in self.constants]
-        text = shortened(lines, self.files)
+        text = shorten_lines(lines, self.files)
         next_ = f"Next: {self.next_command}" if self.next_command else ""
         return "\n".join(filter(None, [text, self.limit, next_]))
 
@@ -173,7 +173,7 @@ def inspect(
     from cosim.study.proposal import split
     from cosim.workflow.arguments import joint_names, listed
     from hesr_model.health.joints import with_joints
-    from hesr_model.health.proposal import inspected, with_constants
+    from hesr_model.health.proposal import inspect_logs, with_constants
     from hesr_model.logs.robot_log import Log
 
     if write and not robot:
@@ -193,7 +193,7 @@ def inspect(
     names = joint_names(joints)
     if names and robot is None:
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
-    proposal = inspected([file for file in files if file], robot, names)
+    proposal = inspect_logs([file for file in files if file], robot, names)
     constants: Sequence[Constant] = ()
     if torque_constants:
         known = with_joints(robot, names) if robot and names else robot

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shortened
+from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shorten_lines
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, models_folder, path_of
 from hesr_model.support.progress import Interrupted, Stages, silent
@@ -55,7 +55,7 @@ class RunResult(Answer):
             lines.append(f"{count} finding{'s' * (count > 1)} of the checks: --verbose lists them.")
         lines.append(f"FMUs: {self.folder / 'fmus'}, {self._platforms}")
         lines.append(f"Report: {self.folder / 'report.html'}")
-        return shortened(lines)
+        return shorten_lines(lines)
 
     @property
     def _platforms(self) -> str:
@@ -223,7 +223,7 @@ def run(
     from cosim.study.run import run_study, unfinished
     from cosim.study.study import Study
     from fmu_src.export.toolchain import DEFAULT_PLATFORMS
-    from hesr_model.fitting.estimator import laws_with
+    from hesr_model.fitting.estimator import select_laws
     from hesr_model.support.typed_files import to_json, write_json
 
     path = path_of(study or models_folder() / "studies" / "default.toml", "a study")
@@ -237,7 +237,7 @@ def run(
         return job.run(path, output=output and Path(output), progress=progress, **given)
     folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
     if seeds is not None:
-        laws = laws_with("quick") if quick else ()
+        laws = select_laws("quick") if quick else ()
         run_seeds = plugins.find("hesr.studies", "seeds")
         progress = partial(progress, "running draws")
         spread: Seeds = run_seeds(path, seeds, laws=laws, progress=progress)

@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, find_job, shortened
+from cosim.workflow.answer import Answer, find_job, shorten_lines
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support import plugins
@@ -55,9 +55,9 @@ class LawReport(Answer):
                 lines.append(f"{law.name}: passivity {passivity(joints, audit.certificates)}.")
             checks = self.properties.get(law.name)
             if checks:
-                lines.append(f"{law.name}: {_failed(checks)}")
+                lines.append(f"{law.name}: {_failed_checks(checks)}")
         lines += [other.summary() for other in self.others.values()]
-        return shortened(lines, self.files)
+        return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return scores, audits, certificates and physics checks."""
@@ -231,7 +231,7 @@ def test(
     if "prediction" in kinds:
         report = _predicted(report, logs, robot, rigid_body, accept, progress)
     if "passivity" in kinds:
-        report = _certified(report, alone=kinds == ("passivity",))
+        report = _add_certificates(report, alone=kinds == ("passivity",))
     if "properties" in kinds:
         report = _checked(report, inertia, load, file, progress)
     others = {
@@ -288,7 +288,7 @@ def _predicted(
     )
 
 
-def _certified(report: LawReport, *, alone: bool) -> LawReport:
+def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
     """Add proofs of passivity; laws without equations are refused if `alone`."""
     from fmu_src.friction.reference import reference_motion
     from fmu_src.pages.datasheet import ModelAudit, ranges
@@ -357,7 +357,7 @@ def _scores_lines(scores: Comparison) -> list[str]:
     return [f"Best: {best}. Unexplained friction: {shares}.", *limits("The test", joints)]
 
 
-def _failed(found: Properties) -> str:
+def _failed_checks(found: Properties) -> str:
     """Return the failed physics checks of a law with their joints."""
     failed = [
         f"{title} ({', '.join(f'J{joint}' for joint in joints)})"

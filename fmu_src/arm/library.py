@@ -54,7 +54,9 @@ def library(platform: str) -> Binary:
     """Return MuJoCo for a platform, to compile against and to ship; ExportError if unavailable."""
     wheel = _WHEELS[platform]
     own = installed() if platform == host_platform() else []
-    name, content = (own[-1].name, own[-1].read_bytes()) if own else _downloaded(platform, wheel)
+    name, content = (
+        (own[-1].name, own[-1].read_bytes()) if own else _download_library(platform, wheel)
+    )
     include = (f"-isystem{Path(mujoco.__file__).parent / 'include'}",)
     return Binary(name=wheel.place + name, content=content, flags=include, link=wheel.flags)
 
@@ -65,7 +67,7 @@ def installed() -> list[Path]:
     return sorted(Path(mujoco.__file__).parent.glob(_WHEELS[platform].pattern)) if platform else []
 
 
-def _downloaded(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
+def _download_library(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
     wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]

@@ -191,7 +191,7 @@ def write_truth(
         if joint is None:
             raise ConfigError(f"{model}: has no joint '{name}', or another file has it.")
         if truth.transmission:
-            joint = _divided(root, joint, compiled_model.joint(name), i, truth.transmission)
+            joint = _divide_joint(root, joint, compiled_model.joint(name), i, truth.transmission)
         joint.attrib |= {
             "damping": repr(truth.viscous[i]),
             "frictionloss": repr(truth.losses.constant[i]),
@@ -220,7 +220,7 @@ def _link(joint: str) -> str:
     return f"{joint}_link"
 
 
-def _divided(
+def _divide_joint(
     root: Element, joint: Element, known: Any, i: int, transmission: GearElasticity
 ) -> Element:
     """Divide a joint into rotor and link; return the rotor's joint.

@@ -168,7 +168,7 @@ def platforms(contents: Contents) -> tuple[str, ...]:
     return tuple(name for name, of in known.items() if of.suffix in libraries.get(name, ()))
 
 
-def systems_without(names: Iterable[str]) -> list[str]:
+def missing_systems(names: Iterable[str]) -> list[str]:
     """Return the operating systems without a binary, for the platforms that have one."""
     known = {**PLATFORMS[2], **PLATFORMS[3]}
     covered = {_SYSTEMS[known[name].format] for name in names}

@@ -46,7 +46,7 @@ class Report:
         if not self.platforms:
             is_system = self.path.suffix.lower() == ".ssp"
             return "none that all its FMUs share." if is_system else "none."
-        without = binaries.systems_without(self.platforms)
+        without = binaries.missing_systems(self.platforms)
         lack = f"; no binary for tools on {' and '.join(without)}" if without else ""
         return f"{', '.join(self.platforms)}{lack}."
 

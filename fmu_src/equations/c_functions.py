@@ -150,7 +150,9 @@ class Functions:
         whole = self.jumps.held(whole) if held else whole
         return function(self._head(name), whole, targets, self._with_seeds.places)
 
-    def _evaluated(self, name: str, array: str, expressions: Iterable[sympy.Expr]) -> str:
+    def _evaluate_expressions(
+        self, name: str, array: str, expressions: Iterable[sympy.Expr]
+    ) -> str:
         program = {sympy.Dummy(): e for e in expressions}
         return self._written(name, program, _array(array, program))
 
@@ -165,7 +167,7 @@ class Functions:
 
     def switches(self) -> str:
         """Write the arguments of the held signs into z."""
-        return self._evaluated("switches", "z", self.jumps.expressions)
+        return self._evaluate_expressions("switches", "z", self.jumps.expressions)
 
     def read(self) -> str:
         """Write state derivatives dx, outputs y and remembered values r."""
@@ -286,7 +288,7 @@ class Functions:
             positive(element.rate) if isinstance(element, Relaxation) else _ZERO
             for element in memory
         )
-        return self._evaluated("rates", "rate", rates)
+        return self._evaluate_expressions("rates", "rate", rates)
 
     def begin(self) -> str:
         """Move the states x from their start values to their initial values."""

@@ -105,7 +105,7 @@ class Description:
         return {"startTime": "0"} | {name: f"{value:.12g}" for name, value in times.items()}
 
 
-def shown_as(unit: str) -> dict[str, str]:
+def unit_attributes(unit: str) -> dict[str, str]:
     """Return the attributes for the quantity and the display unit of a unit."""
     found = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
     return {name: text for name, text in found.items() if text}
@@ -277,7 +277,7 @@ def _scalar(variable: Variable, place: int, interface: Interface) -> ET.Element:
         ET.SubElement(element, "Boolean" if variable.boolean else "Integer", values([variable]))
         return element
     unit = variable.unit or "1"
-    real = {"unit": unit} | shown_as(unit) | values([variable])
+    real = {"unit": unit} | unit_attributes(unit) | values([variable])
     if variable.nominal != 1.0:
         real["nominal"] = repr(variable.nominal)
     if variable.derivative_of:

@@ -13,8 +13,8 @@ from fmu_src.export.description import (
     add_units,
     common_attributes,
     root_element,
-    shown_as,
     to_bytes,
+    unit_attributes,
     values,
 )
 from fmu_src.export.interface import ArrayVariable, Interface, Role
@@ -57,7 +57,7 @@ def to_xml3(interface: Interface, about: Description, token: str) -> bytes:
         (variable.unit, variable.nominal) for variable in interface.variables if variable.unit
     ):
         element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
-        element.attrib.update(shown_as(of))
+        element.attrib.update(unit_attributes(of))
         if nominal != 1.0:
             element.set("nominal", repr(nominal))
     add_run(root, about)

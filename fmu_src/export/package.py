@@ -195,7 +195,7 @@ def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> Non
         texts = [c for name, c in members.items() if name.endswith(".xml")]
         described = [_VALUES.sub(rb'\1=""', text) for text in texts]
         about: list[str | bytes] = [f"fmpy {version('fmpy')}", *members, *described]
-        kept("valid", about, lambda: _validated(temporary, path))
+        kept("valid", about, lambda: _require_valid(temporary, path))
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
@@ -246,7 +246,7 @@ _VALUES = re.compile(rb'(?<!<Dimension )\b(start|guid|instantiationToken)="[^"]*
 """Values without influence on the validity of a description."""
 
 
-def _validated(temporary: Path, path: Path) -> bytes:
+def _require_valid(temporary: Path, path: Path) -> bytes:
     from fmpy import read_model_description  # slow to import
     from fmpy.model_description import ValidationError
     from fmpy.validation import validate_fmu

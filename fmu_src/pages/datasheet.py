@@ -207,10 +207,10 @@ def figure(value: float | None, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
-def spelled(range_: Range, digits: int = 3) -> str:
+def spell_interval(range_: Range, digits: int = 3) -> str:
     """Return a range as text."""
     return " to ".join(figure(value, digits) for value in range_)
 
 
 def _ranges(found: Sequence[Range]) -> str:
-    return ", ".join(spelled(one, 2) for one in found) or "none"
+    return ", ".join(spell_interval(one, 2) for one in found) or "none"

@@ -15,7 +15,7 @@ from fmu_src.friction.friction_component import DISCRETISATION, exposed
 from fmu_src.friction.reference import SETTINGS, Error, reference_motion
 from fmu_src.pages import datasheet
 from fmu_src.pages.block_page import variable_groups
-from fmu_src.pages.datasheet import ModelAudit, figure, spelled
+from fmu_src.pages.datasheet import ModelAudit, figure, spell_interval
 from fmu_src.pages.html import rendered
 from fmu_src.pages.mathml import equations, symbol
 from hesr_model.equations.functions import sgn
@@ -300,7 +300,7 @@ def _trained_rows(
         return {}
     rows = {
         f"{name} [{units[name]}]": [
-            spelled(getattr(trained_range, name)) for trained_range in trained
+            spell_interval(getattr(trained_range, name)) for trained_range in trained
         ]
         for name in _RANGES
     }

@@ -65,11 +65,11 @@ def model_png(model: FrictionModel) -> bytes:
     # Fewer shades halve the size without a visible difference.
     pixels = np.asarray(picture.resize(_SIZE, Image.Resampling.BOX)) // _SHADE * _SHADE
     written = io.BytesIO()
-    _indexed(pixels + (_SHADE - 1)).save(written, format="PNG", optimize=True)
+    _index_colours(pixels + (_SHADE - 1)).save(written, format="PNG", optimize=True)
     return written.getvalue()
 
 
-def _indexed(pixels: NDArray[np.uint8]) -> "Image":
+def _index_colours(pixels: NDArray[np.uint8]) -> "Image":
     """Return the picture (rows, columns, 3) with a palette, if it has few enough colours."""
     from PIL import Image
 

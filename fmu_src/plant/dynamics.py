@@ -36,7 +36,7 @@ class _Link:
     translation: Array
 
 
-def _aligned(tree: Sequence[JointFrame]) -> tuple[list[_Link], list[Array]]:
+def _align_links(tree: Sequence[JointFrame]) -> tuple[list[_Link], list[Array]]:
     """Return the links in turned frames, and the rotations from those to the robot's frames."""
     turns = [_to_axis(joint.axis) for joint in tree]
     links = []
@@ -73,7 +73,7 @@ def moved(parameters: Array, rotation: Array, translation: Array) -> Array:
     return np.array([m, *(h + m * t), *inertia[_ENTRIES]])
 
 
-def _carried(link: _Link) -> Array:
+def _map_to_parent(link: _Link) -> Array:
     """Return the map (10, 10) to the part of a link's parameters that its parent can carry."""
     part = np.zeros((10, 10))
     if link.prismatic:
@@ -85,7 +85,7 @@ def _carried(link: _Link) -> Array:
 
 def table(robot: Robot) -> Array:
     """Return the map (10 L, 10 L) from the parameters of the links to those of dynamics.h."""
-    links, turns = _aligned(robot.tree)
+    links, turns = _align_links(robot.tree)
     count = len(links)
     whole = np.zeros((10 * count, 10 * count))
     own = [slice(10 * i, 10 * i + 10) for i in range(count)]
@@ -95,7 +95,7 @@ def table(robot: Robot) -> Array:
         whole[own[i], own[i]] = np.column_stack(columns)
     for i in reversed(range(count)):
         link = links[i]
-        part = _carried(links[i])
+        part = _map_to_parent(links[i])
         pose = link.rotation, link.translation
         if link.parent >= 0:
             to_parent = np.column_stack([moved(one, *pose) for one in unit])
@@ -163,7 +163,7 @@ class _Joint:
         x, y, z = self.link.rotation.T @ a
         return np.array([c * x + s * y, c * y - s * x, z])
 
-    def tensor_up(self, t: Vector) -> Vector:
+    def tensor_to_parent(self, t: Vector) -> Vector:
         """Turn a symmetric tensor to the parent's frame."""
         c = self.cosine
         s = self.sine
@@ -182,7 +182,7 @@ class _Arm:
     def __init__(self, robot: Robot, *, of_joints: bool) -> None:
         self.robot = robot
         self.graph = Expressions()
-        self.links, _ = _aligned(robot.tree)
+        self.links, _ = _align_links(robot.tree)
         slopes, self.offsets = robot.follow or (np.eye(robot.n), np.zeros(robot.n))
         coupling = None if of_joints else robot.description.coupling
         self.mixing = np.eye(robot.n) if coupling is None else np.linalg.inv(coupling.forward)
@@ -307,7 +307,7 @@ class _Arm:
         inner = 2.0 * (half @ t)
         pairs = zip(*_ENTRIES, strict=True)
         shift = [(inner if i == j else 0.0) - (half[i] * t[j] + t[i] * half[j]) for i, j in pairs]
-        moved_up = joint.tensor_up(tensor) + shift
+        moved_up = joint.tensor_to_parent(tensor) + shift
         return m + own, h + (first + t * own), inertia + moved_up
 
 
@@ -425,7 +425,7 @@ def tool_header(robot: Robot, place: int | None) -> str:
     zero = arm.graph.constant(0.0)
     at = _last(robot)
     origin = np.full(3, zero)
-    turn = _aligned(robot.tree)[1][at]
+    turn = _align_links(robot.tree)[1][at]
     axes = [np.array([arm.graph.constant(x) for x in row]) for row in turn.tolist()]
     while at >= 0:
         joint = arm.joints[at]

@@ -133,7 +133,7 @@ class Archive:
         try:
             return b"".join(_pieces(self._archive, entry))
         except DAMAGED as error:
-            raise self._damaged(entry, error) from error
+            raise self._describe_damage(entry, error) from error
 
     def unpack(self, folder: Path, wanted: Callable[[str], bool] = lambda _: True) -> None:
         """Write the wanted files into a folder."""
@@ -145,9 +145,9 @@ class Archive:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 copy_entry(self._archive, entry, target)
             except DAMAGED as error:
-                raise self._damaged(entry, error) from error
+                raise self._describe_damage(entry, error) from error
 
-    def _damaged(self, entry: zipfile.ZipInfo, error: BaseException) -> ArtifactError:
+    def _describe_damage(self, entry: zipfile.ZipInfo, error: BaseException) -> ArtifactError:
         return self._refusal(f"its {plain(entry.filename)} cannot be read: {said(error)}")
 
     def _refusal(self, why: str) -> ArtifactError:

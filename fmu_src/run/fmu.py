@@ -21,7 +21,7 @@ from fmu_src.run.instance import (
 )
 from fmu_src.run.loader import load_instance
 from fmu_src.run.trust import is_known
-from fmu_src.run.variables import Declared, Variables, description_in, description_of
+from fmu_src.run.variables import Declared, Variables, description_of, read_packed_description
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -99,7 +99,7 @@ class FmuInstance:
                     place = system.folder
                     sandbox = system.sandbox  # starts meanwhile
                 folder = cleanup.enter_context(scratch_folder(place))
-                self.description, self.declared = description_in(archive)
+                self.description, self.declared = read_packed_description(archive)
                 archive.unpack(folder, lambda name: name.startswith(own))
                 return folder, sandbox
         except ArtifactError as error:

@@ -124,7 +124,7 @@ class _Fmi2:
     def enter(self, call: Call, _time: float, _stop: float | None) -> None:
         call(self.functions["enter_initialisation"])
 
-    def why_discarded(self, slave: Any) -> str:
+    def explain_discard(self, slave: Any) -> str:
         """Return why the simulation must end after a discarded step, or ""."""
         try:
             ended = slave.getBooleanStatus(fmi2.fmi2Terminated)
@@ -263,7 +263,7 @@ class Instance:
         self._usable = status in _STATUSES and status != _FATAL
         error = CallError(function, status)
         if function == "fmi2DoStep" and status == _DISCARD:
-            ended = self.fmi.why_discarded(self.slave)
+            ended = self.fmi.explain_discard(self.slave)
             error = CallError(ended) if ended else error
         raise self._failure(error)
 

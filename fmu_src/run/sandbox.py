@@ -32,7 +32,7 @@ from fmu_src.run.native import FUNCTIONS, End, set_times, write_library
 from fmu_src.run.sandbox_rights import warn
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.process import ChildProcess, FailedError, how_it_ended
+from hesr_model.support.process import ChildProcess, FailedError, describe_end
 from hesr_model.support.text import plain
 
 TOTAL = 3600.0  # [s] of a run
@@ -121,7 +121,7 @@ class Sandbox:
             self._send(sandbox_child.LENGTH.pack(len(data)) + data)
             return json.loads(self._receive(most))
         except OSError as error:  # a closed connection included
-            raise self.died(self._how_it_ended()) from error
+            raise self.died(self._describe_end()) from error
         except (ValueError, RecursionError) as error:
             raise self.died(NONSENSE) from error
 
@@ -199,9 +199,9 @@ class Sandbox:
         if now > self._last:
             raise self.died(f"ran for more than {self._total:g} s and was ended")
 
-    def _how_it_ended(self) -> str:
+    def _describe_end(self) -> str:
         try:
-            return how_it_ended(self._started.process.wait(1.0))
+            return describe_end(self._started.process.wait(1.0))
         except subprocess.TimeoutExpired:
             return "closed its connection and was ended"
 

@@ -77,7 +77,7 @@ class _Host:
         requests = self._connection.makefile("rb")
         while header := requests.read(LENGTH.size):
             request = json.loads(requests.read(*LENGTH.unpack(header)))
-            found = _run(*request["run"]) if "run" in request else self._answered(**request)
+            found = _run(*request["run"]) if "run" in request else self._answer_calls(**request)
             if os.getpid() != self._process:  # the FMU has forked: one process answers
                 os._exit(0)
             answer = json.dumps(found).encode()
@@ -87,7 +87,7 @@ class _Host:
         self._messages.append((who, status, text[:LONGEST_MESSAGE]))
         del self._messages[:-MOST_MESSAGES]
 
-    def _answered(
+    def _answer_calls(
         self, who: int, calls: Sequence[Sequence[Any]], ahead: Sequence[int]
     ) -> dict[str, Any]:
         """Do the calls, and read buffers speculatively."""

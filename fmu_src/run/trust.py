@@ -39,7 +39,7 @@ def is_known(digest: str) -> bool:
 
 
 def _mark(digest: str) -> str:
-    return cache.keyed("exported", digest.encode()).hex()
+    return cache.key_with_secret("exported", digest.encode()).hex()
 
 
 def is_ours(fmu: Path) -> bool:

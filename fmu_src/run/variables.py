@@ -52,15 +52,15 @@ _BOOLEANS = {"true": 1, "false": 0}
 
 
 def model_description(fmu: Path) -> ModelDescription:
-    """Read the description of an FMU; see `description_in`."""
+    """Read the description of an FMU; see `read_packed_description`."""
     try:
         with Archive(fmu) as archive:
-            return description_in(archive)[0]
+            return read_packed_description(archive)[0]
     except ArtifactError as error:
         raise SimulationError(f"{error}") from error
 
 
-def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
+def read_packed_description(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
     """Read the description in an FMU, and the variables of FMI 3.0 as declared.
 
     Raises ArtifactError if it is missing or damaged, SimulationError if it is not readable.
@@ -72,7 +72,7 @@ def description_in(archive: Archive) -> tuple[ModelDescription, list[Declared]]:
 
 
 def description_of(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Declared]]:
-    """Read the description in the folder of an unpacked FMU; see `description_in`."""
+    """Read the description in the folder of an unpacked FMU; see `read_packed_description`."""
     try:
         about = read_model_description(str(folder), validate=False)
         declared = list[Declared]()

@@ -4,7 +4,7 @@ import sys
 from typing import NoReturn
 
 from hesr.cli.app import app
-from hesr.cli.console import ended_by_signals, errors_said, home_where_needed, plain_where_needed
+from hesr.cli.console import accept_any_text, ended_by_signals, errors_said, provide_home
 from hesr_model.support.lazy import collect_seldom
 
 __all__ = ["app", "main"]
@@ -13,8 +13,8 @@ __all__ = ["app", "main"]
 def main() -> NoReturn:
     """Run the command line; a user error is one sentence and exit code 2."""
     collect_seldom()
-    plain_where_needed()
-    home_where_needed()
+    accept_any_text()
+    provide_home()
     with ended_by_signals(), errors_said():
         app()
     sys.exit(0)

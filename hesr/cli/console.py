@@ -116,7 +116,7 @@ def _give_up_output() -> None:
         os.close(nowhere)
 
 
-def home_where_needed() -> None:
+def provide_home() -> None:
     """Give Matplotlib a folder if HOME is not writable, since it would print a warning."""
     if not os.access(os.environ.get("HOME", ""), os.W_OK | os.X_OK):
         from hesr_model.support.cache import folder
@@ -124,7 +124,7 @@ def home_where_needed() -> None:
         os.environ.setdefault("MPLCONFIGDIR", str(folder() / "matplotlib"))
 
 
-def plain_where_needed() -> None:
+def accept_any_text() -> None:
     """Let standard output and error accept any text; outputs without UTF-8 get ASCII."""
     codecs.register_error("hesr.plain", _plainly)
     for stream in (sys.stdout, sys.stderr):

@@ -30,7 +30,13 @@ import sympy
 from hesr_model.audit.attack import Attack, attack
 from hesr_model.audit.audit import SLOWEST
 from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
-from hesr_model.equations.intervals import Enclosure, Least, enclosed, lowest, never_negative
+from hesr_model.equations.intervals import (
+    Enclosure,
+    Least,
+    bound_expression,
+    lowest,
+    never_negative,
+)
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, text_of
@@ -320,7 +326,7 @@ class _Steady:
         self.p = sympy.Add(*(t / DQ for t in linear))
         self.constant, self.r = sympy.Add(*(t for t in terms if t not in linear)).as_coeff_Add()
         ways = np.array(_WAYS)
-        size = max(float(np.max(np.abs(enclosed(torque, {DQ: (ways, ways)})))), 1e-12)
+        size = max(float(np.max(np.abs(bound_expression(torque, {DQ: (ways, ways)})))), 1e-12)
         unbounded = "the torque of steady motion has no sufficient bound at all speeds"
         _require(size < inf, unbounded)
         self.slack = _ROUNDING * size
@@ -366,8 +372,8 @@ class _Steady:
 
     def _least(self, of: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
         def bound(way: float, a: Array, b: Array) -> Array:
-            low, high = enclosed(self.r, {DQ: _speeds(way, a, b)})
-            p = enclosed(self.p, {DQ: _speeds(way, a, b)})[0]
+            low, high = bound_expression(self.r, {DQ: _speeds(way, a, b)})
+            p = bound_expression(self.p, {DQ: _speeds(way, a, b)})[0]
             constant = way * float(self.constant - self.offset)
             r = (low if way > 0.0 else -high) + constant * (abs(constant) > 1e-3 * self.slack)
             with np.errstate(all="ignore"):
@@ -382,7 +388,7 @@ def _speeds(way: float, a: Array, b: Array) -> Enclosure:
 
 def _least_of(expression: sympy.Expr, enough: float = inf) -> float:
     def bound(way: float, a: Array, b: Array) -> Array:
-        return np.broadcast_to(enclosed(expression, {DQ: _speeds(way, a, b)})[0], a.shape)
+        return np.broadcast_to(bound_expression(expression, {DQ: _speeds(way, a, b)})[0], a.shape)
 
     return min(lowest(partial(bound, way), _EDGES, enough=enough).bound for way in _WAYS)
 

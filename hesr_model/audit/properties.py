@@ -330,7 +330,9 @@ class Properties:
         )
 
 
-def combined(name: str, found: Mapping[str, Properties], laws: Sequence[str]) -> Properties | None:
+def combine_results(
+    name: str, found: Mapping[str, Properties], laws: Sequence[str]
+) -> Properties | None:
     """Return the results of a model that has the law `laws[k]` on joint k; None if unknown."""
     if not all(law in found for law in laws):
         return None

@@ -64,7 +64,7 @@ def lowest(
     return Least(min(known, rest), value, at)
 
 
-def enclosed(expression: sympy.Expr, box: Mapping[sympy.Symbol, Enclosure]) -> Enclosure:
+def bound_expression(expression: sympy.Expr, box: Mapping[sympy.Symbol, Enclosure]) -> Enclosure:
     """Return bounds of an expression over boxes, the sides of each symbol as arrays."""
     with np.errstate(all="ignore"):  # NaN counts as any number
         return _visit(expression, dict(box))
@@ -72,13 +72,13 @@ def enclosed(expression: sympy.Expr, box: Mapping[sympy.Symbol, Enclosure]) -> E
 
 def _visit(e: sympy.Expr, known: dict[sympy.Expr, Enclosure]) -> Enclosure:
     if e not in known:
-        low, high = (np.asarray(side, dtype=float) for side in _extended(e, known))
+        low, high = (np.asarray(side, dtype=float) for side in _bound_expression(e, known))
         odd = np.isnan(low) | np.isnan(high)
         known[e] = np.where(odd, -inf, low), np.where(odd, inf, high)
     return known[e]
 
 
-def _extended(e: sympy.Expr, known: dict[sympy.Expr, Enclosure]) -> Enclosure:
+def _bound_expression(e: sympy.Expr, known: dict[sympy.Expr, Enclosure]) -> Enclosure:
     if e.is_number:
         return np.array(float(e)), np.array(float(e))
     arguments = [_visit(a, known) for a in e.args]

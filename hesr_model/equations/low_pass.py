@@ -25,7 +25,7 @@ def _kernel() -> Kernel:
     return Kernel((element,), (_CUTOFF,), (_INPUT,), (element.state,), once=True)
 
 
-def low_passed(t: Array, values: Array, cutoff: float) -> Array:
+def low_pass_signals(t: Array, values: Array, cutoff: float) -> Array:
     """Return signals (N, n) at the times t (N,) [s] behind a low pass with a cutoff [Hz]."""
     dt = np.diff(t, prepend=t[0])
     columns = [KernelRun(_kernel(), [u], dt).at(np.array([cutoff]))[:, 0] for u in values.T]

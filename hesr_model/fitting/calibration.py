@@ -35,11 +35,11 @@ _ENOUGH = 4000  # rows for the shares; quantiles use all
 _NONE = 1e-30
 
 
-def calibrated(
+def calibrate_band(
     law: FrictionLaw, records: Sequence[FrictionRecord]
 ) -> tuple[FrictionLaw, float | None]:
     """Return the law with its band, and its left-out RMSE [N.m]; itself and None if not finite."""
-    errors, certain = _left_out(law, records)
+    errors, certain = _cross_validate_band(law, records)
     if not np.all(np.isfinite(errors) & np.isfinite(certain)):
         return law, None
     dq, load = (
@@ -77,7 +77,9 @@ def calibrated(
     return replace(law, band=band), float(np.sqrt(np.mean(errors**2)))
 
 
-def _left_out(law: FrictionLaw, records: Sequence[FrictionRecord]) -> tuple[Array, Array]:
+def _cross_validate_band(
+    law: FrictionLaw, records: Sequence[FrictionRecord]
+) -> tuple[Array, Array]:
     """Return the (N,) errors of fits without the row's log, and their predicted variance."""
     errors = np.concatenate([record.tau for record in records]) - _predicted(law, records)
     if law.covariance is None:

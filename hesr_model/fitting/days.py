@@ -78,7 +78,7 @@ def own_of_logs(
     return dict(zip(logs, own, strict=True))
 
 
-def without_own(
+def remove_nuisances(
     records: Sequence[FrictionRecord], own: Mapping[str, OwnOfLog]
 ) -> list[FrictionRecord]:
     """Return records without the nuisances of their logs."""
@@ -88,7 +88,7 @@ def without_own(
     ]
 
 
-def with_own(
+def add_fitted_nuisances(
     predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
 ) -> list[Array]:
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
@@ -192,7 +192,7 @@ def adapt(
             f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
         )
     moved = all_at_friction(records)
-    laws = [_adapted(prior, k, joint_records) for k, joint_records in enumerate(moved)]
+    laws = [_adapt_law(prior, k, joint_records) for k, joint_records in enumerate(moved)]
     errors = tuple(map(training_error, laws, moved))
     seconds = sum(float(np.ptp(record.t)) for record in moved[0])
     model = replace(prior, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
@@ -203,7 +203,7 @@ def adapt(
     ]
 
 
-def _adapted(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
+def _adapt_law(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
     law = prior.laws[k]
     covariance = law.covariance
     assert covariance is not None

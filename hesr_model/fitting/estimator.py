@@ -116,7 +116,7 @@ def papers_law() -> str:
     return laws_of_paper()[0]
 
 
-def laws_with(fact: str) -> tuple[str, ...]:
+def select_laws(fact: str) -> tuple[str, ...]:
     """Return the laws with a fact such as `quick` or `classic`."""
     return tuple(name for name, law in registry().items() if getattr(law, fact))
 

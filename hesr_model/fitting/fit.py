@@ -15,8 +15,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import ArtifactError, FitError
-from hesr_model.fitting.calibration import calibrated
-from hesr_model.fitting.days import Nuisance, own_of_logs, without_own
+from hesr_model.fitting.calibration import calibrate_band
+from hesr_model.fitting.days import Nuisance, own_of_logs, remove_nuisances
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
@@ -148,7 +148,7 @@ def fit_models(
             r[0].joint: {log: asdict(n) for log, n in o.items()}
             for r, o in zip(records, own, strict=True)
         }
-        records = [without_own(r, o) for r, o in zip(records, own, strict=True)]
+        records = [remove_nuisances(r, o) for r, o in zip(records, own, strict=True)]
         provenance = {**(provenance or {}), "per_log": known}
     with scratch_folder() as folder:
         jobs = {
@@ -169,7 +169,7 @@ def fit_models(
         plain = _run(jobs, [r[0].joint for r in records], workers, progress, left_out)
     pooled = {law: with_pooled_errors(of_joints) for law, of_joints in plain.items()}
     banded = [
-        partial(calibrated, law, joint_records)
+        partial(calibrate_band, law, joint_records)
         for of_joints in pooled.values()
         for law, joint_records in zip(of_joints, records, strict=True)
     ]

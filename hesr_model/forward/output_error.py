@@ -148,7 +148,7 @@ class _Problem:
         best = theta[int(np.argmin(found))]
         cost = float(found.min())
         for _ in range(rounds):
-            residuals, slopes = self.linearised(best)
+            residuals, slopes = self.linearise(best)
             gradient = slopes.T @ residuals
             curvature = slopes.T @ slopes
             scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
@@ -166,7 +166,7 @@ class _Problem:
             found = [np.sum(np.square(row)) for row in self._rows(theta)]
         return np.where(np.isfinite(found), found, np.inf)
 
-    def linearised(self, theta: Array) -> tuple[Array, Array]:
+    def linearise(self, theta: Array) -> tuple[Array, Array]:
         rows = np.array(self._rows(np.vstack([theta, theta + _STEP * np.eye(self.size)])))
         return rows[0], (rows[1:] - rows[0]).T / _STEP
 

@@ -307,7 +307,7 @@ class FrictionModel:
             for name in ("dq", "q", "tau_load")
         }
         torque = self.predict(records)
-        return band_around(self, t=records[0].t, **columns, torque=torque, coverage=coverage)
+        return compute_band(self, t=records[0].t, **columns, torque=torque, coverage=coverage)
 
     @property
     def banded(self) -> bool:
@@ -344,7 +344,7 @@ class FrictionModel:
             )
 
 
-def band_around(
+def compute_band(
     model: FrictionModel,
     *,
     t: Array,

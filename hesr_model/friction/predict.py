@@ -185,13 +185,13 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
         rows = [np.array([u]) for u in (record.dq[0], record.q[0], record.tau_load[0], *law.start)]
         _, *parts = KernelRun(_reading(law.form), rows, np.zeros(1)).at(numbers(law))[0].tolist()
 
-        def deflected(share: float) -> tuple[float, ...]:
+        def deflect_bristles(share: float) -> tuple[float, ...]:
             return tuple(
                 share * bound if isinstance(element, Stop) else x
                 for element, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
             )
 
-        return best(deflected, -1.0, 1.0)
+        return best(deflect_bristles, -1.0, 1.0)
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
     [element] = law.form.memory

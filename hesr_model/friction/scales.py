@@ -40,7 +40,7 @@ def scaled(form: LawForm) -> LawForm:
     level: sympy.Expr = COULOMB.symbol
     if any(isinstance(element, Relaxation) and is_bristle(element) for element in form.memory):
         level = larger(level, LEAST)
-    memory = tuple(scaled_bound(element, level) for element in form.memory)
+    memory = tuple(scale_bound(element, level) for element in form.memory)
     carrying = [element for element, own in zip(form.memory, memory, strict=True) if element != own]
     normed = {s: s / level for element in carrying for s in (element.state, element.derivative)}
     common, terms = _terms(form.output)
@@ -56,7 +56,7 @@ def scaled(form: LawForm) -> LawForm:
     return LawForm(coefficients=(*form.coefficients, *SCALES), memory=memory, output=output)
 
 
-def scaled_bound(element: Element, level: sympy.Expr) -> Element:
+def scale_bound(element: Element, level: sympy.Expr) -> Element:
     """Multiply an element's bound, if any, by `level`."""
     if isinstance(element, Stop):
         return replace(element, bound=element.bound * level)
@@ -120,7 +120,7 @@ class Parts:
 def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
     """Return a law with a level and a factor `warm` on its bounds; ExportError without bounds."""
     form = law.form
-    scaled = tuple(scaled_bound(m, level * warm) for m in form.memory)
+    scaled = tuple(scale_bound(m, level * warm) for m in form.memory)
     carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
     if not carrying:
         raise ExportError(

@@ -45,7 +45,7 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
     )
 
 
-def inputs_over(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, float]]:
+def build_inputs(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, float]]:
     """Return a thermal law's inputs over a record, and the parameters that depend on them."""
     columns = {"dq": record.dq, "q": record.q, "tau_load": record.tau_load}
     if record.temperature is None:  # then friction heats the joint
@@ -58,7 +58,7 @@ def predict_thermal(
 ) -> Array:
     """Return the (N,) torque [N.m] of a thermal law; steady at the first row without a `start`."""
     component = thermal_component(law, thermal)
-    columns, more = inputs_over(record)
+    columns, more = build_inputs(record)
     values: Mapping[str, float] = {
         **law.values,
         **{p.name: p.start for p in thermal_parameters(thermal)},

@@ -87,7 +87,7 @@ class Torques:
         )
 
 
-def as_logged(
+def to_logged_side(
     motion: Motionwise, torques: Torques, coupling: Coupling | None
 ) -> tuple[Motionwise, Torques]:
     """Transform velocities and torques to motors if logged."""

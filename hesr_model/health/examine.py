@@ -11,7 +11,7 @@ from hesr_model.findings import Finding, errors_first, of_joint
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health import positions
 from hesr_model.health import torque as efforts
-from hesr_model.health.evidence import JointTorque, Motionwise, Torques, as_logged, motionwise
+from hesr_model.health.evidence import JointTorque, Motionwise, Torques, motionwise, to_logged_side
 from hesr_model.health.mistakes import check_causes
 from hesr_model.health.timing import check_clocks
 from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
@@ -54,13 +54,15 @@ def examine(logs: Sequence[Log], description: RobotDescription, model: Robot | N
         findings += timed
         if any(finding.severity == "error" for finding in timed):
             continue
-        for check in (positions.check_jumps, positions.check_steps, efforts.check_held):
+        for check in (positions.check_jumps, positions.check_steps, efforts.check_raw_signals):
             findings += of_log(log, check(log, description))
         parts += motionwise(log, description.log.filter_cutoff)
     if model and (description.known is not None or model.springs):
-        model = _informed(model, parts)
+        model = _inform_robot(model, parts)
     torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
-    logged = [as_logged(*both, description.logged) for both in zip(parts, torques, strict=False)]
+    logged = [
+        to_logged_side(*both, description.logged) for both in zip(parts, torques, strict=False)
+    ]
     fits = [explained(part, torque) for part, torque in logged]
     broken = {
         name
@@ -91,7 +93,7 @@ def examine(logs: Sequence[Log], description: RobotDescription, model: Robot | N
     )
 
 
-def _informed(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
+def _inform_robot(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
     """Return a robot whose unknown parameters are identified, or None if that fails."""
     informed = copy(robot)
     if robot.description.known is None:  # then only its springs, if any, are unknown

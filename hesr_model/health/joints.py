@@ -41,7 +41,9 @@ def with_joints(
     return without(description, {name: rest[name] for name in others}) if others else description
 
 
-def with_columns_of(description: RobotDescription, table: LogTable) -> tuple[RobotDescription, str]:
+def select_joints_of_table(
+    description: RobotDescription, table: LogTable
+) -> tuple[RobotDescription, str]:
     """Return a robot with the joints that a table has, and how they were recognised."""
     edges = r"(?<![A-Za-z0-9]){}(?![A-Za-z0-9])"
     text = "\n".join(table.names)

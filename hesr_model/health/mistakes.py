@@ -105,7 +105,7 @@ def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> It
     columns = column_names(getattr(description.log.columns, which), description.joints)
     gains = np.array(description.log.torque_per_ampere or np.ones(model.n))
     for a, b in combinations(joints, 2):
-        order = _exchanged(model.n, a, b)
+        order = _exchange_columns(model.n, a, b)
         named = tuple(columns[k] for k in order)
         remedy = (
             f"its torque is swapped with that of joint '{description.joints[b]}'; set "
@@ -118,7 +118,7 @@ def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> It
 
 def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = model.description
-    orders = {(a, b): _exchanged(model.n, a, b) for a, b in combinations(joints, 2)}
+    orders = {(a, b): _exchange_columns(model.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == model.n > 2:
         n = model.n
         orders[-1, -1] = list(reversed(range(n)))
@@ -206,7 +206,7 @@ def _gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[M
     yield Mistake("gravity", -1, remedy, {"gravity": gravity}, mended)
 
 
-def _exchanged(n: int, a: int, b: int) -> list[int]:
+def _exchange_columns(n: int, a: int, b: int) -> list[int]:
     order = list(range(n))
     order[a], order[b] = b, a
     return order
@@ -238,7 +238,7 @@ def check_causes(motions: Sequence[Motionwise], robot: Robot) -> list[Finding]:
     rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
     logs = tuple(dict.fromkeys(motion.log.name for motion in motions))
     findings: list[Finding] = []
-    now = _unexplained(rows, robot, moves)
+    now = _unexplained_share(rows, robot, moves)
     for _ in range(_MOST):
         best, left = _best(rows, now, robot, moves)
         if best is None:
@@ -263,7 +263,7 @@ def _best(
     left = now
     most = 0.0
     for mistake in mistakes(rows, robot, moves):
-        then = _unexplained(mistake.mended, robot, moves)
+        then = _unexplained_share(mistake.mended, robot, moves)
         if _beyond(mistake.mended.q, robot) > _beyond(rows.q, robot) + BEYOND:
             continue
         gain = np.log(now / then)
@@ -287,7 +287,7 @@ def _beyond(q: Array, robot: Robot) -> float:
     return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
 
 
-def _unexplained(rows: CandidateRows, robot: Robot, moves: Mask) -> Array:
+def _unexplained_share(rows: CandidateRows, robot: Robot, moves: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation."""
     torques = torques_of(rows, robot)
     logged = robot.description.logged

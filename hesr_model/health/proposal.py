@@ -50,7 +50,7 @@ class Proposal:
     sliding: frozenset[int] = frozenset()
 
 
-def inspected(
+def inspect_logs(
     paths: Sequence[Path], robot: RobotLike | None = None, joints: Sequence[str] = ()
 ) -> Proposal:
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
@@ -66,7 +66,7 @@ def inspected(
         description = with_joints(robot, joints, table)
         reason = ""
         if table and not joints and is_model(robot):
-            description, reason = selection.with_columns_of(description, table)
+            description, reason = selection.select_joints_of_table(description, table)
         known = {"joints": f"likely: {reason}"} if reason else {}
         return _with_doubts(propose(paths, description, known=True), known)
     count = len(guess(table).columns["q"]) if table else 1
@@ -222,7 +222,7 @@ def _changes(
     reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         for key, value in finding.changes.items():
-            wanted[key] = _combined(attrgetter(key)(description), wanted.get(key), value)
+            wanted[key] = _combine_scales(attrgetter(key)(description), wanted.get(key), value)
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
     changes = {key: value for key, value in wanted.items() if value != attrgetter(key)(description)}
     marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
@@ -251,7 +251,7 @@ def _places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
     return {(finding.check, joint) for finding in findings for joint in finding.joints or ("",)}
 
 
-def _combined(declared: Any, before: Any, value: Any) -> Any:
+def _combine_scales(declared: Any, before: Any, value: Any) -> Any:
     if not (isinstance(before, tuple) and isinstance(value, tuple)):
         return value
     old = declared if isinstance(declared, tuple) else (declared,) * len(value)

@@ -125,7 +125,7 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     description = model.description
     bearing = [abs(f.gravity.value) for f in found.values() if f.bears_gravity]
     everywhere = len(bearing) > 1 and all(not 1 / _SCALE <= size <= _SCALE for size in bearing)
-    remedy, changes = _why_scaled(description, j, scale, everywhere=everywhere)
+    remedy, changes = _explain_scale(description, j, scale, everywhere=everywhere)
     if scale <= _WEIGHTLESS and weightless and abs(fit.inertia.value) >= 1.0 / _SCALE:
         remedy = "gravity was removed from it, a spring or counterweight carries the "
         changes = {}
@@ -135,7 +135,7 @@ def _scale(fit: JointTorque, j: int, found: Explained, model: Robot) -> Iterator
     yield of_joint("torque-scale", description.joints[j], said, remedy, changes=changes)
 
 
-def _why_scaled(
+def _explain_scale(
     description: RobotDescription, j: int, scale: float, *, everywhere: bool
 ) -> tuple[str, dict[str, object]]:
     if description.log.torque_per_ampere is not None:
@@ -205,7 +205,7 @@ _SPIKE = 3.0  # torque spike over the range of other rows
 _TOO_FAST = 1.3  # speed over the limit; drives exceed it slightly
 
 
-def check_held(log: Log, description: RobotDescription) -> Iterator[Finding]:
+def check_raw_signals(log: Log, description: RobotDescription) -> Iterator[Finding]:
     """Check raw signals for held, stuck and outlying values."""
     if len(log.t) < 2 * _STUCK_ROWS:
         return

@@ -123,9 +123,9 @@ class LawErrors:
             }
         errors = np.maximum(self.standard_errors(k), 1e-300)
         factor = calibration(self._comparisons(family), self.degrees)
-        p = np.minimum(1.0, factor * two_sided(np.log(values) / errors, self.degrees))
+        p = np.minimum(1.0, factor * two_sided_probability(np.log(values) / errors, self.degrees))
         wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
-        wider = self._wide_for_others(k, wide)
+        wider = self._widening_factors(k, wide)
         found = np.exp(errors * detection_factor(self.degrees, self._level(family, self.degrees)))
         return {
             law: ErrorRatio(
@@ -142,7 +142,9 @@ class LawErrors:
             if law != other
         }
 
-    def seconds_for(self, law: str, other: str, ratio: float, family: int | None = None) -> float:
+    def required_seconds(
+        self, law: str, other: str, ratio: float, family: int | None = None
+    ) -> float:
         """Return the duration [s] of such logs, up to `MOST_SECONDS`, that would show a ratio."""
         difference = self.rows[:, self.laws.index(law)] - self.rows[:, self.laws.index(other)]
         error = float(self._deviation(difference[:, None])[0])
@@ -163,7 +165,7 @@ class LawErrors:
             return MOST_SECONDS
         return float(brentq(surplus, shortest, longest, rtol=1e-3))
 
-    def _wide_for_others(self, other: int, wide: Array) -> Array | None:
+    def _widening_factors(self, other: int, wide: Array) -> Array | None:
         """Return the factors (L,) of the intervals for other logs; None for a single log."""
         apart = (self.rows - self.rows[:, [other]])[self.between]
         if not len(apart):
@@ -200,7 +202,10 @@ def law_errors(
     squares = [np.stack([errors[law][k] ** 2 for law in laws]) for k in range(len(periods))]
     total = sum(s.sum(axis=1) for s in squares) / sum(s.shape[1] for s in squares)
     mean = np.maximum(np.asarray(total), 1e-300)
-    binned = [_binned(s / (2.0 * mean[:, None]), p) for s, p in zip(squares, periods, strict=True)]
+    binned = [
+        _average_over_bins(s / (2.0 * mean[:, None]), p)
+        for s, p in zip(squares, periods, strict=True)
+    ]
     counted = [laws.index(law) for law in among] or list(range(len(laws)))
     rows = []
     slow = []
@@ -228,7 +233,7 @@ def law_errors(
     )
 
 
-def _binned(values: Array, period: float) -> Array:
+def _average_over_bins(values: Array, period: float) -> Array:
     """Return the means (L, n) of values (L, N) over bins; the last bin takes the rest."""
     width = max(1, round(BIN / period))
     count = max(1, values.shape[1] // width)
@@ -250,7 +255,7 @@ def calibration(comparisons: int, degrees: float) -> float:
     return CALIBRATION * (1.0 + 1.5 / degrees) * max(1.0, comparisons / CALIBRATED)
 
 
-def two_sided(t: Array, degrees: float) -> Array:
+def two_sided_probability(t: Array, degrees: float) -> Array:
     """Return the two-sided probabilities of Student's t."""
     return np.asarray(2.0 * stdtr(degrees, -np.abs(t)))
 

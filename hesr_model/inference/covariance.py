@@ -237,7 +237,7 @@ class Moments:
         self.lag2 += np.sum(psi * longer[:-2], axis=0)
         self.last = longer[-2:]
 
-    def whitened(self, memory: Array) -> tuple[Array, Array]:
+    def whitened_products(self, memory: Array) -> tuple[Array, Array]:
         """Return the squares and lag-1 products of psi[k] - memory psi[k - 1]."""
         before = self.squares - self.last[1] ** 2
         squares = self.squares - 2.0 * memory * self.lag1 + memory**2 * before
@@ -252,7 +252,7 @@ def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]
     1 - lag / width is the mean product of sums over windows of that width.
     """
     memory = _memory([(log.squares, log.lag1) for log in moments])
-    width = 1 + _bandwidth([log.whitened(memory) for log in moments], moments)
+    width = 1 + _bandwidth([log.whitened_products(memory) for log in moments], moments)
     size = len(memory)
     last = np.zeros((len(moments), 1, size))
     held = np.zeros((len(moments), width, size))

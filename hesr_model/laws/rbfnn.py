@@ -199,7 +199,7 @@ class RbfnnH(NetworkEstimator):
         self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         def law(inputs: Inputs, count: int, factor: int, ridge: int) -> FrictionLaw:
-            centres, spacing = clustered(inputs.z, count, rng)
+            centres, spacing = cluster_centres(inputs.z, count, rng)
             width = FACTORS[factor] * spacing
             columns = gaussians(inputs.z, centres, width)
             bias, weights = ridge_weights(columns, rows.tau, (RIDGES[ridge],))
@@ -223,7 +223,7 @@ def left_out(z: Array, rows: JointRows, count: int, rng: np.random.Generator) ->
     """Return (factors, ridges) mean square errors [N^2.m^2] of networks by cross-validation."""
     total = np.zeros((len(FACTORS), len(RIDGES)))
     for fold in rows.folds:
-        centres, spacing = clustered(z[~fold], count, rng)
+        centres, spacing = cluster_centres(z[~fold], count, rng)
         for i, factor in enumerate(FACTORS):
             columns = gaussians(z, centres, factor * spacing)
             bias, weights = ridge_weights(columns[~fold], rows.tau[~fold], RIDGES)
@@ -232,7 +232,7 @@ def left_out(z: Array, rows: JointRows, count: int, rng: np.random.Generator) ->
     return total / len(rows.tau)
 
 
-def clustered(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+def cluster_centres(z: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return at most (count, 3) centres of z (N, 3), and their mean distance to the nearest."""
     # Equal rows break k-means.
     points = np.unique(z[:: max(1, len(z) // CLUSTERED_ROWS)], axis=0)

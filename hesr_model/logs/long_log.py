@@ -99,7 +99,7 @@ class LongLog:
         self.stretches: list[Log] = []
         self.travel: Array = np.empty(0)
         self._dropped = 0
-        parts = self._split(self._surveyed(), np.inf)
+        parts = self._split(self._survey_pieces(), np.inf)
         robot_log.require_rows(self._where, parts[0].last if parts else 0)
         (whole,) = parts
         longest = whole.steps.longest
@@ -165,7 +165,7 @@ class LongLog:
             keep = max(done - margin, min(parts[0].first, there), at)
             held, at = held.rows(slice(keep - at, None)), keep
 
-    def _surveyed(self) -> Iterator[Log]:
+    def _survey_pieces(self) -> Iterator[Log]:
         """Yield the pieces, and keep stretches, travel and the number of rows left out."""
         low = np.array(np.inf)
         high = np.array(-np.inf)
@@ -206,7 +206,7 @@ class LongLog:
             return
         last: Log | None = None
         for read in sample_pieces(source, self._robot, self._rows):
-            samples = read.arranged(self._robot.log, after=last.t[-1] if last else -np.inf)
+            samples = read.sort_samples(self._robot.log, after=last.t[-1] if last else -np.inf)
             if not len(samples.t):
                 continue
             log = robot_log.log_of(source, samples, self._robot)

@@ -167,7 +167,7 @@ class Log:
         path, robot = path_of(path, "a log"), description_of(robot)
         robot.require_one_per_joint()
         logged = format_of(path).read(path, robot)
-        samples = logged.arranged(robot.log)
+        samples = logged.sort_samples(robot.log)
         dropped = len(logged.t) - len(samples.t)
         log = replace(log_of(path, samples, robot), sha256=sha256(path), dropped=dropped)
         require_rows(log.where, len(log.t))

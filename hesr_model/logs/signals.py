@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hesr_model.equations.low_pass import low_passed
+from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import LogError
 from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.robots.robot import Robot
@@ -110,7 +110,7 @@ def filtered(log: Log, cutoff: float, grid: "Grid") -> Motion:
         q_raw=log.q,
         load=log.load,
         temperature=log.temperature,
-        dq_causal=low_passed(log.t, measured_velocity(log), cutoff),
+        dq_causal=low_pass_signals(log.t, measured_velocity(log), cutoff),
         q_link=link and link(log.t),
         dq_link=link and link.derivative()(log.t),
         ddq_link=link and link.derivative(2)(log.t),

@@ -95,7 +95,7 @@ class Streamed:
         )
 
     def _blocks(self, motions: Sequence[Motion]) -> list[least_squares.Block]:
-        left = observations.without_known(motions, self._model)
+        left = observations.remove_known_torque(motions, self._model)
         return observations.stacked(left, self._model, self._base, self._friction, self._used)
 
     def _covariance(

@@ -107,9 +107,9 @@ class RigidBody:
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
         """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""
-        return robot.torque(self.parameters_for(robot), *motion.states)
+        return robot.torque(self.parameters_of_robot(robot), *motion.states)
 
-    def parameters_for(self, robot: Robot) -> Array:
+    def parameters_of_robot(self, robot: Robot) -> Array:
         """Return the parameters (P,), or raise RobotError for another robot."""
         if self.names != robot.parameter_names:
             raise RobotError(
@@ -226,7 +226,7 @@ def identify_motions(
             "'method' paper; leave them out."
         )
     motions, reversed_motions = (
-        observations.without_known(m, robot) for m in (motions, reversed_motions)
+        observations.remove_known_torque(m, robot) for m in (motions, reversed_motions)
     )
     everything = [*motions, *reversed_motions]
     base = unknown_columns(robot, rotors=bool(forms))

@@ -82,7 +82,7 @@ def slow_speeds(peaks: Array) -> Array:
     return np.minimum(SLOW, SLOW_SHARE * peaks)
 
 
-def without_known(motions: Sequence[Motion], robot: Robot) -> list[Motion]:
+def remove_known_torque(motions: Sequence[Motion], robot: Robot) -> list[Motion]:
     """Return motions without the torque of known parameters."""
     known = known_columns(robot)
     if not known:

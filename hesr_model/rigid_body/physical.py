@@ -89,7 +89,7 @@ def fit(
     x = chart.start
     for _ in range(_REWEIGHTINGS):
         weights = _weights(blocks, rmse, weighted)
-        factor, free = _eliminated(blocks, weights, size)
+        factor, free = _eliminate_parameters(blocks, weights, size)
         problem = _Problem(chart=chart, rows=free, pull=chart.pull * np.sqrt(count))
         x = scipy.optimize.least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
         inertial = chart.parameters(x)
@@ -241,7 +241,9 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
     return np.asarray(1.0 / np.maximum(rmse, 1e-6 * largest))
 
 
-def _eliminated(blocks: Sequence[Block], weights: Array, size: int) -> tuple[Array, Array]:
+def _eliminate_parameters(
+    blocks: Sequence[Block], weights: Array, size: int
+) -> tuple[Array, Array]:
     parts = [
         weight * np.column_stack([block.matrix[:, size:], block.matrix[:, :size], block.target])
         for weight, block in zip(weights, blocks, strict=True)

@@ -78,7 +78,7 @@ def compiled_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
     try:
         _require_an_end(path)
-        found = _kept(_content(path), lambda: _stripped(path))
+        found = _kept(_content(path), lambda: _strip_mjcf(path))
     except ConfigError as error:
         raise RobotError(str(error)) from error
     if "refusal" in found:
@@ -185,7 +185,7 @@ def _parts(element: Element) -> int:
     return 1 + copies * sum(map(_parts, element))
 
 
-def _stripped(path: Path) -> Any:
+def _strip_mjcf(path: Path) -> Any:
     """Read what has effects on rigid-body torques, with meshes if inertias need them."""
     mujoco = engine()
     spec = mujoco.MjSpec.from_file(str(path))
@@ -197,7 +197,7 @@ def _stripped(path: Path) -> Any:
     for part in [*parts, *spec.tendons]:
         spec.delete(part)
     meshes = set()
-    bodies = _shaped(spec)
+    bodies = _shape_bodies(spec)
     for site in spec.sites:
         site.material = ""
     for geom in spec.geoms:
@@ -213,7 +213,7 @@ def _stripped(path: Path) -> Any:
     return spec
 
 
-def _shaped(spec: Any) -> set[str]:
+def _shape_bodies(spec: Any) -> set[str]:
     by_geoms = spec.compiler.inertiafromgeom
     total = spec.compiler.settotalmass > 0.0
     kinds = engine().mjtInertiaFromGeom
@@ -296,7 +296,7 @@ def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[st
             kind, child = "fixed" if name in held else kind, f"{links[b]} of {name}"
             own, _ = joint(name, kind, (parent, child), place * anchor)
             if kind in ("prismatic", "revolute"):
-                SubElement(own, "axis", xyz=_words(_unnormalised(axis)))
+                SubElement(own, "axis", xyz=_words(_scale_unit_vector(axis)))
                 SubElement(own, "limit", _limit(model, int(j)))
             if name in followers:
                 leader, slope, offset = followers[name]
@@ -316,7 +316,7 @@ def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[st
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _unnormalised(axis: Array) -> Array:
+def _scale_unit_vector(axis: Array) -> Array:
     """Return a multiple of a unit vector that Pinocchio normalises to the same bits, if any."""
     scaled = [scale * axis for scale in np.linspace(1.0, 2.0, 20)]
     return next((one for one in scaled if np.array_equal(one / np.sqrt(one @ one), axis)), axis)

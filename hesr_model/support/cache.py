@@ -88,7 +88,7 @@ def folder() -> Path:
     return _own("XDG_CACHE_HOME", ".cache")
 
 
-def keyed(kind: str, content: bytes) -> bytes:
+def key_with_secret(kind: str, content: bytes) -> bytes:
     """Return a hash of content that only this user can compute."""
     key = _key(_own("XDG_CONFIG_HOME", ".config"))
     return hmac.digest(key, kind.encode() + b"\0" + content, "sha256")
@@ -214,7 +214,7 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def _digest(entry: Path, content: bytes) -> bytes:
-    return keyed(f"{entry.parts[-3]}/{entry.name}", content)
+    return key_with_secret(f"{entry.parts[-3]}/{entry.name}", content)
 
 
 def _prune(kind: Path) -> None:

@@ -209,11 +209,11 @@ def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterato
                 _sweep(Path(tempfile.gettempdir()))
             own = f"{prefix}{_HERE}-{os.getpid()}-"
             folder = Path(tempfile.mkdtemp(prefix=own, dir=parent))
-            cleanup.callback(_removed, folder)
+            cleanup.callback(_remove_folder, folder)
         yield folder
 
 
-def _removed(folder: Path) -> None:
+def _remove_folder(folder: Path) -> None:
     with deferred(), suppress(OSError):
         _remove_whatever(folder)
 

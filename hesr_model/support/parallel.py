@@ -33,7 +33,7 @@ from hesr_model.support import cache
 from hesr_model.support.cache import USED
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.lazy import collect_seldom
-from hesr_model.support.process import ChildProcess, end_marked, new_mark
+from hesr_model.support.process import ChildProcess, kill_marked, new_mark
 from hesr_model.support.progress import current, deferred, running
 
 JOBS = "jobs"  # prefix of files with pickled jobs
@@ -274,7 +274,7 @@ class _Pool:
     def _kill(self) -> None:
         for child in self._children:
             child.process.kill()
-        end_marked(self._mark)
+        kill_marked(self._mark)
 
 
 _sharing: _Pool | None = None

@@ -57,7 +57,7 @@ class ChildProcess:
                     os.killpg(self.process.pid, signal.SIGKILL)
             self.process.kill()
             self.process.wait()
-        end_marked(self._mark)
+        kill_marked(self._mark)
 
 
 def new_mark() -> str:
@@ -65,7 +65,7 @@ def new_mark() -> str:
     return f"HESR_PROCESS_{token_hex(8)}"
 
 
-def end_marked(mark: str) -> None:
+def kill_marked(mark: str) -> None:
     """Kill all other processes with a mark."""
     import psutil
 
@@ -106,7 +106,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> CompletedProces
         return CompletedProcess(command, code, text)
 
 
-def how_it_ended(code: int) -> str:
+def describe_end(code: int) -> str:
     """Return how a program ended, for messages."""
     if code >= 0:
         return f"ended its process with exit code {code}"

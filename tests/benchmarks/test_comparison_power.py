@@ -26,7 +26,7 @@ from hesr_model.inference.comparison import (
     calibration,
     holm,
     law_errors,
-    two_sided,
+    two_sided_probability,
 )
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
@@ -241,7 +241,7 @@ def test_the_stated_smallest_difference_is_found(
         error = float(other.standard_errors(k)[i])
         difference = other.log_rmse[i] - other.log_rmse[k] + np.log(stated)
         p = calibration(comparisons, other.degrees) * float(
-            two_sided(difference / error, other.degrees)
+            two_sided_probability(difference / error, other.degrees)
         )
         hits.append(comparisons * p < SIGNIFICANCE)
     share = float(np.mean(hits))

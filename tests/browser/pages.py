@@ -23,7 +23,7 @@ from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.health.proposal import inspected
+from hesr_model.health.proposal import inspect_logs
 from hesr_model.rigid_body.residual import FrictionRecord
 
 JOINTS = tuple(f"shoulder_number_{k}_joint" for k in range(1, 8))
@@ -98,7 +98,7 @@ def fmu_page(folder: Path) -> Path:
 
 def inspection(folder: Path) -> Path:
     (folder / "log.csv").write_text(log_csv().replace("tau_friction", "tau"), encoding="utf-8")
-    write_inspection(folder / "inspect.html", inspected([folder / "log.csv"]))
+    write_inspection(folder / "inspect.html", inspect_logs([folder / "log.csv"]))
     return folder / "inspect.html"
 
 

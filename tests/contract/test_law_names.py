@@ -5,7 +5,7 @@ from collections import defaultdict
 
 from documents import ROOT
 
-from hesr_model.fitting.estimator import laws_with, registry
+from hesr_model.fitting.estimator import registry, select_laws
 
 WITH_DEFAULTS = {
     "cosim/regressor.py",  # default of `FrictionRegressor(law=..)`
@@ -44,6 +44,6 @@ def test_laws_are_in_table_order() -> None:
     orders = [law.order for law in registry().values()]
     assert orders == sorted(orders)
     assert len(set(orders)) == len(orders)
-    assert set(laws_with("quick")) | set(laws_with("proposed")) <= set(registry())
-    assert laws_with("quick")
-    assert laws_with("proposed")
+    assert set(select_laws("quick")) | set(select_laws("proposed")) <= set(registry())
+    assert select_laws("quick")
+    assert select_laws("proposed")

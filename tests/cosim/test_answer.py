@@ -15,7 +15,7 @@ from cosim.workflow.answer import (
     Written,
     finding_lines,
     health_of,
-    shortened,
+    shorten_lines,
     written_files,
 )
 from hesr_model.findings import Finding
@@ -30,23 +30,23 @@ def numbered(count: int) -> list[str]:
 
 
 def test_25_lines_are_shown_whole() -> None:
-    assert shortened(numbered(25)).splitlines() == numbered(25)
-    assert shortened(["a\nb", "c"]) == "a\nb\nc"
-    assert shortened([]) == ""
+    assert shorten_lines(numbered(25)).splitlines() == numbered(25)
+    assert shorten_lines(["a\nb", "c"]) == "a\nb\nc"
+    assert shorten_lines([]) == ""
 
 
 @pytest.mark.parametrize(("count", "left"), [(26, 2), (40, 16)])
 def test_longer_answers_are_cut_to_25_lines(count: int, left: int) -> None:
-    shown = shortened(["\n".join(numbered(count - 1)), "end"]).splitlines()
+    shown = shorten_lines(["\n".join(numbered(count - 1)), "end"]).splitlines()
     assert shown == [*numbered(24), f"{left} more lines: --verbose shows them."]
 
 
 def test_written_files_are_always_shown() -> None:
     files = [Path("a.json"), Path("b.ssv")]
     said = "Written: a.json, b.ssv"
-    assert shortened(numbered(24), files).splitlines() == [*numbered(24), said]
+    assert shorten_lines(numbered(24), files).splitlines() == [*numbered(24), said]
     more = "2 more lines: --verbose shows them."
-    assert shortened(numbered(25), files).splitlines() == [*numbered(23), more, said]
+    assert shorten_lines(numbered(25), files).splitlines() == [*numbered(23), more, said]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import hesr as api
 from fmu_src.run.replay import replay
 from hesr_model.errors import ArgumentError, FitError
 from hesr_model.health.joints import changed
-from hesr_model.health.proposal import inspected
+from hesr_model.health.proposal import inspect_logs
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.accumulation import Streamed
@@ -332,7 +332,7 @@ def test_numbers_are_known_or_identified(
     tmp_path: Path, given: Mapping[str, Any], known: Columns, unknown: Columns
 ) -> None:
     api.new(tmp_path / "bench", bench="rotary", **given)
-    proposal = inspected([pendulum(tmp_path)], tmp_path / "bench" / "robot.toml")
+    proposal = inspect_logs([pendulum(tmp_path)], tmp_path / "bench" / "robot.toml")
     robot = Robot(proposal.robot)
     body = identify(proposal.logs, robot)
     found = dict(zip(body.names, body.parameters, strict=True))
@@ -362,7 +362,7 @@ def test_a_torque_that_counts_backwards_is_found(tmp_path: Path, hesr: Hesr, nam
     changes: dict[str, Any] = {"log.units.tau": "-N" if name == "archive" else "-N.m"}
     if gains:
         changes = {"log.torque_per_ampere": tuple(-gain for gain in gains)}
-    proposal = inspected([log], changed(robot, changes))
+    proposal = inspect_logs([log], changed(robot, changes))
     (found,) = proposal.first
     assert (found.check, found.severity) == ("torque-sign", "error")
     assert proposal.examination.findings == ()
@@ -393,7 +393,7 @@ def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
     log = write(
         tmp_path / "log.csv", {"t": c["t"], "q1": c["q"], "dq1": c["dq"], "tau1": c["tau"], **still}
     )
-    proposal = inspected([log], tmp_path / "bench" / "robot.toml")
+    proposal = inspect_logs([log], tmp_path / "bench" / "robot.toml")
     assert (proposal.robot.known, proposal.robot.locked) == (("a.Izz",), {"b": 0.0})
     assert not proposal.first
     assert not proposal.examination.findings
@@ -407,7 +407,7 @@ def test_a_bench_that_rests_has_no_body_to_check(tmp_path: Path) -> None:
         tmp_path / "log.csv",
         {"t": slow["t"], "q1": slow["q"], "dq1": slow["dq"], "tau1": slow["tau"]},
     )
-    assert not inspected([log], tmp_path / "bench" / "robot.toml").examination.torques
+    assert not inspect_logs([log], tmp_path / "bench" / "robot.toml").examination.torques
 
 
 def test_physical_masses_exclude_known_ones(tmp_path: Path) -> None:

@@ -17,12 +17,12 @@ from processes import HANG
 
 from hesr.cli.console import (
     _Ended,
+    accept_any_text,
     answer_file,
     command_output,
     ended_by_signals,
     errors_said,
-    home_where_needed,
-    plain_where_needed,
+    provide_home,
     refuse,
     require_environment,
     shown_progress,
@@ -267,7 +267,7 @@ def test_text_is_plain_where_the_output_needs_it(monkeypatch: pytest.MonkeyPatch
     for encoding in ("ascii", "utf-8"):
         raw = BytesIO()
         monkeypatch.setattr(sys, "stdout", TextIOWrapper(raw, encoding=encoding))
-        plain_where_needed()
+        accept_any_text()
         print("✓ 3–4 · “a” µm 字", end="", flush=True)  # noqa: T201
         written[encoding] = raw.getvalue().decode("utf-8")
     assert written == {"ascii": '+ 3-4 . "a" um ?', "utf-8": "✓ 3–4 · “a” µm 字"}
@@ -278,10 +278,10 @@ def test_matplotlib_gets_a_folder_only_if_home_is_not_writable(
 ) -> None:
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
-    home_where_needed()
+    provide_home()
     assert "MPLCONFIGDIR" not in os.environ
     monkeypatch.setenv("HOME", str(tmp_path / "none"))
-    home_where_needed()
+    provide_home()
     assert os.environ["MPLCONFIGDIR"] == str(empty_cache / "matplotlib")
     monkeypatch.delenv("MPLCONFIGDIR")
 

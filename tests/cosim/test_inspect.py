@@ -20,7 +20,7 @@ from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
 from hesr_model.health.joints import changed, without
-from hesr_model.health.proposal import Proposal, inspected, propose, robot_file
+from hesr_model.health.proposal import Proposal, inspect_logs, propose, robot_file
 from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_table import table_of
@@ -441,7 +441,7 @@ def test_joints_are_recognised_by_name_and_number(
         if columns == "j1_q":
             lines[0] = re.sub(r"\b(q|dq|tau)(\d)", r"j\2_\1", lines[0])
         path.write_text("\n".join(lines), encoding="utf-8")
-        proposal = inspected([path], model)
+        proposal = inspect_logs([path], model)
         assert proposal.robot.joints == ("j1", "j2", "j3")
         assert proposal.reasons["joints"] == f"likely: {reason}"
         assert proposal.robot.locked == {"wheel0": 0.0, "wheel1": 0.0}
@@ -546,10 +546,10 @@ def test_a_part_is_tested_after_the_earlier_rows(messy: Path, arm: RobotDescript
     output.mkdir()
     with parallel.one_pool():
         run = score_study(job, output)
-    whole = job.led_up_to("b", messy)
+    whole = job.read_with_history("b", messy)
     assert whole is not None
     assert whole.t[0] == job.read("a", messy).t[0]
-    assert job.led_up_to("a", messy) is None
+    assert job.read_with_history("a", messy) is None
     assert len(run.records["b"]) == 2
     law = run.models["lugre"].laws[0]
     for k, rows in enumerate(run.logs["b"].parts()):

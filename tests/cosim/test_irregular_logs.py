@@ -13,7 +13,7 @@ from cosim.loop.excite import recordings
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.health.examine import examine
-from hesr_model.health.proposal import inspected
+from hesr_model.health.proposal import inspect_logs
 from hesr_model.health.timing import LagRows, lags
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.base_parameters import base_columns
@@ -72,7 +72,7 @@ def test_twenty_irregular_logs_of_the_twin_are_sound(
     for log, seed in kinds(recorded):
         path = tmp_path / f"{log.name}{seed}.csv"
         log.write(path)
-        found = inspected([path], models_folder() / "uf850" / "robot.toml")
+        found = inspect_logs([path], models_folder() / "uf850" / "robot.toml")
         said = [f.sentence for f in found.examination.findings if f.check != "gaps"]
         assert said == [], (log.name, seed)
         steps = np.diff(log.t)

@@ -54,9 +54,9 @@ def test_a_step_of_the_velocity_arrives_with_the_time_constant() -> None:
     plain = model(*LAWS).behind_low_pass(15.0)
     [speed, *_] = plain.laws[0].form.memory
     t = np.array([0.0, 0.004, 0.014, 0.05])
-    from hesr_model.equations.low_pass import low_passed
+    from hesr_model.equations.low_pass import low_pass_signals
 
-    found = low_passed(t, np.array([[2.0], [3.0], [3.0], [3.0]]), 15.0)[:, 0]
+    found = low_pass_signals(t, np.array([[2.0], [3.0], [3.0], [3.0]]), 15.0)[:, 0]
     np.testing.assert_allclose(found, 3.0 - np.exp(-2.0 * np.pi * 15.0 * t), atol=1e-14)
     assert speed.name == "dq_filtered"
 

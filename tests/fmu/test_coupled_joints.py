@@ -22,7 +22,7 @@ from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.errors import ExportError
 from hesr_model.friction.band import Band
-from hesr_model.friction.model import FrictionModel, band_around
+from hesr_model.friction.model import FrictionModel, compute_band
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
 
@@ -65,7 +65,7 @@ def banded_fmu(banded, tmp_path_factory) -> Path:
 def test_the_band_of_the_fmu_matches_the_model(banded, banded_fmu, make_motion) -> None:
     t, dq, q, load = make_motion(3)
     torque = banded.predict(t=t, dq=dq, q=q, tau_load=load)
-    expected = band_around(banded, t=t, dq=dq, q=q, tau_load=load, torque=torque)
+    expected = compute_band(banded, t=t, dq=dq, q=q, tau_load=load, torque=torque)
     for name, end in zip(("tau_lower", "tau_upper"), expected, strict=True):
         found = replay(banded_fmu, t, dq, q, load, output=name)
         assert np.abs(found - end).max() <= 1e-9 * np.abs(end).max()

@@ -114,9 +114,9 @@ def _recording(path: Path) -> None:
 
 
 def _inspected(path: Path) -> object:
-    from hesr_model.health.proposal import inspected, robot_file, summary_rows
+    from hesr_model.health.proposal import inspect_logs, robot_file, summary_rows
 
-    found = inspected([path])
+    found = inspect_logs([path])
     return robot_file(found, path.with_suffix(".toml")), list(summary_rows(found))
 
 

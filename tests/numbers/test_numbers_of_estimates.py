@@ -117,7 +117,7 @@ def test_a_comparison(logs: int, rows: int, unchanged: Unchanged) -> None:
     errors = law_errors({"above": above, "below": below, "third": third}, periods)
     found = {"errors": errors, "ratios": errors.ratios("third")}
     if not errors.too_short:
-        found["seconds"] = errors.seconds_for("above", "third", 1.1)
+        found["seconds"] = errors.required_seconds("above", "third", 1.1)
     unchanged(found)
 
 
@@ -170,14 +170,14 @@ def test_intervals_of_coefficients(
         of = law("lugre_load", {}, **LUGRE | {"sigma_1": 0.0})
     found = uncertainty.with_standard_errors(of, logs, space)
     assert found.covariance is not None
-    banded = calibration.calibrated(found, logs)[0]
+    banded = calibration.calibrate_band(found, logs)[0]
     two = uncertainty.with_pooled_errors([found, of, replace(found, values=LUGRE)])
     unchanged({
         "covariance": found.covariance, "errors": found.standard_errors, "band": banded.band,
         "names": [sum(map(ord, n)) for n in found.standard_errors],
         "pooled": [one.standard_errors for one in two],
         "sensitivities": calibration._sensitivities(found, logs[:1])[::50].tolist(),
-        "left out": calibration._left_out(found, logs),
+        "left out": calibration._cross_validate_band(found, logs),
     }, rtol=1e-3)  # fmt: skip
 
 
@@ -192,8 +192,8 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
         for r in records[:1]
     ]
     unchanged({
-        "alone": calibration.calibrated(of, records)[0].band,
-        "rested": calibration.calibrated(of, [*records, *many])[0].band,
+        "alone": calibration.calibrate_band(of, records)[0].band,
+        "rested": calibration.calibrate_band(of, [*records, *many])[0].band,
         "shares": calibration.variance_shares(columns, squares, np.zeros(300)),
         "with known": calibration.variance_shares(columns, squares, np.full(300, 0.1)),
         "none": calibration.variance_shares(columns, 0.0 * squares, np.zeros(300)),
@@ -231,7 +231,7 @@ def test_ten_rests_determine_the_band_at_rest(rests: int, envelope: float) -> No
     flat = np.zeros(400)
     noise = np.random.default_rng(0).normal(size=400)
     one = FrictionRecord(log="a", joint="j1", t=t, dq=dq, q=flat, tau_load=flat, tau=noise)
-    band = calibration.calibrated(law("lugre_load", {}, **LUGRE), [one])[0].band
+    band = calibration.calibrate_band(law("lugre_load", {}, **LUGRE), [one])[0].band
     assert band is not None
     assert band.envelope == envelope
 

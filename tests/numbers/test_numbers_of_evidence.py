@@ -13,10 +13,10 @@ from hesr_model.health.evidence import (
     Estimate,
     Motionwise,
     Torques,
-    as_logged,
     explain,
     motionwise,
     rubbing,
+    to_logged_side,
 )
 from hesr_model.health.examine import of_log
 from hesr_model.health.positions import _sliding, check_loss
@@ -101,7 +101,7 @@ def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> Non
             "least travel": edge(lambda x: replace(part, q=x * part.q).moves[0], 1e-4, 0.1),
             "least speed": edge(lambda x: replace(part, v=x * part.v).moves[0], 1e-4, 0.1),
             "torques": torques,
-            "as logged": as_logged(part, torques, coupling),
+            "as logged": to_logged_side(part, torques, coupling),
             "explained": [list(explained(x, torques)) for x in (part, resting, constant, flat)],
             "fits": explained(part, torques),
         },

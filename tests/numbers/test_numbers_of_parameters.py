@@ -265,7 +265,7 @@ def test_costs_of_an_output_error(
     sets = [windows_of(logs, output_error.LENGTH)]
     problem = output_error._Problem(arm_model, body, friction, [motion], logs, sets, with_body=True)
     theta = 0.05 * np.random.default_rng(0).normal(size=(3, problem.size))
-    residuals, slopes = problem.linearised(theta[0])
+    residuals, slopes = problem.linearise(theta[0])
     # Coefficients of 0 have no relative change.
     assert problem.size == len(problem.columns) + sum(
         value != 0.0 for law in friction.laws for value in law.values.values()

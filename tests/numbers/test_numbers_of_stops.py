@@ -24,7 +24,7 @@ from hesr_model.laws.rbfnn import Inputs, candidates
 from hesr_model.laws.stops import estimator, form
 from hesr_model.laws.stops import search as terms
 from hesr_model.laws.stops.estimator import ParFamS
-from hesr_model.laws.stops.form import Structure, viscous_at
+from hesr_model.laws.stops.form import Structure, evaluate_viscous
 from hesr_model.laws.stops.search import dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -67,7 +67,7 @@ def test_columns_of_all_terms(samples: JointRows, unchanged: Unchanged) -> None:
             "fixed": terms.fixed(samples),
             "weights": terms.weights(samples).sum(),
             "of little motion": terms.weights(replace(samples, q=moved)).sum(),
-            "viscous": viscous_at(WHOLE, NUMBERS, np.geomspace(1e-3, 10.0, 7)),
+            "viscous": evaluate_viscous(WHOLE, NUMBERS, np.geomspace(1e-3, 10.0, 7)),
         }
     )  # fmt: skip
 
@@ -218,7 +218,7 @@ def test_steps_of_training(exact: HysteresisFeatures, unchanged: Unchanged) -> N
 
 def test_weights_of_gaussians(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
-    centres, spacing = rbfnn.clustered(inputs.z, 5, np.random.default_rng(0))
+    centres, spacing = rbfnn.cluster_centres(inputs.z, 5, np.random.default_rng(0))
     columns = rbfnn.gaussians(inputs.z, centres, 1.5 * spacing)
     bias, weights = rbfnn.ridge_weights(columns, exact.samples.tau, (1e-6, 1e-3, 1e-1))
     left = rbfnn.left_out(inputs.z, exact.samples, 4, np.random.default_rng(1))

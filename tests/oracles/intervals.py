@@ -11,7 +11,7 @@ from math import inf, prod
 import numpy as np
 import sympy
 
-from hesr_model.equations.intervals import Enclosure, enclosed
+from hesr_model.equations.intervals import Enclosure, bound_expression
 from hesr_model.equations.memory import Element
 
 Box = Mapping[sympy.Symbol, tuple[float, float]]
@@ -44,7 +44,7 @@ def reach(element: Element, box: Box) -> Reach:
     """Return the range of the rate or bound of an element over a box of its inputs."""
     expression = element.parts[1]
     parts = _cut({s: box[s] for s in expression.free_symbols})
-    low, high = enclosed(expression, parts)
+    low, high = bound_expression(expression, parts)
     count = max((len(sides[0]) for sides in parts.values()), default=1)
     low, high = np.broadcast_to(low, count), np.broadcast_to(high, count)
     guarded = tuple(

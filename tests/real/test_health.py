@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hesr_model.health.examine import examine
-from hesr_model.health.proposal import inspected
+from hesr_model.health.proposal import inspect_logs
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -54,7 +54,7 @@ def test_backward_currents_of_a_tiago_are_found_from_its_urdf_alone() -> None:
     folder = SHARED / "tiago_arm"
     if not folder.is_dir():
         pytest.skip(f"measured logs are not next to the repository, in {SHARED}")
-    found = inspected([folder / "tiago_excitation.csv"], folder / "tiago_arm.urdf")
+    found = inspect_logs([folder / "tiago_excitation.csv"], folder / "tiago_arm.urdf")
     gains = found.robot.log.torque_per_ampere
     assert gains is not None
     assert [gain < 0.0 for gain in gains] == [False] * 3 + [True] * 2 + [False] * 3

@@ -32,7 +32,7 @@ from cosim.study.study import Study, Variant
 from cosim.workflow.export import export
 from fmu_src.friction.predictions import predict_fmu
 from fmu_src.run.replay import replay
-from hesr_model.fitting.estimator import laws_with
+from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import Log
@@ -346,7 +346,7 @@ def second(
     left_out = {
         law: [joint["left_out_rmse"] for joint in data["joints"]]
         for law, data in written.items()
-        if law in laws_with("classic")
+        if law in select_laws("classic")
     }
     references = [min(left_out, key=lambda law: left_out[law][k]) for k in range(6)]
     cutoff = ur10e_model.description.log.filter_cutoff

@@ -11,7 +11,7 @@ from containing import Containing
 from hesr_model.errors import ConfigError
 from hesr_model.support import cache
 from hesr_model.support import text as bounded
-from hesr_model.support.process import how_it_ended
+from hesr_model.support.process import describe_end
 from hesr_model.support.progress import PARTS, counted, into_file, watched
 from hesr_model.support.text import (
     listed,
@@ -97,7 +97,7 @@ def test_untrusted_texts_are_shown_on_one_short_line() -> None:
     ],
 )
 def test_exit_statuses_are_described(code: int, told: str) -> None:
-    assert how_it_ended(code) == told
+    assert describe_end(code) == told
 
 
 class Inner(Config):

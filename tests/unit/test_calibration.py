@@ -7,7 +7,7 @@ import pytest
 from joint_data import along, law, path, with_tau
 
 from hesr_model.errors import ArtifactError, SimulationError
-from hesr_model.fitting.calibration import calibrated
+from hesr_model.fitting.calibration import calibrate_band
 from hesr_model.fitting.uncertainty import with_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -29,7 +29,7 @@ def noisy(seed: int, *, rests: bool = False, spread: float = 0.5) -> FrictionRec
 @pytest.fixture(scope="module")
 def banded() -> FrictionLaw:
     records = [noisy(seed) for seed in range(3)]
-    return calibrated(with_standard_errors(TRUTH, records), records)[0]
+    return calibrate_band(with_standard_errors(TRUTH, records), records)[0]
 
 
 def model_of(*laws: FrictionLaw, **more) -> FrictionModel:
@@ -70,7 +70,7 @@ def test_uncertain_coefficients_widen_the_band() -> None:
     assert known.covariance is not None
     large = replace(known.covariance, within=1e4 * known.covariance.within)
     certain, doubtful = (
-        calibrated(x, records)[0].band
+        calibrate_band(x, records)[0].band
         for x in (replace(known, covariance=None), replace(known, covariance=large))
     )
     assert certain is not None
@@ -81,14 +81,14 @@ def test_uncertain_coefficients_widen_the_band() -> None:
 def test_observed_rests_replace_the_envelope() -> None:
     records = [noisy(seed, rests=True) for seed in range(5)]  # two rests each
     for seen, envelope in ((records, 0.0), (records[:4], 1.0)):
-        band = calibrated(TRUTH, seen)[0].band
+        band = calibrate_band(TRUTH, seen)[0].band
         assert band is not None
         assert band.envelope == envelope
 
 
 def test_perfect_logs_give_a_band_without_width() -> None:
     records = [along(TRUTH, path(0))]
-    band = calibrated(TRUTH, records)[0].band
+    band = calibrate_band(TRUTH, records)[0].band
     assert band is not None
     assert band.floor == pytest.approx(0.0, abs=1e-9)
 

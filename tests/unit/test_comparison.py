@@ -111,7 +111,7 @@ def test_the_power_at_the_stated_difference_is_as_stated() -> None:
 
 def test_the_stated_duration_resolves_the_ratio() -> None:
     short = errors(5, 4, 1, 40.0, common=0.5)
-    seconds = compared(short).seconds_for("law_1", "law_0", 1.1)
+    seconds = compared(short).required_seconds("law_1", "law_0", 1.1)
     assert seconds > 40.0
     hits = []
     for seed in range(40):

@@ -8,7 +8,7 @@ import sympy
 from oracles.intervals import Box, reach
 
 from hesr_model.equations.functions import absolute, clip, larger, lowered, positive, sgn
-from hesr_model.equations.intervals import enclosed, lowest
+from hesr_model.equations.intervals import bound_expression, lowest
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -97,7 +97,7 @@ def test_rates_and_bounds_of_every_law_lie_within_theirs(name: str) -> None:
         ends = rng.normal(size=(len(symbols), 2, 200)) * 10.0 ** rng.uniform(-3.0, 2.0, 200)
         ends.sort(axis=1)
         boxes = {s: (a, b) for s, (a, b) in zip(symbols, ends, strict=True)}
-        low, high = np.broadcast_arrays(*enclosed(expression, boxes), np.empty(200))[:2]
+        low, high = np.broadcast_arrays(*bound_expression(expression, boxes), np.empty(200))[:2]
         for share in rng.uniform(size=(20, len(symbols), 200)):
             values = lowered(symbols, [expression])(*(ends[:, 0] + share * np.ptp(ends, axis=1)))[0]
             slack = 1e-9 * np.abs(values)
@@ -107,19 +107,21 @@ def test_rates_and_bounds_of_every_law_lie_within_theirs(name: str) -> None:
 
 def test_a_clip_to_a_bound_that_varies() -> None:
     box = {X: (np.array([2.0]), np.array([3.0])), Y: (np.array([1.0]), np.array([5.0]))}
-    assert [float(side) for side in np.ravel(enclosed(clip(X, Y), box))] == [1.0, 3.0]
+    assert [float(side) for side in np.ravel(bound_expression(clip(X, Y), box))] == [1.0, 3.0]
 
 
 @pytest.mark.parametrize("at", [0.37, 4.2e4])
 def test_the_least_value_is_found_in_a_dip_between_grid_points(at: float) -> None:
     dip = 1 - 1.5 * sympy.exp(-((1e4 * (X - at) / at) ** 2)) + 0.1 / (1 + X)
     edges = np.geomspace(1e-3, 1e6, 37)
-    found = lowest(lambda a, b: enclosed(dip, {X: (a, b)})[0], edges)
+    found = lowest(lambda a, b: bound_expression(dip, {X: (a, b)})[0], edges)
     assert found.bound <= found.value == pytest.approx(0.1 / (1.0 + at) - 0.5, abs=1e-4)
     assert found.bound == pytest.approx(found.value, abs=1e-5)
     assert found.at == pytest.approx(at, rel=1e-3)
 
 
 def test_without_a_bound_the_search_ends() -> None:
-    found = lowest(lambda a, b: enclosed(sympy.gamma(X), {X: (a, b)})[0], np.array([1.0, 2.0]))
+    found = lowest(
+        lambda a, b: bound_expression(sympy.gamma(X), {X: (a, b)})[0], np.array([1.0, 2.0])
+    )
     assert found.bound == -inf

@@ -16,7 +16,7 @@ from pyarrow import feather
 from scipy.io import savemat
 
 from hesr_model.errors import ConfigError, LogError
-from hesr_model.health.proposal import inspected
+from hesr_model.health.proposal import inspect_logs
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
@@ -150,7 +150,7 @@ def test_a_rate_replaces_the_time(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"column 't' is missing; it has q1, q2, dq1"):
         Log.read(path, robot())
     with pytest.raises(LogError, match=r"looks like time; .* or state 'log\.rate' \[Hz\]\.$"):
-        inspected([path])
+        inspect_logs([path])
 
 
 def test_a_rate_is_compared_with_the_time(tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_inspect_proposes_to_sort(tmp_path: Path) -> None:
     values = np.column_stack([t, q, 3 * np.cos(3 * t[:, None] + [0, 1]), q])
     values[[400, 401]] = values[[401, 400]]
     (tmp_path / "run.csv").write_text(text(values), encoding="utf-8")
-    proposal = inspected([tmp_path / "run.csv"])
+    proposal = inspect_logs([tmp_path / "run.csv"])
     assert proposal.robot.log.sort
     assert len(proposal.logs[0].t) == 600
 

@@ -170,8 +170,8 @@ def test_networks_that_explode_are_skipped(records: list[FrictionRecord]) -> Non
 
 def test_centres_lie_among_the_rows_and_depend_on_the_seed() -> None:
     z = cloud(800)
-    centres, spacing = rbfnn.clustered(z, 12, np.random.default_rng(1))
-    again, _ = rbfnn.clustered(z, 12, np.random.default_rng(1))
+    centres, spacing = rbfnn.cluster_centres(z, 12, np.random.default_rng(1))
+    again, _ = rbfnn.cluster_centres(z, 12, np.random.default_rng(1))
     np.testing.assert_array_equal(centres, again)
     assert centres.shape == (12, 3)
     assert np.all((centres >= z.min(axis=0)) & (centres <= z.max(axis=0)))
@@ -181,7 +181,7 @@ def test_centres_lie_among_the_rows_and_depend_on_the_seed() -> None:
 
 def test_repeated_rows_give_fewer_centres() -> None:
     z = np.repeat(cloud(5), 100, axis=0)
-    centres, spacing = rbfnn.clustered(z, 12, np.random.default_rng(0))
+    centres, spacing = rbfnn.cluster_centres(z, 12, np.random.default_rng(0))
     assert len(centres) <= 5
     assert 0.0 < spacing < np.inf
 

@@ -187,7 +187,7 @@ def test_extensions_are_tried_on_request(
 
     monkeypatch.setattr(laws, "with_unit", with_unit)
     monkeypatch.setattr(Trial, "changed", changed)
-    found = ParFamH(**options)._enlarged(
+    found = ParFamH(**options)._enlarge_law(
         of, features, TrainedRange.of(records), np.random.default_rng(0)
     )
     assert seen == tried
@@ -200,7 +200,7 @@ def test_an_extended_law_is_a_different_one(
     of = candidate(**LINEAR).law("parfam_h", "exact")
     monkeypatch.setattr(laws, "extended", lambda _, more, __: more[0])
     few = ParFamH(denominator=True)
-    found = few._enlarged(of, features, TrainedRange.of(records), np.random.default_rng(0))
+    found = few._enlarge_law(of, features, TrainedRange.of(records), np.random.default_rng(0))
     assert found.structure["denominator"] == ["dq", "h"]
     assert found.name == "parfam_h"
 

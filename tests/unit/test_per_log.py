@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.fitting.days import OwnOfLog, own_of_logs, with_own, without_own
+from hesr_model.fitting.days import OwnOfLog, add_fitted_nuisances, own_of_logs, remove_nuisances
 from hesr_model.fitting.fit import fit_models
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -70,10 +70,10 @@ def test_a_prediction_with_day_offsets_uses_the_measured_torque(
     records: list[FrictionRecord],
 ) -> None:
     mean = [6.0 * np.tanh(r.dq / 0.02) + 3.0 * r.dq for r in records]
-    fitted = with_own(mean, records, ("offset", "level"))
+    fitted = add_fitted_nuisances(mean, records, ("offset", "level"))
     for torque, found in zip(fitted, records, strict=True):
         assert np.sqrt(np.mean((torque - found.tau) ** 2)) < 0.21
-    shifted = with_own(mean, records, ("offset",))
+    shifted = add_fitted_nuisances(mean, records, ("offset",))
     np.testing.assert_allclose(shifted[0] - mean[0], 1.5, atol=0.15)
-    bare = without_own(records, own_of_logs(records, ("offset", "level")))
+    bare = remove_nuisances(records, own_of_logs(records, ("offset", "level")))
     np.testing.assert_allclose(np.std(bare[0].tau - mean[0]), 0.25, atol=0.03)

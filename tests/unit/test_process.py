@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from hesr_model.support.process import how_it_ended, run, tied
+from hesr_model.support.process import describe_end, run, tied
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from hesr_model.support.process import how_it_ended, run, tied
     ],
 )
 def test_exit_status_in_words(code: int, text: str) -> None:
-    assert how_it_ended(code) == text
+    assert describe_end(code) == text
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system must end it with its parent")

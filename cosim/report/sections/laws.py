@@ -33,7 +33,7 @@ from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
 from fmu_src.run.archive import Archive
 from hesr_model.audit.audit import ENCODER
-from hesr_model.audit.properties import combined
+from hesr_model.audit.properties import combine_results
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import papers_law, registry
 from hesr_model.friction.law import FrictionLaw
@@ -267,7 +267,7 @@ def properties(results: Results) -> dict[str, Any] | None:
     if not results.properties:
         return None
     laws = results.recommended
-    properties = combined(on_joints(laws), results.properties, laws)
+    properties = combine_results(on_joints(laws), results.properties, laws)
     sheet = plugins.load("hesr.sheets").get("properties")  # of the extras
     return {
         "properties": properties_table(results.properties, full=True),

@@ -21,7 +21,7 @@ from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
 from hesr_model.fitting.estimator import papers_law
 from hesr_model.friction.band import LEVEL
-from hesr_model.friction.model import band_around
+from hesr_model.friction.model import compute_band
 from hesr_model.support.arrays import Array
 
 _NETWORK = "rbfnn_h"  # law compared with ParFam-H in Fig. 5 of the paper
@@ -166,7 +166,7 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
     load = "tau_load" if "tau_load1" in torques else "tau_rb"
     names = {"dq": "dq", "q": "q", "tau_load": load, "torque": f"{law}.tau_f"}
     joints = range(1, len(results.joints) + 1)
-    ends = band_around(
+    ends = compute_band(
         model,
         t=torques["t"],
         coverage=LEVEL,

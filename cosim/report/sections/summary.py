@@ -12,7 +12,7 @@ from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables import table
-from cosim.report.tables.laws import most_passed
+from cosim.report.tables.laws import find_most_passing
 from cosim.report.tables.scores import leading, ratio_notes
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison
@@ -32,7 +32,7 @@ def summary(results: Results) -> dict[str, Any]:
     findings = read_findings(results.folder)
     found = results.properties
     paper = found.get(papers_law())
-    most = most_passed(found) if found else None
+    most = find_most_passing(found) if found else None
     return {
         "run": results.run,
         "verdict": results.verdict,

@@ -37,7 +37,7 @@ def properties(found: Mapping[str, Properties], *, full: bool = False) -> Result
     )
 
 
-def most_passed(found: Mapping[str, Properties]) -> tuple[list[str], int]:
+def find_most_passing(found: Mapping[str, Properties]) -> tuple[list[str], int]:
     """Return the laws that pass the most checks on all joints, and the number of these."""
     most = max(properties.passed for properties in found.values())
     return [name for name, properties in found.items() if properties.passed == most], most

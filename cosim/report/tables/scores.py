@@ -8,7 +8,7 @@ from statistics import geometric_mean
 from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, joints, row_of, title
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors
-from cosim.study.verdict import percent_above, separation
+from cosim.study.verdict import format_percent_above, separation
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
 from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
@@ -90,7 +90,7 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
     rows = []
     shorts = joints(len(comparison.joints))
     for k, (short, one) in enumerate(zip(shorts, separation(comparison), strict=True)):
-        shown = percent_above(*one.detectable) if one.detectable else "too short"
+        shown = format_percent_above(*one.detectable) if one.detectable else "too short"
         names = ", ".join(map(title, one.tied)) or "none"
         own = [title(law) for law in laws[k : k + 1]]
         rows.append(row_of(short, *own, title(one.best), names, shown, f"{one.seconds:.0f} s"))

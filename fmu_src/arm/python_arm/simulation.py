@@ -146,7 +146,7 @@ class Simulation:
         data.ctrl[self._controls] = values[self._driven]
         with _quiet():
             self._advance(count)
-        if self._diverged():
+        if self._has_diverged():
             self._data = mujoco.MjData(self._model)
             self._restore(before, *losses)
             raise SimulationError(f"the simulation has diverged within {dt:g} s.")
@@ -265,7 +265,7 @@ class Simulation:
         self._drawn, self._drawn_from = np.empty((0, len(self._noisy))), 0
         self._seed = seed_of(*(int(given.get(f"{SEED}[{half}]", 0)) for half in (1, 2)))
 
-    def _diverged(self) -> bool:
+    def _has_diverged(self) -> bool:
         data = self._data
         first = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
         extremes = (data.qpos.max(), -data.qpos.min(), data.qvel.max(), -data.qvel.min())

@@ -19,7 +19,7 @@ from hesr_model.equations.stepping import Steps
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
-from hesr_model.friction.thermal_law import inputs_over
+from hesr_model.friction.thermal_law import build_inputs
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, silent
@@ -120,7 +120,7 @@ class Follower:
     def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law = self._model.laws[j]
         steps = self._steps[j]
-        columns, more = inputs_over(record)
+        columns, more = build_inputs(record)
         columns["tau_meas"] = record.measured
         columns["tau_rigid"] = record.of_bodies
         columns["adapt"] = np.full_like(record.t, float(adapt))

@@ -12,7 +12,7 @@ from cosim.report.figures.chart import Chart, Line, Panel, drawn
 from cosim.report.figures.style import SERIES, Stroke
 from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
 from cosim.report.tables.table import ResultTable, row_of
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.adaptive.monitor import FollowedLogs
 from hesr_model.findings import Finding
 from hesr_model.support.typed_files import to_json
@@ -42,7 +42,7 @@ class Monitoring(Answer, FollowedLogs):
         for one in self.states[-len(self.model.joints) :]:
             level, viscosity, offset = one.intervals()
             lines.append(f"{one.joint}: level {level}, viscous factor {viscosity}, offset {offset}")
-        return shortened(lines, self.files)
+        return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return alarms and states."""

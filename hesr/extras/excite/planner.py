@@ -347,7 +347,7 @@ class Planner:
         # Every stretch of time has something of each kind, so that blocks of time can be compared.
         for groups in (
             _steady(mix, mix.steady * budget, *reach),
-            _nested(mix.nested * budget, *reach),
+            _nest_strokes(mix.nested * budget, *reach),
             _rests(mix.rests * budget, *reach),
         ):
             order.shuffle(groups)
@@ -400,7 +400,7 @@ def _steady(mix: Mix, time: float, room: float, speed: float, acceleration: floa
     return []
 
 
-def _nested(time: float, room: float, speed: float, acceleration: float) -> Groups:
+def _nest_strokes(time: float, room: float, speed: float, acceleration: float) -> Groups:
     """Return sets of strokes with decreasing way, each within the one before, and one back."""
     sets = max(1, round(time / _SET))
     count = int(np.clip(time / sets / 0.6, 3, _NESTED))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.fleet.deviation import ENOUGH, Trend
 from hesr_model.findings import Finding
 from hesr_model.logs.tables import arrow
@@ -134,7 +134,7 @@ class FleetResult(Answer):
             for one in worse[:5]
         ]
         lines += [finding.sentence for finding in self.findings[:5]]
-        return shortened(lines, self.files)
+        return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the tables."""

@@ -200,7 +200,7 @@ class _Master:
         for own_run in (nominal, *fresh, *small[:-1]):
             # Small steps differ from each other if outputs are fast.
             others = [one for one in reference if one is not own_run]
-            around = _around(own_run, others or reference, self._step)
+            around = _find_extremes_around(own_run, others or reference, self._step)
             own = np.maximum(own, _excess(own_run, around).max(axis=0))
         # The jumps of discrete outputs depend on the step.
         free = np.array(
@@ -209,7 +209,7 @@ class _Master:
         for name in ("summed", *_FREE):
             if name in runs:
                 longer = max(1.0, float(runs[name].steps.max(initial=0.0)) / self._step)
-                around = _around(runs[name], reference, self._step)
+                around = _find_extremes_around(runs[name], reference, self._step)
                 least = _ERRORS * longer * own + _LEAST * scale + free
                 over = _excess(runs[name], around) - least
                 yield from self._worst(name, runs[name], over / scale, around)
@@ -276,7 +276,9 @@ def _scale(rows: Array) -> Array:
     return scale
 
 
-def _around(run: _Run, references: Sequence[_Run], step: float) -> tuple[Array, Array]:
+def _find_extremes_around(
+    run: _Run, references: Sequence[_Run], step: float
+) -> tuple[Array, Array]:
     """Return minimum and maximum (N, outputs) of references around the times of a run."""
     low = np.full_like(run.rows, np.inf)
     high = np.full_like(run.rows, -np.inf)

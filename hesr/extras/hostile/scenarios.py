@@ -29,7 +29,7 @@ def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
     try:
         run = _Run(plan, exchange=scenario in _EXCHANGES)
         run.begin()
-        (_EXCHANGES | _SIMULATIONS).get(scenario, _stepped)(run, scenario)
+        (_EXCHANGES | _SIMULATIONS).get(scenario, _take_steps)(run, scenario)
         if run.found.get("taken", True):
             run.fmu.call("fmi2Terminate")
             run.fmu.close(stepping=False)
@@ -123,7 +123,7 @@ class _Run:
         self.record()
 
 
-def _stepped(run: _Run, scenario: str) -> None:
+def _take_steps(run: _Run, scenario: str) -> None:
     for step in _steps(scenario, run.step, run.plan["steps"]):
         run.advance(step)
 
@@ -155,7 +155,7 @@ def _held(run: _Run, _scenario: str) -> None:
             run.record()
 
 
-def _refreshed(run: _Run, _scenario: str) -> None:
+def _refresh_outputs(run: _Run, _scenario: str) -> None:
     run.found["fresh"] = []
     for _ in range(run.plan["steps"]):
         run.set_inputs(run.time)
@@ -182,7 +182,7 @@ def _repeated(run: _Run, _scenario: str) -> None:
         run.advance(run.step)
 
 
-_SIMULATIONS = {"refreshed": _refreshed, "repeated": _repeated, "held": _held}
+_SIMULATIONS = {"refreshed": _refresh_outputs, "repeated": _repeated, "held": _held}
 
 
 def _solve(run: _Run, scenario: str) -> None:

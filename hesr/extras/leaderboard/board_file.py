@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cosim.workflow.arguments import examined
+from cosim.workflow.arguments import require_healthy
 from hesr_model.errors import ConfigError
 from hesr_model.friction.records import rmse
 from hesr_model.logs.robot_log import Log, parts_of
@@ -108,7 +108,7 @@ def read_grounds(rules: BoardFile) -> dict[str, Ground]:
             if log.robot in ("", robot.name):
                 _require_same(log.file, log.sha256, f" Its source is {log.source} ({log.licence}).")
                 logs.append(Log.read(log.file, model.description))
-        examined(logs, model, rules.accept)
+        require_healthy(logs, model, rules.accept)
         records = [friction_records(joint_records, model, body) for joint_records in parts_of(logs)]
         for joint_records in records:
             seconds = joint_records[0].t[-1] - joint_records[0].t[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.answer import Answer, PluginJob, shortened
+from cosim.workflow.answer import Answer, PluginJob, shorten_lines
 from hesr.extras.leaderboard.board_file import BoardFile
 from hesr.extras.leaderboard.leaderboard import FORMAT, Leaderboard, entries_of, run_leaderboard
 from hesr.extras.leaderboard.tables import standings, write_page
@@ -52,7 +52,7 @@ class LeaderboardResult(Answer, Leaderboard):
             for one in self.standings
             if one.leads
         ]
-        return shortened(lines, self.files)
+        return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the standings."""

@@ -222,7 +222,7 @@ def run_leaderboard(
             standing
             for key in order
             if key in groups
-            for standing in _ranked(rules, key[1], groups[key], judges[key[0]])
+            for standing in _rank_entries(rules, key[1], groups[key], judges[key[0]])
         ),
     )
 
@@ -237,7 +237,7 @@ def _group(rules: board_file.BoardFile, one: Tried) -> str:
     return min(holding, key=lambda name: len(rules.classes[name]))
 
 
-def _ranked(
+def _rank_entries(
     rules: board_file.BoardFile, group: str, members: Sequence[Tried], judge: board_file.Judge
 ) -> list[Standing]:
     errors = {one.entry.name: judge.errors(one.torques) for one in members}

@@ -12,7 +12,7 @@ from fmu_src.friction.friction_component import exposed, nominal
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages import datasheet
-from fmu_src.pages.datasheet import figure, spelled
+from fmu_src.pages.datasheet import figure, spell_interval
 from fmu_src.pages.friction_page import model_title, title, training
 from fmu_src.pages.html import code_templates, rendered
 from hesr.extras.modelica.printer import FUNCTIONS, Equations, equations, start_of
@@ -56,7 +56,7 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,
         seen=[
-            f"{name} {spelled(getattr(trained_range, name))} {unit}"
+            f"{name} {spell_interval(getattr(trained_range, name))} {unit}"
             for name, unit in (INPUT_UNITS if trained_range else {}).items()
         ],
         rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,

@@ -10,7 +10,7 @@ from cosim.report.page import Chapter
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, number, row_of
 from hesr.extras.observer.observer_fmu import BANDWIDTH, HERE, ObserverLimits, law_limits
-from hesr_model.equations.low_pass import low_passed
+from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import ExportError
 from hesr_model.friction.band import shapes
 from hesr_model.friction.model import FrictionModel, mixed
@@ -33,8 +33,8 @@ def _external(
     for j, (floor, slow, speed, *others) in enumerate(zip(*limits.numbers, strict=True)):
         sizes = np.array([floor, slow, *others])
         squares.append(np.stack(shapes(dq[:, j], load[:, j], speed), axis=1) @ sizes**2)
-    half = np.sqrt(low_passed(t, np.stack(squares, axis=1), BANDWIDTH))
-    return t, low_passed(t, rest, BANDWIDTH), limits.factor * half
+    half = np.sqrt(low_pass_signals(t, np.stack(squares, axis=1), BANDWIDTH))
+    return t, low_pass_signals(t, rest, BANDWIDTH), limits.factor * half
 
 
 def events_of(t: Array, external: Array, threshold: Array) -> list[tuple[int, int, int, int]]:

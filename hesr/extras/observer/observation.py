@@ -27,7 +27,7 @@ from hesr.extras.observer.observer_fmu import (
     law_limits,
     outputs_of,
 )
-from hesr_model.equations.low_pass import low_passed
+from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import ExportError, LogError
 from hesr_model.fitting.calibration import SLOW_SPEEDS, variance_shares
 from hesr_model.friction.band import LEVEL, shapes
@@ -163,7 +163,7 @@ def _speed(log: Log, plant_body: PlantBody) -> Array:
     speed = measured_velocity(log)
     some = log.t - log.t[0] < _BEGINNING
     speed[0] = np.mean(speed[some], axis=0)  # noise must not look like motion to the law
-    return low_passed(log.t, speed, plant_body.robot.description.log.filter_cutoff)
+    return low_pass_signals(log.t, speed, plant_body.robot.description.log.filter_cutoff)
 
 
 def limits_of(
@@ -254,19 +254,19 @@ def _of_joint(
         parts = []
         for run in runs:
             raw = shapes(run.dq[:, j], run.outputs["tau_load"][:, j], speed)
-            parts.append(low_passed(run.t, np.stack(raw, axis=1), bandwidth))
+            parts.append(low_pass_signals(run.t, np.stack(raw, axis=1), bandwidth))
         columns = np.concatenate(parts)
         found = variance_shares(columns[some], errors[some] ** 2, np.zeros_like(errors[some]))
         variance = columns @ found + 1e-30
         loss = float(np.mean(np.log(variance) + errors**2 / variance))
         if loss < best[0]:
-            found, squares = _scaled(columns, found, errors**2)
+            found, squares = _scale_band(columns, found, errors**2)
             floor, slow, *others = np.sqrt(found).tolist()
             best = (loss, (floor, slow, speed, *others), np.sqrt(errors**2 / squares))
     return best[1], best[2]
 
 
-def _scaled(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
+def _scale_band(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
     """Scale shares to contain 95 % of squared errors in motion, and at rest if they do not yet.
 
     Returns the shares and the squares of the half-widths (N,).

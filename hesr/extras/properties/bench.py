@@ -46,7 +46,7 @@ class _Bench:
         self._time += dt
         return self._outputs.read()
 
-    def _through(self, dt: Array, rows: Array) -> Array:
+    def _hold_rows(self, dt: Array, rows: Array) -> Array:
         """Hold each row of inputs for its time (K,) [s]; return the outputs at the ends."""
         times = np.cumsum(np.concatenate([[self._time], dt]))
         found = through(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
@@ -114,7 +114,7 @@ class FrictionBench(_Bench):
         if not self.exact:
             parts = np.maximum(np.ceil(dt / _SUBSTEP).astype(int), 1)
         rows = np.repeat(np.hstack([dq, q, held]), parts, axis=0)
-        return np.asarray(self._through(np.repeat(dt / parts, parts), rows)[np.cumsum(parts) - 1])
+        return np.asarray(self._hold_rows(np.repeat(dt / parts, parts), rows)[np.cumsum(parts) - 1])
 
 
 class DriveBench(_Bench):
@@ -168,5 +168,5 @@ class DriveBench(_Bench):
         for row, values in enumerate((torque, link, None, load)):
             if values is not None:
                 rows[:, row] = values
-        found = self._through(dt, rows.reshape(len(dt), -1))
+        found = self._hold_rows(dt, rows.reshape(len(dt), -1))
         return np.moveaxis(found.reshape(len(dt), 3, self.joints), 1, 0)

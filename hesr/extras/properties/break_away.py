@@ -84,7 +84,7 @@ def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     q, dq, _ = bench.run(np.full(rows, _STEP), link=link)
     stretch = link - q
     return [
-        _pulled(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
+        _judge_stick_slip(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
         for j in range(bench.joints)
     ]
 
@@ -99,7 +99,7 @@ def _weakest(scale: Scale, joint: int) -> tuple[float, float]:
     return float(speeds[steepest if slope[steepest] < 0.0 else 0]), float(fallen)
 
 
-def _pulled(
+def _judge_stick_slip(
     t: Array, stretch: Array, dq: Array, pull: float, falls: float, drives: bool
 ) -> PropertyResult:
     half = len(t) // 2

@@ -61,7 +61,7 @@ def _property(
                 "name": joint.joint,
                 "verdict": properties.MARKS[f.verdict],
                 "reason": f.reason,
-                "figures": [_spelled(one) for one in f.figures],
+                "figures": [_spell_range(one) for one in f.figures],
                 "plot": svg(f.plot) if f.plot else "",
             }
             for joint, f in zip(found.joints, findings, strict=True)
@@ -76,7 +76,7 @@ def _cell(found: properties.PropertyResult, expectation: Expectation) -> str:
     return f"{properties.MARKS[found.verdict]} {figure(expectation.factor * value, _DIGITS)}"
 
 
-def _spelled(one: properties.Figure) -> str:
+def _spell_range(one: properties.Figure) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     return f"{one.name}: {figure(one.value, _DIGITS)}{unit if one.value is not None else ''}"
 

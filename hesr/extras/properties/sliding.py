@@ -56,7 +56,7 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Propert
     found = []
     for joint in range(bench.joints):
         first = next((dt for dt in bad if bad[dt][joint]), None)
-        largest = _refined(slide, joint, list(bad), first)
+        largest = _find_largest_step(slide, joint, list(bad), first)
         slope = float(slopes[joint])
         predicted = 2.0 * float(inertia[joint]) / slope if slope > 0.0 else None
         measured = figures(
@@ -111,7 +111,7 @@ def _chatters(dq: Array) -> Array:
     return np.asarray(full.any(axis=0) | ~np.isfinite(dq).all(axis=0))
 
 
-def _refined(
+def _find_largest_step(
     slide: Callable[[float], Array], joint: int, tried: list[float], first: float | None
 ) -> float | None:
     """Return the largest step [s] without chatter of a joint, below the `first` tried one with."""

@@ -8,7 +8,7 @@ from statistics import geometric_mean
 from cosim.loop.closed_loop import StandIn
 from cosim.report.markup import Tables
 from cosim.report.results import AREAS, Results
-from cosim.report.tables.laws import most_passed, properties
+from cosim.report.tables.laws import find_most_passing, properties
 from cosim.report.tables.loop import outcome, tracking
 from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths, own_friction
 from cosim.report.tables.table import ResultTable, TableRow, fixed, markdown, row_of, title
@@ -166,7 +166,7 @@ def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
 
 def _physics(results: Results) -> Iterator[str]:
     found = results.properties
-    laws, most = most_passed(found)
+    laws, most = find_most_passing(found)
     yield (
         f"{', '.join(map(title, laws))}: {most} of {len(EXPECTATIONS)} checks passed on all "
         f"joints, the most of {len(found)} laws.\n"

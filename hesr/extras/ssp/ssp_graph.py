@@ -190,7 +190,7 @@ def _without_offset(base: UnitExponents | None) -> UnitExponents | None:
     return base and (*base[:-1], 0.0)
 
 
-def in_unit_of(variables: Variables, name: str, value: float, unit: Unit, where: str) -> float:
+def convert_to_unit(variables: Variables, name: str, value: float, unit: Unit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none."""
     own, base = variables.unit(name)
     if variables.relative(name):  # FMI: offsets do not apply to differences

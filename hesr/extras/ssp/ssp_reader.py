@@ -29,7 +29,7 @@ from hesr.extras.ssp.ssp_graph import (
     Hop,
     ParameterValue,
     between,
-    in_unit_of,
+    convert_to_unit,
     number,
     safe_names,
     shown,
@@ -384,7 +384,7 @@ class _Reader:
             unit = None if parameter.suppressed else parameter.unit
             into = connector and self.graph.unit(connector)
             if unit and not connector:
-                value = in_unit_of(variables, element, value, unit, where)
+                value = convert_to_unit(variables, element, value, unit, where)
             elif unit and into:
                 value = between(unit, into, where)(value)
             if parameter.after:

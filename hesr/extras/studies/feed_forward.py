@@ -71,7 +71,7 @@ def _predicted(
     plant_body = PlantBody.of(robot, body)
     export_plant(model, fmu, body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
     error = commanded(log)[0] - log.q
-    missed = _missed(log, robot, body, model)
+    missed = _missing_torque(log, robot, body, model)
     generator = np.random.default_rng(0)
     drawn = [servo.factors, *(servo.drawn(generator) for _ in range(_DRAWS))]
     rows = []
@@ -131,7 +131,7 @@ def feed_forward(
         yield law, (q, dq + _inverse(load + friction - supported, t, servo))
 
 
-def _missed(log: Log, robot: Robot, body: RigidBody, model: FrictionModel) -> Array:
+def _missing_torque(log: Log, robot: Robot, body: RigidBody, model: FrictionModel) -> Array:
     """Return the torque (N, n) that body and law miss on a log, smoothed as its motion."""
     records = friction_records(log, robot, body)
     missed = np.column_stack([record.tau for record in records]) - model.predict(records)

@@ -85,7 +85,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
         names = {str(fmu): digest for fmu, digest in plan.digests.items()}
         fmus = names, ours, contents
         futures = {
-            client.submit(run_there, plan.task, plan.chunk(first), *fmus, pure=False): first
+            client.submit(run_on_worker, plan.task, plan.chunk(first), *fmus, pure=False): first
             for first in left
         }
         for future in as_completed(futures, loop=client.loop):
@@ -105,7 +105,7 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
         )
 
 
-def run_there(
+def run_on_worker(
     task: Task,
     values: Array,
     names: Mapping[str, str],

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.report.tables.table import ResultTable, TableCell, row_of
-from cosim.workflow.answer import Answer, shortened
+from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.sweep.plan import Plan, Sensitivity
 from hesr.extras.sweep.work import RunTable
 from hesr_model.support.arrays import Array
@@ -44,7 +44,7 @@ class SweepResult(Answer):
         for k, one in enumerate(self.plan.study.outputs):
             command = replay_command(self.path, self.worst(k)[0])
             lines.append(f"Worst run by {one.name}: {command}")
-        return shortened(lines, self.files)
+        return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return distributions and sensitivities."""

@@ -316,7 +316,7 @@ class Stage:
                     _line(scene, path[a, side], path[b, side], pixels, colour)
             for line, text in enumerate(one.label):
                 place = one.above - np.array([0.0, 0.0, _LINE * line])
-                geom = _added(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT)
+                geom = _add_to_scene(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT)
                 if geom:
                     geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
@@ -375,12 +375,12 @@ def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
 
 def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
     kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
-    geom = _added(scene, kind, 0.0, np.zeros(3), colour)
+    geom = _add_to_scene(scene, kind, 0.0, np.zeros(3), colour)
     if geom:
         mujoco.mjv_connector(geom, kind, pixels, start, end)
 
 
-def _added(
+def _add_to_scene(
     scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: float, place: Array, colour: Colour
 ) -> Any:
     if scene.ngeom == scene.maxgeom:

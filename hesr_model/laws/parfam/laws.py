@@ -81,9 +81,9 @@ class ParFamH(Estimator):
         trained_range = TrainedRange.of(records)
         chosen = refine.select(features, search(features, rng), rows.folds, trained_range)
         law = chosen.canonical().law(self.name, self.discretisation)
-        return self._enlarged(law, features, trained_range, rng)
+        return self._enlarge_law(law, features, trained_range, rng)
 
-    def _enlarged(
+    def _enlarge_law(
         self,
         law: FrictionLaw,
         features: HysteresisFeatures,

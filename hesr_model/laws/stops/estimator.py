@@ -173,7 +173,7 @@ class _Stops(Estimator):
                 normal.gram,
                 normal.moment,
                 x,
-                forms.viscous_at(structure, best.numbers, SPEEDS),
+                forms.evaluate_viscous(structure, best.numbers, SPEEDS),
                 forms.needed(structure.ripple, lag, structure.window),
                 free=free,
             )

@@ -214,7 +214,7 @@ def start_at_rest(form: LawForm) -> tuple[float, ...]:
     return tuple(1.0 if element == AGE else 0.0 for element in memory) if AGE in memory else ()
 
 
-def viscous_at(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:
+def evaluate_viscous(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:
     """Return the (S, V) terms of f, without their coefficients, at speeds (S,) >= 0 [rad/s]."""
     known = {v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous}
     terms = [_VISCOUS[kind][1].subs(known) for kind in structure.viscous]

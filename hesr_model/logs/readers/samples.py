@@ -25,7 +25,7 @@ class LogSamples:
     q_cmd: Array | None = None
     dq_cmd: Array | None = None
 
-    def arranged(self, log: LogFormat, after: float = -np.inf) -> "LogSamples":
+    def sort_samples(self, log: LogFormat, after: float = -np.inf) -> "LogSamples":
         """Sort rows by time, and drop rows that lack a number or repeat a stamp, or `after`."""
         rows = np.arange(len(self.t))
         drop = log.missing == "drop"

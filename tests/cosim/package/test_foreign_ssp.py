@@ -16,7 +16,7 @@ from cosim.systems.system import SystemSpec, opened_system
 from fmu_src.run.variables import SI, Variables
 from hesr.extras.ssp.contents import SSD, read_contents
 from hesr.extras.ssp.ssp import write_ssp
-from hesr.extras.ssp.ssp_graph import Unit, in_unit_of, safe_names
+from hesr.extras.ssp.ssp_graph import Unit, convert_to_unit, safe_names
 from hesr_model.errors import ConfigError
 
 Write = Callable[..., Path]
@@ -101,7 +101,7 @@ def test_a_number_is_in_the_unit_of_its_variable(
     about = description(
         variable("x", "parameter", unit=unit, relativeQuantity=relative), units=UNITS
     )
-    found = in_unit_of(Variables(Path("F.fmu"), about), "x", given, of, "x")
+    found = convert_to_unit(Variables(Path("F.fmu"), about), "x", given, of, "x")
     assert found == pytest.approx(value, rel=1e-12)
 
 
@@ -111,7 +111,7 @@ def test_a_unit_unknown_to_the_fmu_is_refused() -> None:
         ConfigError,
         match="here: deg cannot be converted into",
     ):
-        in_unit_of(Variables(Path("F.fmu"), about), "x", 1.0, ("deg", si(rad=1)), "here")
+        convert_to_unit(Variables(Path("F.fmu"), about), "x", 1.0, ("deg", si(rad=1)), "here")
 
 
 REFUSED: list[tuple[Changes, str]] = [

@@ -21,7 +21,7 @@ from hesr_model.health.positions import (
     check_steps,
     check_time,
 )
-from hesr_model.health.torque import _speeds, check_held, check_speed, check_torque
+from hesr_model.health.torque import _speeds, check_raw_signals, check_speed, check_torque
 from hesr_model.health.velocity import check_velocity
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -108,17 +108,17 @@ LOGS: dict[str, tuple[str, Spoil, float, float]] = {
     "rows at the largest torque in turn": (
         "saturation", lambda x: check_columns(as_part(clipped(40, x)), TWO), 4, 6,
     ),
-    "torque of one row": ("torque-spikes", lambda x: check_held(spiked(x), TWO), 12.0, 17.0),
+    "torque of one row": ("torque-spikes", lambda x: check_raw_signals(spiked(x), TWO), 12.0, 17.0),
     "time without a new position": (
-        "stuck", lambda x: check_held(still(20, period=x), TWO), 0.013, 0.017,
+        "stuck", lambda x: check_raw_signals(still(20, period=x), TWO), 0.013, 0.017,
     ),
     "rows without a new position": (
-        "stuck", lambda x: check_held(still(int(x), period=0.05), TWO), 13, 17,
+        "stuck", lambda x: check_raw_signals(still(int(x), period=0.05), TWO), 13, 17,
     ),
     "speed at a constant position": (
-        "stuck", lambda x: check_held(moving_while_stuck(x), TWO), 0.04, 0.06,
+        "stuck", lambda x: check_raw_signals(moving_while_stuck(x), TWO), 0.04, 0.06,
     ),
-    "repeated torques": ("held-samples", lambda x: check_held(repeated(x), TWO), 290, 310),
+    "repeated torques": ("held-samples", lambda x: check_raw_signals(repeated(x), TWO), 290, 310),
     "slower than its velocity": ("velocity-scale", lambda x: against(x * V), 0.98, 0.96),
     "faster than its velocity": ("velocity-scale", lambda x: against(x * V), 1.02, 1.04),
     "another velocity": ("velocity-match", lambda x: against(noisy(x)), 0.3, 0.45),
