@@ -204,7 +204,7 @@ def possible_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
 
     model = model_of(robot)
     identified = None if body is None else body_of(body, (), model)
-    if identified is None or is_possible(model, own := identified.parameters_of_robot(model)):
+    if identified is None or is_possible(model, own := identified.parameters_for(model)):
         return PlantBody.of(model, identified)
     found, off, largest = nearest(model, own)
     k = int(np.argmax(off / np.maximum(largest, 1e-12)))

@@ -66,7 +66,7 @@ class PageBody:
         """Return the body of a robot; RobotError if `body` belongs to another robot."""
         return cls(
             joints=robot.description.joints,
-            fmu=inverse_dynamics(robot, body.parameters_of_robot(robot)),
+            fmu=inverse_dynamics(robot, body.parameters_for(robot)),
             cutoff=robot.description.log.filter_cutoff,
         )
 

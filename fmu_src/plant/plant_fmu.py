@@ -72,7 +72,7 @@ class PlantBody:
         Raises RobotError if the body belongs to another robot, ExportError if a mass matrix is not
         positive definite.
         """
-        own = robot.nominal_parameters if body is None else body.parameters_of_robot(robot)
+        own = robot.nominal_parameters if body is None else body.parameters_for(robot)
         plant_body = cls(robot=robot, parameters=own)
         plant_body.require_inertia(
             robot.description.model.name if body is None else "the rigid body"

@@ -105,21 +105,21 @@ class RigidBody:
         head = ("base parameter [SI]", "value", "standard error")
         return html_table(f"Rigid body of '{self.robot}', {self.method}", head, rows)
 
-    def torque(self, robot: Robot, motion: Motion) -> Array:
+    def torque(self, model: Robot, motion: Motion) -> Array:
         """Return the torque Y_b pi_b (eq. 6), (N, n) [N.m]; RobotError for another robot."""
-        return robot.torque(self.parameters_of_robot(robot), *motion.states)
+        return model.torque(self.parameters_for(model), *motion.states)
 
-    def parameters_of_robot(self, robot: Robot) -> Array:
+    def parameters_for(self, model: Robot) -> Array:
         """Return the parameters (P,), or raise RobotError for another robot."""
-        if self.names != robot.parameter_names:
+        if self.names != model.parameter_names:
             raise RobotError(
                 f"the rigid body of '{self.robot}' with {len(self.names)} parameters does not fit "
-                f"robot '{robot.description.name}', which has {len(robot.parameter_names)}: "
+                f"robot '{model.description.name}', which has {len(model.parameter_names)}: "
                 "identify it with the same robot file."
             )
         return self.parameters
 
-    def torque_spread(self, robot: Robot, motion: Motion) -> Array | None:
+    def torque_spread(self, model: Robot, motion: Motion) -> Array | None:
         """Return torque errors over a motion, (N, n, r) [N.m]; None if the covariance is unknown.
 
         They are for one standard deviation of each of the r independent parameter errors that
@@ -130,10 +130,10 @@ class RigidBody:
         values, vectors = np.linalg.eigh(self.covariance.matrix)
         spread = vectors * np.sqrt(np.maximum(values, 0.0))
         columns = list(self.base)
-        _, s, vt = np.linalg.svd(at_random_states(robot)[:, columns] @ spread, full_matrices=False)
+        _, s, vt = np.linalg.svd(at_random_states(model)[:, columns] @ spread, full_matrices=False)
         spread = spread @ vt[s > _MATTERS * s[0]].T
         parts = [
-            robot.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
+            model.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
             for k in (slice(at, at + AT_ONCE) for at in range(0, len(motion.t), AT_ONCE))
         ]
         return np.concatenate(parts)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -141,11 +142,16 @@ def test_a_payload_is_reported_in_the_frame_of_the_last_joint() -> None:
 )
 def test_an_export_is_reported_with_use_and_size(tmp_path: Path, suffix: str, use: str) -> None:
     path = tmp_path / f"a{suffix}"
-    path.write_bytes(b"x" * 2560)
+    if suffix == ".fmu":
+        with ZipFile(path, "w") as archive:
+            archive.writestr("binaries/linux64/a.so", b"x" * 2300)
+    else:
+        path.write_bytes(b"x" * 2560)
     told = export.answer(path, path)
-    first, file = told.summary().splitlines()
+    first, *platforms, file = told.summary().splitlines()
     assert first.startswith(use)
     assert first.endswith(", 2 KiB.")
+    assert ["linux64" in line for line in platforms] == [True] * (suffix == ".fmu")
     assert file == f"Written: {path}"
     assert told.data == str(path)
 

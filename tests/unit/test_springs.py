@@ -159,9 +159,9 @@ def test_a_body_without_springs_is_for_another_robot(
     body = identify_motions([motion], sprung)
     body.write(tmp_path / "body.json")
     again = RigidBody.read(tmp_path / "body.json")
-    np.testing.assert_array_equal(again.parameters_of_robot(sprung), body.parameters)
+    np.testing.assert_array_equal(again.parameters_for(sprung), body.parameters)
     with pytest.raises(RobotError, match="same robot file"):
-        again.parameters_of_robot(arm_model)
+        again.parameters_for(arm_model)
 
 
 def test_beside_a_balancer_weight_tells_no_torque_constant(tmp_path: Path) -> None:
