@@ -289,7 +289,7 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     with pytest.raises(ExportError, match="'2b' is not a valid C name"):
         export_observer(table1, tmp_path / "2b.h", body=body)
     turned = Robot(coupled(tmp_path))
-    with pytest.raises(ExportError, match="has no band; give 'calibration'"):
+    with pytest.raises(ExportError, match="bands are those of coupled motors"):
         export_observer(viscous(turned), tmp_path / "O.fmu", body=PlantBody.of(turned))
     heated = thermal(measured=False)
     with pytest.raises(ExportError, match="takes the temperature from the heat"):
