@@ -21,6 +21,7 @@ class Containing:
             place += len(part)
         return True
 
+    # A class with its own equality has no hash; typeshed declares a method.
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
@@ -36,4 +37,5 @@ class OneSentence(Containing):
         is_sentence = other.count("\n") <= 1 and other.removesuffix("\n").endswith((".", "?"))
         return is_sentence and super().__eq__(other)
 
+    # A class with its own equality has no hash; typeshed declares a method.
     __hash__ = None  # type: ignore[assignment]

@@ -5,12 +5,23 @@ from pathlib import Path
 
 import numpy as np
 
-from hesr_model.health.evidence import Motionwise
+from hesr_model.health.evidence import Estimate, JointTorque, Motionwise
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
 """Description of two joints, for tests that need no model."""
+
+SOUND_TORQUE = JointTorque(
+    gravity=Estimate(value=1.0, error=0.01),
+    inertia=Estimate(value=1.2, error=0.02),
+    friction=Estimate(value=0.5, error=0.01),
+    gravity_size=5.0,
+    friction_size=0.6,
+    residual=0.3,
+    deviation=5.0,
+)
+"""What explains a torque without any finding."""
 
 
 def two_joints(rows: int = 1000, period: float = 0.01) -> Log:

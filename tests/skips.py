@@ -27,7 +27,6 @@ ALLOWED = (
     AllowedSkip("^root may write anywhere$", "CI runs as root"),
     AllowedSkip("^only root can give a", "or does not"),
     AllowedSkip("^this processor has no vectors", "processors differ"),
-    AllowedSkip("^flags of floating-point exceptions are read", "processors differ"),
 )
 
 

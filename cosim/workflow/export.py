@@ -458,7 +458,7 @@ def _platform_line(fmu: Path) -> str:
 
 
 def _coupling_line(system: Path, effect: str = "") -> str:
-    """Return the declared coupling of a system, and what engines do instead."""
+    """Return the declared coupling of a system, and how other engines differ from it."""
     from cosim.systems.system import opened_system
 
     with opened_system(system) as spec:

@@ -241,29 +241,38 @@ _NOTES = (
 
 
 def _signal_lines(signals: ArmSignals) -> Iterator[str]:
-    """Yield the sums of sensors that are outputs, and the actuators that inputs command."""
-    model = signals.model
-    addresses = np.asarray(model.sensor_adr)
-    controls = [k for k in range(model.nactuator) for _ in range(int(model.actuator_ctrlnum[k]))]
-    for one in signals.inputs:
-        names = [
-            model.actuator(controls[c]).name or f"actuator {controls[c]}" for c in one.controls
-        ]
-        yield f"{', '.join(names)} = {one.name}"
-    for out in signals.outputs:
-        terms = []
-        for address, factor, scaled in out.reads:
-            sensor = int(np.searchsorted(addresses, address, side="right")) - 1
-            name = model.sensor(sensor).name or f"sensor {sensor}"
-            element = f"[{address - addresses[sensor] + 1}]" if model.sensor_dim[sensor] > 1 else ""
-            scale = f"{SCALE} " if scaled else ""
-            size = "" if abs(factor) == 1 else f"{abs(factor):g} "
-            sign = "-" if factor < 0 else "+"
-            terms.append(f"{sign} {size}{scale}{name}{element}")
-        terms += [f"+ dry friction of loss {k + 1}" for k in out.losses]
-        if out.noise is not None:
-            terms.append(f"+ {noise_name(out)} normal noise")
-        yield f"{out.name} = {' '.join(terms).removeprefix('+ ')}"
+    """Yield the actuators that inputs command, and the sums of sensors that are outputs."""
+    names = _names_of_controls(signals.model)
+    for command in signals.inputs:
+        yield f"{', '.join(names[control] for control in command.controls)} = {command.name}"
+    for output in signals.outputs:
+        terms = [_sensor_term(signals.model, *read) for read in output.reads]
+        terms += [f"+ dry friction of loss {k + 1}" for k in output.losses]
+        if output.noise is not None:
+            terms.append(f"+ {noise_name(output)} normal noise")
+        yield f"{output.name} = {' '.join(terms).removeprefix('+ ')}"
+
+
+def _names_of_controls(model: Any) -> list[str]:
+    """Return the name of the actuator of each control; an actuator may have several or none."""
+    names = []
+    for actuator in range(model.nactuator):
+        name = model.actuator(actuator).name or f"actuator {actuator}"
+        names += [name] * int(model.actuator_ctrlnum[actuator])
+    return names
+
+
+def _sensor_term(model: Any, address: int, factor: float, scaled: bool) -> str:
+    """Return a number of the sensors as a signed term of a sum."""
+    sensor = int(np.searchsorted(model.sensor_adr, address, side="right")) - 1
+    name = model.sensor(sensor).name or f"sensor {sensor}"
+    if model.sensor_dim[sensor] > 1:
+        name += f"[{address - model.sensor_adr[sensor] + 1}]"
+    if scaled:
+        name = f"{SCALE} {name}"
+    if abs(factor) != 1:
+        name = f"{abs(factor):g} {name}"
+    return f"{'-' if factor < 0 else '+'} {name}"
 
 
 def description(signals: ArmSignals, name: str) -> Description:

@@ -158,7 +158,7 @@ _CONTROLLER_NOTES = (
     "and compensates gravity. Its inverse therefore needs tau_g: the rigid-body torque at the "
     "measured position, at rest.",
     "Kp, Kd and lambda act if compensation is torque_error, Kv and Ki if it is servo_inversion, "
-    "and Kx always. Kv and Ki are those of the servo; they are no gains to tune.",
+    "and Kx always. Kv and Ki are those of the servo; do not tune them.",
     "previous(x) is x at the last sample; samples are sample_time apart.",
 )
 

@@ -45,6 +45,16 @@ static void spread(const fmi3ValueReference vr[], size_t n, fmi2ValueReference p
     }
 }
 
+/* Find the places of all elements, if the values fit these variables. */
+static bool find_places(fmi3Instance c, const char *function, const fmi3ValueReference vr[],
+                        size_t n, const void *values, size_t n_values, fmi2ValueReference place[]) {
+    if (!fits(c, function, vr, n, values, n_values)) {
+        return false;
+    }
+    spread(vr, n, place);
+    return true;
+}
+
 FMI3_STATUS(fmi3GetFloat64)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t n_values) {
     static const char function[] = "fmi3GetFloat64";
@@ -84,20 +94,18 @@ FMI3_STATUS(fmi3SetFloat64)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
  size_t n_values) {
     fmi2ValueReference place[VARIABLES];
-    if (!fits(c, "fmi3SetFloat64", vr, n, value, n_values)) {
+    if (!find_places(c, "fmi3SetFloat64", vr, n, value, n_values, place)) {
         return fmi3Error;
     }
-    spread(vr, n, place);
     return STATUS(fmi2SetReal(INNER(c), place, n_values, value));
 }
 
 FMI3_STATUS(fmi3GetInt32)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Int32 value[], size_t n_values) {
     fmi2ValueReference place[VARIABLES];
-    if (!fits(c, "fmi3GetInt32", vr, n, value, n_values)) {
+    if (!find_places(c, "fmi3GetInt32", vr, n, value, n_values, place)) {
         return fmi3Error;
     }
-    spread(vr, n, place);
     return STATUS(fmi2GetInteger(INNER(c), place, n_values, value));
 }
 
@@ -105,10 +113,9 @@ FMI3_STATUS(fmi3SetInt32)
 (fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int32 value[],
  size_t n_values) {
     fmi2ValueReference place[VARIABLES];
-    if (!fits(c, "fmi3SetInt32", vr, n, value, n_values)) {
+    if (!find_places(c, "fmi3SetInt32", vr, n, value, n_values, place)) {
         return fmi3Error;
     }
-    spread(vr, n, place);
     return STATUS(fmi2SetInteger(INNER(c), place, n_values, value));
 }
 
@@ -119,10 +126,9 @@ FMI3_STATUS(fmi3GetBoolean)
     if (BOOLEANS == 0) {
         return without(c, "fmi3GetBoolean", n);
     }
-    if (!fits(c, "fmi3GetBoolean", vr, n, value, n_values)) {
+    if (!find_places(c, "fmi3GetBoolean", vr, n, value, n_values, place)) {
         return fmi3Error;
     }
-    spread(vr, n, place);
     const fmi2Status status = fmi2GetBoolean(INNER(c), place, n_values, whole);
     for (size_t i = 0; status == fmi2OK && i < n_values; i++) {
         value[i] = whole[i] != 0;
@@ -139,10 +145,9 @@ FMI3_STATUS(fmi3SetBoolean)
     if (BOOLEANS == 0) {
         return without(c, function, n);
     }
-    if (!fits(c, function, vr, n, value, n_values)) {
+    if (!find_places(c, function, vr, n, value, n_values, place)) {
         return fmi3Error;
     }
-    spread(vr, n, place);
     for (size_t i = 0; i < n_values; i++) {
         whole[i] = value[i];
     }
@@ -155,12 +160,10 @@ FMI3_STATUS(fmi3GetDirectionalDerivative)
  fmi3Float64 sensitivity[], size_t n_sensitivity) {
     static const char function[] = "fmi3GetDirectionalDerivative";
     fmi2ValueReference above[VARIABLES], below[VARIABLES];
-    if (!fits(c, function, unknowns, n_unknowns, sensitivity, n_sensitivity) ||
-        !fits(c, function, knowns, n_knowns, seed, n_seed)) {
+    if (!find_places(c, function, unknowns, n_unknowns, sensitivity, n_sensitivity, above) ||
+        !find_places(c, function, knowns, n_knowns, seed, n_seed, below)) {
         return fmi3Error;
     }
-    spread(unknowns, n_unknowns, above);
-    spread(knowns, n_knowns, below);
     return STATUS(fmi2GetDirectionalDerivative(INNER(c), above, n_sensitivity, below, n_seed, seed,
                                                sensitivity));
 }

@@ -150,9 +150,7 @@ class Functions:
         whole = self.jumps.held(whole) if held else whole
         return function(self._head(name), whole, targets, self._with_seeds.places)
 
-    def _evaluate_expressions(
-        self, name: str, array: str, expressions: Iterable[sympy.Expr]
-    ) -> str:
+    def _print_evaluation(self, name: str, array: str, expressions: Iterable[sympy.Expr]) -> str:
         program = {sympy.Dummy(): e for e in expressions}
         return self._written(name, program, _array(array, program))
 
@@ -167,7 +165,7 @@ class Functions:
 
     def switches(self) -> str:
         """Write the arguments of the held signs into z."""
-        return self._evaluate_expressions("switches", "z", self.jumps.expressions)
+        return self._print_evaluation("switches", "z", self.jumps.expressions)
 
     def read(self) -> str:
         """Write state derivatives dx, outputs y and remembered values r."""
@@ -288,7 +286,7 @@ class Functions:
             positive(element.rate) if isinstance(element, Relaxation) else _ZERO
             for element in memory
         )
-        return self._evaluate_expressions("rates", "rate", rates)
+        return self._print_evaluation("rates", "rate", rates)
 
     def begin(self) -> str:
         """Move the states x from their start values to their initial values."""

@@ -275,7 +275,7 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
     return {
         "JOINTS": len(joints),
         "OWN_FIXED": 5,
-        "MAX_INPUTS": max(1, *(_gather_inputs(joint) for joint in joints)),
+        "MAX_INPUTS": max(1, *(_count_inputs(joint) for joint in joints)),
         "MAX_STATES": most(lambda c: len(c.memory)),
         "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
         "MAX_REMEMBERED": max(len(joint.component.remembered) for joint in joints),
@@ -297,7 +297,7 @@ def _count(component: Component, gathered: bool, name: str) -> int:
     return int(count)
 
 
-def _gather_inputs(joint: Joint) -> int:
+def _count_inputs(joint: Joint) -> int:
     component = joint.component
     return (
         len(component.inputs)

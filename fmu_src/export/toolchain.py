@@ -77,7 +77,7 @@ _HOSTS = {
 
 
 def host_platform() -> str | None:
-    """Return the target of this machine, None if there is none."""
+    """Return the target of this machine, or None if we build nothing for it."""
     return _HOSTS.get(f"{sys.platform} {platform.machine()}")
 
 

@@ -17,7 +17,7 @@ from fmu_src.friction.reference import joint_columns, reference_motion, torques
 from fmu_src.pages.block_page import BlockPage, LawEntry, block_html
 from fmu_src.pages.friction_page import title
 from fmu_src.pages.mathml import equations
-from fmu_src.run.reference_results import ROWS, Stimuli, waves
+from fmu_src.run.reference_results import ROWS, Stimuli, round_stimulus, waves
 from hesr_model.equations.component import Component, Parameter, Quantity
 from hesr_model.equations.memory import Slow
 from hesr_model.friction.model import FrictionModel
@@ -101,13 +101,12 @@ def _stimuli(model: FrictionModel, interface: Interface, about: Description) -> 
         inputs |= joint_columns("tau_meas", motion.tau_load + friction)
     for i, thermal in enumerate(model.thermal, start=1):
         inputs |= waves({f"{TEMPERATURE.name}[{i}]": _WARMTH}, middle=thermal.reference)
-    rounded = {name: np.round(rows, _DECIMALS) for name, rows in inputs.items()}
     names = {variable.name for variable in interface.variables if variable.role == "input"}
-    return Stimuli(step=step, inputs={n: rows for n, rows in rounded.items() if n in names})
+    known = {name: round_stimulus(rows) for name, rows in inputs.items() if name in names}
+    return Stimuli(step=step, inputs=known)
 
 
 _PHASE = 0.35  # lead of each joint over the one before it [rad]
-_DECIMALS = 6  # of stimuli, so that files have the exact inputs
 
 
 def _joint(

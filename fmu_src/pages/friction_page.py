@@ -172,7 +172,7 @@ def title(law: FrictionLaw, otherwise: str | None = None) -> str:
 
 
 def model_title(model: FrictionModel) -> str:
-    """Return the titles of a model's laws, or its own name if that is none of the registry's."""
+    """Return the titles of a model's laws, or its own name if the registry does not have it."""
     if model.law != MIXED and model.law not in {law.name for law in model.laws}:
         return model.law
     titles = list(dict.fromkeys(title(law) for law in model.laws))
@@ -180,7 +180,7 @@ def model_title(model: FrictionModel) -> str:
 
 
 def _explain_intervals(law: FrictionLaw) -> str:
-    """Return what the intervals of the coefficients are, or why there are none."""
+    """Explain the intervals of the coefficients, or why they are missing."""
     if law.standard_errors:
         text = "The 95 % intervals are 1.96 standard errors of linearised least squares."
         if len(law.standard_errors) < len(law.values):

@@ -51,7 +51,7 @@ RUNS = (("hold", ORDERS["hold"], "ref"), ("shown", ORDERS["shown"], "shown"))
 TOLERANCE = 1e-9  # relative to the largest value: differences between platforms
 _TOLERANCE = 1e-3  # of results that name none
 _MOST_ROWS = 100_000
-_DECIMALS = 6  # of stimuli, so that files hold the exact inputs
+_DECIMALS = 6  # of stimuli
 _PHASE = 0.35  # [rad] lead of each input over the one before it
 
 _README = """\
@@ -99,11 +99,16 @@ class Stimuli:
         return np.round(self.step * np.arange(ROWS + 1), 12)
 
 
+def round_stimulus(rows: Array) -> Array:
+    """Return inputs with so few digits that files have them exactly."""
+    return np.round(rows, _DECIMALS)
+
+
 def waves(amplitudes: Mapping[str, float], middle: float = 0.0) -> dict[str, Array]:
     """Return a sinusoid (ROWS + 1,) with 1 to 3 periods around `middle` for each name."""
     angle = 2.0 * np.pi * np.arange(ROWS + 1) / ROWS
     return {
-        name: np.round(middle + size * np.sin((1 + j % 3) * angle + _PHASE * j), _DECIMALS)
+        name: round_stimulus(middle + size * np.sin((1 + j % 3) * angle + _PHASE * j))
         for j, (name, size) in enumerate(amplitudes.items())
     }
 

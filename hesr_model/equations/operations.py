@@ -113,8 +113,8 @@ class Graph:
         plus = [self.of(t) for t, n in zip(e.args, negative, strict=True) if not n]
         minus = [self.of(-t) for t, n in zip(e.args, negative, strict=True) if n]
         if not plus:
-            return self._operation("NEGATE", self._fold_constants("ADD", minus))
-        found = self._fold_constants("ADD", plus)
+            return self._operation("NEGATE", self._chain_operation("ADD", minus))
+        found = self._chain_operation("ADD", plus)
         for node in self._by_dependence(minus):
             found = self._operation("SUBTRACT", found, node)
         return found
@@ -138,10 +138,10 @@ class Graph:
         same = [node for node in below if self.nodes[node].dependence <= Dependence.NUMBERS]
         differs = [node for node in below if node not in same]
         if same:
-            above.append(self._operation("DIVIDE", one, self._fold_constants("MULTIPLY", same)))
-        found = self._fold_constants("MULTIPLY", above) if above else one
+            above.append(self._operation("DIVIDE", one, self._chain_operation("MULTIPLY", same)))
+        found = self._chain_operation("MULTIPLY", above) if above else one
         if differs:
-            found = self._operation("DIVIDE", found, self._fold_constants("MULTIPLY", differs))
+            found = self._operation("DIVIDE", found, self._chain_operation("MULTIPLY", differs))
         return self._operation("NEGATE", found) if sign else found
 
     def _power(self, e: sympy.Pow) -> int:
@@ -162,7 +162,7 @@ class Graph:
     def _by_dependence(self, nodes: Iterable[int]) -> list[int]:
         return sorted(nodes, key=lambda node: self.nodes[node].dependence)
 
-    def _fold_constants(self, name: str, nodes: Iterable[int]) -> int:
+    def _chain_operation(self, name: str, nodes: Iterable[int]) -> int:
         first, *others = self._by_dependence(nodes)
         for node in others:
             first = self._operation(name, first, node)

@@ -42,7 +42,10 @@ def with_standard_errors(
     """Return the law with covariance and standard errors; `space` is its search space, if known."""
     if len(law.values) > MOST_COEFFICIENTS:
         return law
-    moved = _search_values(law, space.at_joint(slides=records[0].sliding)) if space else _every(law)
+    if space:
+        moved = _free_coordinates(law, space.at_joint(slides=records[0].sliding))
+    else:
+        moved = _every(law)
     # Initial states are measured, so they are constant.
     starts = [record_start(law, record) for record in records]
 
@@ -170,7 +173,7 @@ def _every(law: FrictionLaw) -> Coordinates:
     )
 
 
-def _search_values(law: FrictionLaw, space: SearchSpace) -> Coordinates:
+def _free_coordinates(law: FrictionLaw, space: SearchSpace) -> Coordinates:
     numbers = _unknowns(law.values, space)
     at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
     at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}

@@ -105,7 +105,7 @@ def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> It
     columns = column_names(getattr(description.log.columns, which), description.joints)
     gains = np.array(description.log.torque_per_ampere or np.ones(model.n))
     for a, b in combinations(joints, 2):
-        order = _exchange_columns(model.n, a, b)
+        order = _swap_order(model.n, a, b)
         named = tuple(columns[k] for k in order)
         remedy = (
             f"its torque is swapped with that of joint '{description.joints[b]}'; set "
@@ -118,7 +118,7 @@ def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> It
 
 def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
     description = model.description
-    orders = {(a, b): _exchange_columns(model.n, a, b) for a, b in combinations(joints, 2)}
+    orders = {(a, b): _swap_order(model.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == model.n > 2:
         n = model.n
         orders[-1, -1] = list(reversed(range(n)))
@@ -206,7 +206,7 @@ def _gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[M
     yield Mistake("gravity", -1, remedy, {"gravity": gravity}, mended)
 
 
-def _exchange_columns(n: int, a: int, b: int) -> list[int]:
+def _swap_order(n: int, a: int, b: int) -> list[int]:
     order = list(range(n))
     order[a], order[b] = b, a
     return order

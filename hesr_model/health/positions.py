@@ -188,14 +188,14 @@ def check_columns(motion: Motionwise, description: RobotDescription) -> Iterator
             found = f"it moves while its torque stays at {tau[0]:.4g}"
             remedy = "its torque is not logged, or another column is"
             yield of_joint("torque-constant", description.joints[j], found, remedy)
-        elif (share := _saturates(tau)) > _SATURATED:
+        elif (share := _share_at_limit(tau)) > _SATURATED:
             largest = f"{np.max(np.abs(tau)):.4g}"
             found = f"{100 * share:.1f} % of its rows are at the largest torque, {largest}"
             remedy = "the drive or the log clips the torque; friction beyond is not learned"
             yield of_joint("saturation", description.joints[j], found, remedy, "warning")
 
 
-def _saturates(tau: Array) -> float:
+def _share_at_limit(tau: Array) -> float:
     top = np.abs(tau) >= np.max(np.abs(tau))
     run = np.convolve(top, np.ones(_LONG_RUN), mode="same")
     fine = len(np.unique(tau)) > _LEVELS

@@ -222,7 +222,7 @@ def _changes(
     reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         for key, value in finding.changes.items():
-            wanted[key] = _combine_scales(attrgetter(key)(description), wanted.get(key), value)
+            wanted[key] = _merge_values(attrgetter(key)(description), wanted.get(key), value)
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
     changes = {key: value for key, value in wanted.items() if value != attrgetter(key)(description)}
     marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
@@ -251,7 +251,7 @@ def _places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
     return {(finding.check, joint) for finding in findings for joint in finding.joints or ("",)}
 
 
-def _combine_scales(declared: Any, before: Any, value: Any) -> Any:
+def _merge_values(declared: Any, before: Any, value: Any) -> Any:
     if not (isinstance(before, tuple) and isinstance(value, tuple)):
         return value
     old = declared if isinstance(declared, tuple) else (declared,) * len(value)

@@ -97,7 +97,7 @@ def identify_payload_motions(
         for block in observations.stacked(motions, robot, unloaded.base, friction)
     ]
     covariance = _covariance(blocks, solution, [segments[block.samples] for block in blocks])
-    covariance += _inherit_parameters(blocks, solution, carried, unloaded.standard_errors)
+    covariance += _propagate_errors(blocks, solution, carried, unloaded.standard_errors)
     payload = Payload(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
@@ -163,7 +163,7 @@ def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[
     return np.asarray(inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1)))
 
 
-def _inherit_parameters(
+def _propagate_errors(
     blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
 ) -> Array:
     spread = _inverse_hessian(blocks, solution) @ _products(blocks, solution, carried) * errors

@@ -197,7 +197,7 @@ def _strip_mjcf(path: Path) -> Any:
     for part in [*parts, *spec.tendons]:
         spec.delete(part)
     meshes = set()
-    bodies = _shape_bodies(spec)
+    bodies = _find_shaped_bodies(spec)
     for site in spec.sites:
         site.material = ""
     for geom in spec.geoms:
@@ -213,7 +213,7 @@ def _strip_mjcf(path: Path) -> Any:
     return spec
 
 
-def _shape_bodies(spec: Any) -> set[str]:
+def _find_shaped_bodies(spec: Any) -> set[str]:
     by_geoms = spec.compiler.inertiafromgeom
     total = spec.compiler.settotalmass > 0.0
     kinds = engine().mjtInertiaFromGeom

@@ -53,6 +53,8 @@ def _usual_size(coefficient: str) -> float:
         return 0.0
     if coefficient == "sigma_0" or coefficient.startswith("kappa"):
         return 300.0
+    if coefficient.startswith("mu"):
+        return 0.05  # friction that grows faster than its load jams, and motion is chaotic
     return 0.01 if coefficient in _SMALL else 0.5
 
 
@@ -210,7 +212,7 @@ SCOPES: Mapping[str, Scope] = {
         (*LOWERED, "modelica"), Scope(_UNCOUPLED, versions=(NO_FMI,), corners=("defaults",))
     ),
 }
-"""What each format can be asked for."""
+"""Structures, versions and corners of each format."""
 
 
 def write_loop(model: FrictionModel, folder: Path) -> SystemSpec:

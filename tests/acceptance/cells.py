@@ -42,7 +42,7 @@ def possible_cells(
     Parameters
     ----------
     structures : structures that each law can have.
-    formats : what each format can be asked for.
+    formats : structures, versions and corners of each format.
     """
     cells = []
     for law, possible in structures.items():
@@ -66,7 +66,7 @@ class Scope(NamedTuple):
 
 
 def chosen_cells(possible: Sequence[Cell]) -> list[Cell]:
-    """Return few cells in which each pair of values occurs, most new pairs first."""
+    """Return a few cells that hold every pair of values, those with most new pairs first."""
     numbers: dict[tuple[int, str | int, int, str | int], int] = {}
     rows = [[numbers.setdefault(pair, len(numbers)) for pair in cell.pairs] for cell in possible]
     pairs_of_cells = np.array(rows)

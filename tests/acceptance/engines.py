@@ -13,13 +13,11 @@ from floating_point import without_exceptions
 from fmpy import read_model_description
 from fmpy.model_description import ModelDescription, ScalarVariable
 from fmpy.validation import validate_fmu
+from fmu_variables import is_integer, is_real
 
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
 from hesr_model.support.arrays import Array
-
-FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
-"""An engine in Rust, if `make interop` has installed it."""
 
 REST, STEPS = 10, 40
 """Steps with all inputs at 0, and all steps."""
@@ -37,12 +35,8 @@ _COMPILERS = {
 Starts = Mapping[str, float]
 
 
-def is_real(variable: ScalarVariable) -> bool:
-    return variable.type in ("Real", "Float64")
-
-
 def is_number(variable: ScalarVariable) -> bool:
-    return is_real(variable) or variable.type in ("Integer", "Int32", "Enumeration")
+    return is_real(variable) or is_integer(variable) or variable.type == "Enumeration"
 
 
 def start_variables(about: ModelDescription) -> list[ScalarVariable]:
@@ -53,8 +47,7 @@ def start_variables(about: ModelDescription) -> list[ScalarVariable]:
         if is_number(variable)
         and variable.causality != "input"
         and (variable.variability == "fixed" or variable.initial == "exact")
-        and variable.variability != "tunable"
-        and variable.variability != "constant"
+        and variable.variability not in ("tunable", "constant")
         and variable.start is not None
     ]
 
@@ -71,19 +64,15 @@ def corner_value(variable: ScalarVariable, corner: str) -> float | None:
     return 0.0 if corner == "zero" and is_allowed else None
 
 
-def corner_of(fmu: Path, corner: str) -> dict[str, float]:
-    """Return the start values of an FMU in a corner, as far as they differ from declared ones."""
-    with FmuInstance(fmu) as component:
-        variables = start_variables(component.description)
-    values = {v.name: corner_value(v, corner) for v in variables}
+def corner_of(about: ModelDescription, corner: str) -> dict[str, float]:
+    """Return the start values in a corner, without those that it leaves as declared."""
+    values = {v.name: corner_value(v, corner) for v in start_variables(about)}
     return {name: value for name, value in values.items() if value is not None}
 
 
-def postures_of(fmu: Path) -> list[dict[str, float]]:
+def postures_of(about: ModelDescription) -> list[dict[str, float]]:
     """Return positions at rest of an FMU with start positions: all or one at 0, and others."""
-    with FmuInstance(fmu) as component:
-        variables = start_variables(component.description)
-    names = [v.name for v in variables if v.name.startswith("q_start[")]
+    names = [v.name for v in start_variables(about) if v.name.startswith("q_start[")]
     rng = np.random.default_rng(5)
     if not names:
         return []
@@ -120,26 +109,25 @@ class Run:
     refusal: str = ""
 
 
-def run_in_fmpy(fmu: Path, starts: Starts) -> Run:
-    """Run an FMU from these starts; no call may raise a floating-point exception."""
+def run_in_fmpy(component: FmuInstance, starts: Starts) -> Run:
+    """Reset an FMU and run it from these starts; no call may raise a floating-point exception."""
     found = []
-    with FmuInstance(fmu) as component:
-        inputs = moving_inputs(component.description)
-        names = output_names(component.description)
-        try:
-            with without_exceptions("initialisation"):
-                component.initialise(start=dict(starts))
-            target = component.buffer(inputs)
-            source = component.buffer(names)
-            for k, row in enumerate(input_rows(len(inputs))):
-                target.values[:] = row
-                with without_exceptions(f"step {k}"):
-                    target.write()
-                    component.step(k * STEP, STEP)
-                with without_exceptions(f"outputs of step {k}"):
-                    found.append(source.read().copy())
-        except SimulationError as error:
-            return Run(None, str(error))
+    inputs = moving_inputs(component.description)
+    target = component.buffer(inputs)
+    source = component.buffer(output_names(component.description))
+    try:
+        component.reset()
+        with without_exceptions("initialisation"):
+            component.initialise(start=dict(starts))
+        for k, row in enumerate(input_rows(len(inputs))):
+            target.values[:] = row
+            with without_exceptions(f"step {k}"):
+                target.write()
+                component.step(k * STEP, STEP)
+            with without_exceptions(f"outputs of step {k}"):
+                found.append(source.read().copy())
+    except SimulationError as error:
+        return Run(None, str(error))
     return Run(np.array(found))
 
 
@@ -173,25 +161,18 @@ def run_in_libcosim(fmu: Path, starts: Starts) -> Array:
     return np.array(found)
 
 
-def run_in_fmi_sim(fmu: Path) -> None:
-    """Run an FMU of FMI 3.0 in fmi-sim, which asks for outputs of one element, at its defaults."""
-    command = [FMI_SIM, "--model", fmu, "-o", "out.csv", "-q", "co-simulation"]
-    command += ["--output-interval", str(STEP), "-f", str(STEP * STEPS)]
-    answer = subprocess.run(command, cwd=fmu.parent, capture_output=True, text=True, check=False)
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert len((fmu.parent / "out.csv").read_text(encoding="utf-8").splitlines()) >= STEPS
-
-
 # --- compilers ------------------------------------------------------------------------------------
 
 
-def compile_sources(fmu: Path, compilers: Sequence[str], folder: Path) -> None:
-    """Compile the sources of an FMU with every warning as an error."""
+def compile_sources(fmu: Path, compilers: Sequence[str], folder: Path) -> list[str]:
+    """Compile the sources of an FMU with every warning as an error.
+
+    Returns the compilers that are installed.
+    """
     with ZipFile(fmu) as archive:
         archive.extractall(folder)
-    for name in compilers:
-        if shutil.which(name) is None:
-            continue
+    installed = [name for name in compilers if shutil.which(name)]
+    for name in installed:
         command = [*_COMPILERS[name], *_WARNINGS, "all.c", "-o", f"{name}.so"]
         if name in ("gcc", "clang"):
             command.append("-lm")
@@ -199,6 +180,7 @@ def compile_sources(fmu: Path, compilers: Sequence[str], folder: Path) -> None:
             command, cwd=folder / "sources", capture_output=True, text=True, check=False
         )
         assert answer.returncode == 0, answer.stderr
+    return installed
 
 
 def require_valid(fmu: Path) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, stops
 from fmpy import read_model_description
+from fmu_variables import is_boolean, is_integer, is_real
 
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.python_arm.export import export_python_arm
@@ -222,20 +223,19 @@ def stem(name: str) -> str:
     return re.sub(r"\[[\d,]*\]", "", name.rpartition(".")[2])
 
 
-def is_boolean(variable: Any) -> bool:
-    return bool(variable.type == "Boolean")
+def read_results(fmu: Path) -> dict[str, np.ndarray]:
+    """Return the columns of the reference results in co-simulation."""
+    with zipfile.ZipFile(fmu) as archive:
+        [file] = [n for n in archive.namelist() if re.search(r"co_simulation/\w+_ref\.csv$", n)]
+        rows = list(csv.DictReader(io.StringIO(archive.read(file).decode())))
+    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
 
 
-def is_integer(variable: Any) -> bool:
-    return variable.type in ("Integer", "Int32")
-
-
-def is_real(variable: Any) -> bool:
-    return variable.type in ("Real", "Float64")
+of_every_kind = pytest.mark.parametrize(("name", "version"), CASES)
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("name", "version"), CASES)
+@of_every_kind
 def test_the_page_names_every_variable(
     name: str, version: Version, written: Callable[[str, Version], Path]
 ) -> None:
@@ -257,18 +257,15 @@ def test_the_page_names_every_variable(
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("name", "version"), CASES)
+@of_every_kind
 def test_reference_results_are_those_of_the_fmu(
     name: str, version: Version, written: Callable[[str, Version], Path]
 ) -> None:
     """Something moves in them, and the FMU's own run agrees."""
     path = written(name, version)
-    with zipfile.ZipFile(path) as archive:
-        [file] = [n for n in archive.namelist() if re.search(r"co_simulation/\w+_ref\.csv$", n)]
-        rows = list(csv.DictReader(io.StringIO(archive.read(file).decode())))
-    columns = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    columns = read_results(path)
     moving = [key for key, values in columns.items() if key != "time" and np.ptp(values) > 1e-9]
-    assert len(rows) >= 100
+    assert len(columns["time"]) >= 100
     assert moving
     found = verify(path)
     assert found.problems == []
@@ -277,7 +274,7 @@ def test_reference_results_are_those_of_the_fmu(
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("name", "version"), CASES)
+@of_every_kind
 def test_variables_have_description_unit_and_type(
     name: str, version: Version, written: Callable[[str, Version], Path]
 ) -> None:
@@ -298,7 +295,7 @@ def test_variables_have_description_unit_and_type(
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("name", "version"), CASES)
+@of_every_kind
 def test_outputs_have_different_descriptions(
     name: str, version: Version, written: Callable[[str, Version], Path]
 ) -> None:
@@ -310,14 +307,14 @@ def test_outputs_have_different_descriptions(
     assert [stems for stems in texts.values() if len(stems) > 1] == []
 
 
-# Words of numbers that are no measured quantity.
+# Words that describe a count or a switch instead of a measured quantity.
 COUNTED = re.compile(
     r"\bwhether\b|\bnumber of\b|\bcount of\b|-?\d+ = |\(-?1\)|\belse [01]\b|^1 if\b"
 )
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize(("name", "version"), CASES)
+@of_every_kind
 def test_no_real_is_a_count_or_a_switch(
     name: str, version: Version, written: Callable[[str, Version], Path]
 ) -> None:
@@ -325,11 +322,7 @@ def test_no_real_is_a_count_or_a_switch(
     path = written(name, version)
     for v in read_model_description(path).modelVariables:
         assert not (is_real(v) and COUNTED.search(v.description or "")), v.name
-    with zipfile.ZipFile(path) as archive:
-        [file] = [n for n in archive.namelist() if re.search(r"co_simulation/\w+_ref\.csv$", n)]
-        rows = np.genfromtxt(io.BytesIO(archive.read(file)), delimiter=",", skip_header=1)
-        names = next(csv.reader(io.StringIO(archive.read(file).decode())))
-    for column, values in zip(names, rows.T, strict=True):
+    for column, values in read_results(path).items():
         is_whole = np.array_equal(values, np.round(values))
         assert not (is_whole and np.ptp(values) > 0.0), column
 

@@ -17,7 +17,7 @@ WITH_DEFAULTS = {
     "fmu_src/arm/truth.py",
     "hesr/extras/mjcf/mjcf_file.py",
 }
-"""Modules that may name laws, besides the study of the paper."""
+"""Modules that may name laws, apart from the study of the paper."""
 
 
 def test_law_names_appear_only_as_documented_defaults() -> None:

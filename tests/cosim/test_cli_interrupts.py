@@ -65,7 +65,7 @@ def one_sentence(text: str, beginning: str) -> None:
 def test_interrupts_work_from_the_first_import_to_the_build(
     number: signal.Signals, moment: str, tmp_path: Path, empty_cache: Path
 ) -> None:
-    """The command builds for all platforms, of which the first has at most begun."""
+    """The command builds for all platforms and has not yet finished the first."""
     output = tmp_path / "Friction.fmu"
     output.write_text("old", encoding="utf-8")
     arguments = ("export", "uf850-table1", "--platform", "all", "-o", output, "--verbose")

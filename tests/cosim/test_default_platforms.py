@@ -1,4 +1,4 @@
-"""Platforms of FMUs by default: Linux, Windows and this machine, and where they are stated."""
+"""Default platforms of FMUs (Linux, Windows and this machine), and the lines that state them."""
 
 import re
 import zipfile

@@ -16,6 +16,7 @@ from containing import Containing
 from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
+from rust_engine import FMI_SIM, run_in_fmi_sim
 
 from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
@@ -30,7 +31,6 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
-FMI_SIM = Path(__file__).parents[2] / ".tools/interop/bin/fmi-sim"
 STEP = 0.004
 BLOCKS: dict[str, Callable[..., Content]] = {
     "drive": lambda model: drive(
@@ -352,29 +352,8 @@ def test_calls_for_unused_features_are_handled(friction3, tmp_path) -> None:
 @pytest.mark.ci
 @pytest.mark.skipif(not FMI_SIM.exists(), reason="fmi-sim is not there: run `make interop` first")
 def test_fmi_sim_runs_one_joint_without_messages(make_model, make_law, tmp_path) -> None:
-    """fmi-sim does not support arrays of several elements as outputs, hence one joint."""
     fmu = export_bare(make_model(make_law("viscous")), tmp_path / "F.fmu", fmi=3)
-    answer = subprocess.run(
-        [
-            FMI_SIM,
-            "--model",
-            fmu,
-            "-o",
-            "out.csv",
-            "-q",
-            "co-simulation",
-            "--output-interval",
-            "0.005",
-            "-f",
-            "0.1",
-        ],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert len((tmp_path / "out.csv").read_text().splitlines()) > 10
+    run_in_fmi_sim(fmu, step=0.005, steps=20)
 
 
 @pytest.mark.ci

@@ -6,7 +6,7 @@ import pytest
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.least_squares import Block, Solution
 from hesr_model.rigid_body.observations import stacked
-from hesr_model.rigid_body.payload import _covariance, _inherit_parameters, _segments
+from hesr_model.rigid_body.payload import _covariance, _propagate_errors, _segments
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
@@ -72,5 +72,5 @@ def test_errors_of_the_unloaded_body_are_propagated(blocks: list[Block]) -> None
     rows = np.vstack([b.matrix / s for b, s in zip(blocks, RMSE, strict=True)])
     off = np.vstack([c / s for c, s in zip(carried, RMSE, strict=True)]) * errors
     spread = np.linalg.lstsq(rows, off)[0]
-    found = _inherit_parameters(blocks, solved(X, RMSE), carried, errors)
+    found = _propagate_errors(blocks, solved(X, RMSE), carried, errors)
     np.testing.assert_allclose(found, spread @ spread.T, rtol=1e-10)

@@ -137,8 +137,8 @@ def limited_motion(
     figure = Figure(figsize=(_WIDTH, _DESIGN_ROW * len(joints)), layout="constrained")
     axes = figure.subplots(len(joints), 3 if speeds else 2, sharex="col", squeeze=False)
     for k, (joint, row) in enumerate(zip(joints, axes, strict=True)):
-        _limit_points(row[0], t, q[:, k], (limits.lower[k], limits.upper[k]))
-        _limit_points(row[1], t, dq[:, k], (-limits.velocity[k], limits.velocity[k]))
+        _draw_with_limits(row[0], t, q[:, k], (limits.lower[k], limits.upper[k]))
+        _draw_with_limits(row[1], t, dq[:, k], (-limits.velocity[k], limits.velocity[k]))
         row[0].set_ylabel(joint)
         if speeds:
             edges = np.geomspace(1e-3, 1.0, _BINS // 2) * limits.velocity.max()
@@ -157,7 +157,7 @@ def limited_motion(
     return figure
 
 
-def _limit_points(axis: Axes, t: Array, values: Array, limits: tuple[float, float]) -> None:
+def _draw_with_limits(axis: Axes, t: Array, values: Array, limits: tuple[float, float]) -> None:
     axis.plot(t, values, linewidth=1.0)
     for limit in limits:
         axis.axhline(limit, color="C3", linestyle="--", linewidth=0.8)

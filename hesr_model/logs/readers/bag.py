@@ -31,7 +31,7 @@ _END = pack("<BQI", 0x0F, 4, 0) + pack("<BQQQI", 0x02, 20, 0, 0, 0) + _MAGIC
 @contextmanager
 def complete(path: Path) -> Iterator[Path]:
     """Yield a bag, or a copy of a truncated MCAP file with its complete records."""
-    if path.suffix.lower() != ".mcap" or not _truncate_name(path):
+    if path.suffix.lower() != ".mcap" or not _is_truncated(path):
         yield path
         return
     with scratch_folder() as folder:
@@ -56,7 +56,7 @@ def complete(path: Path) -> Iterator[Path]:
         yield copy
 
 
-def _truncate_name(path: Path) -> bool:
+def _is_truncated(path: Path) -> bool:
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             return False

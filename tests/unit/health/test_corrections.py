@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from faulty_logs import two_joints, with_units
+from faulty_logs import SOUND_TORQUE, two_joints, with_units
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Estimate, JointTorque
@@ -136,14 +136,11 @@ def test_wrong_positions_and_times_hide_other_mistakes() -> None:
     assert not hopeless([finding("velocity-scale", "", "error", log_units_dq="rpm")])
 
 
-GRAVITY = JointTorque(
+GRAVITY = replace(
+    SOUND_TORQUE,
     gravity=Estimate(value=2.0, error=0.01),
     inertia=Estimate(value=1.0, error=0.1),
-    friction=Estimate(value=0.5, error=0.01),
-    gravity_size=5.0,
     friction_size=1.0,
-    residual=0.3,
-    deviation=5.0,
 )
 
 

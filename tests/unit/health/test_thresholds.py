@@ -9,7 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty_logs import TWO, as_part, at, cut, lossy, still, two_joints, wave, with_units
+from faulty_logs import (
+    SOUND_TORQUE,
+    TWO,
+    as_part,
+    at,
+    cut,
+    lossy,
+    still,
+    two_joints,
+    wave,
+    with_units,
+)
 
 from hesr_model.findings import Finding
 from hesr_model.health.evidence import Estimate, JointTorque
@@ -205,24 +216,12 @@ def test_lengths_in_another_unit_are_reported(
     assert ("sliding-unit" in checks(found)) == is_reported
 
 
-SOUND = JointTorque(
-    gravity=Estimate(value=1.0, error=0.01),
-    inertia=Estimate(value=1.2, error=0.02),
-    friction=Estimate(value=0.5, error=0.01),
-    gravity_size=5.0,
-    friction_size=0.6,
-    residual=0.3,
-    deviation=5.0,
-)
-"""A torque without any finding."""
-
-
 def of(value: float, error: float = 0.01) -> Estimate:
     return Estimate(value=value, error=error)
 
 
 def fit(**changes: object) -> dict[int, JointTorque]:
-    return {1: replace(SOUND, **changes)}
+    return {1: replace(SOUND_TORQUE, **changes)}
 
 
 UNSEEN = {"gravity": of(1.0, 1.0)}
@@ -276,7 +275,7 @@ def test_a_wrong_torque_is_reported_above_its_threshold(mistake: str, model: Rob
 
 
 def test_torques_are_compared_with_the_limits_of_a_model(model: Robot) -> None:
-    joints = {0: SOUND, 1: SOUND}
+    joints = {0: SOUND_TORQUE, 1: SOUND_TORQUE}
     assert "torque-limit" not in checks(of_torque(model, joints, 1000.0))
     assert "torque-limit" in checks(of_torque(model, joints, 1020.0))
 
@@ -288,7 +287,7 @@ def test_a_joint_uses_a_share_of_its_limit_as_the_others_do(
     rising = np.linspace(0.0, 1.0, 1001)[:, None]
     zeros = np.zeros((1001, 3))
     log = Log(name="run", t=0.01 * np.arange(1001), q=zeros, dq=zeros, tau=zeros)
-    fits = dict.fromkeys(range(3), SOUND)
+    fits = dict.fromkeys(range(3), SOUND_TORQUE)
     limits = np.array([10.0, 20.0, 30.0])
     monkeypatch.setattr(Robot, "torque_limits", limits)
     for share, is_small in ((1 / 25, False), (1 / 35, True)):
