@@ -13,7 +13,7 @@ from cosim.workflow.report import report as report
 from cosim.workflow.run import run as run
 from cosim.workflow.simulate import simulate as simulate
 from cosim.workflow.test import test as test
-from fmu_src.run.fmu_file import Fmu as Fmu
+from fmu_src.friction.fmu_file import Fmu as Fmu
 from hesr.extras.adaptive.workflow import monitor as monitor
 from hesr.extras.observer.observation import observe as observe
 from hesr_model.errors import HesrError as HesrError

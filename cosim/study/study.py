@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from cosim.loop.closed_loop import Tracking
 from hesr_model.errors import RuleError
 from hesr_model.fitting.days import Nuisance
-from hesr_model.robots.description import Owner
+from hesr_model.support.owner import Owner
 from hesr_model.support.typed_files import Config, RelativePath
 
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"  # names that become file names

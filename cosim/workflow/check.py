@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from cosim.report.tables.table import ResultTable
     from cosim.workflow.arguments import FmuArgs
-    from fmu_src.check.convention import Convention
     from fmu_src.check.run import Report
+    from fmu_src.friction.convention import Convention
     from hesr_model.findings import Finding
 
 KINDS = ("static", "references", "convention")  # kinds of HESR's own checks
@@ -137,8 +137,8 @@ def check(
     True
     """
     from cosim.workflow.arguments import paths_of, remember_trust, require_choice
-    from fmu_src.check.convention import judge, measure
     from fmu_src.check.run import check as check_fmu
+    from fmu_src.friction.convention import judge, measure
     from fmu_src.run.archive import opened
 
     plugged = plugins.names("hesr.checks")

@@ -10,7 +10,7 @@ from fmu_src.pages.block_page import BlockPage, block_html, component_page
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.equations.component import Choice, Component, Parameter, Quantity
 from hesr_model.errors import ExportError
-from hesr_model.robots.description import OURS, Owner
+from hesr_model.support.owner import OURS, Owner
 
 
 def vector(

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 
 from fmu_src.export.interface import Interface, Role, Variable
 from hesr_model.errors import ExportError
-from hesr_model.robots.description import Owner
+from hesr_model.support.owner import Owner
 
 # Exponents of FMI's base units for the unit names of HESR.
 _BASE: Mapping[str, Mapping[str, int]] = {

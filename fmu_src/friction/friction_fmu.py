@@ -33,8 +33,9 @@ from hesr_model.equations.component import Equation
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.thermal_law import thermal_component
-from hesr_model.robots.description import Owner, statements
+from hesr_model.robots.description import statements
 from hesr_model.support import plugins
+from hesr_model.support.owner import Owner
 from hesr_model.support.progress import Progress, silent
 
 # Range of dates in a ZIP archive.

@@ -41,7 +41,7 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
     """
     from fmu_src.friction.embedded_model import embedded_model
     from fmu_src.friction.friction_component import GIVEN, START_MODE, place
-    from fmu_src.run.replay import replay
+    from fmu_src.friction.replay import replay
 
     model = embedded_model(fmu) if measured_start else None
     torques = []

@@ -2,7 +2,7 @@
 
 The step from row k to row k + 1 uses the constant inputs of row k (hold, as most masters do), also
 their slopes (linear), or the inputs of row k + 1 (direct, as in the replay of a log). The torque is
-read after the step. `fmu_src.check.convention` runs the FMU.
+read after the step. `fmu_src.friction.convention` runs the FMU.
 
 The files follow the FMI cross-check: NAME_in.csv, NAME_ref.csv and NAME_ref.opt; a manifest of
 FMI-LS-REF lists them. They are computed by the laws in Python.

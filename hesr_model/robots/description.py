@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_serializer, model_validator
+from pydantic import Field, model_validator
 
-from hesr_model.errors import ArtifactError, RobotError, RuleError
+from hesr_model.errors import RobotError, RuleError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.transmission import BALANCER, LINEAR, Coupling, SpringTerm, Transmission
 from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.owner import Owner
 from hesr_model.support.typed_files import Config, PrintableName, RelativePath, from_json, to_json
 
 SourceKind = Literal["measured", "datasheet", "identified", "guessed", "not stated"]
@@ -56,42 +57,6 @@ def statements(provenance: Mapping[str, Any], *only: SourceKind) -> list[str]:
         for (source, name), joints in groups.items()
         if not only or source in only
     ]
-
-
-class Owner(Config):
-    """Author, copyright ("Copyright (c) 2026 A Company") and licence ("Apache-2.0")."""
-
-    author: PrintableName = ""
-    copyright: PrintableName = ""
-    license: PrintableName = ""
-
-    @property
-    def known(self) -> dict[str, str]:
-        """Known entries by name."""
-        return {name: text for name, text in self if text}
-
-    @model_serializer(mode="plain")
-    def _as_written(self) -> dict[str, str]:
-        return self.known
-
-    @classmethod
-    def of(cls, provenance: Mapping[str, Any]) -> Self:
-        """Return the owner of a provenance; raises ArtifactError."""
-        found = provenance.get("owner", {})
-        try:
-            return cls.model_validate(found)
-        except ValidationError as error:
-            raise ArtifactError(
-                f"the provenance's 'owner' is {found!r}; expected texts for author, copyright "
-                "and license, of printable characters.",
-                code="owner.texts",
-                key="owner",
-            ) from error
-
-
-OURS = Owner(
-    author="The HESR authors", copyright="Copyright (c) 2026 The HESR authors", license="MIT"
-)  # Owner of FMUs with code of HESR only
 
 
 class RobotDescription(Config):

@@ -19,9 +19,9 @@ from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu, model_file
 from fmu_src.export.package import own_source
+from fmu_src.friction.replay import replay
 from fmu_src.run import native
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from fmu_src.run.trust import remember
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.model import FrictionModel

@@ -16,7 +16,7 @@ import hesr
 from cosim.study.scores import Comparison
 from fmu_src import export_fmu
 from fmu_src.friction.predictions import predict_fmu
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.robot_log import Log

@@ -231,7 +231,7 @@ def test_help_loads_no_heavy_library() -> None:
 
 
 def test_measured_logs_do_not_load_the_simulator() -> None:
-    loaded = loaded_by("import cosim.study.run, cosim.study.study, fmu_src.run.replay")
+    loaded = loaded_by("import cosim.study.run, cosim.study.study, fmu_src.friction.replay")
     assert "scipy" in loaded
     assert not loaded & {"mujoco", "matplotlib", "pythonfmu"}
 

@@ -13,7 +13,7 @@ from documents import ROOT
 from small_study import Hesr, contents, hesr_here
 
 import hesr as api
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.errors import ArgumentError, FitError
 from hesr_model.health.joints import changed
 from hesr_model.health.proposal import inspect_logs

@@ -11,8 +11,8 @@ import hesr
 from hesr_model.errors import HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
-from hesr_model.robots.description import Owner
 from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.owner import Owner
 
 
 @pytest.fixture

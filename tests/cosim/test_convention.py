@@ -12,10 +12,10 @@ from small_study import Hesr, hesr_here
 from cosim.report.tables.laws import convention
 from cosim.report.tables.terminal import Drawn
 from fmu_src import model_file
-from fmu_src.check.convention import measure, run
+from fmu_src.friction.convention import measure, run
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
 from fmu_src.friction.reference import SETTINGS, reference_motion, torques
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.model import FrictionModel

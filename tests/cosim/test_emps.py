@@ -11,7 +11,7 @@ from small_study import Hesr, hesr_here
 
 from cosim.study.steps import Job
 from cosim.study.study import Study
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.fitting.fit import fit
 from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
 from hesr_model.forward.simulation import Simulator, position_errors, whole, windows_of

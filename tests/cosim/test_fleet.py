@@ -18,7 +18,7 @@ from fleets import write_fleet
 from pyarrow import parquet
 
 import hesr
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr.cli import main
 from hesr.extras.fleet.deviation import Trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult

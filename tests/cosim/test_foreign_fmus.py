@@ -425,8 +425,8 @@ def test_commands_report_a_crash_in_one_sentence(
 def test_non_finite_outputs_are_reported(
     hostile_friction: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fmu_src.check.convention import measure
-    from fmu_src.run.replay import replay
+    from fmu_src.friction.convention import measure
+    from fmu_src.friction.replay import replay
 
     monkeypatch.setenv("DEED", "fmi2GetReal nan")
     t = 0.005 * np.arange(5)

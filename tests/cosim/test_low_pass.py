@@ -11,7 +11,7 @@ from cosim.study.scores import by_joint, causal
 from cosim.workflow.export import export
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.errors import ExportError
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import measured_velocity

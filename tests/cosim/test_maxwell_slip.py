@@ -8,8 +8,8 @@ import pytest
 
 from fmu_src import export_fmu
 from fmu_src.check.run import check
+from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.properties.battery import Subject, run_battery

@@ -18,7 +18,7 @@ import pytest
 from documents import ROOT
 
 from cosim.study.sample_logs import plausible_friction, sample_settings, simulated
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.logs.robot_log import Log

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmu_src import model_file
-from fmu_src.run.replay import replay, require_finite
+from fmu_src.friction.replay import replay, require_finite
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict

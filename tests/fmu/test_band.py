@@ -12,7 +12,7 @@ from test_derivatives import difference, initialising, tangent, worst
 from fmu_src.check.run import check
 from fmu_src.friction.embedded_model import embedded_model
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr.cli import main
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.errors import SimulationError

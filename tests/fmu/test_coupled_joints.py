@@ -13,8 +13,8 @@ from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_component import friction_equations
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.friction.reference import reference_files
+from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from hesr.extras.drive.drive_fmu import content as drive
 from hesr.extras.drive.drive_fmu import motors as motors_of
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law

@@ -8,8 +8,8 @@ import pytest
 from oracles.stepper import Stepper
 
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from hesr_model.friction.predict import predict
 from hesr_model.friction.scales import scaled
 

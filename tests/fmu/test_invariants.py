@@ -10,7 +10,7 @@ from oracles.over_log import lowered_program
 
 from fmu_src.friction.friction_component import component
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import Invariants, sampled
 

@@ -11,8 +11,8 @@ import pytest
 from fmu_src import export_fmu
 from fmu_src.check.run import check
 from fmu_src.friction.friction_fmu import export_bare
+from fmu_src.friction.replay import replay
 from fmu_src.pages import datasheet
-from fmu_src.run.replay import replay
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel, mixed
 from hesr_model.friction.trained_range import TrainedRange

@@ -23,9 +23,9 @@ import hesr
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_fmu
+from fmu_src.friction.replay import replay
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from hesr.extras.observer.observation import export_observer, header_of, observed_logs
 from hesr.extras.observer.observer_fmu import ObserverLimits, content, has_wrench, law_limits
 from hesr_model.errors import ExportError, HesrError, LogError

@@ -11,13 +11,13 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from cosim.workflow.export import export
-from fmu_src.check.convention import judge
 from fmu_src.check.run import check
 from fmu_src.export.package import Version
+from fmu_src.friction.convention import judge
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu
+from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from hesr.extras.properties.battery import Subject, measure
 from hesr_model.audit.properties import Properties
 from hesr_model.errors import ExportError, SimulationError

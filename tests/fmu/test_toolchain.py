@@ -22,8 +22,8 @@ from fmu_src.export.description import RELEASED, to_xml
 from fmu_src.export.interface import NAME
 from fmu_src.export.toolchain import CFLAGS, TARGETS, build, get_ready, universal
 from fmu_src.friction.reference import reference_motion
+from fmu_src.friction.replay import replay
 from fmu_src.pages.datasheet import ModelAudit, ranges
-from fmu_src.run.replay import replay
 from hesr_model.audit.certificate import Certificate
 from hesr_model.errors import ExportError
 from hesr_model.support.cache import USED, since

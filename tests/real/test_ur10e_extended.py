@@ -31,7 +31,7 @@ from cosim.study.steps import Job
 from cosim.study.study import Study, Variant
 from cosim.workflow.export import export
 from fmu_src.friction.predictions import predict_fmu
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.fitting.estimator import select_laws
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict

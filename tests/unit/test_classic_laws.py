@@ -11,7 +11,7 @@ from registry_models import everyday
 from test_certificate import TRAINED, law_of, worst_step
 
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.replay import replay
+from fmu_src.friction.replay import replay
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import registry

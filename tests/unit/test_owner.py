@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.robots.description import OURS, Owner
 from hesr_model.robots.robot import RobotDescription
+from hesr_model.support.owner import OURS, Owner
 
 ROBOT = 'name = "arm"\nmodel = "arm.urdf"\njoints = ["a"]\n'
 

@@ -19,7 +19,7 @@ from hesr_model.robots.robot import Robot
 from hesr_model.units import unit_of_joint, unit_of_joints
 
 if TYPE_CHECKING:
-    from fmu_src.check.convention import Convention
+    from fmu_src.friction.convention import Convention
 
 _DIGITS = 4  # maximum length of a figure without its sign
 _LITTLE = 1e-4  # passing figures below this are shown as 0

@@ -11,8 +11,8 @@ import numpy as np
 
 from cosim.workflow.arguments import telling_apart
 from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from fmu_src.run.trust import is_ours
 from hesr.extras.leaderboard import board_file
 from hesr.extras.properties.battery import measure

@@ -31,7 +31,7 @@ from cosim.study.position_errors import PositionErrors
 from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import Comparison, LawScores, Ratios
 from cosim.workflow.run import over_draws
-from fmu_src.check.convention import Convention
+from fmu_src.friction.convention import Convention
 from fmu_src.friction.reference import Error
 from hesr_model.audit.properties import (
     EXPECTATIONS,

@@ -7,8 +7,8 @@ from functools import cached_property
 from numpy.typing import ArrayLike
 
 from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.replay import replay
 from fmu_src.run.trust import remember
 from fmu_src.run.variables import model_description
 from hesr_model.friction.model import FrictionModel

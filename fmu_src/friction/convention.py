@@ -16,9 +16,9 @@ from fmu_src.friction.reference import (
     reference_motion,
     torques,
 )
+from fmu_src.friction.replay import require_finite
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.reference_results import play
-from fmu_src.run.replay import require_finite
 from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS, TORQUE

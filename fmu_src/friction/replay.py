@@ -1,4 +1,4 @@
-"""Run a friction FMU over a log."""
+"""Replay of a log by a friction FMU."""
 
 from collections.abc import Mapping
 from pathlib import Path
