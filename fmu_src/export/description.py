@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 from fmu_src.export.interface import Interface, Role, Variable
 from hesr_model.errors import ExportError
 from hesr_model.support.owner import Owner
+from hesr_model.support.xml_files import to_bytes
 
 # Exponents of FMI's base units for the unit names of HESR.
 _BASE: Mapping[str, Mapping[str, int]] = {
@@ -206,13 +207,6 @@ def add_run(root: ET.Element, about: Description) -> None:
     for name, text in CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=text)
     ET.SubElement(root, "DefaultExperiment", about.experiment)
-
-
-def to_bytes(root: ET.Element) -> bytes:
-    """Serialise an element to the bytes of a file."""
-    ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
 
 
 def _types(root: ET.Element, interface: Interface) -> None:

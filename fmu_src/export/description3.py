@@ -13,11 +13,11 @@ from fmu_src.export.description import (
     add_units,
     common_attributes,
     root_element,
-    to_bytes,
     unit_attributes,
     values,
 )
 from fmu_src.export.interface import ArrayVariable, Interface, Role
+from hesr_model.support.xml_files import to_bytes
 
 _INDICATORS = "event_indicator"
 

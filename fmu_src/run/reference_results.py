@@ -14,12 +14,12 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from fmu_src.export.description import to_bytes
 from fmu_src.run.archive import MOST_TEXT, Archive
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.text import plain
+from hesr_model.support.xml_files import to_bytes
 
 if TYPE_CHECKING:
     from fmu_src.run.fmu import FmuInstance

@@ -1,15 +1,18 @@
 """Structure of the imports: layers, libraries confined to modules, and lightweight help."""
 
 import ast
+import io
 import json
 import re
 import subprocess
 import sys
+import tokenize
 import tomllib
 from fnmatch import fnmatch
 from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions
 
+import pytest
 from sources import (
     HOSTS,
     LAYERS,
@@ -58,6 +61,11 @@ ONLY_IN = {
 
 FORBIDDEN_CALLS = {"print", "eval", "exec", "sympify", "parse_expr", "breakpoint"}
 FORBIDDEN_LIBRARIES = {"pickle", "marshal", "shelve", "dill", "tests", "models"}
+
+LOWEST_ROOMS = ("fmu_src.run", "fmu_src.check", "fmu_src.export")
+"""Lowest packages of fmu_src: they handle FMUs of any content and import only `BASE`."""
+
+BASE = ("hesr_model.support", "hesr_model.errors", "hesr_model.findings")
 
 HEAVY = {"sympy", "mujoco", "matplotlib", "pinocchio", "scipy", "fmpy", "pyarrow", "jinja2"}
 HEAVY |= {"lxml", "lief"}
@@ -138,6 +146,45 @@ def test_import_chains_in_cosim_are_short() -> None:
     assert len(longest) <= LEVELS, longest
 
 
+def modules_of(room: str) -> list[str]:
+    """Return the modules of a package."""
+    return [name for name in MODULES if f"{name}.".startswith(f"{room}.")]
+
+
+@pytest.mark.parametrize("room", LOWEST_ROOMS)
+def test_the_lowest_rooms_stand_alone(room: str) -> None:
+    """They could become a distribution of their own, since no model or component is known there."""
+    assert len(modules_of(room)) > 5
+    strangers = {
+        (name, needed)
+        for name in modules_of(room)
+        for needed in own_imports(name)
+        if not any(f"{needed}.".startswith(f"{place}.") for place in (*LOWEST_ROOMS, *BASE))
+    }
+    assert strangers == set()
+
+
+@pytest.mark.parametrize("room", LOWEST_ROOMS)
+def test_the_lowest_rooms_do_not_name_friction(room: str) -> None:
+    friction = re.compile("friction|robot|torque", re.IGNORECASE)
+    named = {
+        (name, token.string)
+        for name in modules_of(room)
+        for token in tokenize.generate_tokens(
+            io.StringIO((ROOT / MODULES[name]).read_text("utf-8")).readline
+        )
+        if token.type == tokenize.NAME and friction.search(token.string)
+    }
+    assert named == set()
+
+
+def test_running_fmus_does_not_load_their_export() -> None:
+    """Only compiling a missing library imports it, inside a function."""
+    loaded = modules_loaded_by(f"import {', '.join(modules_of('fmu_src.run'))}")
+    assert set(modules_of("fmu_src.run")) <= loaded
+    assert {name for name in loaded if name.startswith("fmu_src.")} <= {*modules_of("fmu_src.run")}
+
+
 def test_engine_hosts_do_not_import_hesr() -> None:
     known = {*sys.stdlib_module_names, "files", "numpy"}
     # The last one is for a plain library.
@@ -209,13 +256,18 @@ def test_nothing_is_printed_or_evaluated() -> None:
     assert offenders == set()
 
 
-def loaded_by(code: str) -> set[str]:
-    """Return the top-level modules loaded after code has run in a fresh process."""
-    report = "import json, sys; print(json.dumps(sorted({n.split('.')[0] for n in sys.modules})))"
+def modules_loaded_by(code: str) -> set[str]:
+    """Return the full names of the modules loaded after code has run in a fresh process."""
+    report = "import json, sys; print(json.dumps(sorted(sys.modules)))"
     result = subprocess.run(
         [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
     )
     return set(json.loads(result.stdout.splitlines()[-1]))
+
+
+def loaded_by(code: str) -> set[str]:
+    """Return the top-level modules loaded after code has run in a fresh process."""
+    return {top(name) for name in modules_loaded_by(code)}
 
 
 def test_help_loads_no_heavy_library() -> None:

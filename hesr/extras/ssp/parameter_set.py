@@ -14,7 +14,7 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from fmu_src.export.description import si_exponents, to_bytes
+from fmu_src.export.description import si_exponents
 from fmu_src.friction.friction_component import exposed, place, scales
 from fmu_src.friction.validity import require_numbers
 from fmu_src.pages.friction_page import model_title
@@ -22,6 +22,7 @@ from hesr.extras.ssp.contents import UNIT_DEFAULTS, parameter_set
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
+from hesr_model.support.xml_files import to_bytes
 
 ANNOTATION = "hesr.covariance"
 COVARIANCE = "urn:hesr:covariance:1"

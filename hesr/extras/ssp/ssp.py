@@ -14,7 +14,6 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from cosim.systems.system import ComponentSpec, SystemSpec
-from fmu_src.export.description import to_bytes
 from fmu_src.export.package import zip_members
 from fmu_src.run.master import Element
 from hesr.extras.ssp.contents import (
@@ -34,6 +33,7 @@ from hesr.extras.ssp.ssp_results import result_files
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import listed
+from hesr_model.support.xml_files import to_bytes
 
 PARAMETER_SET = "start"
 """Name of every component's parameter set; libcosim and ecos apply sets of one name together."""
