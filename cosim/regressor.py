@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cosim.workflow.arguments import body_of, logs_of, page_body, robot_of
+from cosim.workflow.arguments import body_of, logs_of, robot_of
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit
@@ -238,7 +238,7 @@ class FrictionRegressor:
         return drawn(Chart(x="t [s]", rows=tuple(rows)))
 
     def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] | None = None) -> Path:
-        """Write the fitted law as an FMU; after logs, its page includes the body.
+        """Write the fitted law as an FMU.
 
         The default platforms are linux64, win64 and that of this machine.
         """
@@ -247,9 +247,8 @@ class FrictionRegressor:
 
         model = self._fitted()
         fmu = path_of(path, "an FMU")
-        body = page_body(self.robot_, self.rigid_body_) if hasattr(self, "robot_") else None
         built_for = DEFAULT_PLATFORMS if platforms is None else platforms
-        return export_fmu(model, fmu, platforms=built_for, body=body)
+        return export_fmu(model, fmu, platforms=built_for)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch, in the export format `torch`."""

@@ -154,11 +154,6 @@ def paragraph(text: str | Markup, *, note: bool = False) -> Markup:
     return Markup('<p class="note">{}</p>' if note else "<p>{}</p>").format(text)
 
 
-def details(summary: str, *parts: Markup) -> Markup:
-    """Return folded parts with a summary."""
-    return Markup("<details><summary>{}</summary>{}</details>").format(summary, joined(*parts))
-
-
 def joined(*parts: Markup) -> Markup:
     """Return parts one after the other."""
     return Markup("\n").join(parts)

@@ -19,7 +19,6 @@ from cosim.study.verdict import Verdict, verdict, write_verdict
 from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST, get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
-from fmu_src.pages.live import PageBody
 from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
@@ -89,10 +88,9 @@ def run_study(
             complete_loops(folder)
             found = {} if quick else job.properties(run, folder)
             # Last: the FMUs document the physics checks.
-            body = PageBody.of(run.robot, run.rigid_body)
             audits = of_each(
                 models,
-                partial(_documented, run.fmus, found, platforms=built_for, body=body),
+                partial(_documented, run.fmus, found, platforms=built_for),
                 partial(job.progress, "documenting FMUs"),
             )
             words = verdict(
@@ -107,7 +105,7 @@ def run_study(
             )
             write_verdict(folder, words)
             made = dict(models) | recommended(
-                words, models, folder, audits, found, platforms=built_for, body=body
+                words, models, folder, audits, found, platforms=built_for
             )
             following = job.following(run, made, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)

@@ -27,7 +27,6 @@ from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Progress, Stages, counted, silent
 
 if TYPE_CHECKING:
-    from fmu_src.pages.live import PageBody
     from fmu_src.plant.plant_fmu import PlantBody
 
 _log = logging.getLogger(__name__)
@@ -179,14 +178,6 @@ def body_of(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBod
     if body is None:
         return identify(logs, robot)
     return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "a rigid body"))
-
-
-def page_body(robot: RobotArg, body: BodyArg) -> "PageBody":
-    """Return the rigid body for the page of an FMU, refusing that of another robot."""
-    from fmu_src.pages.live import PageBody
-
-    model = model_of(robot)
-    return PageBody.of(model, body_of(body, (), model))
 
 
 def plant_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":

@@ -126,12 +126,10 @@ def export(
     no_documentation : bool
         FMU, adaptive: no page, picture and reference results, for pipelines: half the time.
     robot : robot or path
-        Plant and observer: the robot of the law. FMU: with --rigid-body, its page computes the
-        friction in a dropped log.
+        Plant and observer: the robot of the law.
     rigid_body : body or path
-        Plant, observer and FMU: result of 'hesr identify' for --robot; by default a plant or an
-        observer has the parameters of the model file. Drive: inertia, stiffness and damping of
-        elastic gears.
+        Plant and observer: result of 'hesr identify' for --robot; by default the parameters of the
+        model file. Drive: inertia, stiffness and damping of elastic gears.
     kv : float or sequence of float, N.m.s/rad
         Plant: proportional gains of a servo with a speed command; by default no servo.
     ki : float or sequence of float, N.m/rad
@@ -332,7 +330,7 @@ def _write_law(law: LawArg, to: _Request) -> None:
         raise ArgumentError(f"'format' {format_} needs 'robot', the robot of the law.")
     if "body" in taken and "robot" in given:
         own = {"plant": arguments.possible_body, "observer": arguments.plant_body}
-        body_of = own.get(format_, arguments.page_body)
+        body_of = own.get(format_, arguments.plant_body)
         given["body"] = body_of(given.pop("robot"), given.pop("rigid_body", None))
     if "progress" in taken:
         given["progress"] = partial(to.progress, f"building {output.name}")

@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, find_job, shorten_lines
+from cosim.workflow.answer import Answer, shorten_lines
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support import plugins
@@ -159,11 +159,10 @@ def test(
     Parameters
     ----------
     laws : law, path, or sequence or mapping of these
-        Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1; on a leaderboard
-        with several robots ROBOT=FILE.
+        Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1.
     on : sequence of logs, optional
-        Logs for the prediction, or one leaderboard file (.toml); repeatable. Of more than 10^6
-        rows those that cover speed, load and rest are used.
+        Logs for the prediction; repeatable. Of more than 10^6 rows those that cover speed, load and
+        rest are used.
     kind : sequence of str, optional
         Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
         stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
@@ -176,7 +175,7 @@ def test(
     load : float, N.m
         Properties: default load torque of the experiments.
     output : path, optional
-        JSON file of the properties, or page of a leaderboard.
+        JSON file of the properties.
     trust : bool
         Run these FMUs without a sandbox, now and later: faster, but with all your rights.
     accept : sequence of str, optional
@@ -201,7 +200,6 @@ def test(
         $ hesr test law.json Friction.fmu --on test.csv --robot robot.toml \
           --rigid-body rigid_body.json
         $ hesr test uf850-table1 --kind properties
-        $ hesr test lugre.fmu theirs.fmu --on leaderboard.toml -o leaderboard.html
 
     >>> import hesr
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
@@ -211,14 +209,6 @@ def test(
 
     logs = listed(on)
     file = None if output is None else path_of(output, "an output")
-    job = find_job(Path(logs[0]), "test") if logs and isinstance(logs[0], str | Path) else None
-    if job is not None:
-        if len(logs) > 1 or kind:
-            raise ArgumentError("'on' is a leaderboard; give it alone, without 'kind'.")
-        board = job.run(
-            Path(logs[0]), fmus=listed(laws), output=file, trust=trust, progress=progress
-        )
-        return LawReport(laws=(), others={"leaderboard": board}, files=board.files)
     plugged = plugins.load("hesr.tests")
     kinds = tuple(listed(kind)) or (("prediction", "passivity") if logs else ("passivity",))
     for name in kinds:

@@ -26,7 +26,7 @@ from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
 from fmu_src.pages.datasheet import ModelAudit
 from fmu_src.pages.friction_page import model_title, to_html
-from fmu_src.pages.live import PageBody, live_assets, live_data, live_section, log_section, wasm
+from fmu_src.pages.live import live_assets, live_data, live_section, wasm
 from fmu_src.pages.picture import model_png
 from hesr_model.audit.properties import Properties
 from hesr_model.equations.component import Equation
@@ -53,7 +53,6 @@ def export_fmu(
     power: bool = False,
     band: bool = False,
     low_pass: float | None = None,
-    body: PageBody | None = None,
     progress: Progress = silent,
     fmi: package.Version = 2,
     no_events: bool = False,
@@ -64,25 +63,24 @@ def export_fmu(
     FMUs of thermal models are for co-simulation only. `properties` and the audit (by default
     computed) are for documentation. `power` and `band` add outputs: dissipated power,
     `tau_lower[i]` and `tau_upper[i]`; `low_pass` is the cut-off [Hz] of a causal low pass of dq in
-    the FMU. With `body`, the FMU's page accepts logs of measured torques. With `no_events`,
-    model exchange has no event indicators, and jumps are steep, see `STEEP`. With
-    `no_documentation` there is neither page, picture nor reference results.
+    the FMU. With `no_events`, model exchange has no event indicators, and jumps are steep, see
+    `STEEP`. With `no_documentation` there is neither page, picture nor reference results.
 
     The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
     cannot express the model or a thermal model gets options; SimulationError if it has no band.
     """
     package.check_request(path, platforms)
-    if no_documentation and (properties or body):
-        raise ExportError(f"{path}: properties and body are for the page; omit no_documentation.")
+    if no_documentation and properties:
+        raise ExportError(f"{path}: properties are for the page; omit no_documentation.")
     if not model.thermal:
         more = (POWER,) if power else ()
         whole = _component(model, more, band=band, low_pass=low_pass, no_events=no_events)
         if not no_documentation:
-            whole = _documented(whole, _as_run(model, low_pass), properties, audit, body)
-    elif power or band or low_pass or properties or body or no_events:
+            whole = _documented(whole, _as_run(model, low_pass), properties, audit)
+    elif power or band or low_pass or properties or no_events:
         raise ExportError(
             f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
-            "properties, rigid body or no_events; export the model without temperature."
+            "properties or no_events; export the model without temperature."
         )
     else:
         about = about_model(model, "friction", "from their motion and temperature")
@@ -112,7 +110,6 @@ def _documented(
     model: FrictionModel,
     properties: Properties | None,
     audit: ModelAudit | None,
-    body: PageBody | None,
 ) -> package.Content:
     """Add the page, the picture and the reference results of a model, as the FMU runs it."""
     with ThreadPoolExecutor(max_workers=1) as pool:
@@ -120,7 +117,7 @@ def _documented(
         module = pool.submit(wasm, package.translation_unit(bare)[1])
         picture = model_png(model)
         live = live_section(live_data(model, bare.table, module.result()))
-        live += log_section(model, body) + live_assets(log=True)
+        live += live_assets(fit_tables=True)
     sheet = plugins.find("hesr.sheets", "properties") if properties else None
     page = sheet(properties, sliding=model.sliding) if sheet else ""
     html = to_html(model, bare.table, bare.about, live=live, properties=page, audit=audit)

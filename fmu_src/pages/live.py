@@ -1,4 +1,4 @@
-"""Interactive sections of pages, with the C of FMUs as WebAssembly: models with knobs, and logs.
+"""Interactive sections of pages: models with knobs, run by the C of FMUs as WebAssembly.
 
 A page may have any number of them, with one shared script and style.
 """
@@ -6,7 +6,7 @@ A page may have any number of them, with one shared script and style.
 import base64
 import re
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
 from math import floor, log10
@@ -14,26 +14,19 @@ from typing import Any
 
 import sympy
 
-from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.interface import Interface
-from fmu_src.export.package import Content, own_source, translation_unit
+from fmu_src.export.package import own_source
 from fmu_src.export.toolchain import build_wasm
 from fmu_src.friction.friction_component import place, scales_of
 from fmu_src.friction.reference import trained_speed
 from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.pages.mathml import symbol
-from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.scales import CHANGE, CHANGE_OF_OFFSET
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.logs.guess import vocabulary
-from hesr_model.logs.log_format import LogFormat
-from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.robots.robot import Robot
 from hesr_model.support.files import scratch_folder
-from hesr_model.units import OTHERS, SLIDING, TURNING, unit_of_joint
+from hesr_model.units import unit_of_joint
 
 
 def wasm(sources: Mapping[str, str]) -> bytes:
@@ -53,98 +46,6 @@ def packed(module: bytes) -> str:
     return base64.b64encode(zlib.compress(module, 9)).decode()
 
 
-@dataclass(frozen=True, kw_only=True)
-class PageBody:
-    """A rigid body's InverseDynamics FMU for pages; the cut-off filters the robot's logs [Hz]."""
-
-    joints: Sequence[str]
-    fmu: Content
-    cutoff: float
-
-    @classmethod
-    def of(cls, robot: Robot, body: RigidBody) -> "PageBody":
-        """Return the body of a robot; RobotError if `body` belongs to another robot."""
-        return cls(
-            joints=robot.description.joints,
-            fmu=inverse_dynamics(robot, body.parameters_for(robot)),
-            cutoff=robot.description.log.filter_cutoff,
-        )
-
-    @property
-    def key(self) -> dict[str, object]:
-        """Return everything that determines the page, as JSON data."""
-        return {"cutoff": self.cutoff, **self.files}
-
-    @property
-    def files(self) -> dict[str, str]:
-        """Return its C files by name, which define everything but the cut-off."""
-        return translation_unit(self.fmu)[1]
-
-    def data(self, joints: Sequence[str]) -> dict[str, Any]:
-        """Return the data for a page: the module and the connectors of each joint."""
-        if tuple(joints) != tuple(self.joints):
-            raise ExportError(
-                f"the rigid body has the joints {', '.join(self.joints)}, but the friction model "
-                f"has {', '.join(joints)}: they belong to different robots."
-            )
-        places = self.fmu.table.places
-        return {
-            "module": packed(wasm(self.files)),
-            "joints": [
-                {"references": {x: places[f"{x}[{i}]"] for x in ("q", "dq", "ddq", "tau")}}
-                for i, _ in enumerate(joints, start=1)
-            ],
-        }
-
-
-_LOAD = ("load", "rigid", "gravity")
-_FRICTION = ("friction", "fric")  # words in the names of columns that exist only in processed logs
-
-
-def log_section(model: FrictionModel, body: PageBody | None = None, key: str = "live") -> str:
-    """Return the section of a page that takes a log; with a body it computes the rigid-body torque.
-
-    It needs a live section of the same key before it and `live_assets(log=True)` after it.
-    """
-    return rendered("log.html.j2", data=_data(model, body), key=key)
-
-
-def _data(model: FrictionModel, body: PageBody | None) -> dict[str, Any]:
-    # With coupled joints, ranges and errors are those of motors.
-    own = model.coupling is None
-    count = len(model.joints)
-    trained = model.trained if own and model.trained else (None,) * count
-    noise = model.training_rmse if own and model.training_rmse else (None,) * count
-    used = {s.name for law in model.laws for s in law.form.inputs}
-    return {
-        "words": {**vocabulary(), "load": _LOAD, "friction": _FRICTION},
-        "units": {"t": OTHERS["t"], **_units(model)},
-        "cutoff": body.cutoff if body else LogFormat().filter_cutoff,
-        "body": body.data(model.joints) if body else None,
-        "change": CHANGE,
-        "shift": CHANGE_OF_OFFSET,
-        "joints": [
-            {
-                "name": name,
-                "uses": sorted({s.name for s in law.form.inputs} if own else used),
-                "speeds": trained_range.dq if trained_range else None,
-                "noise": error,
-            }
-            for name, law, trained_range, error in zip(
-                model.joints, model.laws, trained, noise, strict=True
-            )
-        ],
-    }
-
-
-def _units(model: FrictionModel) -> dict[str, dict[str, float]]:
-    """Return units by quantity, SI first; only SI if joints of both kinds exist."""
-    kinds = [SLIDING if slides else TURNING for slides in set(model.slides)]
-    if len(kinds) == 1:
-        return {quantity: dict(units) for quantity, units in kinds[0].items()}
-    return {quantity: {"SI": 1.0} for quantity in TURNING}
-
-
 def live_section(data: Mapping[str, Any], key: str = "live") -> str:
     """Return the section of a friction model; `live_assets` must follow it on the page.
 
@@ -154,14 +55,18 @@ def live_section(data: Mapping[str, Any], key: str = "live") -> str:
     return rendered("live.html.j2", data=data, key=key)
 
 
-def live_assets(*, log: bool = False) -> str:
-    """Return the style and script of all interactive sections of a page, to follow them."""
-    scripts = ["live_plot.js", "live.js"]
-    if log:
-        scripts += ["fit.js", "log_table.js", "log_motion.js", "log_score.js", "log.js"]
-    style = "".join(_text(name) for name in ("live.css", *(["log.css"] if log else [])))
-    whole = '(() => {\n"use strict";\n' + "\n".join(map(_text, scripts)) + "})();"
-    return f"<style>\n{style}</style>\n<script>\n{whole}\n</script>\n"
+def live_assets(*, fit_tables: bool = False) -> str:
+    """Return the style and script of all interactive sections of a page, to follow them.
+
+    With `fit_tables` the script also fits tables and equations to the width of the page, as that of
+    `report.html.j2` does by itself.
+    """
+    names = ["live_plot.js", "live.js"]
+    if fit_tables:
+        names.append("fit.js")
+    scripts = "\n".join(_text(name) for name in names)
+    whole = f'(() => {{\n"use strict";\n{scripts}}})();'
+    return f"<style>\n{_text('live.css')}</style>\n<script>\n{whole}\n</script>\n"
 
 
 def _text(name: str) -> str:

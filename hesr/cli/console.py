@@ -27,7 +27,7 @@ _NEW_FORMS = {
     "replay": "hesr test X.fmu --on LOG",
     "properties": "hesr test LAW... --kind properties",
     "audit": "hesr test LAW... --kind passivity",
-    "arena": "hesr test X.fmu... --on LEADERBOARD.toml -o board.html",
+    "arena": "hesr test X.fmu... --on LOG",
     "constants": "hesr inspect LOG... --robot ROBOT --torque-constants",
     "thermal": "hesr fit LOG... --law law.json --add temperature -o warm.json",
     "sweep": "hesr simulate SWEEP.toml -o FOLDER, or --only RUN -o run.csv for one run",

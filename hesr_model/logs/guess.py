@@ -63,19 +63,6 @@ class Guess:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
-def vocabulary() -> dict[str, object]:
-    """Return words and rates as JSON data."""
-    return {
-        "quantities": {quantity: sorted(words) for quantity, words in _WORDS.items()},
-        "places": sorted(_PLACES),
-        "others": sorted(_OTHERS | _COMMANDS),
-        "measured": sorted(_MEASURED),
-        "time": sorted(_TIME),
-        "units": {quantity: dict(units) for quantity, units in _UNITS.items()},
-        "rates": _RATES,
-    }
-
-
 def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) -> Guess:
     """Guess columns, maybe with names of `joints`, and time if `timed`; raises LogError."""
     groups = list(_groups(table.names, joints))

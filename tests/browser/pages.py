@@ -16,9 +16,6 @@ from cosim.study.scores import compare
 from fmu_src import export_fmu
 from hesr.extras.adaptive.monitor import watch
 from hesr.extras.adaptive.page import write_monitor
-from hesr.extras.leaderboard.board_file import CLASSES, KINDS, Interval
-from hesr.extras.leaderboard.leaderboard import Leaderboard, ScoredLog, ScoredRobot, Standing
-from hesr.extras.leaderboard.tables import write_page
 from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -82,9 +79,8 @@ def _records(model: FrictionModel) -> list[FrictionRecord]:
 
 
 def log_csv() -> str:
-    """A log with the signals that the FMU's page needs."""
     t, q, dq = _motion()
-    names = [f"{name}{k}" for name in ("q", "dq", "tau_friction") for k in range(1, 8)]
+    names = [f"{name}{k}" for name in ("q", "dq", "tau") for k in range(1, 8)]
     tau = np.column_stack([record.tau for record in _records(_model())])
     rows = np.column_stack([t, q, dq, tau]).tolist()
     return "\n".join([",".join(["t", *names]), *(",".join(map(repr, row)) for row in rows)]) + "\n"
@@ -97,7 +93,7 @@ def fmu_page(folder: Path) -> Path:
 
 
 def inspection(folder: Path) -> Path:
-    (folder / "log.csv").write_text(log_csv().replace("tau_friction", "tau"), encoding="utf-8")
+    (folder / "log.csv").write_text(log_csv(), encoding="utf-8")
     write_inspection(folder / "inspect.html", inspect_logs([folder / "log.csv"]))
     return folder / "inspect.html"
 
@@ -119,48 +115,6 @@ def sweep(folder: Path) -> Path:
     return folder / "out/sweep.html"
 
 
-def arena(folder: Path) -> Path:
-    interval = Interval(value=0.1234, low=0.1111, high=0.1357)
-    standings = tuple(
-        Standing(
-            name=f"entry_number_{k}",
-            robot="seven",
-            sha256="0" * 64,
-            law="lugre_load",
-            group=group,
-            inputs=CLASSES[group],
-            relative=dict.fromkeys(KINDS, interval),
-            joints=dict.fromkeys(KINDS, (1.2345,) * 7),
-            ratio=interval if k else None,
-            leads=not k,
-            properties=None,
-            step=1e-7,
-            foreign=False,
-        )
-        for group in CLASSES
-        for k in range(2)
-    )
-    robot = ScoredRobot(
-        name="seven", joints=JOINTS, sliding=(False,) * 7, tau_std=(9.876,) * 7, rigid_body="0" * 64
-    )
-    log = ScoredLog(
-        name="day", robot="seven", sha256="0" * 64, source="measured", licence="CC0-1.0"
-    )
-    write_page(
-        Leaderboard(
-            arena="seven",
-            warm_up=1.0,
-            block=1.0,
-            classes=CLASSES,
-            robots=(robot,),
-            logs=(log,),
-            standings=standings,
-        ),
-        folder / "arena.html",
-    )
-    return folder / "arena.html"
-
-
 def scores(folder: Path) -> Path:
     """The report's widest table: errors with the intervals of their ratios."""
     model = _model()
@@ -179,5 +133,5 @@ def scores(folder: Path) -> Path:
 
 
 PAGES: Mapping[str, Callable[[Path], Path]] = {
-    page.__name__: page for page in (fmu_page, inspection, monitor, sweep, arena, scores)
+    page.__name__: page for page in (fmu_page, inspection, monitor, sweep, scores)
 }

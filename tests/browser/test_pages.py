@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from pages import PAGES, log_csv
+from pages import PAGES
 
 if TYPE_CHECKING:
     from browser_pages import OpenPage
@@ -42,15 +42,8 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def unfold(page: "Page") -> None:
-    """Unfold everything, and drop a log if the page accepts one."""
+    """Unfold everything."""
     page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-    if page.locator("section.log").count():
-        page.locator(".log-start").wait_for()
-        page.locator(".log-file").set_input_files(
-            {"name": "day.csv", "mimeType": "text/csv", "buffer": log_csv().encode()}
-        )
-        page.locator(".log-app").wait_for()
-        page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
@@ -86,7 +79,7 @@ def test_figures_are_readable_on_a_phone(open_page: "OpenPage", path: Path) -> N
         assert box.evaluate("e => { e.scrollLeft = 9999; return e.scrollLeft; }") > 0
 
 
-@pytest.mark.parametrize("path", ["inspection", "monitor", "sweep", "arena"], indirect=True)
+@pytest.mark.parametrize("path", ["inspection", "monitor", "sweep", "scores"], indirect=True)
 def test_tables_are_printed(open_page: "OpenPage", path: Path) -> None:
     page = open_page(path)
     page.emulate_media(media="print")
@@ -101,7 +94,7 @@ BESIDE = """() => [...document.querySelectorAll(".cards td.beside")]
   .map((e) => [e.textContent, getComputedStyle(e.previousElementSibling, "::after").content])"""
 
 
-@pytest.mark.parametrize("path", ["arena", "scores"], indirect=True)
+@pytest.mark.parametrize("path", ["scores"], indirect=True)
 def test_an_interval_stays_with_its_number_on_a_phone(open_page: "OpenPage", path: Path) -> None:
     page = open_page(path, viewport={"width": 390, "height": 844})
     unfold(page)

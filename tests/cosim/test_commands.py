@@ -118,9 +118,8 @@ def test_the_laws_are_listed() -> None:
 def test_unusable_arguments_are_refused(
     arm_log: Log, table1: FrictionModel, tmp_path: Path
 ) -> None:
-    fleet, board = tmp_path / "fleet.toml", tmp_path / "board.toml"
+    fleet = tmp_path / "fleet.toml"
     fleet.write_text("[types]\n", encoding="utf-8")
-    board.write_text("robots = []\n", encoding="utf-8")
     for call, sentence in [
         (lambda: hesr.identify(arm_log), "logs do not name their robot"),
         (lambda: hesr.identify("a.csv"), "a.csv: give 'robot' to read this log"),
@@ -130,7 +129,7 @@ def test_unusable_arguments_are_refused(
         (lambda: hesr.export(table1, "a", robot="r"), "'robot' and 'rigid_body' must be given"),
         (
             lambda: hesr.export(table1, "a", format="c", robot="r", rigid_body="b"),
-            "'robot' needs 'format' fmu or observer or plant, but the format is 'c'.",
+            "'robot' needs 'format' observer or plant, but the format is 'c'.",
         ),
         (
             lambda: hesr.export(table1, "a", stiffness=[1.0]),
@@ -158,10 +157,6 @@ def test_unusable_arguments_are_refused(
         (
             lambda: hesr.inspect("a.csv", payload=1.0),
             "'mass_error', 'loaded' and 'payload' need 'torque_constants'.",
-        ),
-        (
-            lambda: hesr.test(table1, on=[board], kind=["passivity"]),
-            "give it alone, without 'kind'",
         ),
         (
             lambda: hesr.simulate(fleet),

@@ -26,7 +26,6 @@ SETTINGS = """
 velocity = [1.3, 1.2, 1.3]
 acceleration = [2.6, 2.4, 2.6]
 """
-LITTLE = "robot 'uf850': the limits allow no motion"
 SLOW = "[limits]\nvelocity = [2.0, 2.0, 2.0]\n"
 QUICK = "harmonics = 2\nstarts = 1\nperiod = [6.0, 8.0]\n"
 

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from containing import Containing
+from coulomb_slave import LEVEL, VISCOUS
 from joint_data import law
+from pythonfmu import FmuBuilder
 
 import hesr
 from cosim.report.tables.table import ResultTable
@@ -100,6 +102,22 @@ def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:
     assert [one["verdict"] for one in data["passivity"]["own"]] == ["proven"] * 3
     assert data["simulation"]["joints"] == ["j1", "j2", "j3"]
     assert report.passed
+
+
+def test_a_foreign_fmu_is_scored_on_logs(arm: RobotDescription, file: Path, tmp_path: Path) -> None:
+    """An FMU of another exporter, which knows no law of HESR, scores as its formula does."""
+    slave = FmuBuilder.build_FMU(Path(__file__).with_name("coulomb_slave.py"), dest=tmp_path)
+    body = hesr.identify(file, robot=arm)
+    report = hesr.test([slave], on=[file], robot=arm, rigid_body=body)
+    assert report.scores is not None
+    for joint, ((record,), (level, viscous)) in enumerate(
+        zip(report.records, zip(LEVEL, VISCOUS, strict=True), strict=True)
+    ):
+        coulomb = level + 0.001 * np.abs(record.tau_load)
+        tau = coulomb * np.tanh(record.dq / 0.02) + viscous * record.dq
+        rmse = np.sqrt(np.mean(np.square(record.tau - tau)))
+        assert report.scores.zero_phase["Coulomb"][joint] == pytest.approx(rmse, rel=1e-9)
+    assert report.summary().startswith("Best: Coulomb.")
 
 
 def test_without_logs_only_passivity_is_tested(table1: FrictionModel) -> None:

@@ -95,27 +95,6 @@ robot = "picker.toml"
 logs = "logs/P[0-9]"
 """
 
-ARENA = f"""
-name = "twin"
-warm_up = 0.5
-block = 1.0
-scores = ["all", "moving", "reversals", "rests", "time"]
-accept = ["limits"]
-[classes]
-v = ["dq"]
-"v, load" = ["dq", "tau_load"]
-[[robots]]
-name = "uf850"
-file = "robot.toml"
-rigid_body = "body.json"
-rigid_body_sha256 = "{64 * "0"}"
-[[logs]]
-file = "trial.csv"
-sha256 = "{64 * "a"}"
-source = "the digital twin"
-licence = "MIT"
-"""
-
 EXCITATION = """
 harmonics = 5
 period = [10.0, 20.0]
@@ -185,11 +164,6 @@ SETTINGS = {
         suffix=".toml", write=text(SWEEP), read=toml("hesr.extras.sweep.study", "SweepStudy")
     ),
     "fleet": Reader(suffix=".toml", write=_write_fleet, read=_fleet),
-    "arena": Reader(
-        suffix=".toml",
-        write=text(ARENA),
-        read=toml("hesr.extras.leaderboard.board_file", "BoardFile"),
-    ),
     "signals": Reader(
         suffix=".toml",
         write=copy_of(UF850 / "arm.toml"),

@@ -3,9 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hesr.extras.leaderboard.board_file import rmse_ratio_interval
 from hesr_model.friction.records import (
-    rmse,
     score,
     score_band,
     time_band,
@@ -100,41 +98,3 @@ def test_a_band_includes_its_start_but_not_its_stop() -> None:
     t = np.array([0.0, 1.0, 2.0, 2.6, 3.0])
     np.testing.assert_array_equal(time_band(t, 1.0, 2.6), [False, True, True, False, False])
     np.testing.assert_array_equal(time_band(t, 2.6, 9.0), [False, False, False, True, True])
-
-
-def test_the_interval_of_a_ratio_covers_the_true_ratio() -> None:
-    covered = 0
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        # Errors with a correlation length of about ten rows.
-        noise = rng.standard_normal((2, 2010))
-        a, b = (np.convolve(x, np.ones(10), mode="valid") for x in noise)
-        low, high = rmse_ratio_interval(
-            [0.8 * a[:800], 0.8 * a[800:]], [b[:800], b[800:]], block=60, rng=rng, resamples=400
-        )
-        covered += low <= 0.8 <= high
-    assert covered >= 51
-
-
-def test_a_ratio_of_equal_errors_has_no_uncertainty() -> None:
-    errors = [np.random.default_rng(0).standard_normal(50)]
-    rng = np.random.default_rng(1)
-    low, high = rmse_ratio_interval([2.0 * errors[0]], errors, block=100, rng=rng)
-    assert (low, high) == (pytest.approx(2.0), pytest.approx(2.0))
-
-
-def test_logs_are_weighted_by_rows_not_by_blocks() -> None:
-    """Two blocks of 10 rows cover a log of 11 and count as 11 rows, not 20."""
-    ones = [np.ones(10), np.ones(11)]
-    errors = [np.full(10, 2.0), np.ones(11)]
-    found = rmse_ratio_interval(errors, ones, block=10, rng=np.random.default_rng(0), resamples=9)
-    assert found == pytest.approx([np.sqrt((10 * 4 + 11 * 1) / 21)] * 2, rel=1e-12)
-
-
-def test_the_same_seed_gives_the_same_interval() -> None:
-    a, b = np.random.default_rng(0).standard_normal((2, 300))
-    first, again = (
-        rmse_ratio_interval([a], [b], block=20, rng=np.random.default_rng(7)) for _ in range(2)
-    )
-    assert first == again
-    assert first[0] < rmse(a) / rmse(b) < first[1]

@@ -24,35 +24,20 @@ class Fmu {
     return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
   }
 
-  /* As in a replayed log: set row k of the inputs [reference, values], step to it, read it. Returns
-   * why FMU or reader refuses. */
-  through(t, inputs, read, prepare) {
-    const { fmu } = this;
-    const put = (k) => inputs.some(([reference, values]) => fmu.live_set(reference, values[k]));
-    let failed = fmu.live_reset() || prepare?.() || put(0) || fmu.live_initialise();
-    for (let k = 0; !failed && k < t.length; k++) {
-      failed = k && (put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1])) || read(k);
-    }
-    return failed ? this.heard() || "An output is not finite." : "";
-  }
-
-  /* Torque of a joint up to a refusal of the FMU, with its message. */
+  /* Torque of a joint up to a refusal of the FMU, with its message. As in a replayed log: set row k of
+   * the inputs, step to it, read it. */
   run({ references, coefficients }, values, motion) {
-    const torque = [], inputs = ["dq", "q", "tau_load"].map((u) => [references[u], motion[u]]);
-    const refused = this.through(motion.t, inputs,
-      () => { torque.push(this.fmu.live_get(references.tau)); },
-      () => coefficients.some((c) => this.fmu.live_set(c.reference, values[keyOf(c)])));
-    return { torque, refused };
-  }
-
-  /* An output [joint][row] over a log of `inputs` [joint][row]. */
-  replay(joints, t, inputs, output = "tau") {
-    const found = joints.map(() => new Float64Array(t.length));
-    const connected = joints.flatMap(({ references }, j) =>
-      Object.entries(inputs).map(([name, values]) => [references[name], values[j]]));
-    const refused = this.through(t, connected, (k) => joints.some(({ references }, j) =>
-      !Number.isFinite(found[j][k] = this.fmu.live_get(references[output]))));
-    return { found, refused };
+    const { fmu } = this, { t } = motion, torque = [];
+    const inputs = ["dq", "q", "tau_load"].map((name) => [references[name], motion[name]]);
+    const put = (k) => inputs.some(([reference, column]) => fmu.live_set(reference, column[k]));
+    let failed = fmu.live_reset() ||
+      coefficients.some((c) => fmu.live_set(c.reference, values[keyOf(c)])) ||
+      put(0) || fmu.live_initialise();
+    for (let k = 0; !failed && k < t.length; k++) {
+      failed = k > 0 && (put(k) || fmu.live_step(t[k - 1] - t[0], t[k] - t[k - 1]));
+      if (!failed) torque.push(fmu.live_get(references.tau));
+    }
+    return { torque, refused: failed ? this.heard() || "It gives no reason." : "" };
   }
 }
 

@@ -1,1 +1,0 @@
-"""Leaderboards: friction FMUs of any origin, scored on the same logs."""
