@@ -1,14 +1,17 @@
 """Physics checks in the documentation of an FMU."""
 
 import zipfile
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 from subjects import bristle, model
 
 from fmu_src import export_fmu
 from hesr.extras.properties.battery import Subject, measure
-from hesr_model.audit.properties import EXPECTATIONS, Properties
+from hesr.extras.properties.figures import draw_check
+from hesr_model.audit.properties import EXPECTATIONS, Curve, Plot, Properties
 
 PAGE = "documentation/index.html"
 
@@ -49,10 +52,33 @@ def test_table_and_plots_are_in_the_documentation(bristles: Properties, tmp_path
         assert e.title in found.text
         assert e.sources[0] in found.text
     assert "One first-order state cannot have non-local" in found.text
-    for tag, attributes in found.tags:
-        if tag == "polyline":
-            points = [p.split(",") for p in (attributes["points"] or "").split()]
-            assert all(0.0 <= float(x) <= 236.0 and 0.0 <= float(y) <= 148.0 for x, y in points)
+    images = [attributes for _, attributes in found.tags if attributes.get("role") == "img"]
+    assert sum(" over " in (attributes.get("aria-label") or "") for attributes in images) == drawn
+    ids = [attributes["id"] for _, attributes in found.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+
+
+def test_a_figure_names_curves_and_extremes() -> None:
+    """Only curves of two points and more are drawn; the axes are named with their extremes."""
+    rising = Curve(label="4 s", x=(-2.0, 0.0, 1.0), y=(-3.0, 0.0, 5.0))
+    single = Curve(label="gone", x=(9.0,), y=(9.0,))
+    plot = Plot(x="position", y="torque", units=("rad", "N.m"), curves=(rising, single))
+    figure = draw_check(plot)
+    assert figure is not None
+    (axes,) = figure.axes
+    assert {text.get_text() for text in axes.texts} == {
+        "torque [N.m], −3 to 5",
+        "−2",
+        "position [rad]",
+        "1",
+    }
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["4 s"]
+    curve, *zeros = axes.lines
+    np.testing.assert_array_equal(curve.get_xydata(), np.column_stack([rising.x, rising.y]))
+    assert len(zeros) == 2
+    assert draw_check(replace(plot, curves=(single,))) is None
 
 
 def test_without_findings_there_is_no_such_section(tmp_path: Path) -> None:
