@@ -253,7 +253,7 @@ class FrictionRegressor:
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch, in the export format `torch`."""
         file = path_of(path, "a module")
-        plugins.find("hesr.exports", "torch")(self._fitted(), file)
+        plugins.find("hesr.exports", "torch").write(self._fitted(), file)
         return file
 
     def __sklearn_is_fitted__(self) -> bool:

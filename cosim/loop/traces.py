@@ -26,10 +26,10 @@ _SCRIPT = "simulate.py"
 
 def complete_loops(folder: Path) -> None:
     """Write the script that runs the loops in a folder, and their SSPs if that is possible."""
-    ssp = plugins.load("hesr.systems").get("ssp")
+    ssp = plugins.load("hesr.exports.system").get("ssp")
     for path in _loops(folder):
         if ssp:
-            ssp.load()(SystemSpec.read(path), path, path.with_suffix(".ssp"))
+            ssp.load().write(path, path.with_suffix(".ssp"))
         shutil.copyfile(models_folder() / "loop" / _SCRIPT, folder / _SCRIPT)
 
 

@@ -9,8 +9,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from fmu_src import BUILT_IN, model_file
 from hesr_model.audit.properties import Subject
 from hesr_model.errors import ArgumentError, ConfigError
@@ -186,29 +184,6 @@ def plant_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
 
     model = model_of(robot)
     return PlantBody.of(model, None if body is None else body_of(body, (), model))
-
-
-def possible_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
-    """Return a robot for a plant; of base parameters, the closest that bodies can have."""
-    from fmu_src.plant.plant_fmu import PlantBody
-    from hesr_model.rigid_body.physical import is_possible, nearest
-
-    model = model_of(robot)
-    identified = None if body is None else body_of(body, (), model)
-    if identified is None or is_possible(model, own := identified.parameters_for(model)):
-        return PlantBody.of(model, identified)
-    found, off, largest = nearest(model, own)
-    k = int(np.argmax(off / np.maximum(largest, 1e-12)))
-    _log.warning(
-        "The rigid body has base parameters; the plant has the closest ones that bodies can have. "
-        "Their torque differs by up to %.2g N.m on %s, %.1f %% of its largest, at random states.",
-        off[k],
-        model.joints[k],
-        100.0 * off[k] / largest[k],
-    )
-    possible = PlantBody(robot=model, parameters=found)
-    possible.require_inertia("the rigid body")
-    return possible
 
 
 def model_given(model: LawArg) -> FrictionModel:

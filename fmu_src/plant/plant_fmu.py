@@ -1,5 +1,6 @@
 """Plant FMU: a robot with friction in its joints; torque in, motion out."""
 
+import logging
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -48,6 +49,8 @@ DAMPING = 1e2  # defaults of the stops [N.m/rad, N.m.s/rad]
 _UNLIMITED = 1e6  # limit of a joint without stops [rad or m]
 COMMANDS = 64  # greatest number of commands within the latency of a servo, as in plant_servo.h
 _POSTURES = 100  # random postures in the check of the mass matrix
+_NO_TORQUE = 1e-12  # torque of a joint that carries none, in place of zero [N.m]
+_log = logging.getLogger(__name__)
 
 _JOINTS = Terminal(
     name="joints",
@@ -104,6 +107,29 @@ class PlantBody:
         tunable = [*self.parameters.tolist(), *self.rotors.tolist(), *self.robot.gravity.tolist()]
         limits = [bound.tolist() for bound in self.robot.limits]
         return {"dynamics.h": dynamics_header(self.robot), "numbers": tunable, "limits": limits}
+
+
+def find_possible_body(robot: Robot, rigid_body: RigidBody | None) -> PlantBody:
+    """Return a robot for a plant; of base parameters, the closest that bodies can have."""
+    from hesr_model.rigid_body.physical import is_possible, nearest  # slow to import
+
+    if rigid_body is None:
+        return PlantBody.of(robot)
+    identified = rigid_body.parameters_for(robot)
+    if is_possible(robot, identified):
+        return PlantBody.of(robot, rigid_body)
+    parameters, error, largest = nearest(robot, identified)
+    worst = int(np.argmax(error / np.maximum(largest, _NO_TORQUE)))
+    _log.warning(
+        "The rigid body has base parameters; the plant has the closest ones that bodies can have. "
+        "Their torque differs by up to %.2g N.m on %s, %.1f %% of its largest, at random states.",
+        error[worst],
+        robot.joints[worst],
+        100.0 * error[worst] / largest[worst],
+    )
+    plant_body = PlantBody(robot=robot, parameters=parameters)
+    plant_body.require_inertia("the rigid body")
+    return plant_body
 
 
 _OUTPUTS = (

@@ -16,6 +16,7 @@ from hesr_model.support import plugins
 
 if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
+    from cosim.workflow.export_formats import HelpSection
 
 _VERBS = (
     *("new", "inspect", "excite", "identify", "fit", "test"),
@@ -48,7 +49,7 @@ class _Verbs(click.Group):
         if cmd_name not in _VERBS and cmd_name not in self.list_commands(ctx):
             return None
         function = workflow(cmd_name)
-        return command(cmd_name, function, _invoke, further(function))
+        return command(cmd_name, function, _invoke, help_sections(function))
 
 
 def workflow(verb: str) -> Function:
@@ -60,10 +61,10 @@ def workflow(verb: str) -> Function:
     return plugin
 
 
-def further(function: Function) -> Sequence[inspect.Parameter]:
-    """Return the further keyword options of a function, if its module lists them."""
-    found: Sequence[inspect.Parameter] = _module(function).get("further_options", tuple)()
-    return found
+def help_sections(function: Function) -> "Sequence[HelpSection]":
+    """Return further sections of the help, with options, if the module of a function has them."""
+    sections: Sequence[HelpSection] = _module(function).get("help_sections", tuple)()
+    return sections
 
 
 def _invoke(function: Function, given: dict[str, Any]) -> None:

@@ -4,18 +4,22 @@ A positional parameter becomes an argument, a keyword-only one an option; `bool`
 choice, `Sequence` a repeatable option, `Mapping` KEY=VALUE, `PerJoint` numbers with commas.
 """
 
+import ast
 import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import click
 
 from hesr_model.errors import ConfigError
 from hesr_model.support import plugins
 from hesr_model.support.text import parse_toml
+
+if TYPE_CHECKING:
+    from cosim.workflow.export_formats import HelpSection
 
 Function = Callable[..., Any]
 Kind = click.ParamType[Any, Any]
@@ -125,39 +129,104 @@ def _plain(text: str) -> str:
 
 
 def command(
-    name: str, function: Function, invoke: Invoke, more: Sequence[inspect.Parameter] = ()
+    name: str, function: Function, invoke: Invoke, sections: "Sequence[HelpSection]" = ()
 ) -> click.Command:
-    """Return the click command of a workflow function, called by `invoke` with parsed values."""
-    told = Docstring.of(function)
-    own = [
-        one
-        for one in inspect.signature(function).parameters.values()
-        if one.kind is not one.VAR_KEYWORD and one.name != "progress"
-    ]
-    shown = [
-        _parameter(name, one, told.parameters.get(one.name, ""), function) for one in (*own, *more)
+    """Return the click command of a workflow function, called by `invoke` with parsed values.
+
+    It also has the options of the sections, which the help shows there.
+    """
+    docstring = Docstring.of(function)
+    parameters = [
+        _parameter(name, parameter, docstring.parameters.get(parameter.name, ""), function)
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.kind is not parameter.VAR_KEYWORD and parameter.name != "progress"
     ]
     if "listing" in vars(sys.modules[function.__module__]):
-        shown.append(click.Option(["--list", "listing"], is_flag=True, help="List the choices."))
+        parameters.append(
+            click.Option(["--list", "listing"], is_flag=True, help="List the choices.")
+        )
+    section_options = {
+        section.title: _section_options(name, section, function) for section in sections
+    }
+    # Formats may share an option: its first description parses it.
+    distinct: dict[str | None, click.Parameter] = {}
+    for options in section_options.values():
+        for option in options:
+            distinct.setdefault(option.name, option)
     return _Command(
         name,
+        sections=sections,
+        section_options=section_options,
         callback=lambda **given: invoke(function, _given(given)),
-        params=[*shown, *_common()],
-        help=told.text,
-        short_help=told.summary,
-        epilog=_lines(told.examples),
+        params=[*parameters, *distinct.values(), *_common()],
+        help=docstring.text,
+        short_help=docstring.summary,
+        epilog=_lines(docstring.examples),
         context_settings={"max_content_width": 80},
     )
 
 
+def _section_options(
+    verb: str, section: "HelpSection", function: Function
+) -> list[click.Parameter]:
+    options = []
+    for option in section.options:
+        parameter = inspect.Parameter(
+            option.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=option.annotation,
+        )
+        options.append(_parameter(verb, parameter, option.description, function))
+    return options
+
+
 class _Command(click.Command):
-    """Command whose other parameters become optional with --list."""
+    """Command with sections of options; its other parameters are optional with --list."""
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        sections: "Sequence[HelpSection]",
+        section_options: dict[str, list[click.Parameter]],
+        **settings: Any,
+    ) -> None:
+        super().__init__(name, **settings)
+        self.sections = sections
+        self.section_options = section_options
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if "--list" in args and any(param.name == "listing" for param in self.params):
             for param in self.params:
                 param.required = False
         return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        names_in_sections = {
+            option.name for options in self.section_options.values() for option in options
+        }
+        general = [
+            param
+            for param in self.get_params(ctx)
+            if isinstance(param, click.Option) and param.name not in names_in_sections
+        ]
+        _write_section(formatter, "Options", _help_records(general, ctx))
+        for section in self.sections:
+            records = _help_records(self.section_options[section.title], ctx)
+            _write_section(formatter, section.title, [*section.formats, *records])
+
+
+def _help_records(options: Sequence[click.Parameter], ctx: click.Context) -> list[tuple[str, str]]:
+    records = [option.get_help_record(ctx) for option in options]
+    return [record for record in records if record is not None]
+
+
+def _write_section(
+    formatter: click.HelpFormatter, title: str, records: list[tuple[str, str]]
+) -> None:
+    with formatter.section(title):
+        formatter.write_dl(records)
 
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:
@@ -209,6 +278,8 @@ def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function)
 
 
 def _kind(annotation: str, function: Function, form: Form) -> Kind:
+    if annotation.startswith("Literal["):
+        return click.Choice(ast.literal_eval(f"({annotation[len('Literal[') : -1]},)"))
     named = vars(sys.modules[function.__module__]).get(annotation)
     if get_origin(named) is Literal:
         return click.Choice(get_args(named))

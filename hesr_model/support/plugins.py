@@ -13,10 +13,13 @@ from hesr_model.errors import ConfigError
 GROUPS = {
     "hesr.laws": "law",  # module that registers the estimator of this name
     "hesr.logs": "log format",  # FileFormat
-    "hesr.exports": "export format",  # function (model, output, *, platform, **options)
+    "hesr.exports": "export format",  # Exporter of a friction model
+    "hesr.exports.arm": "arm format",  # Exporter of an MJCF or a URDF
+    "hesr.exports.system": "system format",  # Exporter of a system
+    "hesr.exports.results": "results format",  # Exporter of results or a study
     "hesr.checks": "check",  # function (description, contents, folder) of an FMU
     "hesr.tests": "test",  # function of laws and logs; `properties` one of subjects
-    "hesr.systems": "system format",  # reader, writers and checks of files of systems
+    "hesr.systems": "system format",  # reader and checks of files of systems
     "hesr.studies": "part of a study",  # function, see the calls in `cosim`
     "hesr.sheets": "sheet",  # function of the result of a test: HTML for pages
     "hesr.refinements": "refinement",  # function of a fitted law and its records

@@ -13,8 +13,8 @@ import click
 import pytest
 
 import hesr
-from hesr.cli.app import app, further, workflow
-from hesr.cli.derive import Docstring
+from hesr.cli.app import app, help_sections, workflow
+from hesr.cli.derive import Docstring, Function
 from hesr_model.support.lazy import lazy
 
 
@@ -42,6 +42,15 @@ def test_the_stub_contains_only_imports() -> None:
     assert names == set(dir(hesr))
 
 
+def descriptions_of_options(function: Function) -> dict[str, str]:
+    """Return the options that a function takes as further keywords, with one of their texts."""
+    return {
+        option.name: option.description
+        for section in help_sections(function)
+        for option in section.options
+    }
+
+
 def test_command_line_options_match_the_functions() -> None:
     """Arguments and options of each verb are the parameters of its function, and vice versa."""
     common = {"json_file", "fail_on", "quiet", "verbose"}
@@ -56,7 +65,7 @@ def test_command_line_options_match_the_functions() -> None:
                 for name, one in inspect.signature(function).parameters.items()
                 if one.kind is not one.VAR_KEYWORD
             }
-            taken |= {one.name for one in further(function)}
+            taken |= descriptions_of_options(function).keys()
             # `--list` is `hesr.laws()`.
             assert given - {"listing"} == taken - {"progress"}, verb
 
@@ -79,14 +88,18 @@ def test_every_function_has_a_full_docstring_used_as_help() -> None:
             text = inspect.getdoc(function) or ""
             assert [s for s in SECTIONS if f"\n{s}\n{'-' * len(s)}\n" not in text] == [], verb
             told = Docstring.of(function)
-            every = (*inspect.signature(function).parameters.values(), *further(function))
-            own = {one.name for one in every if one.kind is not one.VAR_KEYWORD}
+            own = {
+                one.name
+                for one in inspect.signature(function).parameters.values()
+                if one.kind is not one.VAR_KEYWORD
+            }
             assert set(told.parameters) == own, verb
             command = app.get_command(context, verb)
             assert command is not None
             shown = " ".join(command.get_help(click.Context(command, info_name=verb)).split())
-            for name in own - {"progress"}:
-                assert " ".join(told.parameters[name].split())[:40] in shown, (verb, name)
+            texts = told.parameters | descriptions_of_options(function)
+            for name in texts.keys() - {"progress"}:
+                assert " ".join(texts[name].split())[:40] in shown, (verb, name)
 
 
 def test_help_fits_a_screen_and_names_everything() -> None:

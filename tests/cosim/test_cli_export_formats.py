@@ -7,10 +7,8 @@ from zipfile import ZipFile
 
 import pytest
 from containing import Containing
-from plugin_packages import InstallPlugin
 from small_study import Hesr, hesr_here, uf850
 
-from cosim.workflow.export import further_options
 from fmu_src import model_file
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.properties.battery import Subject, measure
@@ -170,7 +168,7 @@ def test_properties_are_in_the_pages_of_the_fmu(hesr, tmp_path):
         ),
         (
             ["--robot", "robot.toml", "-o", "F.fmu"],
-            "--robot and --rigid-body must be given together.",
+            "--robot needs --format observer or plant, but the format is 'fmu'.",
         ),
         (
             ["--format", "plant", "--robot", "robot.toml", "-o", "F.fmu"],
@@ -254,10 +252,3 @@ def test_an_identical_export_is_copied_without_slow_imports(tmp_path):
 
     _, first = run("A.fmu")
     assert run("B.fmu") == ("[]", first)
-
-
-def test_keyword_options_of_other_formats_are_offered(install_plugin: InstallPlugin) -> None:
-    install_plugin("hesr.exports", toy="json:dumps")
-    names = {option.name for option in further_options()}
-    assert {"skipkeys", "indent", "inertia"} <= names
-    assert "obj" not in names

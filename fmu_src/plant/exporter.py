@@ -1,0 +1,69 @@
+"""Export format `plant`: an FMU of the whole robot with friction in its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fmu_src.exporter import FMI, RIGID_BODY, ROBOT, Exporter, ExportOption, ExportRequest
+
+if TYPE_CHECKING:
+    from hesr_model.friction.model import FrictionModel
+
+
+def prepare(request: ExportRequest) -> Mapping[str, Any]:
+    """Combine robot and rigid body."""
+    from fmu_src.plant.plant_fmu import find_possible_body
+
+    options = dict(request.options)
+    options["body"] = find_possible_body(options.pop("robot"), options.pop("rigid_body", None))
+    return options
+
+
+def write(model: FrictionModel, output: Path, **options: Any) -> None:
+    """Write the FMU."""
+    from fmu_src.plant.plant_fmu import export_plant
+
+    export_plant(model, output, **options)
+
+
+PLANT = Exporter(
+    title="FMU of the whole robot: torque in, motion out",
+    suffixes=(".fmu",),
+    write=write,
+    prepare=prepare,
+    platforms="common",
+    options=(
+        FMI,
+        ROBOT,
+        RIGID_BODY,
+        ExportOption(
+            name="kv",
+            type="float",
+            unit="N.m.s/rad",
+            per_joint=True,
+            help="Proportional gains of a servo with a speed command; by default no servo.",
+        ),
+        ExportOption(
+            name="ki",
+            type="float",
+            unit="N.m/rad",
+            per_joint=True,
+            help="Integral gains of the servo; by default 0.",
+        ),
+        ExportOption(
+            name="kp",
+            type="float",
+            unit="1/s",
+            per_joint=True,
+            help="Gains of a position command of the servo; by default it has only a speed "
+            "command.",
+        ),
+        ExportOption(
+            name="tool",
+            type="bool",
+            help="Add the pose of the last joint's frame as outputs.",
+        ),
+    ),
+)
