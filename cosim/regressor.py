@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cosim.workflow.arguments import body_of, logs_of, robot_of
+from cosim.workflow.arguments import (
+    Names,
+    body_of,
+    list_names,
+    logs_of,
+    logs_unless_table,
+    robot_of,
+)
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit
@@ -237,7 +244,7 @@ class FrictionRegressor:
             rows.append((Panel(title=joint, y=f"{self.target} [{unit}]", lines=lines),))
         return drawn(Chart(x="t [s]", rows=tuple(rows)))
 
-    def to_fmu(self, path: str | PathLike[str], *, platforms: Sequence[str] | None = None) -> Path:
+    def to_fmu(self, path: str | PathLike[str], *, platforms: Names | None = None) -> Path:
         """Write the fitted law as an FMU.
 
         The default platforms are linux64, win64 and that of this machine.
@@ -245,14 +252,16 @@ class FrictionRegressor:
         from fmu_src import export_fmu
         from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
+        built_for: Sequence[str] = DEFAULT_PLATFORMS
+        if platforms is not None:
+            built_for = list_names("platforms", platforms)
         model = self._fitted()
-        fmu = path_of(path, "an FMU")
-        built_for = DEFAULT_PLATFORMS if platforms is None else platforms
+        fmu = path_of(path, "'path'")
         return export_fmu(model, fmu, platforms=built_for)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch, in the export format `torch`."""
-        file = path_of(path, "a module")
+        file = path_of(path, "'path'")
         plugins.find("hesr.exports", "torch").write(self._fitted(), file)
         return file
 
@@ -289,10 +298,11 @@ class FrictionRegressor:
         return moved
 
     def _logs(self, X: Any) -> list[Log] | None:
-        several = list(X) if isinstance(X, list | tuple) else [X]
-        if not several or not all(isinstance(x, Log | str | PathLike) for x in several):
+        sources = logs_unless_table(X)
+        if sources is None:
             return None
-        return logs_of(several, getattr(self, "robot_", None) if self.robot is None else self.robot)
+        robot = getattr(self, "robot_", None) if self.robot is None else self.robot
+        return logs_of(sources, robot)
 
     def _records(self, logs: Sequence[Log]) -> list[Record]:
         if not hasattr(self, "robot_"):

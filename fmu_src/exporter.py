@@ -15,10 +15,10 @@ from typing import Any, Literal
 
 from hesr_model.support.progress import Progress, Stages
 
-OptionType = Literal["bool", "int", "float", "str", "path", "robot", "rigid_body"]
+OptionType = Literal["bool", "int", "float", "str", "path", "log", "robot", "rigid_body"]
 Platforms = Literal["none", "common", "host"]
 
-_ARGUMENTS = {"path": "PathArg", "robot": "RobotArg", "rigid_body": "BodyArg"}
+_ARGUMENTS = {"path": "PathArg", "log": "LogArg", "robot": "RobotArg", "rigid_body": "BodyArg"}
 """Names in `cosim.workflow.arguments` of types that users may also state by a path."""
 
 
@@ -29,12 +29,13 @@ class ExportOption:
     Attributes
     ----------
     name : keyword in Python; on the command line with hyphens.
-    type : type of the value. Paths become `Path`; robots and rigid bodies are read.
+    type : type of the value. Paths become `Path`; robots and rigid bodies are read. Logs are
+        objects or paths.
     help : sentence for the help.
     unit : unit of the value.
     choices : allowed values.
     per_joint : whether there is one number per joint; a single one serves all.
-    repeatable : whether several values may be given.
+    repeatable : whether several values of type float, str, path or log may be given.
     required_as : what the option is for the user, if the format cannot do without.
     requires : another option without which it must not be given.
     cached : whether model and value alone determine the output, and no other file is written, so
@@ -60,7 +61,7 @@ class ExportOption:
         if self.choices:
             return f"Literal[{', '.join(map(json.dumps, self.choices))}]"
         annotation = _ARGUMENTS.get(self.type, self.type)
-        return f"Sequence[{annotation}]" if self.repeatable else annotation
+        return f"{annotation} | Iterable[{annotation}]" if self.repeatable else annotation
 
     @property
     def description(self) -> str:

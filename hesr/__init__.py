@@ -14,9 +14,10 @@ Objects   Robot, Log, RigidBody, FrictionModel, FrictionRegressor, Fmu, System, 
 Commands  new, inspect, excite, identify, fit, test, export, check, simulate, run, report, monitor;
           laws, the laws that `fit` knows; observe, the external torque over logs
 
-A path is text or a path object. Logs, bodies, laws, FMUs and results show themselves as tables in a
-notebook; logs and signals have `to_pandas()`, logs also `to_xarray()`. The stub `__init__.pyi` is
-the list of names; each is imported when it is first used.
+A path is text or a path object. A parameter of several items takes one item, or any iterable. Logs,
+bodies, laws, FMUs and results show themselves as tables in a notebook; logs and signals have
+`to_pandas()`, logs also `to_xarray()`. The stub `__init__.pyi` is the list of names; each is
+imported when it is first used.
 """
 
 from hesr_model.support.lazy import lazy

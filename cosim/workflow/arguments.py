@@ -1,47 +1,148 @@
-"""Arguments of workflow functions: text, paths and objects become logs, robots, bodies and laws."""
+"""Arguments of public functions: text, paths and objects become lists, logs, robots and laws.
+
+The functions `list_names`, `list_paths`, `list_logs`, `list_laws` and `list_numbers` are the only
+ones that distinguish one item from several. A public function calls them first, with the name of
+its parameter for the error.
+"""
+
+from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmu_src import BUILT_IN, model_file
-from hesr_model.audit.properties import Subject
 from hesr_model.errors import ArgumentError, ConfigError
-from hesr_model.findings import Finding, log_findings
-from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.long_log import LongLog
-from hesr_model.logs.robot_log import Log, parts_of, require_different
-from hesr_model.logs.sample import Sample
-from hesr_model.rigid_body.accumulation import identify_long
-from hesr_model.rigid_body.identification import RigidBody, identify
-from hesr_model.rigid_body.residual import FrictionRecord, friction_records, motion_records
-from hesr_model.robots.robot import Robot, RobotLike, model_of
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Progress, Stages, counted, silent
 
 if TYPE_CHECKING:
     from fmu_src.plant.plant_fmu import PlantBody
+    from hesr_model.audit.properties import Subject
+    from hesr_model.findings import Finding
+    from hesr_model.friction.model import FrictionModel
+    from hesr_model.logs.long_log import LongLog
+    from hesr_model.logs.robot_log import Log
+    from hesr_model.rigid_body.identification import RigidBody
+    from hesr_model.rigid_body.residual import FrictionRecord
+    from hesr_model.robots.robot import Robot, RobotDescription, RobotLike
+
+    # One item of an argument.
+    RobotArg = RobotLike
+    LogArg = Log | PathArg
+    BodyArg = RigidBody | PathArg
+    LawArg = FrictionModel | PathArg
+    # One or several items.
+    Logs = LogArg | Iterable[LogArg]
+    Laws = LawArg | Iterable[LawArg]
+    NamedLaws = Laws | Mapping[str, LawArg]
+    # Items after `list_logs` and `list_laws`.
+    LogSource = Log | Path
+    LawSource = FrictionModel | Path
+
+Names = str | Iterable[str]
+Paths = PathArg | Iterable[PathArg]
+PerJoint = float | Iterable[float]  # one number for each joint, or one for all
+
+MOST_CELLS = 2**22  # largest count of numbers of logs that are held in memory
+_CELL = 8  # bytes of a number in a file, roughly
+MOST_ROWS = 10**6  # rows of a fit or test
 
 _log = logging.getLogger(__name__)
-
-RobotArg = RobotLike
-LogArg = Log | PathArg
-Logs = LogArg | Sequence[LogArg]
-BodyArg = RigidBody | PathArg
-LawArg = FrictionModel | PathArg
-Laws = LawArg | Sequence[LawArg] | Mapping[str, LawArg]
-FmuArgs = PathArg | Sequence[PathArg]
-ResultArgs = PathArg | Sequence[PathArg]
-PerJoint = float | Sequence[float]  # one number for each joint, or one for all
 
 MOST_CELLS = 2**22
 _CELL = 8  # numbers of logs held in memory, and their size [B]
 MOST_ROWS = 10**6  # rows of a fit or test
+
+
+def list_names(name: str, texts: Names, *, commas: bool = False) -> list[str]:
+    """Return one or several texts as a list; with `commas`, a text may hold several names."""
+    names: list[str] = list_items(name, texts, (str,), "text, or a sequence of texts")
+    if not commas:
+        return names
+    parts = [part.strip() for text in names for part in text.split(",")]
+    return [part for part in parts if part]
+
+
+def list_paths(name: str, files: Paths) -> list[Path]:
+    """Return one or several paths as a list."""
+    expected = "a path, as text or as a Path, or a sequence of paths"
+    return [Path(file) for file in list_items(name, files, (str, PathLike), expected)]
+
+
+def list_logs(name: str, logs: Logs) -> list[LogSource]:
+    """Return one or several logs as a list of objects and paths; no file is read."""
+    from hesr_model.logs.robot_log import Log  # slow to import
+
+    expected = "a Log or a path, or a sequence of these"
+    items = list_items(name, logs, (Log, str, PathLike), expected)
+    return [item if isinstance(item, Log) else Path(item) for item in items]
+
+
+def list_laws(name: str, laws: Laws) -> list[LawSource]:
+    """Return one or several laws as a list of objects and paths; no file is read."""
+    from hesr_model.friction.model import FrictionModel  # slow to import
+
+    expected = "a FrictionModel or a path, or a sequence of these"
+    items = list_items(name, laws, (FrictionModel, str, PathLike), expected)
+    return [item if isinstance(item, FrictionModel) else Path(item) for item in items]
+
+
+def list_numbers(name: str, numbers: PerJoint) -> list[float]:
+    """Return one or several numbers as a list."""
+    expected = "a number, or a sequence of numbers"
+    return [float(number) for number in list_items(name, numbers, (Real,), expected)]
+
+
+def list_items(name: str, value: object, kinds: tuple[type, ...], expected: str) -> list[Any]:
+    """Return the value of a parameter as a list, whether it is one item or several.
+
+    Raises ArgumentError with the parameter's `name` for an item that is not of `kinds`.
+    """
+    if isinstance(value, kinds):
+        return [value]
+    # Iterating over text gives letters, over a mapping its keys.
+    if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
+        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected {expected}.")
+    items = list(value)
+    for item in items:
+        if not isinstance(item, kinds):
+            raise ArgumentError(
+                f"'{name}' contains an item given as {type(item).__name__}; expected {expected}."
+            )
+    return items
+
+
+def logs_unless_table(data: object) -> list[LogSource] | None:
+    """Return one or several logs as a list, None for a table of motion."""
+    from hesr_model.logs.robot_log import Log  # slow to import
+
+    items: list[Any] = list(data) if isinstance(data, list | tuple | Iterator) else [data]
+    if not items or not all(isinstance(item, Log | str | PathLike) for item in items):
+        return None
+    return [item if isinstance(item, Log) else Path(item) for item in items]
+
+
+def require_items(name: str, items: Sequence[object]) -> None:
+    """Raise ArgumentError for an empty list."""
+    if not items:
+        raise ArgumentError(f"'{name}' is empty; give at least one.")
+
+
+def require_mapping(name: str, value: object) -> None:
+    """Raise ArgumentError unless an argument is a mapping or None."""
+    if value is not None and not isinstance(value, Mapping):
+        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected a mapping.")
+
+
+def paths_among(*arguments: object) -> list[Path]:
+    """Return the arguments that are paths; others are objects or None."""
+    return [Path(argument) for argument in arguments if isinstance(argument, str | PathLike)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +161,8 @@ class CheckedLogs:
     def body(self, body: BodyArg | None) -> RigidBody:
         """Return the given rigid body, by default one identified from the logs."""
         if body is None and self.longs:
+            from hesr_model.rigid_body.accumulation import identify_long
+
             return identify_long(self.longs, self.robot)
         return body_of(body, self.logs, self.robot)
 
@@ -68,6 +171,10 @@ class CheckedLogs:
 
         Of long logs these are up to 10^6 rows, in stretches that cover speed, load and rest.
         """
+        from hesr_model.logs.robot_log import parts_of
+        from hesr_model.logs.sample import Sample
+        from hesr_model.rigid_body.residual import friction_records, motion_records
+
         if not self.longs:
             return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
         sample = Sample(MOST_ROWS, seed)
@@ -88,53 +195,68 @@ class CheckedLogs:
         return [motion_records(motion, self.robot, body) for motion in motions]
 
 
-def logs_of(logs: Logs, robot: RobotArg | None = None, progress: Progress = silent) -> list[Log]:
+def logs_of(
+    sources: Sequence[LogSource], robot: RobotArg | None = None, progress: Progress = silent
+) -> list[Log]:
     """Return logs, reading those that are paths, which needs a robot."""
-    several = listed(logs)
-    known = robot
-    if known is None:
-        known = next((g.robot for g in several if isinstance(g, Log) and g.robot), None)
-    read = []
-    for log in counted(
-        several, progress, lambda log: log.name if isinstance(log, Log) else str(log)
-    ):
-        if isinstance(log, Log):
-            read.append(log)
+    from hesr_model.logs.robot_log import Log
+
+    robot_of_paths = _first_robot(sources) if robot is None else robot
+    logs = []
+    for source in counted(sources, progress, _source_name):
+        if isinstance(source, Log):
+            logs.append(source)
             continue
-        path = path_of(log, "a log")
-        if known is None:
-            raise ArgumentError(f"{path}: give 'robot' to read this log.")
-        read.append(Log.read(path, known))
-    return read
+        if robot_of_paths is None:
+            raise ArgumentError(f"{source}: give 'robot' to read this log.")
+        logs.append(Log.read(source, robot_of_paths))
+    return logs
+
+
+def _first_robot(sources: Iterable[LogSource]) -> RobotDescription | None:
+    """Return the robot of the first log object that has one."""
+    from hesr_model.logs.robot_log import Log
+
+    robots = (source.robot for source in sources if isinstance(source, Log) and source.robot)
+    return next(robots, None)
+
+
+def _source_name(source: LogSource) -> str:
+    return str(source) if isinstance(source, Path) else source.name
 
 
 def robot_of(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     """Return the given robot, by default that of the logs."""
-    found = robot if robot is not None else next((log.robot for log in logs if log.robot), None)
-    if found is None:
+    from hesr_model.robots.robot import model_of
+
+    chosen = _first_robot(logs) if robot is None else robot
+    if chosen is None:
         raise ArgumentError("the logs do not name their robot; give 'robot'.")
-    return model_of(found)
+    return model_of(chosen)
 
 
-def _long_logs(logs: Sequence[LogArg], robot: RobotArg | None) -> list[LongLog]:
+def _long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[LongLog]:
     """Return all logs to be read in pieces, or none if they fit into memory together."""
-    sources = [log if isinstance(log, Log) else path_of(log, "a log") for log in logs]
-    cells = [
-        3 * log.q.size if isinstance(log, Log) else log.stat().st_size / _CELL
-        for log in sources
-        if isinstance(log, Log) or log.is_file()  # a missing file is refused by its reader
-    ]
-    own = robot or next((log.robot for log in sources if isinstance(log, Log) and log.robot), None)
-    if own is None or sum(cells) <= MOST_CELLS:
+    from hesr_model.logs.long_log import LongLog
+    from hesr_model.robots.robot import model_of
+
+    cells = 0.0
+    for source in sources:
+        if not isinstance(source, Path):
+            cells += 3 * source.q.size
+        elif source.is_file():  # a missing file is refused by its reader
+            cells += source.stat().st_size / _CELL
+    owner = robot or _first_robot(sources)
+    if owner is None or cells <= MOST_CELLS:
         return []
-    description = model_of(own).description
+    description = model_of(owner).description
     if description.log.columns.q_link or description.log.sort:  # need all rows at once
         return []
     return [LongLog(source, description) for source in sources]
 
 
 def checked_logs(
-    logs: Logs,
+    sources: Sequence[LogSource],
     robot: RobotArg | None,
     accept: Sequence[str],
     progress: Stages = silent,
@@ -145,85 +267,117 @@ def checked_logs(
 
     Only some rows of long logs are read and checked if the others can be read `in_pieces`.
     """
-    longs = _long_logs(listed(logs), robot) if in_pieces else []
-    logs = [part for log in longs for part in log.stretches] or logs
-    known = model_of(robot) if robot is not None else None
-    read = logs_of(logs, known, partial(progress, "reading logs"))
-    model = known or robot_of(None, read)
-    findings = require_healthy(read, model, accept)
-    for log in longs:
-        if log.gaps:
+    from hesr_model.findings import log_findings
+    from hesr_model.robots.robot import model_of
+
+    require_items("logs", sources)
+    long_logs = _long_logs(sources, robot) if in_pieces else []
+    stretches = [stretch for long_log in long_logs for stretch in long_log.stretches]
+    stated_robot = None if robot is None else model_of(robot)
+    logs = logs_of(stretches or sources, stated_robot, partial(progress, "reading logs"))
+    checked_robot = stated_robot or robot_of(None, logs)
+    findings = require_healthy(logs, checked_robot, accept)
+    for long_log in long_logs:
+        if long_log.gaps:
             from hesr_model.health.examine import of_log
             from hesr_model.health.positions import of_gaps
 
-            finding = of_gaps(log.gaps, log.longest_step, len(log.starts))
-            findings += log_findings(of_log(log.stretches[0], [finding]))
-    own = [Path(robot)] if isinstance(robot, str | PathLike) else []
-    paths = dict.fromkeys([*own, model.description.model, *(g.path for g in read if g.path)])
-    return CheckedLogs(logs=read, robot=model, findings=findings, files=list(paths), longs=longs)
+            finding = of_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
+            findings += log_findings(of_log(long_log.stretches[0], [finding]))
+    log_paths = [log.path for log in logs if log.path]
+    files = dict.fromkeys([*paths_among(robot), checked_robot.description.model, *log_paths])
+    return CheckedLogs(
+        logs=logs, robot=checked_robot, findings=findings, files=list(files), longs=long_logs
+    )
 
 
 def require_healthy(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot: refuse errors, log and return warnings."""
-    require_different(logs)
-    from hesr_model.health.examine import checked  # slow to import
+    from hesr_model.findings import log_findings
+    from hesr_model.health.examine import checked
+    from hesr_model.logs.robot_log import require_different
 
+    require_different(logs)
     return log_findings(checked(logs, model, accept))
 
 
 def body_of(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
     """Return the given rigid body, by default one identified from the logs."""
+    from hesr_model.rigid_body.identification import RigidBody, identify
+
     if body is None:
         return identify(logs, robot)
-    return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "a rigid body"))
+    return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "'rigid_body'"))
 
 
-def plant_body(robot: RobotArg, body: BodyArg | None) -> "PlantBody":
+def plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
     """Return a robot with a rigid body or the parameters of its model file."""
     from fmu_src.plant.plant_fmu import PlantBody
+    from hesr_model.robots.robot import model_of
 
     model = model_of(robot)
     return PlantBody.of(model, None if body is None else body_of(body, (), model))
 
 
-def model_given(model: LawArg) -> FrictionModel:
+def model_given(law: LawArg) -> FrictionModel:
     """Return a friction model; a path or the name of a built-in model is read."""
-    if isinstance(model, FrictionModel):
-        return model
-    return FrictionModel.read(model_file(str(path_of(model, "a friction model"))))
+    from fmu_src import model_file
+    from hesr_model.friction.model import FrictionModel
+
+    if isinstance(law, FrictionModel):
+        return law
+    return FrictionModel.read(model_file(str(path_of(law, "a friction model"))))
 
 
-def laws_of(laws: Laws) -> list[Subject]:
+def laws_of(laws: NamedLaws) -> list[Subject]:
     """Return models, FMUs and built-in names as laws, each with a unique name."""
     if isinstance(laws, Mapping):
-        return [replace(_law(law), name=str(name)) for name, law in laws.items()]
-    several = listed(laws)
-    read = [_law(law) for law in several]
-    paths = [law.law if isinstance(law, FrictionModel) else str(law) for law in several]
-    stems = [path if path in BUILT_IN else Path(path).stem for path in paths]
-    by_law = [
-        one.model.law if one.model and not one.fmu and path not in BUILT_IN else stem
-        for path, stem, one in zip(paths, stems, read, strict=True)
-    ]
-    names = telling_apart([by_law, stems, paths], "given")
-    return [replace(one, name=name) for name, one in zip(names, read, strict=True)]
+        subjects = []
+        for name, law in laws.items():
+            [source] = list_laws("laws", law)
+            subjects.append(replace(_read_subject(source), name=str(name)))
+        return subjects
+    sources = list_laws("laws", laws)
+    require_items("laws", sources)
+    subjects = [_read_subject(source) for source in sources]
+    names = _unique_names(sources, subjects)
+    return [replace(subject, name=name) for name, subject in zip(names, subjects, strict=True)]
 
 
-def _law(law: LawArg) -> Subject:
-    if isinstance(law, FrictionModel):
-        return Subject(name="", model=law)
-    path = path_of(law, "a law")
-    suffix = path.suffix.lower()
+def _unique_names(sources: Sequence[LawSource], subjects: Sequence[Subject]) -> Sequence[str]:
+    """Return the names of laws: their laws, else stems of their files, else the paths."""
+    from fmu_src import BUILT_IN
+
+    law_names = []
+    stems = []
+    paths = []
+    for source, subject in zip(sources, subjects, strict=True):
+        path = str(source) if isinstance(source, Path) else source.law
+        stem = path if path in BUILT_IN else Path(path).stem
+        is_model = subject.model is not None and subject.fmu is None and path not in BUILT_IN
+        law_names.append(subject.model.law if subject.model and is_model else stem)
+        stems.append(stem)
+        paths.append(path)
+    return telling_apart([law_names, stems, paths], "given")
+
+
+def _read_subject(source: LawSource) -> Subject:
+    from fmu_src import BUILT_IN
+    from hesr_model.audit.properties import Subject
+
+    if not isinstance(source, Path):
+        return Subject(name="", model=source)
+    suffix = source.suffix.lower()
     if suffix == ".fmu":
         from fmu_src.friction.embedded_model import embedded_model
 
-        return Subject(name="", model=embedded_model(path), fmu=path)
-    if str(path) not in BUILT_IN and suffix != ".json":
+        return Subject(name="", model=embedded_model(source), fmu=source)
+    if str(source) not in BUILT_IN and suffix != ".json":
         raise ConfigError(
-            f"'{path}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
+            f"'{source}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
             f"{', '.join(BUILT_IN)}."
         )
-    return Subject(name="", model=model_given(path))
+    return Subject(name="", model=model_given(source))
 
 
 def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
@@ -239,39 +393,24 @@ def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
 
 def require_choice(name: str, value: object, allowed: Iterable[object]) -> None:
     """Raise ArgumentError unless an option has an allowed value."""
-    if value not in (known := tuple(allowed)):
-        raise ArgumentError(f"'{name}' is {value}; allowed are {', '.join(map(str, known))}.")
+    choices = tuple(allowed)
+    if value not in choices:
+        raise ArgumentError(f"'{name}' is {value}; allowed are {', '.join(map(str, choices))}.")
 
 
 def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, ...] | None:
     """Return one value per joint; a single value serves all."""
     if values is None:
         return None
-    several = tuple(values) if isinstance(values, Sequence) else (float(values),)
-    if len(several) == joints:
-        return several
-    if len(several) > 1:
+    numbers = tuple(list_numbers(name, values))
+    if len(numbers) == joints:
+        return numbers
+    if len(numbers) != 1:
         raise ArgumentError(
-            f"'{name}': found {len(several)} values, but the model has {joints} joints; expected "
+            f"'{name}': found {len(numbers)} values, but the model has {joints} joints; expected "
             "one per joint, or one for all."
         )
-    return several * joints
-
-
-def listed(given: Any) -> list[Any]:
-    """Return an iterable as a list, anything else as the only item of one."""
-    several = isinstance(given, Iterable) and not isinstance(given, str | PathLike)
-    return list(given) if several else [given]
-
-
-def joint_names(joints: Sequence[str]) -> list[str]:
-    """Return joint names, splitting texts with several names at commas."""
-    return [name.strip() for joint in joints for name in joint.split(",") if name.strip()]
-
-
-def paths_of(files: PathArg | Sequence[PathArg], what: str) -> list[Path]:
-    """Return one or several paths as a list; the error calls one of them `what`."""
-    return [path_of(file, what) for file in listed(files)]
+    return numbers * joints
 
 
 def remember_trust(fmus: Iterable[Path], *, trust: bool) -> None:

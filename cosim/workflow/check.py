@@ -8,6 +8,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shorten_lines
+from cosim.workflow.arguments import (
+    list_names,
+    list_paths,
+    remember_trust,
+    require_choice,
+    require_items,
+)
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, path_of
@@ -17,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cosim.report.tables.table import ResultTable
-    from cosim.workflow.arguments import FmuArgs
+    from cosim.workflow.arguments import Names, Paths
     from fmu_src.check.run import Report
     from fmu_src.friction.convention import Convention
     from hesr_model.findings import Finding
@@ -79,9 +86,9 @@ class FmuReport(Answer):
 
 
 def check(
-    fmus: FmuArgs,
+    fmus: Paths,
     *,
-    kind: Sequence[str] = ("static",),
+    kind: Names = ("static",),
     vdmcheck: PathArg | None = None,
     junit: PathArg | None = None,
     sarif: PathArg | None = None,
@@ -97,7 +104,7 @@ def check(
     ----------
     fmus : path or sequence of paths
         FMUs of any tool, of FMI 1.0, 2.0 or 3.0; SSPs.
-    kind : sequence of str, optional
+    kind : str or sequence of str, optional
         Further checks, repeatable: references (against the reference results that the file
         carries), hostile (odd and repeated steps, invalid calls), convention (error of each input
         convention).
@@ -136,37 +143,38 @@ def check(
     >>> hesr.check("Friction.fmu").passed
     True
     """
-    from cosim.workflow.arguments import paths_of, remember_trust, require_choice
     from fmu_src.check.run import check as check_fmu
     from fmu_src.friction.convention import judge, measure
     from fmu_src.run.archive import opened
 
+    paths = list_paths("fmus", fmus)
+    require_items("fmus", paths)
+    kinds = list_names("kind", kind)
     plugged = plugins.names("hesr.checks")
-    for one in kind:
-        require_choice("kind", one, (*KINDS, *plugged))
+    for name in kinds:
+        require_choice("kind", name, (*KINDS, *plugged))
     wanted = {"junit": junit, "sarif": sarif}
     writers = [(plugins.find("hesr.findings", k), file) for k, file in wanted.items() if file]
-    paths = paths_of(fmus, "an FMU")
     systems = [path for path in paths if path.suffix.lower() == ".ssp"]
-    if systems and set(kind) - {"static", "references"}:
+    if systems and set(kinds) - {"static", "references"}:
         raise ArgumentError(f"{systems[0]}: an SSP supports 'kind' static and references only.")
     for path in paths:
         if path not in systems:
             opened(path).close()  # refuse an unreadable file before checking others
-            if "convention" in kind:
+            if "convention" in kinds:
                 judge(path)
     remember_trust(paths, trust=trust)
-    folder = None if vdmcheck is None else path_of(vdmcheck, "a folder")
+    folder = None if vdmcheck is None else path_of(vdmcheck, "'vdmcheck'")
     reports = []
     for path in counted(paths, partial(progress, "checking"), lambda path: path.name):
         report = (
             plugins.find("hesr.systems", "ssp-check")(path, vdmcheck=folder)
             if path in systems
-            else check_fmu(path, vdmcheck=folder, kinds=[one for one in plugged if one in kind])
+            else check_fmu(path, vdmcheck=folder, kinds=[name for name in plugged if name in kinds])
         )
-        reports.append(_with_references(report) if "references" in kind else report)
+        reports.append(_with_references(report) if "references" in kinds else report)
     conventions = {}
-    for place, path in enumerate(paths if "convention" in kind else ()):
+    for place, path in enumerate(paths if "convention" in kinds else ()):
         progress(f"measuring {path.name}", 0, 1)
         try:
             conventions[path] = measure(path)

@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args, overload
 
 from cosim.workflow.answer import Answer, Written
+from cosim.workflow.arguments import require_choice
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, path_of, written_together
@@ -117,19 +118,17 @@ def excite(
     >>> hesr.excite("robot.toml", output="motion.csv").forward.name
     'motion.csv'
     """
-    from cosim.workflow.arguments import require_choice
-
     require_choice("purpose", purpose, get_args(Purpose))
-    path = path_of(output, "a motion")
-    file = path_of(robot, "a robot")
-    chosen = None if settings is None else path_of(settings, "a file of settings")
+    path = path_of(output, "'output'")
+    file = path_of(robot, "'robot'")
+    chosen = None if settings is None else path_of(settings, "'settings'")
     if purpose != "body" or time is not None or after is not None or format:
         planned: Answer = plugins.find("hesr.motions", "plan")(
             file,
             path,
             purpose=purpose,
             time=time,
-            after=None if after is None else path_of(after, "the results of a run"),
+            after=None if after is None else path_of(after, "'after'"),
             format=format,
             settings=chosen,
             progress=progress,

@@ -6,12 +6,19 @@ import json
 import logging
 import os
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from cosim.workflow.answer import Answer, Written, written_files
+from cosim.workflow.arguments import (
+    list_logs,
+    list_names,
+    list_numbers,
+    list_paths,
+    per_joint,
+)
 from cosim.workflow.export_formats import LAW, ExportFormat, choose_format
 from cosim.workflow.export_formats import help_sections as help_sections
 from fmu_src.exporter import Exporter, ExportOption, ExportRequest
@@ -19,10 +26,17 @@ from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import LawArg
+    from cosim.workflow.arguments import LawArg, Names
     from cosim.workflow.export_options import ExportOptions
 
 _VALUES = ("bool", "int", "float", "str")  # types of options that do not refer to files
+_LISTS: Mapping[str, Callable[[str, Any], list[Any]]] = {
+    "float": list_numbers,
+    "log": list_logs,
+    "path": list_paths,
+    "str": list_names,
+}
+"""Readers of repeatable options, by type."""
 _log = logging.getLogger(__name__)
 
 
@@ -31,7 +45,7 @@ def export(
     output: PathArg,
     *,
     format: str | None = None,  # noqa: A002  # the option's name
-    platform: Sequence[str] | None = None,
+    platform: Names | None = None,
     progress: Stages = silent,
     **options: Unpack[ExportOptions],
 ) -> Path:
@@ -47,7 +61,7 @@ def export(
     format : str, optional
         One of the formats that 'hesr export --help' lists, of HESR or another package; by default
         fmu of a law or an arm, and ssp of a system.
-    platform : sequence of str, optional
+    platform : str or sequence of str, optional
         Platforms of an FMU: linux64, win64, darwin64, aarch64-linux or all; repeatable; by default
         linux64, win64 and that of this machine. The FMU of an arm has that of this machine only by
         default: MuJoCo for other platforms must be downloaded.
@@ -83,18 +97,19 @@ def export(
     >>> hesr.export("uf850-table1", "Table1.h", format="c").name
     'Table1.h'
     """
-    output = path_of(output, "an output")
+    output = path_of(output, "'output'")
+    platforms = None if platform is None else list_names("platform", platform)
     export_format = choose_format(source, format, output)
     # A flag that is off counts as not set, so that any format accepts it.
     set_options = {
         name: value for name, value in options.items() if value is not None and value is not False
     }
-    export_format.require_options(set_options, platform)
+    export_format.require_options(set_options, platforms)
     request = ExportRequest(
         source=source,
         output=output,
         options=set_options,
-        platforms=export_format.choose_platforms(platform),
+        platforms=export_format.choose_platforms(platforms),
         progress=progress,
     )
     if export_format.kind is LAW:
@@ -176,12 +191,12 @@ def _read_options(exporter: Exporter, request: ExportRequest) -> ExportRequest:
     """Return a request with numbers per joint, paths, robots and rigid bodies in memory."""
     options = dict(request.options)
     for option in _set_options(exporter, request):
-        options[option.name] = _read_option(option, options[option.name], request)
+        options[option.name] = read_option(option, options[option.name], request)
     return replace(request, options=options)
 
 
-def _read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any:
-    from cosim.workflow.arguments import listed, per_joint
+def read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any:
+    """Return the value of an option with files read, and several items as a list."""
     from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.robots.robot import model_of
 
@@ -191,14 +206,9 @@ def _read_option(option: ExportOption, value: Any, request: ExportRequest) -> An
         return model_of(value)
     if option.type == "rigid_body":
         return value if isinstance(value, RigidBody) else RigidBody.read(value)
-    if option.type == "path" and option.repeatable:
-        return [_to_path(item) for item in listed(value)]
-    return _to_path(value) if option.type == "path" else value
-
-
-def _to_path(value: Any) -> Any:
-    """Return text as a path; an object in memory, such as a log, remains."""
-    return Path(value) if isinstance(value, str) else value
+    if option.repeatable:
+        return _LISTS[option.type](option.name, value)
+    return path_of(value, f"'{option.name}'") if option.type == "path" else value
 
 
 def _write(exporter: Exporter, request: ExportRequest, keywords: Mapping[str, Any]) -> None:

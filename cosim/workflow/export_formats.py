@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from cosim.workflow.arguments import require_choice
 from fmu_src.exporter import Exporter, ExportOption
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.support import plugins
@@ -137,8 +138,6 @@ class ExportFormat:
                     f"'format' {self.name} needs '{option.name}', {option.required_as}."
                 )
             if option.choices and option.name in options:
-                from cosim.workflow.arguments import require_choice  # slow to import
-
                 require_choice(option.name, options[option.name], option.choices)
 
     def choose_platforms(self, platform: Sequence[str] | None) -> tuple[str, ...]:
@@ -288,11 +287,11 @@ _HEADER = '''\
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import BodyArg, PerJoint, RobotArg
+    from cosim.workflow.arguments import BodyArg, LogArg, PerJoint, RobotArg
     from hesr_model.support.files import PathArg
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import BodyArg, PerJoint, RobotArg
+    from cosim.workflow.arguments import BodyArg, LogArg, PerJoint, RobotArg
     from hesr_model.support.files import PathArg
 
 
@@ -46,7 +46,7 @@ class ExportOptions(TypedDict, total=False):
     """mjcf: Approximate a law that MuJoCo cannot express exactly."""
     robot: RobotArg
     """observer and plant: The robot of the law."""
-    calibration: Sequence[PathArg]
+    calibration: LogArg | Iterable[LogArg]
     """observer: Logs without contact that the law was not fitted to, or results of 'hesr run'
     for its test logs, which determine limits and threshold; repeatable; by default those follow
     from the bands of the law."""

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
@@ -17,7 +16,16 @@ from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
-    from cosim.workflow.arguments import BodyArg, CheckedLogs, LawArg, Logs, RobotArg
+    from cosim.workflow.arguments import (
+        BodyArg,
+        CheckedLogs,
+        LawArg,
+        Laws,
+        LawSource,
+        Logs,
+        Names,
+        RobotArg,
+    )
     from hesr_model.audit.certificate import Certificate
     from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
@@ -50,10 +58,10 @@ def fit(
     rigid_body: BodyArg | None = None,
     seed: int = 0,
     options: Mapping[str, Any] | None = None,
-    add: Sequence[str] = (),
-    prior: Sequence[LawArg] = (),
+    add: Names = (),
+    prior: Laws = (),
     output: PathArg | None = None,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> FrictionModel:
     r"""Fit a friction law to the joints of a robot.
@@ -73,14 +81,14 @@ def fit(
         Random seed; the same logs and seed give the same law.
     options : mapping, optional
         Options of the law, with values as in TOML; repeatable.
-    add : sequence of str, optional
+    add : str or sequence of str, optional
         Refinements of the fitted law, such as temperature; repeatable.
-    prior : sequence of laws, optional
+    prior : law or sequence of laws, optional
         Instead of law: fitted laws (.json) of this robot to adapt to the logs, from other days;
         repeatable for laws of one structure.
     output : path, optional
         JSON file to write.
-    accept : sequence of str, optional
+    accept : str or sequence of str, optional
         Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
@@ -111,20 +119,31 @@ def fit(
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
     from cosim.study.scores import by_joint
-    from cosim.workflow.arguments import checked_logs
+    from cosim.workflow.arguments import (
+        checked_logs,
+        list_laws,
+        list_logs,
+        list_names,
+        paths_among,
+        require_mapping,
+    )
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
     from hesr_model.fitting.fit import fit_models
-    from hesr_model.friction.model import FrictionModel
     from hesr_model.health.examine import check_laws, check_owner
     from hesr_model.support.typed_files import to_json
 
+    sources = list_logs("logs", logs)
+    additions = list_names("add", add)
+    priors = list_laws("prior", prior)
+    accepted = list_names("accept", accept)
+    require_mapping("options", options)
     refinements = plugins.load("hesr.refinements")
-    for name in add:
+    for name in additions:
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
-    fitted = _fitted_law(law, add, options, prior)
-    read = checked_logs(logs, robot, accept, progress, in_pieces=True)
+    fitted = _fitted_law(law, additions, options, priors)
+    read = checked_logs(sources, robot, accepted, progress, in_pieces=True)
     records = read.records(read.body(rigid_body), seed)
     joined = by_joint(records)
     if fitted is None:
@@ -145,20 +164,19 @@ def fit(
             model = replace(model, provenance={**model.provenance, "health": health})
     else:
         model = fitted
-    if prior:
+    if priors:
         log_findings(check_owner(model, read.robot))
         progress("adapting", 0, 1)
         model, sentences = adapt(model, joined)
         source = _provenance(read, rigid_body, seed, {})
-        earlier = [one for one in prior if not isinstance(one, FrictionModel)]
-        source |= {"prior": [str(path) for path in earlier], "adaptation": sentences}
+        source |= {"prior": [str(path) for path in paths_among(*priors)], "adaptation": sentences}
         model = replace(model, provenance=source)
-    for name in add:
+    for name in additions:
         progress(f"fitting {name}", 0, 1)
         model, sentences = refinements[name].load()(model, records)
         model = replace(model, provenance={**model.provenance, name: sentences})
     if output is not None:
-        model.write(path_of(output, "a friction model"))
+        model.write(path_of(output, "'output'"))
     if fitted is None:
         known = {finding.sentence for finding in read.findings}
         log_findings(f for f in health_of(model.provenance) if f.sentence not in known)
@@ -169,7 +187,7 @@ def _fitted_law(
     law: LawArg | None,
     add: Sequence[str],
     options: Mapping[str, Any] | None,
-    prior: Sequence[LawArg],
+    prior: Sequence[LawSource],
 ) -> FrictionModel | None:
     """Return a law that is fitted already, None for the name of a law."""
     from cosim.workflow.arguments import model_given
@@ -192,13 +210,13 @@ def _fitted_law(
 def _provenance(
     read: CheckedLogs, rigid_body: BodyArg | None, seed: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    from hesr_model.rigid_body.identification import RigidBody
+    from cosim.workflow.arguments import paths_among
     from hesr_model.support.typed_files import to_json
 
     logs = list(dict.fromkeys(log.path for log in read.logs if log.path))
     files = list(read.files)
-    if rigid_body is not None and not isinstance(rigid_body, RigidBody):
-        files[len(files) - len(logs) : len(files) - len(logs)] = [Path(rigid_body)]
+    before_logs = len(files) - len(logs)
+    files[before_logs:before_logs] = paths_among(rigid_body)
     health = [to_json(finding) for finding in read.findings]
     source = provenance(files=files, seed=seed, options=dict(options), health=health)
     if logs:

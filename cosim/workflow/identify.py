@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
@@ -14,7 +11,7 @@ from hesr_model.support.files import PathArg, path_of, provenance
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import BodyArg, LawArg, LogArg, Logs, RobotArg
+    from cosim.workflow.arguments import BodyArg, LawArg, Logs, Names, RobotArg
     from hesr_model.rigid_body.identification import RigidBody
 
 Method = Literal["stacked", "paper"]
@@ -24,14 +21,14 @@ def identify(
     logs: Logs,
     *,
     robot: RobotArg | None = None,
-    reversed_logs: Sequence[LogArg] = (),
+    reversed_logs: Logs = (),
     method: Method = "stacked",
     physical: bool = False,
     friction: LawArg | None = None,
     rigid_body: BodyArg | None = None,
     payload: BodyArg | None = None,
     output: PathArg | None = None,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> RigidBody:
     """Identify the rigid body, or a payload, from logs.
@@ -42,7 +39,7 @@ def identify(
         CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
-    reversed_logs : sequence of logs, optional
+    reversed_logs : log or sequence of logs, optional
         Time-reversed counterparts of the logs; repeatable.
     method : {"stacked", "paper"}
         stacked (least squares with friction columns) or paper (average of forward and reverse).
@@ -56,7 +53,7 @@ def identify(
         Rigid body without payload, to identify the payload in the logs.
     output : path, optional
         JSON file to write.
-    accept : sequence of str, optional
+    accept : str or sequence of str, optional
         Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
@@ -96,6 +93,9 @@ def identify(
     from hesr_model.rigid_body.refinement import identify_again
     from hesr_model.support.typed_files import to_json
 
+    forward_sources = arguments.list_logs("logs", logs)
+    backward_sources = arguments.list_logs("reversed_logs", reversed_logs)
+    accepted = arguments.list_names("accept", accept)
     arguments.require_choice("method", method, get_args(Method))
     if (friction is None) != (rigid_body is None):
         raise ArgumentError("'friction' and 'rigid_body' must be given together.")
@@ -105,15 +105,14 @@ def identify(
         )
     if physical and friction is not None:
         raise ArgumentError("'physical' excludes 'friction'; give one of them.")
-    forward_logs = arguments.listed(logs)
-    several = [*forward_logs, *arguments.listed(reversed_logs)]
     plain = method == "stacked" and not physical and friction is None and payload is None
-    read = arguments.checked_logs(several, robot, accept, progress, in_pieces=plain)
-    forward = read.logs[: len(forward_logs)]
-    backward = read.logs[len(forward_logs) :]
+    read = arguments.checked_logs(
+        [*forward_sources, *backward_sources], robot, accepted, progress, in_pieces=plain
+    )
+    forward = read.logs[: len(forward_sources)]
+    backward = read.logs[len(forward_sources) :]
     progress("identifying", 0, 1)
-    others = (one for one in (payload, friction, rigid_body) if isinstance(one, str | PathLike))
-    files = [*read.files, *map(Path, others)]
+    files = [*read.files, *arguments.paths_among(payload, friction, rigid_body)]
     more: dict[str, Any] = {**read.robot.description.constants}
     if payload is not None:
         without = arguments.body_of(payload, (), read.robot)
@@ -137,7 +136,7 @@ def identify(
     health = [to_json(finding) for finding in (*read.findings, *impossible)]
     found = replace(found, provenance=provenance(files=files, **more, health=health))
     if output is not None:
-        found.write(path_of(output, "a rigid body"))
+        found.write(path_of(output, "'output'"))
     log_findings(impossible)
     return found
 

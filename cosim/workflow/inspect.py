@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shorten_lines
+from cosim.workflow.arguments import list_logs, list_names, list_numbers
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support.files import PathArg, path_of, written_together
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
-    from cosim.workflow.arguments import LogArg, Logs, PerJoint, RobotArg
+    from cosim.workflow.arguments import Logs, LogSource, Names, RobotArg
     from hesr_model.findings import Finding
     from hesr_model.health.proposal import Proposal
     from hesr_model.rigid_body.torque_constants import Constant
@@ -110,25 +111,25 @@ def inspect(
     logs: Logs = (),
     *,
     robot: RobotArg | None = None,
-    joints: Sequence[str] = (),
+    joints: Names = (),
     write: PathArg | None = None,
     study: PathArg | None = None,
     output: PathArg | None = None,
     torque_constants: bool = False,
     mass_error: float = 0.2,
-    loaded: Sequence[LogArg] = (),
-    payload: PerJoint | None = None,
+    loaded: Logs = (),
+    payload: Iterable[float] | None = None,
     progress: Stages = silent,
 ) -> Inspection:
     """Find errors in logs and robots; propose a robot file.
 
     Parameters
     ----------
-    logs : path or sequence of paths
+    logs : log or sequence of logs
         CSV, Parquet or MATLAB files, or ROS bags; without any only the robot is inspected.
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; without it logs are checked against themselves.
-    joints : sequence of str, optional
+    joints : str or sequence of str, optional
         Joints that move in the logs, repeatable or with commas; default: those of the columns.
     write : path, optional
         Robot file to write as proposed.
@@ -140,7 +141,7 @@ def inspect(
         Estimate torque constants from known masses: those of the model, or a payload.
     mass_error : float
         Torque constants: relative error of the model's masses, one sigma.
-    loaded : sequence of logs, optional
+    loaded : log or sequence of logs, optional
         Torque constants: logs under the payload; repeatable.
     payload : sequence of four float, kg and m, optional
         Torque constants: mass and centre of the payload in the frame of the last joint.
@@ -171,33 +172,37 @@ def inspect(
     True
     """
     from cosim.study.proposal import split
-    from cosim.workflow.arguments import joint_names, listed
     from hesr_model.health.joints import with_joints
     from hesr_model.health.proposal import inspect_logs, with_constants
     from hesr_model.logs.robot_log import Log
 
+    sources = list_logs("logs", logs)
+    loaded_sources = list_logs("loaded", loaded)
+    names = list_names("joints", joints, commas=True)
+    point_mass = None if payload is None else list_numbers("payload", payload)
     if write and not robot:
         raise ArgumentError("'write' needs 'robot': a robot file names the robot's model.")
     if study and not write:
         raise ArgumentError(
             "'study' needs 'write': a study names the robot file that reads its logs."
         )
-    if not torque_constants and (loaded or payload is not None or mass_error != 0.2):
+    if not torque_constants and (loaded_sources or payload is not None or mass_error != 0.2):
         raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
-    files = [g.path if isinstance(g, Log) else path_of(g, "a log") for g in listed(logs)]
+    files = [source.path if isinstance(source, Log) else source for source in sources]
     if not files and (robot is None or study or torque_constants):
         raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
     if None in files:
         raise ArgumentError("logs are inspected as files; give their paths.")
     progress("inspecting logs", 0, 1)
-    names = joint_names(joints)
     if names and robot is None:
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
     proposal = inspect_logs([file for file in files if file], robot, names)
     constants: Sequence[Constant] = ()
     if torque_constants:
         known = with_joints(robot, names) if robot and names else robot
-        constants = _torque_constants(logs, known, mass_error, loaded, payload, progress)
+        constants = _torque_constants(
+            sources, known, mass_error, loaded_sources, point_mass, progress
+        )
         proposal = with_constants(proposal, constants)
     errors = any(finding.severity == "error" for finding in proposal.examination.findings)
     written, failure = _write(proposal, output, write, None if errors else study)
@@ -246,11 +251,11 @@ def _write(
 
 
 def _torque_constants(
-    logs: Logs,
+    logs: Sequence[LogSource],
     robot: RobotArg | None,
     mass_error: float,
-    loaded: Sequence[LogArg],
-    payload: PerJoint | None,
+    loaded: Sequence[LogSource],
+    payload: Sequence[float] | None,
     progress: Stages,
 ) -> Sequence[Constant]:
     """Estimate torque constants, starting from the robot file's `torque_per_ampere`."""
@@ -259,18 +264,17 @@ def _torque_constants(
     from hesr_model.logs.signals import Motion, smooth
     from hesr_model.rigid_body import torque_constants as constants
 
-    carried = tuple(payload) if isinstance(payload, Sequence) else None
-    if payload is not None and (carried is None or len(carried) != 4):
+    if payload is not None and len(payload) != 4:
         raise ArgumentError(
-            f"'payload': found {len(carried or (payload,))} values; expected mass and the three "
-            "coordinates of its centre."
+            f"'payload': found {len(payload)} values; expected mass and the three coordinates of "
+            "its centre."
         )
     model = robot_of(robot, ())
     description = model.description
 
-    def motions(given: Any) -> list[Motion]:
-        logs = logs_of(given, model)
-        return [smooth(part, description.log.filter_cutoff) for part in parts_of(logs)]
+    def motions(sources: Sequence[LogSource]) -> list[Motion]:
+        parts = parts_of(logs_of(sources, model))
+        return [smooth(part, description.log.filter_cutoff) for part in parts]
 
     progress("estimating torque constants", 0, 1)
     return constants.torque_constants(
@@ -279,5 +283,5 @@ def _torque_constants(
         description.log.torque_per_ampere or (1.0,) * model.n,
         mass_error=mass_error,
         loaded=motions(loaded),
-        payload=None if carried is None else constants.point_payload(carried[0], carried[1:]),
+        payload=None if payload is None else constants.point_payload(payload[0], payload[1:]),
     )

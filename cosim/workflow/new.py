@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
+from cosim.workflow.arguments import list_names, list_numbers, per_joint, require_mapping
 from hesr_model.errors import ArgumentError
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, silent
@@ -13,7 +14,7 @@ from hesr_model.support.text import few
 
 if TYPE_CHECKING:
     from cosim.study.starter import NewProject
-    from cosim.workflow.arguments import PerJoint
+    from cosim.workflow.arguments import Names, PerJoint
 
 
 BenchKind = Literal["rotary", "sliding"]
@@ -24,7 +25,7 @@ def new(
     folder: PathArg,
     robot: PathArg | None = None,
     *,
-    joints: Sequence[str] = (),
+    joints: Names = (),
     bench: BenchKind | None = None,
     twin: bool = False,
     inertia: PerJoint | None = None,
@@ -47,7 +48,7 @@ def new(
         New or empty folder.
     robot : path, optional
         URDF or MJCF (.xml) of the robot.
-    joints : sequence of str, optional
+    joints : str or sequence of str, optional
         Joints that move in the logs, repeatable or with commas; default: the longest chain, without
         fingers; 'motor' or 'axis' of a bench.
     bench : {"rotary", "sliding"}, optional
@@ -95,11 +96,14 @@ def new(
     ('j1', 'j2', 'j3')
     """
     from cosim.study.starter import Bench, start, start_bench, start_twin
-    from cosim.workflow.arguments import joint_names, per_joint
 
-    place = path_of(folder, "a folder")
-    names = tuple(joint_names(joints))
-    numbers = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
+    place = path_of(folder, "'folder'")
+    names = tuple(list_names("joints", joints, commas=True))
+    require_mapping("log", log)
+    stated = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
+    numbers = {
+        name: None if value is None else list_numbers(name, value) for name, value in stated.items()
+    }
     if twin:
         if robot is not None or bench is not None:
             raise ArgumentError("'twin' excludes 'robot' and 'bench'; it has a robot of its own.")
@@ -111,7 +115,7 @@ def new(
         if robot is None:
             raise ArgumentError("give 'robot', a URDF or MJCF, or 'bench' without a model file.")
         progress("making sample logs", 0, 1)
-        return start(place, path_of(robot, "a robot's model"), names)
+        return start(place, path_of(robot, "'robot'"), names)
     if robot is not None:
         raise ArgumentError("'robot' and 'bench' exclude each other; a bench has no model file.")
     if source is not None and "torque_per_ampere" not in (log or {}):

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.workflow.answer import Answer, Written
+from cosim.workflow.arguments import list_names, list_paths, require_items
 from hesr_model.errors import ArgumentError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import ResultArgs
+    from cosim.workflow.arguments import Names, Paths
 
 
 def report(
-    results: ResultArgs,
+    results: Paths,
     *,
     output: PathArg | None = None,
     view: bool = False,
-    law: Sequence[str] = (),
+    law: Names = (),
     scheme: str | None = None,
     magnify: float = 1.0,
     speed: float = 1.0,
@@ -42,7 +42,7 @@ def report(
         File to write; by default RESULT/report.html.
     view : bool
         Show the closed loop in a window.
-    law : sequence of str, optional
+    law : str or sequence of str, optional
         View and video: laws to show side by side, repeatable; by default the rigid body alone and
         the law that tracks best.
     scheme : str, optional
@@ -78,12 +78,13 @@ def report(
     'report.html'
     """
     from cosim.report.page import write_report
-    from cosim.workflow.arguments import paths_of
 
-    folders = paths_of(results, "a folder")
-    path = None if output is None else path_of(output, "a page")
-    drawn = {"law": law, "scheme": scheme, "magnify": magnify, "speed": speed}
-    given = law or scheme is not None or (magnify, speed) != (1.0, 1.0)
+    folders = list_paths("results", results)
+    require_items("results", folders)
+    laws = list_names("law", law)
+    path = None if output is None else path_of(output, "'output'")
+    drawn = {"law": laws, "scheme": scheme, "magnify": magnify, "speed": speed}
+    given = laws or scheme is not None or (magnify, speed) != (1.0, 1.0)
     suffix = path.suffix.lower().lstrip(".") if path else "html"
     writers = plugins.load("hesr.reports")
     kind = "view" if view else suffix

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shorten_lines
+from cosim.workflow.arguments import list_names
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, models_folder, path_of
 from hesr_model.support.progress import Interrupted, Stages, silent
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.results import Seeds
     from cosim.study.run import Outcome
+    from cosim.workflow.arguments import Names
     from hesr_model.findings import Finding
 
 _REUSED = {
@@ -138,10 +140,10 @@ def run(
     study: PathArg | None = None,
     *,
     output: PathArg | None = None,
-    platform: Sequence[str] | None = None,
+    platform: Names | None = None,
     quick: bool = False,
     seeds: None = None,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> RunResult: ...
 
@@ -151,10 +153,10 @@ def run(
     study: PathArg | None = None,
     *,
     output: PathArg | None = None,
-    platform: Sequence[str] | None = None,
+    platform: Names | None = None,
     quick: bool = False,
     seeds: int,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> Seeds: ...
 
@@ -163,10 +165,10 @@ def run(
     study: PathArg | None = None,
     *,
     output: PathArg | None = None,
-    platform: Sequence[str] | None = None,
+    platform: Names | None = None,
     quick: bool = False,
     seeds: int | None = None,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> RunResult | Seeds | Answer:
     """Run a whole study: identify, fit, build FMUs and score them.
@@ -181,7 +183,7 @@ def run(
         twin.
     output : path, optional
         Folder of the results; by default results/NAME.
-    platform : sequence of str, optional
+    platform : str or sequence of str, optional
         Platforms of the FMUs: linux64, win64, darwin64, aarch64-linux or all; repeatable; by
         default linux64, win64 and that of this machine, which is always included. The arm of a
         digital twin, with MuJoCo inside, has that of this machine only.
@@ -191,7 +193,7 @@ def run(
     seeds : int, optional
         Twin only: score the laws over N draws of noise, motions and true friction instead, without
         FMUs; writes seeds.json.
-    accept : sequence of str, optional
+    accept : str or sequence of str, optional
         Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
@@ -226,14 +228,16 @@ def run(
     from hesr_model.fitting.estimator import select_laws
     from hesr_model.support.typed_files import to_json, write_json
 
-    path = path_of(study or models_folder() / "studies" / "default.toml", "a study")
+    platforms = None if platform is None else list_names("platform", platform)
+    accepted = list_names("accept", accept)
+    path = path_of(study or models_folder() / "studies" / "default.toml", "'study'")
     shipped = models_folder() / "studies" / f"{path.name}.toml"
     if path == Path(path.name) and not path.is_file() and shipped.is_file():
         path = shipped
     job = find_job(path, "run")
     if job:
-        given = {"quick": quick, "seeds": seeds, "accept": accept}
-        given["platform"] = platform is not None
+        given = {"quick": quick, "seeds": seeds, "accept": accepted}
+        given["platform"] = platforms is not None
         return job.run(path, output=output and Path(output), progress=progress, **given)
     folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
     if seeds is not None:
@@ -248,9 +252,9 @@ def run(
         outcome = run_study(
             path,
             folder,
-            platforms=DEFAULT_PLATFORMS if platform is None else platform,
+            platforms=DEFAULT_PLATFORMS if platforms is None else platforms,
             quick=quick,
-            accepted=accept,
+            accepted=accepted,
             progress=progress,
         )
     except KeyboardInterrupt as interrupt:

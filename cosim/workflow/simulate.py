@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, find_job, written_files
+from cosim.workflow.arguments import list_names, remember_trust
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import PathArg, path_of, written_whole
 from hesr_model.support.progress import Progress, Stages, silent
@@ -17,6 +18,7 @@ from hesr_model.support.text import parse_toml
 if TYPE_CHECKING:
     from cosim.systems.signals import Signals
     from cosim.systems.simulation import Master
+    from cosim.workflow.arguments import Names
     from hesr_model.support.arrays import Array
 
 
@@ -27,7 +29,7 @@ def simulate(
     start: float | None = None,
     stop: float | None = None,
     step: float | None = None,
-    set: Sequence[str] = (),  # noqa: A002  # the option's name
+    set: Names = (),  # noqa: A002  # the option's name
     input: PathArg | None = None,  # noqa: A002  # the option's name
     only: int | None = None,
     workers: int | None = None,
@@ -53,7 +55,7 @@ def simulate(
         SSP and FMU: end of the run; by default that of the file.
     step : float, s, optional
         SSP and FMU: time between rows; by default that of the file.
-    set : sequence of str, optional
+    set : str or sequence of str, optional
         SSP and FMU: start values as NAME=VALUE, repeatable.
     input : path, optional
         FMU: CSV of inputs over time [s], linear for continuous inputs and held for others.
@@ -99,10 +101,10 @@ def simulate(
     """
     from cosim.systems.simulation import Master
     from cosim.systems.system import opened_system
-    from cosim.workflow.arguments import remember_trust
 
-    path = path_of(system, "a system")
-    file = None if output is None else path_of(output, "an output")
+    start_values = list_names("set", set)
+    path = path_of(system, "'system'")
+    file = None if output is None else path_of(output, "'output'")
     given = {"only": only, "workers": workers, "cluster": cluster, "insecure": insecure or None}
     job = find_job(path, "simulate")
     if job:
@@ -125,17 +127,17 @@ def simulate(
             opened_single,
             path,
             times=times,
-            values=values_of(path, set),
+            values=values_of(path, start_values),
             inputs=_read_inputs(input),
             isolate=isolate,
         )
         return _run(single, file, stages)
     options: dict[str, Any] = {"input": input}
     if path.suffix.lower() != ".ssp":
-        options |= times | {"set": set or None}
+        options |= times | {"set": start_values or None}
     for name in (name for name, value in options.items() if value is not None):
         raise ArgumentError(f"'{name}' is for an FMU{' or SSP' * (name != 'input')}, not {path}.")
-    with opened_system(path, times, values_of(path, set)) as spec:
+    with opened_system(path, times, values_of(path, start_values)) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
@@ -171,7 +173,7 @@ def _read_inputs(path: PathArg | None) -> dict[str, Array]:
 
     if path is None:
         return {}
-    table = read_table(path_of(path, "an input"))
+    table = read_table(path_of(path, "'input'"))
     return dict(zip(table.names, table.numbers(table.names).T, strict=True))
 
 

@@ -11,6 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, shorten_lines
+from cosim.workflow.arguments import (
+    laws_of,
+    list_logs,
+    list_names,
+    list_numbers,
+    remember_trust,
+    require_choice,
+)
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support import plugins
@@ -21,7 +29,15 @@ if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
     from cosim.study.scores import Comparison
-    from cosim.workflow.arguments import BodyArg, Laws, LogArg, PerJoint, RobotArg
+    from cosim.workflow.arguments import (
+        BodyArg,
+        Logs,
+        LogSource,
+        NamedLaws,
+        Names,
+        PerJoint,
+        RobotArg,
+    )
     from fmu_src.friction.predictions import Records
     from fmu_src.pages.datasheet import ModelAudit
     from hesr_model.audit.properties import Properties, Subject
@@ -138,17 +154,17 @@ class LawReport(Answer):
 
 
 def test(
-    laws: Laws,
+    laws: NamedLaws,
     *,
-    on: Sequence[LogArg] = (),
-    kind: Sequence[str] = (),
+    on: Logs = (),
+    kind: Names = (),
     robot: RobotArg | None = None,
     rigid_body: BodyArg | None = None,
     inertia: PerJoint | None = None,
     load: float = 0.0,
     output: PathArg | None = None,
     trust: bool = False,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> LawReport:
     r"""Test friction laws: prediction, passivity, physics checks.
@@ -160,10 +176,10 @@ def test(
     ----------
     laws : law, path, or sequence or mapping of these
         Friction models (.json), friction FMUs (.fmu) of any tool, or uf850-table1.
-    on : sequence of logs, optional
+    on : log or sequence of logs, optional
         Logs for the prediction; repeatable. Of more than 10^6 rows those that cover speed, load and
         rest are used.
-    kind : sequence of str, optional
+    kind : str or sequence of str, optional
         Tests, repeatable: prediction, passivity, properties (thirteen experiments: memory,
         stick-slip, dissipation, ..); by default prediction and passivity with --on, else passivity.
     robot : robot or path, optional
@@ -178,7 +194,7 @@ def test(
         JSON file of the properties.
     trust : bool
         Run these FMUs without a sandbox, now and later: faster, but with all your rights.
-    accept : sequence of str, optional
+    accept : str or sequence of str, optional
         Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
@@ -205,12 +221,14 @@ def test(
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False
     """
-    from cosim.workflow.arguments import laws_of, listed, remember_trust, require_choice
-
-    logs = listed(on)
-    file = None if output is None else path_of(output, "an output")
+    logs = list_logs("on", on)
+    kinds = list_names("kind", kind)
+    accepted = list_names("accept", accept)
+    inertias = None if inertia is None else list_numbers("inertia", inertia)
+    file = None if output is None else path_of(output, "'output'")
     plugged = plugins.load("hesr.tests")
-    kinds = tuple(listed(kind)) or (("prediction", "passivity") if logs else ("passivity",))
+    if not kinds:
+        kinds = ["prediction", "passivity"] if logs else ["passivity"]
     for name in kinds:
         require_choice("kind", name, (*KINDS, *plugged))
     if not isfinite(load):
@@ -219,11 +237,11 @@ def test(
     remember_trust((law.fmu for law in tested if law.fmu), trust=trust)
     report = LawReport(laws=tested)
     if "prediction" in kinds:
-        report = _predicted(report, logs, robot, rigid_body, accept, progress)
+        report = _predicted(report, logs, robot, rigid_body, accepted, progress)
     if "passivity" in kinds:
-        report = _add_certificates(report, alone=kinds == ("passivity",))
+        report = _add_certificates(report, alone=kinds == ["passivity"])
     if "properties" in kinds:
-        report = _checked(report, inertia, load, file, progress)
+        report = _checked(report, inertias, load, file, progress)
     others = {
         name: plugged[name].load()(tested, logs)
         for name in kinds
@@ -237,7 +255,7 @@ test.__test__ = False  # type: ignore[attr-defined]  # keeps pytest off
 
 def _predicted(
     report: LawReport,
-    logs: Sequence[LogArg],
+    logs: Sequence[LogSource],
     robot: RobotArg | None,
     rigid_body: BodyArg | None,
     accept: Sequence[str],
@@ -317,14 +335,17 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
 
 
 def _checked(
-    report: LawReport, inertia: PerJoint | None, load: float, output: Path | None, progress: Stages
+    report: LawReport,
+    inertia: Sequence[float] | None,
+    load: float,
+    output: Path | None,
+    progress: Stages,
 ) -> LawReport:
     """Add the physics checks, each law in a process of its own."""
-    from cosim.workflow.arguments import listed
     from hesr_model.audit.properties import write_properties
 
-    values = None if inertia is None else tuple(listed(inertia))
-    subjects = [replace(law, inertia=values) for law in report.laws]
+    inertias = None if inertia is None else tuple(inertia)
+    subjects = [replace(law, inertia=inertias) for law in report.laws]
     with ExitStack() as cleanup:
         # Check that the file can be written before the run.
         file = cleanup.enter_context(written_whole(output)) if output else None

@@ -1,7 +1,8 @@
 """Click commands derived from the signatures and docstrings of workflow functions.
 
 A positional parameter becomes an argument, a keyword-only one an option; `bool` a flag, `Literal` a
-choice, `Sequence` a repeatable option, `Mapping` KEY=VALUE, `PerJoint` numbers with commas.
+choice, `Names` and other types of several items a repeatable option, `Mapping` KEY=VALUE,
+`PerJoint` numbers with commas.
 """
 
 import ast
@@ -25,8 +26,14 @@ Function = Callable[..., Any]
 Kind = click.ParamType[Any, Any]
 Invoke = Callable[[Function, dict[str, Any]], None]
 
-_MANY = ("Logs", "Laws", "FmuArgs", "ResultArgs", "Sources", "Sequence[")
-"""Annotations of parameters that take several values."""
+_ITEMS = {
+    "Names": "str",
+    "Paths": "PathArg",
+    "Logs": "LogArg",
+    "Laws": "LawArg",
+    "NamedLaws": "LawArg",
+}
+"""Annotations of one item, by those of several (`cosim.workflow.arguments`)."""
 
 _WIDTH = 75  # width of an example in the help, which is indented by 2 and may end with a backslash
 
@@ -251,8 +258,11 @@ def _merged(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function) -> click.Parameter:
     form = _FORMS.get(f"{verb}.{one.name}") or _FORMS.get(one.name) or Form()
     annotation = str(one.annotation).removesuffix(" | None")
-    inner = re.sub(r"^Sequence\[(.*)\]$", r"\1", annotation)
-    many = annotation.startswith(_MANY)
+    several = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
+    inner = _ITEMS.get(annotation, annotation)
+    if several:
+        inner = several[1] or several[2]
+    many = inner != annotation
     required = one.default is one.empty
     if one.kind is one.POSITIONAL_OR_KEYWORD and not form.option:
         metavar = form.metavar or one.name.upper()
@@ -289,6 +299,7 @@ def _kind(annotation: str, function: Function, form: Form) -> Kind:
         "int": click.IntRange(min=form.least),
         "float": click.FLOAT,
         "PerJoint": _Numbers(),
+        "Iterable[float]": _Numbers(),
     }
     return kinds.get(annotation, click.STRING)
 

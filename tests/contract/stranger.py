@@ -58,6 +58,26 @@ def verbs() -> None:
     print(hesr.laws()["lugre"].title)
 
 
+def one_or_several() -> None:
+    """One item, or several in any iterable, wherever a parameter takes several."""
+    path = Path("a.csv")
+    print(hesr.check(path for path in ("a.fmu", "b.fmu")).passed)
+    print(hesr.identify({path: 1}.keys(), robot="robot.toml", accept="duplicate").joints)
+    model = hesr.fit(path, law="lugre", robot="robot.toml", add="temperature")
+    adapted = hesr.fit(iter([path]), prior=model, robot="robot.toml")
+    print(hesr.test((law for law in (model, adapted)), on=path, kind="passivity").passed)
+    print(hesr.test(model, inertia=np.array([1.0, 2.0]), kind=iter(["properties"])).passed)
+    print(hesr.export(model, "F.fmu", platform="linux64", calibration=path, kv=iter([1.0])))
+    print(hesr.new("folder", "arm.urdf", joints="a, b", gear_ratio=(x for x in (1.0, 2.0))).joints)
+    print(hesr.inspect(path, joints="a", loaded=path, payload=(1.0, 0.0, 0.0, 0.1)).passed)
+    print(hesr.report((Path(name) for name in "ab"), law="lugre", output="page.md"))
+    print(hesr.simulate("F.fmu", set="gain=2"))
+    print(hesr.run("study.toml", platform="win64", accept=iter(["duplicate"])).summary())
+    print(hesr.monitor(path, law=model, accept="duplicate").summary())
+    print(len(hesr.observe(path, law=model, calibration=path, accept="duplicate")))
+    print(hesr.FrictionRegressor().fit(iter([path])).to_fmu("F.fmu", platforms="linux64"))
+
+
 def errors() -> None:
     try:
         hesr.check("none.fmu")

@@ -10,7 +10,6 @@ from cosim.workflow.arguments import (
     body_of,
     checked_logs,
     laws_of,
-    listed,
     logs_of,
     per_joint,
     plant_body,
@@ -33,12 +32,6 @@ def file(arm: RobotDescription, arm_log: Log) -> Path:
     return path
 
 
-def test_one_item_is_a_list_of_one() -> None:
-    path = Path("a.csv")
-    assert (listed("ab"), listed(path), listed(3)) == (["ab"], [path], [3])
-    assert (listed(("a", "b")), listed(iter("ab"))) == (["a", "b"], ["a", "b"])
-
-
 def test_a_plant_has_the_given_body_or_that_of_its_model(
     arm: RobotDescription, arm_log: Log
 ) -> None:
@@ -56,7 +49,7 @@ def test_paths_are_read_with_the_robot_of_the_logs_next_to_them(
     arm: RobotDescription, arm_log: Log, file: Path
 ) -> None:
     read = Log.read(file, arm)
-    for logs, robot in (([str(file), read], None), (str(file), arm), (file, str(arm.model))):
+    for logs, robot in (([file, read], None), ([file], arm), ([file], str(arm.model))):
         found = logs_of(logs, robot)
         assert [log.path for log in found] == [file] * len(found)
         assert all(log.robot and log.robot.joints == arm.joints for log in found)

@@ -149,7 +149,7 @@ def test_unusable_arguments_are_refused(
         (lambda: hesr.fit("a.csv", law="no"), "law 'no' is unknown"),
         (lambda: hesr.fit("a.csv", law="lugre", add=["x"]), "'add' is 'x'; there are temperature"),
         (lambda: hesr.fit("a.csv", law="law.json"), "'law' is fitted already (law.json); give"),
-        (lambda: hesr.report(3), "a folder is given as int; expected a path"),
+        (lambda: hesr.report(3), "'results' is given as int; expected a path"),
         (lambda: hesr.report("a", output="b.pdf"), "b.pdf: reports are .html, .md, .mp4, .webp."),
         (lambda: hesr.report("a", magnify=2.0), "are for 'view' and videos"),
         (lambda: hesr.report(["a", "b"]), "page (.html) shows one result"),

@@ -115,9 +115,9 @@ def test_identify_reads_long_logs_in_pieces(
     monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
     monkeypatch.setattr(long_log, "ROWS", 500)
     used: list[LongLog] = []
-    make = arguments.LongLog
+    make = long_log.LongLog
     monkeypatch.setattr(
-        arguments, "LongLog", lambda *given: used.append(make(*given, rows=500)) or used[-1]
+        long_log, "LongLog", lambda *given: used.append(make(*given, rows=500)) or used[-1]
     )
     found = hesr.identify(paths, robot=file)
     assert [len(log.stretches) for log in used] == [4, 4]
@@ -139,11 +139,11 @@ def test_fit_takes_whole_stretches_of_long_logs(
 ) -> None:
     path = written(tmp_path / "log.npz", with_gap(robot, tmp_path, 2500))
     file, body = tmp_path / "robot.toml", hesr.identify(path, robot=robot)
-    make = arguments.LongLog
-    monkeypatch.setattr(arguments, "LongLog", lambda *given: make(*given, rows=400))
+    make = long_log.LongLog
+    monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, rows=400))
 
     def records() -> list[list[FrictionRecord]]:
-        return arguments.checked_logs(path, file, (), in_pieces=True).records(body)
+        return arguments.checked_logs([path], file, (), in_pieces=True).records(body)
 
     expected = records()
     monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
@@ -169,9 +169,9 @@ def test_laws_are_tested_on_long_logs(
     robot: RobotDescription, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path / "log.npz", with_gap(robot, tmp_path, 2500))
-    body, make = hesr.identify(path, robot=robot), arguments.LongLog
+    body, make = hesr.identify(path, robot=robot), long_log.LongLog
     law = hesr.fit(path, law="stribeck", robot=robot, rigid_body=body)
-    monkeypatch.setattr(arguments, "LongLog", lambda *given: make(*given, rows=400))
+    monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, rows=400))
 
     def errors() -> list[float]:
         found = hesr.test({"law": law}, on=path, kind="prediction", robot=robot, rigid_body=body)

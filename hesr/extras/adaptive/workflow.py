@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cosim.workflow.answer import Answer
@@ -10,7 +9,7 @@ from hesr_model.errors import ArgumentError
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
+    from cosim.workflow.arguments import BodyArg, LawArg, Logs, Names, RobotArg
     from hesr_model.support.files import PathArg
 
 
@@ -22,7 +21,7 @@ def monitor(
     rigid_body: BodyArg | None = None,
     output: PathArg | None = None,
     workers: int | None = None,
-    accept: Sequence[str] = (),
+    accept: Names = (),
     progress: Stages = silent,
 ) -> Answer:
     r"""Find changes of friction over days, and deviating robots.
@@ -43,7 +42,7 @@ def monitor(
         Page to write; for a fleet, the folder (default: results/NAME).
     workers : int, optional
         Processes of a fleet; by default one per core.
-    accept : sequence of str, optional
+    accept : str or sequence of str, optional
         Names of checks whose errors only warn; repeatable.
     progress : callable, optional
         Called with stage, steps done and steps in total.
@@ -69,28 +68,38 @@ def monitor(
     from pathlib import Path
 
     from cosim.workflow.answer import find_job
-    from cosim.workflow.arguments import body_of, checked_logs, listed, model_given
+    from cosim.workflow.arguments import (
+        body_of,
+        checked_logs,
+        list_logs,
+        list_names,
+        model_given,
+        require_items,
+    )
     from hesr.extras.adaptive.monitor import watch
     from hesr.extras.adaptive.page import Monitoring, write_monitor
     from hesr_model.support.files import path_of
 
-    folder = None if output is None else path_of(output, "an output")
-    first, *others = listed(logs)
-    job = find_job(Path(first), "monitor") if isinstance(first, str | Path) else None
+    sources = list_logs("logs", logs)
+    accepted = list_names("accept", accept)
+    page_path = None if output is None else path_of(output, "'output'")
+    require_items("logs", sources)
+    first = sources[0]
+    job = find_job(first, "monitor") if isinstance(first, Path) else None
     if job is not None:
-        if others or law or robot or rigid_body or accept:
+        if len(sources) > 1 or law or robot or rigid_body or accepted:
             raise ArgumentError(f"{first}: a fleet file names its own logs; give it alone.")
-        return job.run(Path(first), output=folder, workers=workers, progress=progress)
+        return job.run(first, output=page_path, workers=workers, progress=progress)
     if law is None:
         raise ArgumentError("'law' is missing; give a friction model of other logs.")
     if workers is not None:
         raise ArgumentError("'workers' is for a fleet file.")
     model = model_given(law)
-    read = checked_logs(logs, robot, accept, progress)
+    read = checked_logs(sources, robot, accepted, progress)
     records = read.records(body_of(rigid_body, read.logs, read.robot))
     progress("following friction", 0, 1)
     found = watch(model, records)
-    if folder is not None:
-        write_monitor(folder, found)
-    files = [] if folder is None else [folder]
+    if page_path is not None:
+        write_monitor(page_path, found)
+    files = [] if page_path is None else [page_path]
     return Monitoring(**vars(found), findings=read.findings, files=files)

@@ -40,7 +40,7 @@ OBSERVER = Exporter(
         RIGID_BODY,
         ExportOption(
             name="calibration",
-            type="path",
+            type="log",
             repeatable=True,
             help="Logs without contact that the law was not fitted to, or results of 'hesr run' "
             "for its test logs, which determine limits and threshold; repeatable; by default "

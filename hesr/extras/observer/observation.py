@@ -1,15 +1,17 @@
 """Export of observers, and external torque over logs, with limits from logs without contact."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cosim.study.results import RUN, SavedRun
 from cosim.workflow import arguments
-from cosim.workflow.arguments import BodyArg, LawArg, Logs, RobotArg
 from fmu_src.export import package
 from fmu_src.export.toolchain import HOST
 from fmu_src.friction.validity import require_exportable
@@ -36,8 +38,11 @@ from hesr_model.logs.robot_log import Log, parts_of
 from hesr_model.logs.signals import measured_velocity
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
-from hesr_model.support.files import PathArg, scratch_folder, sha256, written_whole
+from hesr_model.support.files import scratch_folder, sha256, written_whole
 from hesr_model.support.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from cosim.workflow.arguments import BodyArg, LawArg, Logs, LogSource, Names, RobotArg
 
 
 def export_observer(
@@ -45,7 +50,7 @@ def export_observer(
     path: Path,
     *,
     body: PlantBody,
-    calibration: Sequence[PathArg] | None = None,
+    calibration: Logs = (),
     bandwidth: float = BANDWIDTH,
     torque_constants: Sequence[float] | None = None,
     platforms: Sequence[str] = HOST,
@@ -64,7 +69,8 @@ def export_observer(
     elif not re.fullmatch(r"[A-Za-z_]\w*", path.stem, re.ASCII):
         raise ExportError(f"{path}: '{path.stem}' is not a valid C name.")
     require_exportable(model, "the C header of an observer", thermal=not alone)
-    limits = limits_of(model, body, calibration or (), bandwidth)
+    sources = arguments.list_logs("calibration", calibration)
+    limits = limits_of(model, body, sources, bandwidth)
     whole = content(
         model, body, limits, bandwidth=bandwidth, constants=torque_constants, bare=alone
     )
@@ -169,7 +175,7 @@ def _speed(log: Log, plant_body: PlantBody) -> Array:
 def limits_of(
     model: FrictionModel,
     plant_body: PlantBody,
-    calibration: Sequence[PathArg | Log],
+    calibration: Sequence[LogSource],
     bandwidth: float = BANDWIDTH,
 ) -> ObserverLimits:
     """Return the limits that hold for logs without contact, or those of the law without logs.
@@ -206,16 +212,16 @@ def limits_of(
     )
 
 
-def calibration_logs(given: Sequence[PathArg | Log], robot: Robot) -> list[Log]:
+def calibration_logs(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
     """Return logs, reading those that are paths; a folder of results stands for its test logs."""
     logs: list[Log] = []
-    for one in given:
-        if isinstance(one, Log):
-            logs.append(one)
-        elif (Path(one) / RUN).is_file():
-            logs += [Log.read(file, robot) for file in _left_out_files(Path(one))]
+    for source in sources:
+        if isinstance(source, Log):
+            logs.append(source)
+        elif (source / RUN).is_file():
+            logs += [Log.read(file, robot) for file in _left_out_files(source)]
         else:
-            logs.append(Log.read(one, robot))
+            logs.append(Log.read(source, robot))
     return logs
 
 
@@ -288,9 +294,9 @@ def observe(
     law: LawArg,
     robot: RobotArg | None = None,
     rigid_body: BodyArg | None = None,
-    calibration: Logs | None = None,
+    calibration: Logs = (),
     bandwidth: float = BANDWIDTH,
-    accept: Sequence[str] = (),
+    accept: Names = (),
 ) -> list[ObservedLog]:
     """Compute the external torque over logs, with the numbers of the observer's FMU.
 
@@ -309,7 +315,7 @@ def observe(
         default the bands of the law give the limits.
     bandwidth : float, Hz
         Cut-off of the external torque.
-    accept : sequence of str, optional
+    accept : str or sequence of str, optional
         Names of checks whose errors only warn.
 
     Returns
@@ -328,10 +334,11 @@ def observe(
     >>> [found] = hesr.observe("pushed.csv", law="law.json", robot="robot.toml",
     ...                        rigid_body="rigid_body.json", calibration=["free.csv"])
     """
+    sources = arguments.list_logs("logs", logs)
+    calibration_sources = arguments.list_logs("calibration", calibration)
+    accepted = arguments.list_names("accept", accept)
     model = arguments.model_given(law)
-    read = arguments.checked_logs(logs, robot, accept)
+    read = arguments.checked_logs(sources, robot, accepted)
     plant_body = arguments.plant_body(read.robot, rigid_body)
-    free = [] if calibration is None else arguments.listed(calibration)
-    return observed_logs(
-        model, plant_body, limits_of(model, plant_body, free, bandwidth), read.logs, bandwidth
-    )
+    limits = limits_of(model, plant_body, calibration_sources, bandwidth)
+    return observed_logs(model, plant_body, limits, read.logs, bandwidth)
