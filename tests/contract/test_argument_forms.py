@@ -207,25 +207,26 @@ def options_of_several() -> dict[str, ExportOption]:
     }
 
 
-@pytest.mark.parametrize("name", options_of_several())
 def test_options_of_exporters_take_one_item_and_every_iterable(
-    table1: FrictionModel, tmp_path: Path, name: str
+    table1: FrictionModel, tmp_path: Path
 ) -> None:
-    option = options_of_several()[name]
     request = ExportRequest(
         source=table1, output=tmp_path, options={}, platforms=(), progress=lambda *_: None
     )
-    reader = "list_numbers" if option.per_joint else f"list_{option.type}s"
-    for item, expected in ITEMS[reader]:
-        items = [item] * len(table1.joints)
-        for value in (items, tuple(items), iter(items), (each for each in items)):
-            assert list(read_option(option, value, request)) == [expected] * len(items)
-        count = len(items) if option.per_joint else 1
-        assert list(read_option(option, item, request)) == [expected] * count
-    for value in WRONG[reader]:
-        if value is not None:
-            with pytest.raises(ArgumentError, match=rf"^'{name}' "):
-                read_option(option, value, request)
+    options = options_of_several()
+    assert {"inertia", "kv", "torque_constants", "calibration"} <= set(options)
+    for name, option in options.items():
+        reader = "list_numbers" if option.per_joint else f"list_{option.type}s"
+        for item, expected in ITEMS[reader]:
+            items = [item] * len(table1.joints)
+            for value in (items, tuple(items), iter(items), (each for each in items)):
+                assert list(read_option(option, value, request)) == [expected] * len(items)
+            count = len(items) if option.per_joint else 1
+            assert list(read_option(option, item, request)) == [expected] * count
+        for wrong in WRONG[reader]:
+            if wrong is not None:
+                with pytest.raises(ArgumentError, match=rf"^'{name}' "):
+                    read_option(option, wrong, request)
 
 
 def test_no_items_where_one_is_needed_are_refused() -> None:
