@@ -19,7 +19,7 @@ from cosim.workflow.arguments import (
     list_paths,
     per_joint,
 )
-from cosim.workflow.export_formats import LAW, ExportFormat, choose_format
+from cosim.workflow.export_formats import LAW, ExportFormat, choose_format, find_title
 from cosim.workflow.export_formats import help_sections as help_sections
 from fmu_src.exporter import Exporter, ExportOption, ExportRequest
 from hesr_model.support.files import PathArg, path_of
@@ -224,7 +224,8 @@ def answer(path: Path, output: PathArg | None) -> Answer:
     """Return the answer of an export: the file, the tools that read it, and what they must know."""
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     size = sum(file.stat().st_size for file in files) / 1024.0
-    lines = [f"{_TOOLS.get(path.suffix.lower(), 'File for other tools')}, {size:.0f} KiB."]
+    suffix = path.suffix.lower()
+    lines = [f"{_TOOLS.get(suffix) or find_title(suffix)}, {size:.0f} KiB."]
     if path.suffix.lower() == ".fmu":
         lines.append(_platform_line(path))
     elif path.suffix.lower() == ".ssp":

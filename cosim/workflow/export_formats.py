@@ -211,6 +211,15 @@ def _refuse_format(kind: SourceKind, name: str, formats: Sequence[str]) -> NoRet
     )
 
 
+def find_title(suffix: str) -> str:
+    """Return the title of the first format of files with a suffix."""
+    for kind in KINDS:
+        for exporter in load_exporters(kind).values():
+            if suffix in exporter.suffixes:
+                return exporter.title[0].upper() + exporter.title[1:]
+    return "File for other tools"
+
+
 @dataclass(frozen=True, kw_only=True)
 class HelpSection:
     """Section of the help: formats with their titles, or options of some formats."""

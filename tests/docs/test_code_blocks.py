@@ -52,8 +52,9 @@ def test_python_blocks_compile(block: Block) -> None:
     compile(block.text, str(block), "exec")
 
 
-PACKAGES = ("add-a-law.md", "add-a-log-format.md", "closed-loop.md")
-"""Pages with tests of their own: test_toy_law.py, test_own_parts.py, test_closed_loop_page.py."""
+PACKAGES = ("add-a-law.md", "add-a-log-format.md", "add-an-export-format.md", "closed-loop.md")
+"""Pages with tests of their own: test_toy_law.py, test_own_parts.py, test_toy_export.py and
+test_closed_loop_page.py."""
 
 RUN = [b for b in blocks("python") if b.runs and b.page.name not in PACKAGES]
 
