@@ -252,14 +252,12 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         laws = {one.best, *one.tied}
         if one.detectable is not None and one.law in laws and len(laws) > 1:
             count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
-            parts.append(f"{count} on {name} ({format_percent_above(*one.detectable)})")
+            percent = format_percent_above(*one.detectable)
+            parts.append(f"{count} on {name} (smallest detectable difference {percent})")
             if one.detectable[1] > RECORDED:
                 wide.append(one.seconds)
     if parts:
-        yield (
-            f"{test} does not separate it from {', '.join(parts)}; in brackets the smallest "
-            "differences that would show."
-        )
+        yield f"{test} does not separate it from {', '.join(parts)}."
     if wide:
         yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(wide):.0f} s."
 

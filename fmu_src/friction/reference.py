@@ -70,7 +70,7 @@ model_exchange/{name}_in.csv, _ref.csv, _ref.opt
     between two rows, each exact for inputs held at its middle. RelTol {close:g} (of the largest
     torque of a joint) is the accuracy of the reference; StepSize 0 requests a solver with step
     size control. The motion is under way at the start, so no row lies on a reversal. Importers
-    that hold inputs while their solver steps, as CVode of FMPy 0.3.32 does, do not come near.
+    that hold inputs while their solver steps, as CVode of FMPy 0.3.32 does, exceed it by far.
 """
 _NONE = """\
 Reference results are missing: the torque of this law is not finite on the reference motion.

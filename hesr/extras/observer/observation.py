@@ -213,7 +213,7 @@ def limits_of(
 
 
 def calibration_logs(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
-    """Return logs, reading those that are paths; a folder of results stands for its test logs."""
+    """Return logs, reading those that are paths; a folder of results is read as its test logs."""
     logs: list[Log] = []
     for source in sources:
         if isinstance(source, Log):

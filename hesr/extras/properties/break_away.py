@@ -117,7 +117,7 @@ def _judge_stick_slip(
         does = f"It cycles between {slow / pull:.2g} and {fast / pull:.2g} times the pulling speed"
     if drives:
         right = False
-        why = "its steady friction drives at low speed"
+        why = "its steady friction acts in the direction of motion at low speed"
     elif weak or flat:
         right = cycles == weak
         why = f"its steady curve falls by {falls:.1%} of the level"
