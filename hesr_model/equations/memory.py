@@ -125,7 +125,7 @@ class Stop(_Element):
     def continuous(self) -> sympy.Expr:
         """Return x' without events, passive with the same storage function.
 
-        With e = w x, d = max(.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
+        With e = w x, d = max(0.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
         e' = v - abs(v)/d (e - clip(e, -b, b)) - (e - clip(e, -m, m))/T: the second term bounds the
         deflection, the last one follows a bound that shrinks at rest.
         """

@@ -13,7 +13,7 @@ from hesr_model.support.arrays import Array, Mask
 from hesr_model.units import backwards, unit_of_joint
 
 _SURE = 5.0  # significance threshold in standard errors
-_SCALE = 3.0  # plausible factor of gravity; real arms have .6 to 1.5
+_SCALE = 3.0  # plausible factor of gravity; real arms have 0.6 to 1.5
 _EXPLAINED = 0.8  # minimum R^2 for a scale estimate
 NO_SIGNAL = 0.35  # R^2 below which nothing is explained
 _EXACT = 0.1  # residual share of computed torques

@@ -174,7 +174,7 @@ def ran(*arguments: str | Path, cache: Path) -> dict[str, Any]:
 def test_export_compared_with_a_bare_compile(
     twin: Path, tmp_path: Path, tell: Callable[[str], None]
 ) -> None:
-    """Target: 2.3 times a bare compile for new coefficients, .23 times if identical."""
+    """Target: 2.3 times a bare compile for new coefficients, 0.23 times if identical."""
     law, fmu = tmp_path / "law.json", tmp_path / "F.fmu"
     text = json.loads((twin / "laws" / "stribeck.json").read_text(encoding="utf-8"))
     times: dict[str, list[float]] = {}

@@ -65,7 +65,7 @@ class Truth:
         return {"t": t, "q": q, "dq": dq, "tau": tau + self.friction(dq) + noise}
 
     def worst(self, friction: Callable[[np.ndarray], np.ndarray]) -> float:
-        """The largest relative error of sliding friction, for speeds [SI] held for .5 s."""
+        """The largest relative error of sliding friction, for speeds [SI] held for 0.5 s."""
         speeds = sum(self.speeds) * np.linspace(0.15, 0.8, 8)
         errors = []
         for speed in np.concatenate([speeds, -speeds]):

@@ -189,7 +189,7 @@ def test_a_gear_that_hardly_twists_is_reported(exact: Log) -> None:
 
 
 def axis(known: bool, folder: Path) -> tuple[Log, Robot]:
-    """A motor with an elastic gear: 8000 N.m/rad, 6 N.m.s/rad, inertias .05 and .4 kg.m2."""
+    """A motor with an elastic gear: 8000 N.m/rad, 6 N.m.s/rad, inertias 0.05 and 0.4 kg.m2."""
     h, end = 1e-4, 20.0
     t = h * np.arange(round(end / h))
     waves = ((0.8, 0.3, 0.0), (0.6, 0.9, 1.0), (0.5, 2.1, 2.0), (0.4, 4.3, 0.5))

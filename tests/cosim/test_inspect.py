@@ -363,7 +363,7 @@ def test_a_clean_log_has_no_findings(
 def partly_at_rest(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription
 ) -> Path:
-    """A log with temperatures of an arm whose second joint rests at .3 rad."""
+    """A log with temperatures of an arm whose second joint rests at 0.3 rad."""
     motion, robot = make_motion(name="rest", friction=0.8), Robot(arm)
     q, dq, ddq = motion.q.copy(), motion.dq.copy(), motion.ddq.copy()
     q[:, 1], dq[:, 1], ddq[:, 1] = 0.3, 0.0, 0.0

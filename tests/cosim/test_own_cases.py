@@ -63,7 +63,7 @@ def urdf(folder: Path, *, mass: str = "3", axis: str = "0 1 0") -> Path:
 
 
 def followers(folder: Path) -> Path:
-    """Follow a leader through a follower; `b` = -`a` + .1 and `c` = .5 `b`."""
+    """Follow a leader through a follower; `b` = -`a` + 0.1 and `c` = 0.5 `b`."""
     mimics = [
         f'<mimic joint="{j}" multiplier="{k}" offset="{b}"/>'
         for j, k, b in (("a", -1, 0.1), ("b", 0.5, 0.0))

@@ -103,7 +103,7 @@ def test_waves_need_viscous_friction(unchanged: Unchanged) -> None:
 
 @pytest.mark.parametrize(("less", "verdict"), [(0.9e-6, "proven"), (1.1e-6, "tested")])
 def test_slack_of_ripple(less: float, verdict: str) -> None:
-    wave = 0.5 * sympy.cos(50.0 * Q - 0.15 * DQ)  # A n c = .5 * 50 * .003 with steps up to 6 ms
+    wave = 0.5 * sympy.cos(50.0 * Q - 0.15 * DQ)  # A n c = 0.5 * 50 * 0.003 with steps up to 6 ms
     found = certificate.certify(own(0.075 * (1.0 - less) * DQ + wave), TRAINED)
     assert (found.verdict == "proven") == (verdict == "proven")
 

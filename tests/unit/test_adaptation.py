@@ -25,7 +25,7 @@ TRUTH = true_law(
 
 
 def day(seed: int, *, seconds: float = 24.0, **changed: float) -> FrictionRecord:
-    """A log of a day, whose friction differs by some coefficients; noise .3 N.m."""
+    """A log of a day, whose friction differs by some coefficients; noise 0.3 N.m."""
     truth = replace(TRUTH, values={**TRUTH.values, **changed})
     clean = along(truth, path(seed, seconds=seconds))
     noise = np.random.default_rng(seed).normal(0.0, 0.3, len(clean.t))

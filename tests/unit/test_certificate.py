@@ -273,7 +273,7 @@ def test_sampled_ripple_without_a_mean_is_certified_up_to_a_step() -> None:
     x = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=1)
     law = own(x.state + 20.0 * DQ + 0.5 * sympy.cos(200 * (Q - 0.004 * DQ)), x)
     found = certify(law, TRAINED)
-    # 20 = .5 * 200 * (mean distance of the lag from (0, h)): h = 0.4 s and lag.
+    # 20 = 0.5 * 200 * (mean distance of the lag from (0, h)): h = 0.4 s and lag.
     assert found.verdict == "proven"
     assert found.largest_step == pytest.approx(0.4, rel=0.15)
 
@@ -354,7 +354,7 @@ def test_driving_at_low_speed_is_refuted() -> None:
 @pytest.mark.parametrize(
     ("law", "energy"),
     [
-        # Up to 5.4 N.m - (10 v - 5.4 N.m) at v = 1.01 rad/s; less .01 N.m back at .001 rad/s.
+        # Up to 5.4 N.m - (10 v - 5.4 N.m) at v = 1.01 rad/s; less 0.01 N.m back at 0.001 rad/s.
         (law_of("parfam_v", registry()["parfam_v"].typical, **STEEP), 0.689),
         (law_of("stribeck", **NEGATIVE), 8.0 * np.exp(-(0.05**2)) * 2.0 - 8.0),
     ],

@@ -90,7 +90,7 @@ def _blend(s: Array) -> Array:
 
 
 def faded_chirp(start: Array, limits: Limits, t: Array) -> Array:
-    """Return rows (N, n) of a chirp from .1 to 1 Hz around `start` (n,), at rest at both ends.
+    """Return rows (N, n) of a chirp from 0.1 to 1 Hz around `start` (n,), at rest at both ends.
 
     Its frequency rises geometrically; positions, speeds and accelerations stay within the limits,
     but for its envelope.

@@ -349,7 +349,7 @@ def test_parameters_of_systems_are_transformed_like_signals(ssp: Any, typed_fmu:
 
 
 def test_a_mapping_is_applied_before_the_connections_of_its_target(ssp: Any, wired: Any) -> None:
-    """200 ms are .2 s, with the mapping .6 s; the connection doubles that."""
+    """200 ms are 0.2 s, with the mapping 0.6 s; the connection doubles that."""
     linear = '<ssc:LinearTransformation factor="{}" offset="{}"/>'
     own = binding(
         more=inline(one("t", "Real", "200", "ms")) + mapping("t", "lag", linear.format(2, 0.2))
