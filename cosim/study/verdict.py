@@ -252,12 +252,14 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         laws = {one.best, *one.tied}
         if one.detectable is not None and one.law in laws and len(laws) > 1:
             count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
-            percent = format_percent_above(*one.detectable)
-            parts.append(f"{count} on {name} (smallest detectable difference {percent})")
+            parts.append(f"{count} on {name} ({format_percent_above(*one.detectable)})")
             if one.detectable[1] > RECORDED:
                 wide.append(one.seconds)
     if parts:
-        yield f"{test} does not separate it from {', '.join(parts)}."
+        yield (
+            f"{test} does not separate it from {', '.join(parts)}; the smallest detectable "
+            "difference is in brackets."
+        )
     if wide:
         yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(wide):.0f} s."
 

@@ -389,7 +389,7 @@ def test_a_longer_test_is_advised_only_if_10_percent_would_not_show() -> None:
     rmse = {"lugre": [1.0, 1.0], "stribeck": [1.01, 1.5]}
     scores = case(rmse, [("lugre", "stribeck"), ("lugre",)], found=1.05)
     (limit,) = limits("'t'", [replace(one, law="lugre") for one in separation(scores)])
-    assert "from 1 law on J1 (5 %); in brackets" in limit
+    assert "from 1 law on J1 (5 %)" in limit
 
 
 def test_twice_the_error_is_found_by_a_test_of_100_s() -> None:
