@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from fmu_src.arm.library import library
+from fmu_src.arm.losses import losses_header
 from fmu_src.arm.signals import signals_of
 from fmu_src.arm.table import (
     LATENCY,
@@ -141,7 +142,7 @@ typedef struct {{
     double gain;
 }} Start;
 
-/* See mjcf_losses.h; springs of the carrier are the load. */
+/* See losses.h; springs of the carrier are the load. */
 typedef struct {{
     int dof, carrier;
     double constant, load, direct, speed, evolution, age, slip, longest;
@@ -207,7 +208,10 @@ def arm(
         table=interface,
         about=about,
         sources={name: own_source(name) for name in _SOURCES}
-        | {"signals.h": to_h(signals, interface, state=state, digest=digest)},
+        | {
+            "signals.h": to_h(signals, interface, state=state, digest=digest),
+            "losses.h": losses_header(),
+        },
         members={
             "resources/model.mjb": compiled,
             "resources/model.xml": source,

@@ -19,7 +19,9 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import sympy
 from pydantic import Field, model_validator
+from sympy.codegen.cfunctions import log1p
 
+from fmu_src.arm.losses import AGE, LEVEL, NUMBERS, SPEED, TORQUE, level_steps, renewal_rate
 from fmu_src.arm.signals import passive_motors
 from fmu_src.arm.table import (
     Losses,
@@ -93,13 +95,14 @@ def true_friction(
 def _of_losses(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
     coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _OF_LOSSES]
     values = losses.of_joint(i) | {"viscous": viscous}
-    constant, load, direct, speed, evolution, reference, slip, longest, viscous_ = (
-        quantity.symbol for quantity in coefficients
-    )
-    rate = absolute(DQ) / slip + 1 / longest
+    *numbers, viscous_ = (quantity.symbol for quantity in coefficients)
+    symbols = dict(zip(NUMBERS, numbers, strict=True)) | {SPEED: DQ, TORQUE: TAU_LOAD}
+    rate = renewal_rate().xreplace(symbols)
     age = Relaxation(name="s", unit="s", drive=sympy.Integer(1), rate=rate)
-    level = constant + load * absolute(TAU_LOAD) + direct * sympy.log(1 + absolute(DQ) / speed)
-    level += evolution * sympy.log(1 + age.state / reference)
+    symbols[AGE] = age.state
+    for symbol, expression in level_steps().items():  # each uses earlier ones only
+        symbols[symbol] = expression.xreplace(symbols)
+    level = symbols[LEVEL].replace(log1p, lambda x: sympy.log(1 + x))
     output = sgn(DQ) * level + viscous_ * DQ
     form = LawForm(coefficients=tuple(coefficients), memory=(age,), output=output)
     return FrictionLaw(name="true_friction", form=form, values=values)

@@ -25,13 +25,21 @@ _SHORT = 60  # statements of a function that is worth inlining for each joint
 
 
 class _Printer(C99CodePrinter):  # type: ignore[misc] # SymPy is not typed
-    """C99 printer with exact literals, powers without pow(), and loops without branches."""
+    """C99 printer with exact literals, powers without pow(), and loops without branches.
 
-    def __init__(self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False) -> None:
+    `library` prints elementary functions as those of the C library, not of law_math.h.
+    """
+
+    def __init__(
+        self, names: Mapping[sympy.Symbol, str], *, lanes: bool = False, library: bool = False
+    ) -> None:
         super().__init__({"strict": False})
         self._names = names
         self.known_functions |= {name: name for name in _SAME_NAMES}
-        self.known_functions |= {"absolute": "fabs", "exp": "even_exp"}
+        self.known_functions |= {"absolute": "fabs"}
+        if library:
+            return
+        self.known_functions |= {"exp": "even_exp"}
         if lanes:
             self.known_functions |= {name: f"even_{name}" for name in ("tanh", *_OF_ANGLES)}
         else:
@@ -77,9 +85,15 @@ def function(
     program: Assignments,
     targets: Mapping[str, sympy.Symbol],
     places: Mapping[sympy.Symbol, tuple[str, str]],
+    *,
+    library: bool = False,
 ) -> str:
-    """Return a C function that computes targets by a program with shared subexpressions."""
-    return printed(signature, *straight_line(program, targets.values()), targets, places)
+    """Return a C function that computes targets by a program with shared subexpressions.
+
+    `library` calls elementary functions of the C library instead of those of law_math.h.
+    """
+    lines, names = straight_line(program, targets.values())
+    return printed(signature, lines, names, targets, places, library=library)
 
 
 def printed(
@@ -88,11 +102,13 @@ def printed(
     names: Mapping[sympy.Symbol, str],
     targets: Mapping[str, sympy.Symbol],
     places: Mapping[sympy.Symbol, tuple[str, str]],
+    *,
+    library: bool = False,
 ) -> str:
-    """Return a C function of these statements, with some symbols renamed."""
+    """Return a C function of these statements, with some symbols renamed; see `function`."""
     known = {s: name for s, (name, _) in places.items() if s not in names}
     lanes = "LANES(" in signature
-    printer = _Printer({**known, **names}, lanes=lanes)
+    printer = _Printer({**known, **names}, lanes=lanes, library=library)
     used = set().union(*(e.free_symbols for e in lines.values()), targets.values()) - set(lines)
     reads = [
         f"const double {name} = {place};"

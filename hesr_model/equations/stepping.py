@@ -1,11 +1,12 @@
 """Components with previous values, run step by step in Python in the order of `c/equations.c`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 import sympy
+from numpy.typing import ArrayLike
 
 from hesr_model.equations import program
 from hesr_model.equations.component import Component, previous
@@ -111,6 +112,24 @@ class ComponentRun:
             self._given, self.states, self.remembered, (float(dt),)
         )
         return seen  # type: ignore[no-any-return]
+
+
+def numpy_function(
+    arguments: Sequence[sympy.Symbol],
+    assignments: program.Assignments,
+    targets: Sequence[sympy.Symbol],
+) -> Callable[..., Sequence[Array]]:
+    """Return a NumPy function of `arguments` for the targets of a program.
+
+    It keeps the assignments as statements, hence their order of operations.
+    """
+    evaluate = _function([arguments], assignments, [targets], lanes=True)
+
+    def evaluate_targets(*values: ArrayLike) -> Sequence[Array]:
+        [results] = evaluate(values)
+        return results  # type: ignore[no-any-return]
+
+    return evaluate_targets
 
 
 def _function(

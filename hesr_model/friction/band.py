@@ -9,20 +9,23 @@ at `MOVING` both ways, and the floor, unless the calibration logs contain rests.
 Weibull's.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from math import isfinite, sqrt
-from typing import Any
 
 import numpy as np
 import sympy
+from numpy.typing import ArrayLike
 
 from hesr_model.equations.component import Equation, Parameter, Quantity
 from hesr_model.equations.functions import clip, larger, positive
 from hesr_model.equations.memory import Element
-from hesr_model.equations.program import initial_state, initial_symbol
+from hesr_model.equations.program import Definitions, initial_state, initial_symbol
+from hesr_model.equations.stepping import numpy_function
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, MOVING, TAU_LOAD, TORQUE
+from hesr_model.support.arrays import Array
 
 LEVEL = 0.95  # probability of the stored half-widths
 REST = 0.005  # v_rest, the speed [rad/s, m/s] that ends the width of rest
@@ -30,6 +33,12 @@ LEAST = 0.5
 GREATEST = 0.999  # limits of the probability
 LOWER = "tau_lower"
 UPPER = "tau_upper"  # names of the outputs
+REST_SPEED = sympy.Symbol("rest_speed", real=True)
+"""Symbol of `REST`, so that NumPy and C divide by it."""
+
+VARIANCE = sympy.Symbol("variance", real=True)
+"""s^2 in the steps of `variance_steps`."""
+
 _TINY = sympy.Float(1e-24)  # [(N.m)^2], keeps the root differentiable if all numbers are 0
 
 COVERAGE = Parameter(
@@ -57,6 +66,12 @@ NUMBERS = (
         "envelope", "1", "whether the band at rest spans both break-away torques", logical=True
     ),
 )  # in the order of the fields of `Band`
+_FLOOR, _SLOW, SLOW_SPEED, _REST, _FAST, _LOAD, _TAIL, _ENVELOPE = (
+    quantity.symbol for quantity in NUMBERS
+)
+_SIZES = (_FLOOR, _SLOW, _REST, _FAST, _LOAD)
+_RESTING = sympy.Symbol("resting", real=True)
+_SQUARES = sympy.symbols("floor_square slow_square rest_square fast_square load_square", real=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +101,7 @@ class Band:
     def half_width(self, dq: float, tau_load: float = 0.0) -> float:
         """Return the half-width [N.m] at 95 % in motion at a speed [rad/s] under a load [N.m]."""
         sizes = (self.floor, self.slow, self.rest, self.fast, self.load)
-        parts = shapes(dq, tau_load, self.slow_speed, most=min)
+        parts = shapes(dq, tau_load, self.slow_speed)
         return sqrt(sum(size**2 * part for size, part in zip(sizes, parts, strict=True)))
 
     @property
@@ -95,39 +110,75 @@ class Band:
         return {f"band_{f.name}": float(getattr(self, f.name)) for f in fields(self)}
 
 
-def shapes(
-    dq: Any, tau_load: Any, slow_speed: Any, *, most: Any = np.minimum
-) -> tuple[Any, Any, Any, Any, Any]:
-    """Return factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2; `most` is a minimum."""
-    resting = (1 - most((dq / REST) ** 2, 1)) ** 2
-    return 1 + 0 * dq, 1 / (1 + (dq / slow_speed) ** 2), resting, dq**2, tau_load**2
+def variance_steps(slow_speed: sympy.Expr = SLOW_SPEED) -> Definitions:
+    """Return the program of `VARIANCE`.
+
+    Its steps fix the order of operations in C and NumPy, which SymPy would change in one
+    expression.
+    """
+    slow_ratio, rest_ratio, rest_width, fast_width, load_width = sympy.symbols(
+        "slow_ratio rest_ratio rest_width fast_width load_width", real=True
+    )
+    steps: Definitions = {
+        slow_ratio: DQ / slow_speed,
+        rest_ratio: DQ / REST_SPEED,
+        _RESTING: 1 - clip(rest_ratio**2, 1),
+        rest_width: _REST * _RESTING,
+        fast_width: _FAST * DQ,
+        load_width: _LOAD * TAU_LOAD,
+    }
+    squares = (
+        _FLOOR**2,
+        _SLOW**2 / (1 + slow_ratio**2),
+        rest_width**2,
+        fast_width**2,
+        load_width**2,
+    )
+    steps |= dict(zip(_SQUARES, squares, strict=True))
+    total, *others = _SQUARES
+    for number, square in enumerate(others, start=2):
+        is_last = square == others[-1]
+        following = VARIANCE if is_last else sympy.Symbol(f"sum_{number}", real=True)
+        steps[following] = total + square
+        total = following
+    return steps
+
+
+@cache
+def _shape_function() -> Callable[..., Sequence[Array]]:
+    units = dict.fromkeys(_SIZES, sympy.S.One)
+    steps = {symbol: e.xreplace(units) for symbol, e in variance_steps().items()}
+    return numpy_function([DQ, TAU_LOAD, SLOW_SPEED, REST_SPEED], steps, _SQUARES)
+
+
+def shapes(dq: ArrayLike, tau_load: ArrayLike, slow_speed: float) -> tuple[Array, ...]:
+    """Return the factors of floor^2, slow^2, rest^2, fast^2 and load^2 in s^2."""
+    parts = _shape_function()(dq, tau_load, slow_speed, REST)
+    return tuple(np.broadcast_to(part, np.shape(dq)) for part in parts)
 
 
 def band_equations(
     memory: Sequence[Element], output: sympy.Expr, *, squares: bool = False
 ) -> tuple[Equation, ...]:
     """Return a band's outputs, or the `squares` of their distances, after intermediate values."""
-    floor, slow, slow_speed, rest, fast, load, tail, envelope = (
-        quantity.symbol for quantity in NUMBERS
-    )
-    parts = shapes(DQ, TAU_LOAD, slow_speed, most=lambda a, b: clip(a, b))
-    sizes = (floor, slow, rest, fast, load)
-    variance = sympy.Add(*(size**2 * part for size, part in zip(sizes, parts, strict=True)))
+    values: Definitions = {REST_SPEED: sympy.Float(REST)}
+    for symbol, expression in variance_steps().items():  # each uses earlier ones only
+        values[symbol] = expression.xreplace(values)
     middle = (GREATEST + LEAST) / 2
     reach = (GREATEST - LEAST) / 2
     wanted = middle + clip(COVERAGE.symbol - middle, reach)
     tailed = Equation(
         name="band_factor",
-        expression=sympy.exp(tail * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL)))),
+        expression=sympy.exp(_TAIL * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL)))),
     )
-    half = Equation(name="band", expression=sympy.sqrt(variance + _TINY) * tailed.symbol)
+    half = Equation(name="band", expression=sympy.sqrt(values[VARIANCE] + _TINY) * tailed.symbol)
     torque = sympy.Symbol(TORQUE, real=True)
-    resting = envelope * parts[2]
+    resting = _ENVELOPE * values[_RESTING] ** 2
     ahead, behind = (sympy.Symbol(name, real=True) for name in ("ahead", "behind"))
 
     def side(name: str, sign: int, text: str) -> Equation:
         edge = torque + sign * half.symbol
-        furthest = sign * (larger(sign * ahead, sign * behind) + floor * tailed.symbol)
+        furthest = sign * (larger(sign * ahead, sign * behind) + _FLOOR * tailed.symbol)
         end = edge + resting * (furthest - edge)
         return Equation(
             name=name,

@@ -6,7 +6,9 @@
 The exponential is Reynolds' law of viscosity.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import isfinite
 
 import numpy as np
@@ -16,6 +18,7 @@ from hesr_model.equations.component import Parameter, Quantity
 from hesr_model.equations.functions import absolute, clip, larger
 from hesr_model.equations.memory import Slow
 from hesr_model.equations.recurrence import recurrence
+from hesr_model.equations.stepping import numpy_function
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ
 from hesr_model.support.arrays import Array
@@ -58,9 +61,9 @@ class Thermal:
     def factors(self, temperature: Array) -> tuple[Array, Array]:
         """Return the Coulomb and viscous factors at temperatures (N,) [degC]."""
         over = np.clip(temperature, self.coldest, self.warmest) - self.reference
-        coulomb = 1.0 - np.clip(self.coulomb * over, -COULOMB_RANGE, COULOMB_RANGE)
-        viscous = np.exp(-np.clip(self.viscous * over, -VISCOUS_RANGE, VISCOUS_RANGE))
-        return self.coulomb_scale * coulomb, self.viscous_scale * viscous
+        values = [getattr(self, name) for name in _FACTOR_PARAMETERS]
+        coulomb, viscous = _factor_function()(over, *values)
+        return coulomb, viscous
 
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
         """Return the rise (N,) [K] over the ambient for power (N,) [W] held over `dt` (N,) [s]."""
@@ -80,6 +83,33 @@ _UNITS = {
     "coldest": ("degC", "lowest temperature in training, which limits that of the factors"),
     "warmest": ("degC", "highest temperature in training, which limits that of the factors"),
 }
+
+_FACTOR_PARAMETERS = ("coulomb", "viscous", "coulomb_scale", "viscous_scale")
+
+
+def thermal_symbol(name: str) -> sympy.Symbol:
+    """Return the symbol of a parameter of `Thermal`."""
+    return sympy.Symbol(f"thermal_{name}", real=True)
+
+
+def friction_factors(
+    over: sympy.Expr, coulomb_scale: sympy.Expr, viscous_scale: sympy.Expr
+) -> tuple[sympy.Expr, sympy.Expr]:
+    """Return the Coulomb and the viscous factor at a temperature `over` the reference [K]."""
+    coulomb = clip(thermal_symbol("coulomb") * over, COULOMB_RANGE)
+    viscous = clip(thermal_symbol("viscous") * over, VISCOUS_RANGE)
+    return coulomb_scale * (1 - coulomb), viscous_scale * sympy.exp(-viscous)
+
+
+@cache
+def _factor_function() -> Callable[..., Sequence[Array]]:
+    over = sympy.Symbol("over", real=True)
+    parameters = [thermal_symbol(name) for name in _FACTOR_PARAMETERS]
+    factors = friction_factors(over, *parameters[2:])
+    coulomb_factor, viscous_factor = sympy.symbols("coulomb_factor viscous_factor", real=True)
+    steps = {coulomb_factor: factors[0], viscous_factor: factors[1]}
+    return numpy_function([over, *parameters], steps, [coulomb_factor, viscous_factor])
+
 
 RISE = "rise"
 THERMOMETER = "thermometer"  # parameter that selects the temperature input
@@ -114,7 +144,7 @@ class Warmth:
 
 def warmth(torque: sympy.Expr) -> Warmth:
     """Return the expressions of a thermal model heated by a torque [N.m]."""
-    k = {name: sympy.Symbol(f"thermal_{name}", real=True) for name in _UNITS}
+    k = {name: thermal_symbol(name) for name in _UNITS}
     read = clip(sympy.Symbol(THERMOMETER, real=True), 1)
     rate = 1 / larger(k["time_constant"], _LEAST_TIME)
     heat = Slow(
@@ -122,10 +152,9 @@ def warmth(torque: sympy.Expr) -> Warmth:
     )
     known = read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state)
     over = -larger(-k["warmest"], -larger(known, k["coldest"])) - k["reference"]
-    return Warmth(
-        memory=heat,
-        coulomb=larger(k["coulomb_scale"], _LEAST_SCALE)
-        * (1 - clip(k["coulomb"] * over, COULOMB_RANGE)),
-        viscous=larger(k["viscous_scale"], _LEAST_SCALE)
-        * sympy.exp(-clip(k["viscous"] * over, VISCOUS_RANGE)),
+    coulomb, viscous = friction_factors(
+        over,
+        larger(k["coulomb_scale"], _LEAST_SCALE),
+        larger(k["viscous_scale"], _LEAST_SCALE),
     )
+    return Warmth(memory=heat, coulomb=coulomb, viscous=viscous)

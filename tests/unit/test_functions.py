@@ -23,6 +23,7 @@ from hesr_model.equations.functions import (
     sgn,
     share,
 )
+from hesr_model.equations.stepping import numpy_function
 from hesr_model.friction.inputs import DQ, INPUT_UNITS, INPUTS, TAU_LOAD, Q
 
 X = sympy.Symbol("x", real=True)
@@ -191,3 +192,10 @@ def test_functions_of_one_number_match_those_of_arrays(name: str) -> None:
                 rest = (abs(y),)
             found = SCALAR[name](x, *rest)
             assert found == pytest.approx(float(NUMPY[name](x, *rest)), rel=1e-12), (x, rest)
+
+
+def test_numpy_functions_of_programs_keep_the_order_of_operations() -> None:
+    a, b, c, total, result = sympy.symbols("a b c total result", real=True)
+    evaluate = numpy_function([a, b, c], {total: c + b, result: total + a}, [result])
+    [found] = evaluate(np.array([1.0, 2.0]), -1e16, 1e16)
+    assert found.tolist() == [1.0, 2.0]  # (a + b) + c would be 0 and 2

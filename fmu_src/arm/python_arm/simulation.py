@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu_src.arm.losses import age_function, level_function
 from fmu_src.arm.table import (
     LATENCY,
     PAYLOAD,
@@ -33,7 +34,7 @@ _LEAST_LEVEL = 1e-9  # [N.m] MuJoCo has no friction constraint for a joint witho
 
 
 class LossState:
-    """Levels [N.m] and ages [s] of dry friction, as in `mjcf_losses.h`, scaled by a factor."""
+    """Levels [N.m] and ages [s] of dry friction, scaled by a factor."""
 
     def __init__(self, losses: Sequence[Loss], scale: float) -> None:
         self._scale = scale
@@ -53,18 +54,17 @@ class LossState:
 
     def advance(self, model: Any, data: Any) -> None:
         """Advance by the last step of the simulation."""
-        rate = np.abs(data.qvel[self._dof]) / self._of["slip"] + 1.0 / self._of["longest"]
-        exponent = -rate * float(model.opt.timestep)
-        self.ages = self.ages * np.exp(exponent) - np.expm1(exponent) / rate
+        speed = data.qvel[self._dof]
+        step = float(model.opt.timestep)
+        [self.ages] = age_function()(speed, self.ages, step, self._of["slip"], self._of["longest"])
         self._update(model, data)
 
     def _update(self, model: Any, data: Any) -> None:
         of = self._of
-        load = data.qfrc_spring[self._carrier] + data.qfrc_gravcomp[self._carrier]
-        speed = np.abs(data.qvel[self._dof])
-        levels = of["constant"] + self._load * np.abs(load)
-        levels = levels + of["direct"] * np.log1p(speed / of["speed"])
-        self.levels = levels + of["evolution"] * np.log1p(self.ages / of["age"])
+        torque = data.qfrc_spring[self._carrier] + data.qfrc_gravcomp[self._carrier]
+        speed = data.qvel[self._dof]
+        numbers = (self._load, of["direct"], of["speed"], of["evolution"], of["age"])
+        [self.levels] = level_function()(torque, speed, self.ages, of["constant"], *numbers)
         self.apply(model)
 
     def apply(self, model: Any) -> None:

@@ -24,25 +24,25 @@ enum { INERTIAL = OTHERS + JOINTS, SQUARE = INERTIAL + JOINTS, TABLE = SQUARE + 
 #include "jacobian.h"
 #include "regroup.h"
 
-#define END_OF_REST 0.005 /* speed of hesr_model/friction/band.py [rad/s, m/s] */
+#include "band.h"
+#include "warmth.h"
+
 #define DEVIATIONS 1.96   /* half-width at 95 % in standard deviations */
 
 /* Standard deviation of force and moment in a direction that a singular posture hides [N, N.m]. */
 #define UNKNOWN 1e4
 
-/* Factors on Coulomb and viscous friction at a temperature, as hesr_model/friction/thermal.py. */
-static double warmth(const double *v, int i, bool viscous) {
-    const double over = v[TEMPERATURE + i] - v[THERMAL_REFERENCE + i];
-    return viscous ? v[THERMAL_VISCOUS_SCALE + i] * exp(-clip(v[THERMAL_VISCOUS + i] * over, 1.5))
-                   : v[THERMAL_COULOMB_SCALE + i] * (1.0 - clip(v[THERMAL_COULOMB + i] * over, 0.5));
-}
-
 /* Fill the inputs of a law and return its coefficients. */
 static const double *see_law(const double *v, int i, double *u) {
+    const bool is_thermal = TEMPERATURE != CONTACT;
+    double factors[2] = {1.0, 1.0}; /* on Coulomb and viscous friction */
+    if (is_thermal) {
+        find_warmth(v, i, factors);
+    }
     for (int j = 0; j < joints[i].inputs; j++) {
         u[j] = input_of(v, i, j);
-        if (TEMPERATURE != CONTACT && j >= MIXED) {
-            u[j] *= warmth(v, i, joints[i].input[j] == VISCOUS_SCALE + i);
+        if (is_thermal && j >= MIXED) {
+            u[j] *= factors[joints[i].input[j] == VISCOUS_SCALE + i];
         }
     }
     return joints[i].constants ? joints[i].constants : &v[joints[i].first_parameter];
@@ -63,17 +63,6 @@ static double friction(double *v, int i, double step) {
     joint->attempt(k, u, x, step, v[DISCRETISATION] == EULER, still, moved, torque, slope);
     memcpy(x, moved, (size_t)joint->states * sizeof *x);
     return torque[0];
-}
-
-/* Square of the half-width at 95 % of a torque in this motion. */
-static double half_squared(const double *v, int i) {
-    const double dq = v[DQ + i], slow = dq / fmax(v[BAND_SLOW_SPEED + i], 1e-9);
-    const double resting = 1.0 - fmin(dq * dq / (END_OF_REST * END_OF_REST), 1.0);
-    const double floor = v[BAND_FLOOR + i], slowly = v[BAND_SLOW + i];
-    const double rest = v[BAND_REST + i] * resting, fast = v[BAND_FAST + i] * dq;
-    const double load = v[BAND_LOAD + i] * v[TAU_LOAD + i];
-    return floor * floor + slowly * slowly / (1.0 + slow * slow) + rest * rest + fast * fast +
-           load * load;
 }
 
 /* Invert a symmetric positive definite matrix by sweeps, without pivots. */
@@ -171,8 +160,10 @@ static void observe_sample(Component *component, double step) {
             bias[i] + v[TAU_FRICTION + i] - v[TORQUE_CONSTANT + i] * v[TAU_MOTOR + i];
         const double external = moving[i] + 0.5 * (rest + own[OTHERS + i]);
         v[TAU_EXT + i] = begins ? 0.0 : v[TAU_EXT + i] + share * (external - v[TAU_EXT + i]);
+        double half_squared;
+        find_half_squared(v, i, &half_squared);
         own[OTHERS + i] = rest;
-        own[SQUARE + i] += share * (half_squared(v, i) - own[SQUARE + i]);
+        own[SQUARE + i] += share * (half_squared - own[SQUARE + i]);
     }
     memcpy(&own[SPEED], &v[DQ], JOINTS * sizeof *v);
     memcpy(&own[MASS], mass, sizeof mass);

@@ -1,15 +1,17 @@
 """Observer FMU: motion and motor torque in; external torque, 95 % limits and threshold out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
+import sympy
 
 from fmu_src.blocks.block import vector
+from fmu_src.equations.c_printer import function
 from fmu_src.equations.header import SOLVER, equations_header
 from fmu_src.export import package
-from fmu_src.export.interface import ArrayVariable, Interface, Variable
+from fmu_src.export.interface import ArrayVariable, Interface, Variable, literal
 from fmu_src.friction import friction_component
 from fmu_src.friction.embedded_model import embedding
 from fmu_src.friction.friction_fmu import description_of
@@ -20,11 +22,26 @@ from fmu_src.pages.html import TEMPLATES, rendered
 from fmu_src.plant.dynamics import dynamics_header, jacobian_header
 from fmu_src.plant.plant_fmu import PlantBody, at_joint, inertial_parameters, require_fitting
 from fmu_src.run.reference_results import Stimuli, waves
+from hesr_model.equations.functions import larger
 from hesr_model.errors import ExportError
-from hesr_model.friction.band import LEVEL, NUMBERS
-from hesr_model.friction.inputs import TAU_LOAD, TORQUE
+from hesr_model.friction.band import (
+    LEVEL,
+    NUMBERS,
+    REST,
+    REST_SPEED,
+    SLOW_SPEED,
+    VARIANCE,
+    variance_steps,
+)
+from hesr_model.friction.inputs import DQ, TAU_LOAD, TORQUE
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters
+from hesr_model.friction.thermal import (
+    TEMPERATURE,
+    Thermal,
+    friction_factors,
+    thermal_parameters,
+    thermal_symbol,
+)
 from hesr_model.robots.robot import Robot
 
 HOUR = 3600.0  # time in which one false alarm is allowed [s]
@@ -72,6 +89,7 @@ def law_limits(model: FrictionModel) -> ObserverLimits:
     return ObserverLimits(numbers=tuple(zip(*rows, strict=True)), factor=float(max(factors)))
 
 
+_LEAST_SPEED = 1e-9  # [rad/s] divisor that a host may set to 0
 _THERMAL = 5  # parameters of a thermal model with measured temperatures, the leading ones
 BANDWIDTH = 15.0  # default cut-off of the observer [Hz]
 HERE = Path(__file__).parent
@@ -184,6 +202,49 @@ def outputs_of(interface: Interface) -> list[ArrayVariable]:
     ]
 
 
+def _places(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, tuple[str, str]]:
+    """Return names and C expressions of variables of joint i."""
+    return {s: (s.name, f"v[{s.name.upper()} + i]") for s in symbols}
+
+
+def band_header() -> str:
+    """Return band.h, with the square of the half-width at 95 % of a torque."""
+    steps = variance_steps(larger(SLOW_SPEED, _LEAST_SPEED))
+    places = _places([DQ, TAU_LOAD, *(number.symbol for number in NAMES)])
+    places[REST_SPEED] = (REST_SPEED.name, literal(REST))
+    text = function(
+        "find_half_squared(IN(v), int i, OUT(half_squared))",
+        steps,
+        {"*half_squared": VARIANCE},
+        places,
+    )
+    return _file("BAND", "Square of the half-width at 95 % of a torque of joint i.", text)
+
+
+def warmth_header() -> str:
+    """Return warmth.h, with the factors on Coulomb and viscous friction at a temperature."""
+    over, coulomb, viscous = sympy.symbols("over coulomb_factor viscous_factor", real=True)
+    reference = thermal_symbol("reference")
+    scales = [thermal_symbol(f"{kind}_scale") for kind in ("coulomb", "viscous")]
+    factors = friction_factors(over, *scales)
+    steps = {over: TEMPERATURE.symbol - reference, coulomb: factors[0], viscous: factors[1]}
+    inputs = sympy.Tuple(*steps.values()).free_symbols - {over}
+    text = function(
+        "find_warmth(IN(v), int i, OUT(factors))",
+        steps,
+        {"factors[0]": coulomb, "factors[1]": viscous},
+        _places(sorted(inputs, key=str)),
+        library=True,
+    )
+    return _file("WARMTH", "Factors on Coulomb and viscous friction of joint i.", text)
+
+
+def _file(name: str, purpose: str, text: str) -> str:
+    return (
+        f"/* Generated. */\n#ifndef {name}_H\n#define {name}_H\n\n/* {purpose} */\n{text}\n#endif\n"
+    )
+
+
 def content(
     model: FrictionModel,
     plant_body: PlantBody,
@@ -223,6 +284,8 @@ def content(
         "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
         "dynamics.h": dynamics_header(plant_body.robot, of_joints=True),
         "jacobian.h": jacobian_header(plant_body.robot),
+        "band.h": band_header(),
+        "warmth.h": warmth_header(),
         "equations.h": equations_header(
             laws, interface, first, wanted=SOLVER, coupling=model.coupling
         ),
