@@ -130,7 +130,7 @@ FMI = ExportOption(
 NO_DOCUMENTATION = ExportOption(
     name="no_documentation",
     type="bool",
-    help="No page, picture and reference results, for pipelines: half the time.",
+    help="No page, picture and reference results, for pipelines; takes half the time.",
 )
 ROBOT = ExportOption(
     name="robot", type="robot", help="The robot of the law.", required_as="the robot of the law"

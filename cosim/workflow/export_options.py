@@ -16,7 +16,7 @@ class ExportOptions(TypedDict, total=False):
     fmi: Literal[2, 3]
     """adaptive, drive, fmu, observer and plant: Version of FMI; 3 has arrays, dq for dq[i]."""
     no_documentation: bool
-    """adaptive and fmu: No page, picture and reference results, for pipelines: half the
+    """adaptive and fmu: No page, picture and reference results, for pipelines; takes half the
     time."""
     inertia: PerJoint
     """drive: Inertia of the rotors, one value or one per joint.  [kg.m2]"""
