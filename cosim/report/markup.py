@@ -36,6 +36,17 @@ class Section:
     folded: bool = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class ResultFigure:
+    """Figure of a result; `section` is the title of its section, `alt` describes the drawing."""
+
+    section: str
+    key: str
+    drawing: "Figure"
+    caption: str
+    alt: str
+
+
 @dataclass
 class Pictures:
     """Figures of a page, also written as PDF and PNG; data of zooming views by key."""

@@ -1,4 +1,4 @@
-"""One interface of results: summary, tables, findings and JSON; also of jobs of plug-ins."""
+"""One interface of results: summary, findings, tables, figures and JSON; also of plug-ins."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hesr_model.support.files import PathArg
 from hesr_model.support.text import parse_toml, read_text
 
 if TYPE_CHECKING:
+    from cosim.report.markup import ResultFigure
     from cosim.report.tables.table import ResultTable
     from hesr_model.findings import Finding
 
@@ -66,6 +67,18 @@ class Answer(ABC):
         """Return the full tables, with sentences between them."""
         return ()
 
+    def heading(self) -> str:
+        """Return the heading of its page."""
+        return "Result"
+
+    def introduction(self) -> str:
+        """Return the first paragraph of its page: extent and origin of the result."""
+        return ""
+
+    def figures(self) -> Sequence[ResultFigure]:
+        """Return the figures of its page."""
+        return ()
+
     def result(self) -> Any:
         """Return the result as data for JSON."""
         return None
@@ -104,7 +117,10 @@ class Answer(ABC):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Written(Answer):
-    """Files that a command wrote, with the lines, tables and JSON data that describe them."""
+    """Files that a command wrote, with the lines, tables and JSON data that describe them.
+
+    `title`, `origin` and `drawn` are heading, introduction and figures of a page.
+    """
 
     format: str = "hesr-answer-1"
     lines: Sequence[str]
@@ -113,6 +129,9 @@ class Written(Answer):
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
     shows_tables: bool = False
+    title: str = ""
+    origin: str = ""
+    drawn: Sequence[ResultFigure] = ()
 
     def summary(self) -> str:
         """Return the lines, then the files."""
@@ -121,6 +140,18 @@ class Written(Answer):
     def tables(self) -> Sequence[ResultTable | str]:
         """Return the tables."""
         return self.shown
+
+    def heading(self) -> str:
+        """Return the title."""
+        return self.title
+
+    def introduction(self) -> str:
+        """Return the origin."""
+        return self.origin
+
+    def figures(self) -> Sequence[ResultFigure]:
+        """Return the figures."""
+        return self.drawn
 
     def result(self) -> Any:
         """Return the result as JSON data."""

@@ -11,11 +11,12 @@ from small_fmus import LAGS, lag
 
 from cosim.report.inspection import write_inspection
 from cosim.report.markup import Section, table, write_sections
+from cosim.report.result_page import write_answer
 from cosim.report.tables.scores import errors
 from cosim.study.scores import compare
 from fmu_src import export_fmu
 from hesr.extras.adaptive.monitor import watch
-from hesr.extras.adaptive.page import write_monitor
+from hesr.extras.adaptive.page import Monitoring
 from hesr.extras.sweep.job import run_sweep
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -100,7 +101,8 @@ def inspection(folder: Path) -> Path:
 
 def monitor(folder: Path) -> Path:
     model = _model()
-    write_monitor(folder / "monitor.html", watch(model, [_records(model)] * 2))
+    followed = watch(model, [_records(model)] * 2)
+    write_answer(Monitoring(**vars(followed)), folder / "monitor.html")
     return folder / "monitor.html"
 
 

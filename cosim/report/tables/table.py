@@ -54,7 +54,10 @@ def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = F
 
 @dataclass(frozen=True, kw_only=True)
 class ResultTable:
-    """A table; `words` are columns, from 1, aligned to the left in a numeric table."""
+    """A table; `words` are columns, from 1, aligned to the left in a numeric table.
+
+    `section` is the title of its section on the page of a result, by default the caption.
+    """
 
     caption: str
     head: Sequence[str]
@@ -62,6 +65,7 @@ class ResultTable:
     numeric: bool = True
     words: Sequence[int] = ()
     note: str = ""
+    section: str = ""
 
     @property
     def noted(self) -> bool:

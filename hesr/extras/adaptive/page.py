@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from cosim.report.figures.chart import Chart, Line, Panel, drawn
 from cosim.report.figures.style import SERIES, Stroke
-from cosim.report.markup import Pictures, Section, joined, paragraph, table, write_sections
+from cosim.report.markup import ResultFigure
 from cosim.report.tables.table import ResultTable, row_of
 from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.adaptive.monitor import FollowedLogs
 from hesr_model.findings import Finding
+from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import to_json
 
 _MOST_ALARMS = 12
@@ -27,6 +27,14 @@ class Monitoring(Answer, FollowedLogs):
     format = "hesr-monitoring-1"
     findings: Sequence[Finding] = ()
     files: Sequence[Path] = ()
+
+    def heading(self) -> str:
+        """Return the robot and the number of logs."""
+        return f"Friction of {self.model.robot} over {len(self.followed)} logs"
+
+    def introduction(self) -> str:
+        """Return the law that is adapted."""
+        return f"Law: {self.model.law}."
 
     def summary(self) -> str:
         """Return the alarms and the last state of each joint."""
@@ -48,6 +56,10 @@ class Monitoring(Answer, FollowedLogs):
         """Return alarms and states."""
         return [alarm_table(self), state_table(self)]
 
+    def figures(self) -> Sequence[ResultFigure]:
+        """Return the trends."""
+        return draw_trends(self)
+
     def result(self) -> Any:
         """Return states and alarms."""
         return {
@@ -56,27 +68,8 @@ class Monitoring(Answer, FollowedLogs):
         }
 
 
+_TREND_SECTION = "Trends"
 _TRENDS = {"level": "level", "viscosity": "viscous factor", "offset": "offset [N.m; N]"}
-
-
-def write_monitor(path: Path, watched: FollowedLogs) -> None:
-    """Write the page."""
-    pictures = Pictures(folder=path.parent)  # figures are embedded
-    count = len(watched.alarms)
-    alarms = table(alarm_table(watched)) if count else paragraph("None.")
-    said = f"{count} change{'s' if count != 1 else ''} found." if count else "No change was found."
-    robot = watched.model.robot
-    write_sections(
-        path,
-        title=f"HESR: friction of {robot}",
-        heading=f"Friction of {robot} over {len(watched.followed)} logs",
-        summary=paragraph(f"{said} Law: {watched.model.law}."),
-        sections=[
-            Section(key="alarms", title="Alarms", html=alarms),
-            Section(key="trends", title="Trends", html=_trends(watched, pictures)),
-            Section(key="states", title="After each log", html=table(state_table(watched))),
-        ],
-    )
 
 
 def alarm_table(watched: FollowedLogs) -> ResultTable:
@@ -86,36 +79,51 @@ def alarm_table(watched: FollowedLogs) -> ResultTable:
         for a in watched.alarms
     ]
     head = ("log: joint", "time in s", "alarm", "torque", "points to")
-    return ResultTable(caption="Changes of friction", head=head, rows=rows)
+    return ResultTable(caption="Changes of friction", head=head, rows=rows, section="Alarms")
 
 
-def _trends(watched: FollowedLogs, pictures: Pictures) -> Markup:
-    ends = np.cumsum([float(np.ptp(log[0].record.t)) for log in watched.followed])
-    begins = np.concatenate([[0.0], ends[:-1]])
-    names = (log[0].record.log for log in watched.followed)
-    marks = tuple(zip(begins.tolist(), names, strict=True))
-    drawings = []
+def draw_trends(watched: FollowedLogs) -> list[ResultFigure]:
+    """Draw level, viscous factor and offset over all logs, a figure for each joint."""
+    durations = [float(np.ptp(log[0].record.t)) for log in watched.followed]
+    starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
+    names = [log[0].record.log for log in watched.followed]
+    marks = tuple(zip(starts.tolist(), names, strict=True))
+    figures = []
     for j, joint in enumerate(watched.model.joints):
-        logs = [log[j] for log in watched.followed]
-        times = (at + one.record.t - one.record.t[0] for at, one in zip(begins, logs, strict=True))
-        t = np.concatenate(list(times))
-        rows: list[tuple[Panel, ...]] = []
+        joint_logs = [log[j] for log in watched.followed]
+        times = []
+        for start, followed in zip(starts, joint_logs, strict=True):
+            times.append(start + followed.record.t - followed.record.t[0])
+        t = np.concatenate(times)
+        panels: list[Panel] = []
         for name, title in _TRENDS.items():
-            value, sd = (
-                np.concatenate([one.outputs[key] for one in logs]) for key in (name, f"{name}_sd")
+            value = np.concatenate([followed.outputs[name] for followed in joint_logs])
+            deviation = np.concatenate([followed.outputs[f"{name}_sd"] for followed in joint_logs])
+            lines = _trend_lines(t, value, 2.0 * deviation)
+            panels.append(Panel(title=title, y="", lines=lines, marks=() if panels else marks))
+        rows = tuple((panel,) for panel in panels)
+        chart = Chart(x="t [s] over all logs", rows=rows, height=1.2)
+        figures.append(
+            ResultFigure(
+                section=_TREND_SECTION,
+                key=f"trend-{j + 1}",
+                drawing=drawn(chart),
+                caption=f"Joint {joint}: factors on its Coulomb and viscous friction, and its "
+                "offset.",
+                alt=f"Level, viscous factor and offset of {joint} over time, with bands.",
             )
-            edge = Stroke(colour=SERIES[1], width=0.7, dash=(3.0, 2.0))
-            lines = (
-                Line(name="followed", x=t, y=value, stroke=Stroke(colour=SERIES[0])),
-                Line(name="two standard deviations", x=t, y=value - 2.0 * sd, stroke=edge),
-                Line(name="two standard deviations", x=t, y=value + 2.0 * sd, stroke=edge),
-            )
-            rows.append((Panel(title=title, y="", lines=lines, marks=marks if not rows else ()),))
-        chart = Chart(x="t [s] over all logs", rows=tuple(rows), height=1.2)
-        text = f"Joint {joint}: factors on its Coulomb and viscous friction, and its offset."
-        alt = f"Level, viscous factor and offset of {joint} over time, with bands."
-        drawings.append(pictures.shown(f"trend-{j + 1}", drawn(chart), text, alt=alt))
-    return joined(*drawings)
+        )
+    return figures
+
+
+def _trend_lines(t: Array, value: Array, half_width: Array) -> tuple[Line, ...]:
+    """Return a followed value (N,) and both edges of its band."""
+    edge = Stroke(colour=SERIES[1], width=0.7, dash=(3.0, 2.0))
+    return (
+        Line(name="followed", x=t, y=value, stroke=Stroke(colour=SERIES[0])),
+        Line(name="two standard deviations", x=t, y=value - half_width, stroke=edge),
+        Line(name="two standard deviations", x=t, y=value + half_width, stroke=edge),
+    )
 
 
 def state_table(watched: FollowedLogs) -> ResultTable:
@@ -132,5 +140,5 @@ def state_table(watched: FollowedLogs) -> ResultTable:
     ]
     factors = ("level", "viscous factor", "offset")
     head = ("log: joint", *factors, "error of the law", "followed", "learning in %")
-    caption = "Factors with two standard deviations, and errors (RMSE) in N.m, or N"
-    return ResultTable(caption=caption, head=head, rows=rows)
+    caption = "After each log: factors with two standard deviations, and errors (RMSE) in N.m, or N"
+    return ResultTable(caption=caption, head=head, rows=rows, section=_TREND_SECTION)

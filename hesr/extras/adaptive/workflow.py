@@ -65,8 +65,10 @@ def monitor(
           --rigid-body rigid_body.json -o page.html
         $ hesr monitor fleet.toml -o results/fleet
     """
+    from dataclasses import replace
     from pathlib import Path
 
+    from cosim.report.result_page import write_answer
     from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import (
         body_of,
@@ -77,7 +79,7 @@ def monitor(
         require_items,
     )
     from hesr.extras.adaptive.monitor import watch
-    from hesr.extras.adaptive.page import Monitoring, write_monitor
+    from hesr.extras.adaptive.page import Monitoring
     from hesr_model.support.files import path_of
 
     sources = list_logs("logs", logs)
@@ -98,8 +100,8 @@ def monitor(
     read = checked_logs(sources, robot, accepted, progress)
     records = read.records(body_of(rigid_body, read.logs, read.robot))
     progress("following friction", 0, 1)
-    found = watch(model, records)
-    if page_path is not None:
-        write_monitor(page_path, found)
-    files = [] if page_path is None else [page_path]
-    return Monitoring(**vars(found), findings=read.findings, files=files)
+    answer = Monitoring(**vars(watch(model, records)), findings=read.findings)
+    if page_path is None:
+        return answer
+    write_answer(answer, page_path)
+    return replace(answer, files=[page_path])

@@ -1,6 +1,7 @@
 """Planned motions for `hesr excite`: files (tables, URScript, ROS 2), page, and answer."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,8 @@ import numpy as np
 
 from cosim.report.figures.motions import limited_motion
 from cosim.report.figures.style import styled
-from cosim.report.markup import Pictures, Section, joined, paragraph, write_sections
+from cosim.report.markup import ResultFigure
+from cosim.report.result_page import write_answer
 from cosim.study.forecast import FORMAT, SUFFIX
 from cosim.workflow.answer import Written
 from hesr.extras.excite.motion import PlannedMotion
@@ -146,8 +148,7 @@ def plan_motions(
     kind = format or output.suffix.lower().lstrip(".")
     page = output.with_suffix(".html")
     files = []
-    sections = []
-    pictures = Pictures(folder=page.parent)
+    figures = []
     for name, motion in motions.items():
         path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
         files.append(write_motion(path, motion, model.joints, kind))
@@ -157,17 +158,23 @@ def plan_motions(
         with styled():
             t, q, dq, _ = motion.setpoints()
             figure = limited_motion(t, q, dq, guard.stated, model.joints, speeds=True)
-        caption = "Dashed: limits. Right: time at each speed, forwards up, backwards down."
-        drawn = pictures.shown(name, figure, caption, alt="Position, velocity and speeds by joint.")
-        sections.append(Section(key=f"{name}-motion", title=f"Motion for {name}", html=drawn))
+        figures.append(
+            ResultFigure(
+                section=f"Motion for {name}",
+                key=name,
+                drawing=figure,
+                caption="Dashed: limits. Right: time at each speed, forwards up, backwards down.",
+                alt="Position, velocity and speeds by joint.",
+            )
+        )
     checked = "the model's geometry" if guard.clearance.exact else "capsules around the links"
-    write_sections(
-        page,
-        title=f"HESR: motions for {model.name}",
-        heading=f"Motions for {model.name}",
-        summary=joined(*map(paragraph, [*lines, f"{HEAD} Contacts were checked with {checked}."])),
-        sections=sections,
+    answer = Written(
+        format="hesr-motions-1",
+        title=f"Motions for {model.name}",
+        origin=f"Contacts were checked with {checked}.",
+        lines=[*lines, HEAD],
+        drawn=figures,
+        data={"start": planner.start.tolist(), "parts": {n: m.parts for n, m in motions.items()}},
     )
-    data = {"start": planner.start.tolist(), "parts": {n: m.parts for n, m in motions.items()}}
-    files.append(page)
-    return Written(format="hesr-motions-1", lines=[*lines, HEAD], data=data, files=files)
+    write_answer(answer, page)
+    return replace(answer, files=[*files, page])

@@ -113,6 +113,20 @@ class FleetResult(Answer):
         """Robots with omitted logs or laws."""
         return (robot for robot in self.robots if robot.sentences)
 
+    def heading(self) -> str:
+        """Return the name of the fleet."""
+        return f"Fleet ‘{self.name}’"
+
+    def introduction(self) -> str:
+        """Return the amount of data and the files of the folder."""
+        rows = sum(robot.rows for robot in self.robots)
+        logs = sum(robot.logs for robot in self.robots)
+        return (
+            f"{len(self.robots)} robots, {logs} logs, {rows} rows. fleet.parquet has a row for "
+            "each robot, law and joint; robots/ has the rigid body, laws and parameter sets of "
+            "each robot, types/ the FMUs."
+        )
+
     def summary(self) -> str:
         """Return the largest deviations and changes."""
         deviating = {one.robot for one in self.deviants}

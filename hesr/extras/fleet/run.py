@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from markupsafe import Markup
 
-from cosim.report.markup import Section, joined, paragraph, table, write_sections
+from cosim.report.result_page import write_answer
 from fmu_src import export_fmu
 from fmu_src.friction.friction_component import exposed
 from hesr.extras.adaptive.monitor import POINTS_TO, shared_signs
@@ -22,7 +21,6 @@ from hesr.extras.fleet.result import (
     FleetResult,
     JointResult,
     RobotResult,
-    all_tables,
     write_table,
 )
 from hesr.extras.fleet.robot import look_at, read_result
@@ -167,42 +165,18 @@ def run_fleet(
             changes=tuple(changed(results, study.level, study.least_change)),
             fmus=write_types(study, results, output, progress) if study.fmu else {},
             folder=output,
-            reused=reused,
+            reused=0,
             findings=[
                 Finding(check="logs", where=one.robot, found=one.sentences[0])
                 for one in results
                 if one.sentences
             ],
-            files=(output / PAGE, output / TABLE),
         )
+        # The page of a continued run is that of an uninterrupted one.
         with written_together(output / PAGE) as file:
             write_table(file(output / TABLE), found)
-            _write_page(found, file(output / PAGE))
-    return found
-
-
-def _write_page(fleet: FleetResult, path: Path) -> None:
-    rows = sum(robot.rows for robot in fleet.robots)
-    logs = sum(robot.logs for robot in fleet.robots)
-    text = (
-        f"{len(fleet.robots)} robots, {logs} logs, {rows} rows. fleet.parquet has a row for each "
-        "robot, law and joint; robots/ has the rigid body, laws and parameter sets of each robot, "
-        "types/ the FMUs."
-    )
-    write_sections(
-        path,
-        title=f"HESR fleet: {fleet.name}",
-        heading=f"Fleet ‘{fleet.name}’",
-        summary=paragraph(text),
-        sections=[
-            Section(
-                key=f"table-{k}",
-                title=one.caption,
-                html=joined(table(one), paragraph(one.note, note=True) if one.note else Markup()),
-            )
-            for k, one in enumerate(all_tables(fleet))
-        ],
-    )
+            write_answer(found, file(output / PAGE))
+    return replace(found, reused=reused, files=(output / PAGE, output / TABLE))
 
 
 class _Kind(NamedTuple):

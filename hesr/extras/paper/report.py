@@ -1,14 +1,15 @@
 """Results of the study: judged claims, tables, and pages in HTML and Markdown."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.loop.closed_loop import StandIn
-from cosim.report.markup import TABLES, Section, Tables, paragraph, table, write_sections
+from cosim.report.markup import TABLES, Tables
+from cosim.report.result_page import write_answer
 from cosim.report.tables.scores import ratio_notes
 from cosim.report.tables.table import (
     ResultTable,
@@ -20,6 +21,7 @@ from cosim.report.tables.table import (
     row_of,
     title,
 )
+from cosim.workflow.answer import Written
 from fmu_src.pages.html import code_templates
 from hesr.extras.paper import measures
 from hesr.extras.paper.evidence import LUGRE, TWIN, Claim, Evidence, Limit, Number
@@ -211,16 +213,12 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
             )
             file(path).write_text(text, encoding="utf-8")
         else:
-            write_sections(
-                file(path),
-                title="HESR: claims of the paper",
-                heading="Claims of the paper on the digital twin",
-                summary=paragraph(" ".join(opening(result))),
-                sections=[
-                    Section(key=heading.split()[-1], title=heading, html=table(one), folded=True)
-                    for heading, one in shown.items()
-                ],
+            answer = Written(
+                title="Claims of the paper on the digital twin",
+                lines=opening(result),
+                shown=[replace(one, section=heading) for heading, one in shown.items()],
             )
+            write_answer(answer, file(path))
 
 
 def opening(result: PaperResult) -> list[str]:

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from cosim.report.result_page import write_answer
 from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
@@ -49,20 +51,18 @@ def run_sweep(
                     f"{path}: all {len(table.failures)} runs failed, the first because "
                     f"{table.failures[0]}"
                 )
-            from hesr.extras.sweep.page import write_page  # slow import
-
+            # The page of a continued sweep is that of an uninterrupted one, in any folder.
             swept = SweepResult(
                 plan=plan,
                 table=table,
                 sensitivities=found,
-                reused=reused,
-                path=path,
-                files=(output / PAGE, output / RUNS),
+                reused=0,
+                path=Path(path.name),
             )
-            write_page(swept, output / PAGE)
+            write_answer(swept, output / PAGE)
     finally:
         release()
-    return swept
+    return replace(swept, reused=reused, path=path, files=(output / PAGE, output / RUNS))
 
 
 @contextmanager

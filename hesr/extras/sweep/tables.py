@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.report.markup import ResultFigure
 from cosim.report.tables.table import ResultTable, TableCell, row_of
 from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.sweep.plan import Plan, Sensitivity
@@ -15,6 +16,20 @@ from hesr.extras.sweep.work import RunTable
 from hesr_model.support.arrays import Array
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_DESIGNS = {
+    "grid": "a grid",
+    "latin_hypercube": "a Latin hypercube",
+    "monte_carlo": "random points",
+    "sobol": "Saltelli's design of Sobol points",
+}
+_OUTPUTS = "Outputs"
+_WORST_RUNS = "Worst runs"
+_SENSITIVITIES = "Sensitivities"
+"""Sections of the page."""
+_SENSITIVITY_TERMS = (
+    "First order: share of an input alone; total: with all of its interactions. Shares of "
+    "correlated inputs are those of their independent normal numbers."
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -35,6 +50,19 @@ class SweepResult(Answer):
         order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
         return [int(run) for run in order[:most]]
 
+    def heading(self) -> str:
+        """Return the name of the sweep."""
+        return f"Sweep ‘{self.plan.study.name}’"
+
+    def introduction(self) -> str:
+        """Return the design and the folder of the runs."""
+        plan = self.plan
+        return (
+            f"{len(plan.values)} runs of {plan.task.spec.stop:g} s, {_DESIGNS[plan.study.design]} "
+            f"over {len(plan.study.names)} inputs, seed {plan.study.seed}. The Parquet data set "
+            "runs/ has inputs and outputs of each run."
+        )
+
     def summary(self) -> str:
         """Return the numbers of runs and failures, and the worst runs."""
         failures = self.table.failures
@@ -47,8 +75,38 @@ class SweepResult(Answer):
         return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return distributions and sensitivities."""
-        return [outputs(self), *sensitivities(self)]
+        """Return distributions, worst runs and sensitivities."""
+        shown: list[ResultTable | str] = [outputs(self)]
+        shown.append("Largest magnitude first, failed runs before all others.")
+        shown += [worst(self, k) for k in range(len(self.plan.study.outputs))]
+        if self.sensitivities:
+            shown.append(_SENSITIVITY_TERMS)
+            shown += sensitivities(self)
+        return shown
+
+    def figures(self) -> Sequence[ResultFigure]:
+        """Return histograms of the outputs, and bars of their sensitivities."""
+        from hesr.extras.sweep.figures import distributions, shares  # slow import
+
+        names = [output.name for output in self.plan.study.outputs]
+        histograms = ResultFigure(
+            section=_OUTPUTS,
+            key="distributions",
+            drawing=distributions(names, self.table.outputs),
+            caption="Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
+            alt="A histogram of each output.",
+        )
+        bars = [
+            ResultFigure(
+                section=_SENSITIVITIES,
+                key=f"shares-{k}",
+                drawing=shares(self.plan.study.names, one.first, one.total, one.intervals),
+                caption=f"Shares of the variance of {one.output}.",
+                alt="Two bars for each input.",
+            )
+            for k, one in enumerate(self.sensitivities)
+        ]
+        return [histograms, *bars]
 
     def result(self) -> Any:
         """Return worst runs and sensitivities by output."""
@@ -74,7 +132,9 @@ def outputs(swept: SweepResult) -> ResultTable:
     failed = sum(map(bool, swept.table.failures))
     note = f"{failed} of {len(swept.table.failures)} runs failed." if failed else ""
     head = ("output", "mean", "std", *(f"{100 * q:.0f} %" for q in _QUANTILES), "largest")
-    return ResultTable(caption="Outputs over all runs", head=head, rows=rows, note=note)
+    return ResultTable(
+        caption="Outputs over all runs", head=head, rows=rows, note=note, section=_OUTPUTS
+    )
 
 
 def worst(swept: SweepResult, k: int) -> ResultTable:
@@ -85,12 +145,13 @@ def worst(swept: SweepResult, k: int) -> ResultTable:
     for run in swept.worst(k):
         inputs = [_cell(value) for value in swept.table.inputs[run]]
         value = swept.table.failures[run] or _cell(swept.table.outputs[run, k])
-        rows.append(row_of(f"{run}", value, *inputs, replay_command(Path(swept.path.name), run)))
+        rows.append(row_of(f"{run}", value, *inputs, replay_command(swept.path, run)))
     return ResultTable(
         caption=f"Worst runs by {name}",
         head=("run", name, *study.names, "again by"),
         rows=rows,
         words=(2 + len(study.names),),
+        section=_WORST_RUNS,
     )
 
 
@@ -114,6 +175,7 @@ def sensitivities(swept: SweepResult) -> Iterator[ResultTable]:
             caption=f"Shares of the variance of {one.output}, with 95 % bootstrap intervals",
             head=("input", "first order", "total"),
             rows=rows,
+            section=_SENSITIVITIES,
         )
 
 

@@ -1,0 +1,94 @@
+"""Page of a result: heading, summary, findings, and its figures and tables by section."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from markupsafe import Markup
+
+from cosim.report.markup import (
+    Pictures,
+    Section,
+    joined,
+    paragraph,
+    render,
+    table,
+    write_sections,
+)
+from cosim.report.tables.table import ResultTable
+
+if TYPE_CHECKING:
+    from cosim.workflow.answer import Answer
+
+
+def write_answer(answer: "Answer", path: Path) -> None:
+    """Write the page of a result as one self-contained file."""
+    heading = answer.heading()
+    sections = []
+    if answer.findings:
+        findings = render("findings.html.j2", findings=answer.findings)
+        sections.append(Section(key="findings", title="Findings", html=findings))
+    sections += _compose_sections(answer, Pictures(folder=path.parent))
+    write_sections(
+        path,
+        title=f"HESR: {heading}",
+        heading=heading,
+        summary=_compose_summary(answer),
+        sections=sections,
+    )
+
+
+def _compose_summary(answer: "Answer") -> Markup:
+    """Return the introduction and the lines of the summary."""
+    introduction = answer.introduction()
+    texts = [introduction] if introduction else []
+    texts += answer.summary().splitlines()
+    return joined(*map(paragraph, texts))
+
+
+def _compose_sections(answer: "Answer", pictures: Pictures) -> list[Section]:
+    """Return the sections in the order of their tables; figures precede the tables of theirs."""
+    drawings: dict[str, list[Markup]] = {}
+    for figure in answer.figures():
+        drawing = pictures.shown(figure.key, figure.drawing, figure.caption, alt=figure.alt)
+        drawings.setdefault(figure.section, []).append(drawing)
+    shown = answer.tables()
+    parts: dict[str, list[Markup]] = {}
+    for title, item in zip(_name_sections(shown), shown, strict=True):
+        part = parts.setdefault(title, [])
+        if isinstance(item, ResultTable):
+            part += drawings.pop(title, [])
+        part.append(_show_item(item))
+    parts |= drawings  # sections without tables
+    return [
+        Section(key=_link_name(title), title=title, html=joined(*html))
+        for title, html in parts.items()
+    ]
+
+
+def _name_sections(shown: Sequence[ResultTable | str]) -> list[str]:
+    """Return the section of each table and sentence; a sentence belongs to the next table."""
+    titles: list[str] = []
+    title = "Remarks"  # of sentences without any table
+    for item in reversed(shown):
+        if isinstance(item, ResultTable):
+            title = item.section or item.caption
+        titles.append(title)
+    return titles[::-1]
+
+
+def _show_item(item: ResultTable | str) -> Markup:
+    """Return a sentence, or a table with its note; an empty table is "None."."""
+    if isinstance(item, str):
+        return paragraph(item)
+    if not item.rows:
+        return paragraph("None.")
+    if not item.note:
+        return table(item)
+    return joined(table(item), paragraph(item.note, note=True))
+
+
+def _link_name(title: str) -> str:
+    """Return a title as the name of a link."""
+    return re.sub(r"\W+", "-", title.lower()).strip("-")
