@@ -1,24 +1,32 @@
 """Page of `hesr inspect`: contents of logs by joint, and findings."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cosim.report.figures.chart import Line
 from cosim.report.figures.motions import JointView, joints, picture
 from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
-from cosim.report.markup import Pictures, Section, render, table, write_sections
+from cosim.report.markup import ResultFigure, Section, render
+from cosim.report.result_page import write_answer
 from cosim.report.tables.laws import robot_tables
 from cosim.report.tables.table import ResultTable, row_of
+from cosim.workflow.answer import Written
 from hesr_model.health.evidence import Motionwise
 from hesr_model.health.examine import Examination, unseen
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import count_noun
 
 _POINTS = 700  # maximum number of points of a line
+
+
+_JOINTS = "Joints"
+_ROBOT = "Robot"
+_MOTION = "Motion and torque"
 
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
@@ -28,50 +36,96 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
         alone = robot if not proposal.logs else None
         write_svg(picture(alone) if alone else joints(_views(proposal)), path)
         return
-    values = _values(proposal, path)
-    if robot:
-        values |= {"tables": robot_tables(robot), "arm": picture(robot)}
-    subject = "logs of" if proposal.logs else "robot"
-    of_logs = {
-        "joints": "Joints",
-        "pictures": "Motion and torque",
-        "unseen": "What this log cannot show",
-    }
-    titles = {
-        **({"arm": "Robot"} if robot else {}),
-        **(of_logs if proposal.logs else {}),
-        "robot": "Proposed robot file",
-    }
-    parts = {part: render("sections/inspection.html.j2", part=part, **values) for part in titles}
-    write_sections(
-        path,
-        title=f"HESR: {subject} {proposal.robot.name}",
-        heading=f"{subject.capitalize()} {proposal.robot.name}",
-        summary=render("sections/inspection.html.j2", part="summary", **values),
-        sections=[Section(key=key, title=titles[key], html=html) for key, html in parts.items()],
-    )
-
-
-def _values(proposal: Proposal, path: Path) -> dict[str, Any]:
     views = _views(proposal)
+    subject = "Logs of" if proposal.logs else "Robot"
+    answer = Written(
+        title=f"{subject} {proposal.robot.name}",
+        lines=_summary_lines(proposal, views),
+        findings=proposal.first,
+        shown=_tables(proposal, robot),
+        drawn=_figures(proposal, robot, views),
+    )
+    write_answer(answer, path, _text_sections(proposal, path))
+
+
+def _summary_lines(proposal: Proposal, views: Sequence[JointView]) -> list[str]:
+    """Count the findings, and say whether the proposal fixes them and what has no figure."""
+    errors = sum(finding.severity == "error" for finding in proposal.first)
+    warnings = len(proposal.first) - errors
+    if not proposal.first:
+        lines = ["No errors or warnings."]
+    else:
+        lines = [f"{count_noun(errors, 'error')}, {count_noun(warnings, 'warning')}."]
+    if proposal.first and proposal.reasons and not proposal.examination.findings:
+        lines.append("The proposed robot file fixes all of them.")
+    if proposal.logs and not proposal.examination.parts:
+        lines.append("No figure: the time stamps are unusable.")
+    elif proposal.logs and not views:
+        lines.append("No joint moves.")
+    return lines
+
+
+def _tables(proposal: Proposal, robot: Robot | None) -> list[ResultTable]:
+    """Return the tables of the robot, if its model is known, of the logs and of the joints."""
+    shown = [replace(table, section=_ROBOT) for table in robot_tables(robot)] if robot else []
+    if proposal.logs:
+        shown += [_logs(proposal), _joints(proposal)]
+    return shown
+
+
+def _figures(
+    proposal: Proposal, robot: Robot | None, views: Sequence[JointView]
+) -> list[ResultFigure]:
+    """Return two poses of the robot, and motion and torque of the joints that move."""
+    figures = []
+    if robot:
+        figures.append(
+            ResultFigure(
+                section=_ROBOT,
+                key="arm",
+                drawing=picture(robot),
+                caption="The arm without its shapes, in the frame of its base: axes of the joints, "
+                "and centres of mass of the links.",
+                alt="Two poses of the arm, with the axes of its joints.",
+                small=True,
+            )
+        )
+    if views:
+        log = _longest(proposal)[1].log.name
+        figures.append(
+            ResultFigure(
+                section=_MOTION,
+                key="joints",
+                drawing=joints(views),
+                caption=f"Log {log}: velocity, logged and from the smoothed position; friction "
+                "(torque not explained by the model) over velocity; histograms of velocity and "
+                "gravity torque over all logs. Friction is learned only where there are rows.",
+                alt="For each joint velocity over time, friction over velocity, and two "
+                "histograms.",
+            )
+        )
+    return figures
+
+
+def _text_sections(proposal: Proposal, path: Path) -> list[Section]:
+    """Return open findings, what the logs cannot show, and the proposed robot file."""
+    open_findings = proposal.examination.findings if proposal.reasons else ()
     gaps: dict[str, list[str]] = {}
     for joint, gap in unseen(proposal.examination, proposal.robot.joints):
         gaps.setdefault(gap, []).append(joint)
-    return {
-        "first": proposal.first,
-        "after": proposal.examination.findings,
-        "errors": sum(finding.severity == "error" for finding in proposal.first),
-        "mended": bool(proposal.reasons),
-        "logs": _logs(proposal),
-        "joints": _joints(proposal),
-        "table": table,
-        "figure": Pictures(folder=path.parent).shown,
-        "picture": joints(views) if views else None,
-        "log": _longest(proposal)[1].log.name if views else "",
-        "usable": bool(proposal.examination.parts),
-        "gaps": gaps,
-        "file": robot_file(proposal, path) if proposal.robot.model.is_file() else "",
-    }
+    file = robot_file(proposal, path) if proposal.robot.model.is_file() else ""
+    titles = {"file": "Proposed robot file"}
+    if proposal.logs:
+        titles = {"unseen": "What this log cannot show", **titles}
+    if open_findings:
+        titles = {"open": "Still open with the proposed robot file", **titles}
+    sections = []
+    for key, title in titles.items():
+        html = render(
+            "sections/inspection.html.j2", part=key, findings=open_findings, gaps=gaps, file=file
+        )
+        sections.append(Section(key=key, title=title, html=html))
+    return sections
 
 
 def _logs(proposal: Proposal) -> ResultTable:
@@ -92,7 +146,8 @@ def _joints(proposal: Proposal) -> ResultTable:
         "the logged one; ‘gravity / model’: measured over modelled gravity torque; ‘friction’: "
         "torque in phase with the velocity in N.m, and in standard errors"
     )
-    return ResultTable(caption=caption, head=("log: joint", *HEAD[2:]), rows=rows)
+    head = ("log: joint", *HEAD[2:])
+    return ResultTable(caption=caption, head=head, rows=rows, section=_JOINTS)
 
 
 def _longest(proposal: Proposal) -> tuple[int, Motionwise]:

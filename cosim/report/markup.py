@@ -45,6 +45,7 @@ class ResultFigure:
     drawing: "Figure"
     caption: str
     alt: str
+    small: bool = False
 
 
 @dataclass

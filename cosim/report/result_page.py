@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from cosim.workflow.answer import Answer
 
 
-def write_answer(answer: "Answer", path: Path) -> None:
-    """Write the page of a result as one self-contained file."""
+def write_answer(answer: "Answer", path: Path, more: Sequence[Section] = ()) -> None:
+    """Write the page of a result as one self-contained file, with `more` sections at its end."""
     heading = answer.heading()
     sections = []
     if answer.findings:
         findings = render("findings.html.j2", findings=answer.findings)
         sections.append(Section(key="findings", title="Findings", html=findings))
-    sections += _compose_sections(answer, Pictures(folder=path.parent))
+    sections += [*_compose_sections(answer, Pictures(folder=path.parent)), *more]
     write_sections(
         path,
         title=f"HESR: {heading}",
@@ -51,7 +51,8 @@ def _compose_sections(answer: "Answer", pictures: Pictures) -> list[Section]:
     """Return the sections in the order of their tables; figures precede the tables of theirs."""
     drawings: dict[str, list[Markup]] = {}
     for figure in answer.figures():
-        drawing = pictures.shown(figure.key, figure.drawing, figure.caption, alt=figure.alt)
+        texts = {"alt": figure.alt, "small": figure.small}
+        drawing = pictures.shown(figure.key, figure.drawing, figure.caption, **texts)
         drawings.setdefault(figure.section, []).append(drawing)
     shown = answer.tables()
     parts: dict[str, list[Markup]] = {}

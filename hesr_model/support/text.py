@@ -37,6 +37,11 @@ def listed(names: Iterable[str], most: int = 5) -> str:
     return few(map(quoted, names), most)
 
 
+def count_noun(count: int, noun: str) -> str:
+    """Return a count with its noun: "1 gap", "2 gaps"."""
+    return f"1 {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def few(words: Iterable[str], most: int = 5) -> str:
     """Return words, and the number of further ones."""
     words = list(words)

@@ -14,6 +14,7 @@ from hesr_model.support import text as bounded
 from hesr_model.support.process import describe_end
 from hesr_model.support.progress import PARTS, counted, into_file, watched
 from hesr_model.support.text import (
+    count_noun,
     listed,
     parse_json,
     parse_toml,
@@ -31,6 +32,10 @@ def refused(make: Callable[[], object]) -> str:
     except ValueError as error:
         return str(error)
     return ""
+
+
+def test_only_one_thing_is_singular() -> None:
+    assert [count_noun(count, "gap") for count in (0, 1, 2)] == ["0 gaps", "1 gap", "2 gaps"]
 
 
 def test_text_length_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@ from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.adaptive.monitor import FollowedLogs
 from hesr_model.findings import Finding
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import count_noun
 from hesr_model.support.typed_files import to_json
 
 _MOST_ALARMS = 12
@@ -39,7 +40,7 @@ class Monitoring(Answer, FollowedLogs):
     def summary(self) -> str:
         """Return the alarms and the last state of each joint."""
         count = len(self.alarms)
-        lines = [f"{count} change{'s' * (count != 1)} of friction found."]
+        lines = [f"{count_noun(count, 'change')} of friction found."]
         lines += [
             f"{one.log}, {one.joint}, {one.time:.1f} s: {one.change} than known ({one.kind}); "
             f"likely cause: {one.points_to}"
