@@ -22,6 +22,9 @@ _ARGUMENTS = {"path": "PathArg", "log": "LogArg", "robot": "RobotArg", "rigid_bo
 """Names in `cosim.workflow.arguments` of types that users may also state by a path."""
 
 
+_REPEATABLE = ("float", "str", "path", "log")
+
+
 @dataclass(frozen=True, kw_only=True)
 class ExportOption:
     """Option of an export format, in Python and on the command line.
@@ -52,6 +55,13 @@ class ExportOption:
     required_as: str = ""
     requires: str = ""
     cached: bool = True
+
+    def __post_init__(self) -> None:
+        if self.repeatable and self.type not in _REPEATABLE:
+            raise ValueError(
+                f"option '{self.name}' of the type {self.type} cannot be repeatable; only "
+                f"{', '.join(_REPEATABLE)} can"
+            )
 
     @property
     def annotation(self) -> str:
@@ -122,6 +132,11 @@ class Exporter:
     prepare: Callable[[ExportRequest], Mapping[str, Any]] = _keep_options
     platforms: Platforms = "none"
     platform_refusal: str = ""
+
+    @property
+    def option_names(self) -> set[str]:
+        """Return the names of its options."""
+        return {option.name for option in self.options}
 
 
 FMI = ExportOption(

@@ -100,24 +100,27 @@ def export(
     output = path_of(output, "'output'")
     platforms = None if platform is None else list_names("platform", platform)
     export_format = choose_format(source, format, output)
-    # A flag that is off counts as not set, so that any format accepts it.
-    set_options = {
-        name: value for name, value in options.items() if value is not None and value is not False
-    }
-    export_format.require_options(set_options, platforms)
     request = ExportRequest(
         source=source,
         output=output,
-        options=set_options,
+        options=_drop_unset(options),
         platforms=export_format.choose_platforms(platforms),
         progress=progress,
     )
+    export_format.require_options(request.options, platforms)
     if export_format.kind is LAW:
         _export_law(export_format, request)
     else:
-        request = _read_options(export_format.exporter, replace(request, source=Path(str(source))))
-        _write(export_format.exporter, request, export_format.exporter.prepare(request))
+        request = replace(request, source=Path(str(source)))
+        _write(export_format.exporter, request, _prepare(export_format.exporter, request))
     return output
+
+
+def _drop_unset(options: Mapping[str, object]) -> dict[str, object]:
+    """Return the options that are set; any format accepts a flag that is off."""
+    return {
+        name: value for name, value in options.items() if value is not None and value is not False
+    }
 
 
 def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:
@@ -125,32 +128,35 @@ def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:
     from fmu_src import model_file
     from fmu_src.export.cache import copied, exported
 
-    exporter = export_format.exporter
     # Options in the cache were accepted before; nothing slow is imported to copy.
     key = _key_of_values(export_format, request)
     if key is not None and copied(model_file(str(request.source)), key, request.output):
         return
     from cosim.workflow.arguments import model_given
 
-    loaded = _read_options(exporter, replace(request, source=model_given(request.source)))
-    keywords = exporter.prepare(loaded)
+    exporter = export_format.exporter
+    model = model_given(request.source)
+    keywords = _prepare(exporter, replace(request, source=model))
     if key is None:
         key = _key_of_keywords(export_format, request, keywords)
+
+    def write() -> None:
+        _write(exporter, replace(request, source=model), keywords)
+
     if key is None:
-        _write(exporter, loaded, keywords)
-        return
-    exported(
-        model_file(str(request.source)),
-        key,
-        request.output,
-        lambda: _write(exporter, loaded, keywords),
-    )
+        write()
+    else:
+        exported(model_file(str(request.source)), key, request.output, write)
 
 
 def _is_cached(export_format: ExportFormat, request: ExportRequest) -> bool:
-    """Return whether a model file and the options determine the output: an FMU without more."""
+    """Return whether a model file and the options determine the output: an FMU without more.
+
+    A format of another package can change without a new version.
+    """
     return (
         isinstance(request.source, str | os.PathLike)
+        and export_format.is_own
         and bool(request.platforms)
         and all(option.cached for option in _set_options(export_format.exporter, request))
     )
@@ -174,12 +180,8 @@ def _key_of_keywords(
     """Return the key in the cache, or None if an object does not state what determines it."""
     if not _is_cached(export_format, request):
         return None
-    values = {name: getattr(value, "key", value) for name, value in keywords.items()}
-    key: dict[str, object] = {
-        "format": export_format.name,
-        "platforms": request.platforms,
-        "options": values,
-    }
+    key = {name: getattr(value, "key", value) for name, value in keywords.items()}
+    key |= {"format": export_format.name, "platforms": request.platforms}
     try:
         json.dumps(key)
     except TypeError:
@@ -187,12 +189,12 @@ def _key_of_keywords(
     return key
 
 
-def _read_options(exporter: Exporter, request: ExportRequest) -> ExportRequest:
-    """Return a request with numbers per joint, paths, robots and rigid bodies in memory."""
+def _prepare(exporter: Exporter, request: ExportRequest) -> Mapping[str, Any]:
+    """Return the keywords of the writer; files among the options are read first."""
     options = dict(request.options)
     for option in _set_options(exporter, request):
         options[option.name] = read_option(option, options[option.name], request)
-    return replace(request, options=options)
+    return exporter.prepare(replace(request, options=options))
 
 
 def read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any:
@@ -215,8 +217,7 @@ def _write(exporter: Exporter, request: ExportRequest, keywords: Mapping[str, An
     """Write the output, and print the remarks of its exporter."""
     if request.platforms:
         keywords = {**keywords, "platforms": request.platforms, "progress": request.building}
-    remarks = exporter.write(request.source, request.output, **keywords)
-    for remark in remarks or ():
+    for remark in exporter.write(request.source, request.output, **keywords) or ():
         _log.warning("%s", remark)
 
 

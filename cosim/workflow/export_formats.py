@@ -82,9 +82,8 @@ def find_kind(source: LawArg, format_name: str | None) -> SourceKind:
     if format_name in plugins.names(RESULTS.group):
         return RESULTS
     if isinstance(source, str | os.PathLike):
-        suffix = Path(source).suffix.lower()
         for kind in KINDS:
-            if suffix in kind.suffixes:
+            if Path(source).suffix.lower() in kind.suffixes:
                 return kind
     return LAW
 
@@ -113,19 +112,19 @@ def load_exporters(kind: SourceKind) -> dict[str, Exporter]:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportFormat:
-    """Format of an export, by the kind of its source."""
+    """Format of an export, by the kind of its source; whether it is HESR's own."""
 
     kind: SourceKind
     name: str
     exporter: Exporter
+    is_own: bool
 
     def require_options(
         self, options: Mapping[str, object], platform: Sequence[str] | None
     ) -> None:
         """Raise ArgumentError unless the options that are set are those of the format."""
-        known = {option.name for option in self.exporter.options}
         for name in options:
-            if name not in known:
+            if name not in self.exporter.option_names:
                 self._refuse_option(name)
         if platform is not None and self.exporter.platforms == "none":
             self._refuse_platform()
@@ -156,7 +155,7 @@ class ExportFormat:
             formats = [
                 name
                 for name, exporter in load_exporters(kind).items()
-                if any(option.name == option_name for option in exporter.options)
+                if option_name in exporter.option_names
             ]
             if formats and kind is self.kind:
                 self._refuse_for_formats(option_name, formats)
@@ -190,14 +189,15 @@ class ExportFormat:
 def choose_format(source: LawArg, format_name: str | None, output: Path) -> ExportFormat:
     """Return the format of an export; raises ConfigError if the source has no such format."""
     kind = find_kind(source, format_name)
-    for expected in (format_name or "", output.suffix.lower().removeprefix(".")):
-        if expected in kind.refusals:
-            raise ArgumentError(kind.refusals[expected])
+    for name in (format_name or "", output.suffix.lower().removeprefix(".")):
+        if name in kind.refusals:
+            raise ArgumentError(kind.refusals[name])
     name = format_name or kind.default
     formats = plugins.load(kind.group)
     if name not in formats:
         _refuse_format(kind, name, list(formats))
-    return ExportFormat(kind=kind, name=name, exporter=load_exporter(formats[name]))
+    exporter = load_exporter(formats[name])
+    return ExportFormat(kind=kind, name=name, exporter=exporter, is_own=formats[name].own)
 
 
 def _refuse_format(kind: SourceKind, name: str, formats: Sequence[str]) -> NoReturn:

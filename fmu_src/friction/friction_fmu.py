@@ -72,25 +72,36 @@ def export_fmu(
     package.check_request(path, platforms)
     if no_documentation and properties:
         raise ExportError(f"{path}: properties are for the page; omit no_documentation.")
-    if not model.thermal:
-        more = (POWER,) if power else ()
-        whole = _component(model, more, band=band, low_pass=low_pass, no_events=no_events)
-        if not no_documentation:
-            whole = _documented(whole, _as_run(model, low_pass), properties, audit)
-    elif power or band or low_pass or properties or no_events:
-        raise ExportError(
-            f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
-            "properties or no_events; export the model without temperature."
-        )
+    if model.thermal:
+        if power or band or low_pass or properties or no_events:
+            raise ExportError(
+                f"friction model '{model.law}': a thermal FMU supports no power, band, low pass, "
+                "properties or no_events; export the model without temperature."
+            )
+        content = _thermal_content(model, bare=no_documentation)
     else:
-        about = about_model(model, "friction", "from their motion and temperature")
-        components = tuple(map(thermal_component, model.laws, model.thermal))
-        equations = discrete_equations(model, components)
-        require_numbers(model)
-        whole = bare_content(model, about, *equations)
+        content = _component(
+            model,
+            (POWER,) if power else (),
+            band=band,
+            low_pass=low_pass,
+            no_events=no_events,
+        )
         if not no_documentation:
-            whole = documented(whole, model, (*THERMAL_LINES, THERMAL_TORQUE), _THERMAL_NOTES)
-    return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+            content = _documented(content, _as_run(model, low_pass), properties, audit)
+    return package.write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
+
+
+def _thermal_content(model: FrictionModel, *, bare: bool) -> package.Content:
+    """Return the FMU of a thermal model before compilation."""
+    about = about_model(model, "friction", "from their motion and temperature")
+    components = tuple(map(thermal_component, model.laws, model.thermal))
+    equations = discrete_equations(model, components)
+    require_numbers(model)
+    content = bare_content(model, about, *equations)
+    if bare:
+        return content
+    return documented(content, model, (*THERMAL_LINES, THERMAL_TORQUE), _THERMAL_NOTES)
 
 
 _THERMAL_NOTES = (

@@ -39,6 +39,7 @@ from hesr_model.friction.inputs import TAU_LOAD, TORQUE
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
+from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array
 from hesr_model.support.progress import Progress, silent
 from hesr_model.units import unit_of_joint
@@ -75,8 +76,8 @@ class PlantBody:
         Raises RobotError if the body belongs to another robot, ExportError if a mass matrix is not
         positive definite.
         """
-        own = robot.nominal_parameters if body is None else body.parameters_for(robot)
-        plant_body = cls(robot=robot, parameters=own)
+        parameters = robot.nominal_parameters if body is None else body.parameters_for(robot)
+        plant_body = cls(robot=robot, parameters=parameters)
         plant_body.require_inertia(
             robot.description.model.name if body is None else "the rigid body"
         )
@@ -109,15 +110,15 @@ class PlantBody:
         return {"dynamics.h": dynamics_header(self.robot), "numbers": tunable, "limits": limits}
 
 
-def find_possible_body(robot: Robot, rigid_body: RigidBody | None) -> PlantBody:
+def find_possible_body(robot: Robot, body: RigidBody | None) -> PlantBody:
     """Return a robot for a plant; of base parameters, the closest that bodies can have."""
     from hesr_model.rigid_body.physical import is_possible, nearest  # slow to import
 
-    if rigid_body is None:
+    if body is None:
         return PlantBody.of(robot)
-    identified = rigid_body.parameters_for(robot)
+    identified = body.parameters_for(robot)
     if is_possible(robot, identified):
-        return PlantBody.of(robot, rigid_body)
+        return PlantBody.of(robot, body)
     parameters, error, largest = nearest(robot, identified)
     worst = int(np.argmax(error / np.maximum(largest, _NO_TORQUE)))
     _log.warning(
@@ -229,6 +230,25 @@ class ServoGains:
     kv: tuple[float, ...]
     ki: tuple[float, ...]
     kp: tuple[float, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        kv: Sequence[float] | None,
+        ki: Sequence[float] | None,
+        kp: Sequence[float] | None,
+    ) -> "ServoGains | None":
+        """Return the gains of a servo, or None without `kv`, which the others need."""
+        if kv is None:
+            for name, gains in (("ki", ki), ("kp", kp)):
+                if gains is not None:
+                    raise ExportError(
+                        f"plant: '{name}' needs 'kv', the proportional gain of the servo."
+                    )
+            return None
+        integral = (0.0,) * len(kv) if ki is None else ki
+        position = () if kp is None else kp
+        return cls(kv=tuple(kv), ki=tuple(integral), kp=tuple(position))
 
     def __post_init__(self) -> None:
         for name, gains in (("kv", self.kv), ("ki", self.ki), ("kp", self.kp)):
@@ -368,17 +388,14 @@ def export_plant(
     check_request(path, platforms)
     require_exportable(model, "a plant")
     require_fitting(model, body.robot)
-    for name, gains in (("ki", ki), ("kp", kp)):
-        if kv is None and gains is not None:
-            raise ExportError(f"plant: '{name}' needs 'kv', the proportional gain of the servo.")
-    servo = None
-    if kv is not None:
-        still = (0.0,) * len(kv)
-        integral = still if ki is None else ki
-        position = () if kp is None else kp
-        servo = ServoGains(kv=tuple(kv), ki=tuple(integral), kp=tuple(position))
-    whole = content(model, body, servo=servo, tool=tool, bare=bare)
-    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+    servo = ServoGains.of(kv, ki, kp)
+    return write_fmu(
+        content(model, body, servo=servo, tool=tool, bare=bare),
+        path,
+        platforms=platforms,
+        progress=progress,
+        fmi=fmi,
+    )
 
 
 def require_fitting(model: FrictionModel, robot: Robot) -> None:
@@ -388,15 +405,19 @@ def require_fitting(model: FrictionModel, robot: Robot) -> None:
             f"the friction model has the joints {', '.join(model.joints)}, but robot "
             f"'{robot.name}' has {', '.join(robot.joints)}; give the robot of its logs."
         )
-    of_law, of_robot = (
-        np.eye(robot.n) if coupling is None else coupling.forward
-        for coupling in (model.coupling, robot.description.coupling)
-    )
-    if not np.array_equal(of_law, of_robot):
+    if not np.array_equal(
+        _forward_matrix(model.coupling, robot.n),
+        _forward_matrix(robot.description.coupling, robot.n),
+    ):
         raise ExportError(
             f"robot '{robot.name}' has another transmission matrix than the friction model; give "
             "the robot of its logs."
         )
+
+
+def _forward_matrix(coupling: Coupling | None, joint_count: int) -> Array:
+    """Return the matrix of a coupling, by default that of independent joints."""
+    return np.eye(joint_count) if coupling is None else coupling.forward
 
 
 def content(

@@ -2,7 +2,8 @@
 
 import inspect
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,53 +68,98 @@ def help_sections(function: Function) -> "Sequence[HelpSection]":
     return sections
 
 
-def _invoke(function: Function, given: dict[str, Any]) -> None:
+@dataclass(frozen=True, kw_only=True)
+class _CommonOptions:
+    """Options that every command has."""
+
+    json_file: Path | None
+    fail_on: str
+    quiet: bool
+    verbose: bool
+    listing: bool
+
+    @classmethod
+    def take_from(cls, arguments: dict[str, Any]) -> "_CommonOptions":
+        """Return the common options of a command line, and remove them from its arguments."""
+        json_file = arguments.pop("json_file", None)
+        return cls(
+            json_file=None if json_file is None else Path(json_file),
+            fail_on=arguments.pop("fail_on"),
+            quiet=arguments.pop("quiet"),
+            verbose=arguments.pop("verbose"),
+            listing=arguments.pop("listing", False),
+        )
+
+
+def _invoke(function: Function, arguments: dict[str, Any]) -> None:
+    """Call the function of a verb, print and write its answer, and exit."""
     console.require_environment()
-    json_file = given.pop("json_file", None)
-    fail_on, quiet, verbose = (given.pop(name) for name in ("fail_on", "quiet", "verbose"))
-    file = None if json_file is None else Path(json_file)
-    with console.command_output(quiet=quiet, verbose=verbose, json_file=file) as output:
-        with console.answer_file(file, output) as wanted:
-            listing = given.pop("listing", False) and _module(function)["listing"]
-            answer = listing() if listing else _answer(function, given, hidden=quiet or verbose)
-            if wanted:
-                from hesr_model.support.typed_files import write_json
+    common = _CommonOptions.take_from(arguments)
+    with console.command_output(
+        quiet=common.quiet, verbose=common.verbose, json_file=common.json_file
+    ) as output:
+        with console.answer_file(common.json_file, output) as json_file:
+            if common.listing:
+                answer = _list_choices(function)
+            else:
+                answer = _call(function, arguments, hidden=common.quiet or common.verbose)
+            if json_file:
+                from hesr_model.support.typed_files import write_json  # slow to import
 
-                write_json(wanted, answer.to_json())
-        summary = answer.summary()
-        if summary:
-            click.echo(summary)
-        if verbose or answer.shows_tables:
-            from cosim.report.tables.terminal import show
+                write_json(json_file, answer.to_json())
+        _print(answer, verbose=common.verbose)
+    sys.exit(_exit_code(answer, common.fail_on))
 
-            show(*answer.tables())
+
+def _print(answer: "Answer", *, verbose: bool) -> None:
+    summary = answer.summary()
+    if summary:
+        click.echo(summary)
+    if verbose or answer.shows_tables:
+        from cosim.report.tables.terminal import show
+
+        show(*answer.tables())
+
+
+def _exit_code(answer: "Answer", fail_on: str) -> int:
     if not answer.findings:
-        sys.exit(0)
+        return 0
     from hesr_model.findings import reaching  # slow to import
 
-    sys.exit(1 if reaching(answer.findings, fail_on) else 0)
+    return 1 if reaching(answer.findings, fail_on) else 0
 
 
 def _module(function: Function) -> dict[str, Any]:
     return vars(sys.modules[function.__module__])
 
 
-def _answer(function: Function, given: dict[str, Any], *, hidden: bool) -> "Answer":
+def _list_choices(function: Function) -> "Answer":
+    """Return the answer to --list."""
+    answer: Answer = _module(function)["listing"]()
+    return answer
+
+
+def _call(function: Function, arguments: dict[str, Any], *, hidden: bool) -> "Answer":
+    """Return the answer of a verb; an error names options instead of parameters."""
     from cosim.workflow.answer import Answer
 
     with console.shown_progress(hidden=hidden) as progress:
-        taken = inspect.signature(function).parameters
-        more = {"progress": progress} if "progress" in taken else {}
+        if "progress" in inspect.signature(function).parameters:
+            arguments["progress"] = progress
         try:
-            result = function(**given, **more)
+            result = function(**arguments)
         except ArgumentError as error:
-            parameters = click.get_current_context().command.params
-            options = {one.name: one.opts[-1] for one in parameters if one.name}
-            raise ConfigError(error.on_command_line(options)) from error
+            raise _name_options(error) from error
     if isinstance(result, Answer):
         return result
-    describe: Callable[..., Answer] = _module(function)["answer"]
-    return describe(result, given.get("output"))
+    answer: Answer = _module(function)["answer"](result, arguments.get("output"))
+    return answer
+
+
+def _name_options(error: ArgumentError) -> ConfigError:
+    parameters = click.get_current_context().command.params
+    options = {parameter.name: parameter.opts[-1] for parameter in parameters if parameter.name}
+    return ConfigError(error.on_command_line(options))
 
 
 app = _Verbs(

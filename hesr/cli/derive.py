@@ -164,7 +164,7 @@ def command(
         name,
         sections=sections,
         section_options=section_options,
-        callback=lambda **given: invoke(function, _given(given)),
+        callback=lambda **arguments: invoke(function, _clean(arguments)),
         params=[*parameters, *distinct.values(), *_common()],
         help=docstring.text,
         short_help=docstring.summary,
@@ -236,14 +236,17 @@ def _write_section(
         formatter.write_dl(records)
 
 
-def _given(values: dict[str, Any]) -> dict[str, Any]:
-    given = {name: value for name, value in values.items() if value not in (None, ())}
+def _clean(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments that are set; several tables become one."""
     return {
-        name: _merged(value)
-        if isinstance(value, tuple) and all(isinstance(part, dict) for part in value)
-        else value
-        for name, value in given.items()
+        name: _merged(value) if _is_tables(value) else value
+        for name, value in arguments.items()
+        if value not in (None, ())
     }
+
+
+def _is_tables(value: object) -> bool:
+    return isinstance(value, tuple) and all(isinstance(item, dict) for item in value)
 
 
 def _merged(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -185,6 +185,29 @@ def test_refusals_are_those_of_own_formats(
     assert not list(tmp_path.iterdir())
 
 
+CHANGING = """
+from fmu_src.exporter import Exporter
+
+def write(model, output, platforms, progress):
+    output.write_text(f"version VERSION for {', '.join(platforms)}")
+
+SWING = Exporter(title="text", suffixes=(".txt",), write=write, platforms="common")
+"""
+
+
+def test_a_changed_format_is_not_copied_from_the_cache(tmp_path: Path) -> None:
+    """Its package has the same version; a compiling format of HESR's own would be copied."""
+    written = []
+    for version in ("1", "2"):
+        module = CHANGING.replace("VERSION", version)
+        site = install(tmp_path / version, module)
+        options = ("--format", FORMAT, "--platform", "linux64", "-o", "s.txt")
+        answer = export(site, LAW, *options, cwd=tmp_path)
+        assert answer.returncode == 0, answer.stderr
+        written.append((tmp_path / "s.txt").read_text(encoding="utf-8"))
+    assert written == ["version 1 for linux64", "version 2 for linux64"]
+
+
 # --- types ---------------------------------------------------------------------------------------
 
 
@@ -237,6 +260,10 @@ def test_type_checkers_know_the_options(tmp_path: Path) -> None:
     [
         ("import no_such_library", f"'{FORMAT}' of the package 'slow-swing' cannot"),
         ("SWING = print", f"'{FORMAT}' of the package 'slow-swing' is not an Exporter;"),
+        (
+            MODULE.replace('type="float", unit="s"', 'type="bool", repeatable=True'),
+            "option 'duration' of the type bool cannot be repeatable;",
+        ),
         (
             MODULE.replace('"duration"', '"platform"'),
             "an option cannot have the name 'platform'.",
