@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.native import through
 from hesr_model.errors import SimulationError
-from hesr_model.friction.inputs import INPUTS, TORQUE
+from hesr_model.friction.inputs import DQ, TAU_LOAD, TORQUE, Q
 from hesr_model.friction.thermal import TEMPERATURE, THERMOMETER
 from hesr_model.support.arrays import Array
 
@@ -40,30 +40,24 @@ def replay(
     time = np.asarray(t, dtype=float)
     if not len(time):
         raise SimulationError(f"{instance.fmu}: the log to be replayed has no samples.")
-    names = {v.name for v in instance.description.modelVariables}
-    joints = sum(name.startswith("tau[") for name in names)
-    zero = np.zeros((len(time), joints))
-    indices = range(1, joints + 1)
-    given = dict(zip([symbol.name for symbol in INPUTS], (dq, q, tau_load), strict=True))
-    if f"{TEMPERATURE.name}[1]" in names:
-        if temperature is None:
-            start = {f"joint[{i}].{THERMOMETER}": 0.0 for i in indices} | dict(start or {})
-        else:
-            given[TEMPERATURE.name] = temperature
-    parts = [zero if part is None else np.asarray(part, dtype=float) for part in given.values()]
-    for name, part in zip(given, parts, strict=True):
-        if part.shape != zero.shape:
-            raise SimulationError(
-                f"{instance.fmu}: '{name}' has the shape {part.shape}; expected {zero.shape}, "
-                f"{len(time)} samples of {joints} joints."
-            )
-    if np.any(np.diff(time) <= 0.0):
-        row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise SimulationError(f"{instance.fmu}: time does not increase at row {row} of the log.")
-    inputs = instance.buffer([f"{name}[{i}]" for name in given for i in indices])
-    outputs = instance.buffer([f"{output}[{i}]" for i in indices])
-    rows = np.hstack(parts)
-    torque = np.empty_like(zero)
+    names = {variable.name for variable in instance.description.modelVariables}
+    joint_count = sum(name.startswith("tau[") for name in names)
+    numbers = range(1, joint_count + 1)
+    columns = {DQ.name: dq, Q.name: q, TAU_LOAD.name: tau_load}
+    is_thermal = f"{TEMPERATURE.name}[1]" in names
+    if is_thermal and temperature is None:
+        heated = {f"joint[{i}].{THERMOMETER}": 0.0 for i in numbers}
+        start = heated | dict(start or {})
+    elif is_thermal:
+        columns[TEMPERATURE.name] = temperature
+    shape = (len(time), joint_count)
+    rows = np.hstack(
+        [_column_of_log(instance.fmu, name, values, shape) for name, values in columns.items()]
+    )
+    _require_increase(instance.fmu, time)
+    inputs = instance.buffer([f"{name}[{i}]" for name in columns for i in numbers])
+    outputs = instance.buffer([f"{output}[{i}]" for i in numbers])
+    torque = np.empty(shape)
     if instance.used:
         instance.reset()
     inputs.values[:] = rows[0]
@@ -72,6 +66,28 @@ def replay(
     torque[1:] = through(instance, inputs, outputs, time[:-1], np.diff(time), rows[1:])
     require_finite(instance.fmu, time, torque)
     return torque
+
+
+def _column_of_log(fmu: Path, name: str, values: ArrayLike | None, shape: tuple[int, int]) -> Array:
+    """Return an input (N, n) of the FMU, zero by default; refuse another shape."""
+    if values is None:
+        return np.zeros(shape)
+    column = np.asarray(values, dtype=float)
+    if column.shape != shape:
+        count, joints = shape
+        raise SimulationError(
+            f"{fmu}: '{name}' has the shape {column.shape}; expected {shape}, "
+            f"{count} samples of {joints} joints."
+        )
+    return column
+
+
+def _require_increase(fmu: Path, time: Array) -> None:
+    """Raise SimulationError unless time (N,) [s] increases."""
+    is_not_later = np.diff(time) <= 0.0
+    if np.any(is_not_later):
+        row = int(np.argmax(is_not_later)) + 1
+        raise SimulationError(f"{fmu}: time does not increase at row {row} of the log.")
 
 
 def require_finite(fmu: Path, t: Array, torque: Array) -> None:

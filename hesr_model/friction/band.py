@@ -119,29 +119,27 @@ def variance_steps(slow_speed: sympy.Expr = SLOW_SPEED) -> Definitions:
     slow_ratio, rest_ratio, rest_width, fast_width, load_width = sympy.symbols(
         "slow_ratio rest_ratio rest_width fast_width load_width", real=True
     )
-    steps: Definitions = {
+    first_two, first_three, first_four = sympy.symbols(
+        "first_two first_three first_four", real=True
+    )
+    floor_square, slow_square, rest_square, fast_square, load_square = _SQUARES
+    return {
         slow_ratio: DQ / slow_speed,
         rest_ratio: DQ / REST_SPEED,
         _RESTING: 1 - clip(rest_ratio**2, 1),
         rest_width: _REST * _RESTING,
         fast_width: _FAST * DQ,
         load_width: _LOAD * TAU_LOAD,
+        floor_square: _FLOOR**2,
+        slow_square: _SLOW**2 / (1 + slow_ratio**2),
+        rest_square: rest_width**2,
+        fast_square: fast_width**2,
+        load_square: load_width**2,
+        first_two: floor_square + slow_square,
+        first_three: first_two + rest_square,
+        first_four: first_three + fast_square,
+        VARIANCE: first_four + load_square,
     }
-    squares = (
-        _FLOOR**2,
-        _SLOW**2 / (1 + slow_ratio**2),
-        rest_width**2,
-        fast_width**2,
-        load_width**2,
-    )
-    steps |= dict(zip(_SQUARES, squares, strict=True))
-    total, *others = _SQUARES
-    for number, square in enumerate(others, start=2):
-        is_last = square == others[-1]
-        following = VARIANCE if is_last else sympy.Symbol(f"sum_{number}", real=True)
-        steps[following] = total + square
-        total = following
-    return steps
 
 
 @cache
