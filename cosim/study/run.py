@@ -12,7 +12,7 @@ from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
-from cosim.study.scores import Errors, records_of
+from cosim.study.scores import Errors, LogRecords, records_of
 from cosim.study.steps import Job, of_each
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
@@ -24,8 +24,11 @@ from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.estimator import select_laws
+from hesr_model.forward.output_error import Refined
 from hesr_model.friction.model import MIXED, FrictionModel, mixed
 from hesr_model.health.examine import check_body, check_laws, checked
+from hesr_model.logs.robot_log import Log
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
@@ -158,48 +161,30 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
     findings = log_findings(checked(list(logs.values()), robot, accepted))
-    body, refined = job.rigid_body(logs, robot)
+
+    body, refined_models = job.rigid_body(logs, robot)
     findings += log_findings(check_body(body, robot))
-    about = [study.robot, job.robot.model, *(files[name] for name in job.trained_on)]
-    owner = study.owner.known or job.robot.owner.known
-    source = provenance(files=about, seed=study.seed, **job.robot.constants)
-    source |= {"owner": owner} if owner else {}
-    if study.twin is None:  # the twin's logs are new in each run
-        source |= {"created": newest([files[name] for name in job.trained_on])}
+    source = _provenance(job, files)
     replace(body, provenance=source).write(folder / "rigid_body.json")
-    tested = {name for names in study.logs.test.values() for name in names}
-    runs = {}
-    for name, log in logs.items():  # a tested part includes all rows before it
-        whole = job.read_with_history(name, files[name]) if name in tested else None
-        ends = {part.t[-1]: part for part in whole.parts()} if whole else {}
-        parts = [ends.get(part.t[-1], part) for part in log.parts()]
-        runs[name] = [friction_records(part, robot, body) for part in parts]
-    records = {
-        name: [
-            [run.rows(slice(-len(part.t), None)) for run in of_joints]
-            for part, of_joints in zip(log.parts(), runs[name], strict=True)
-        ]
-        for name, log in logs.items()
-    }
+
+    runs = _records_with_history(job, files, logs, robot, body)
+    records = _records_of_logs(logs, runs)
     models, left_out = job.fit_all(records, source)
-    models |= {law: replace(m, provenance=source) for law, m in refined.items() if law in models}
-    every = study.refinement is not None and not study.refinement.law
-    refinements = job.refine(logs, robot, body, models) if every else {}
-    models |= {law: one.friction for law, one in refinements.items()}
+    for law, model in refined_models.items():
+        if law in models:
+            models[law] = replace(model, provenance=source)
+    refined: dict[str, Refined] = {}
+    if study.refinement is not None and not study.refinement.law:  # all laws are refined
+        refined = job.refine(logs, robot, body, models)
+        models |= {law: refinement.friction for law, refinement in refined.items()}
     findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
     write_findings(folder, findings)
-    for law, model in models.items():
-        model.write(folder / "laws" / f"{law}.json")
-    fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
-    of_each(
-        models,
-        lambda law, fitted: export_bare(fitted, fmus[law]),
-        partial(job.progress, "building FMUs"),
-    )
+
+    fmus = _write_laws(job, models, folder)
     comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
     write_json(
         folder / "evaluation.json",
-        {name: to_json(comparison) for name, comparison in comparisons.items()},
+        {test: to_json(comparison) for test, comparison in comparisons.items()},
     )
     return Scored(
         study=study,
@@ -214,8 +199,67 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         fmus=fmus,
         comparisons=comparisons,
         predictions=predictions,
-        refined=refinements,
+        refined=refined,
     )
+
+
+def _provenance(job: Job, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return the provenance of the body and the laws of a study."""
+    study = job.study
+    trained_files = [files[name] for name in job.trained_on]
+    source = provenance(
+        files=[study.robot, job.robot.model, *trained_files],
+        seed=study.seed,
+        **job.robot.constants,
+    )
+    owner = study.owner.known or job.robot.owner.known
+    if owner:
+        source["owner"] = owner
+    if study.twin is None:  # the twin's logs are new in each run
+        source["created"] = newest(trained_files)
+    return source
+
+
+def _records_with_history(
+    job: Job, files: Mapping[str, Path], logs: Mapping[str, Log], robot: Robot, body: RigidBody
+) -> LogRecords:
+    """Return the records of each part of the logs; a tested part includes all rows before it."""
+    runs = {}
+    for name, log in logs.items():
+        history = job.read_with_history(name, files[name]) if name in job.tested_on else None
+        parts = log.parts() if history is None else _extend_parts(log, history)
+        runs[name] = [friction_records(part, robot, body) for part in parts]
+    return runs
+
+
+def _extend_parts(log: Log, history: Log) -> list[Log]:
+    """Return the parts of a log, each with the rows of `history` before it."""
+    part_by_end = {part.t[-1]: part for part in history.parts()}
+    return [part_by_end.get(part.t[-1], part) for part in log.parts()]
+
+
+def _records_of_logs(logs: Mapping[str, Log], runs: LogRecords) -> LogRecords:
+    """Return the records of the logs themselves, which are the last rows of `runs`."""
+    records = {}
+    for name, log in logs.items():
+        records[name] = [
+            [record.rows(slice(-len(part.t), None)) for record in part_records]
+            for part, part_records in zip(log.parts(), runs[name], strict=True)
+        ]
+    return records
+
+
+def _write_laws(job: Job, models: Mapping[str, FrictionModel], folder: Path) -> dict[str, Path]:
+    """Write laws and FMUs without documentation; return the FMUs."""
+    for law, model in models.items():
+        model.write(folder / "laws" / f"{law}.json")
+    fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+    of_each(
+        models,
+        lambda law, model: export_bare(model, fmus[law]),
+        partial(job.progress, "building FMUs"),
+    )
+    return fmus
 
 
 def _documented(

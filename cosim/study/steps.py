@@ -2,13 +2,12 @@
 
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from inspect import signature
-from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -27,12 +26,12 @@ from cosim.study.scores import (
     rows_of,
     within,
 )
-from cosim.study.study import Part, Study
+from cosim.study.study import Part, RefinementStudy, Study, TimeBand
 from fmu_src.export.toolchain import HOST
-from fmu_src.friction.predictions import predict_fmu
+from fmu_src.friction.predictions import Records, predict_fmu
 from hesr_model.errors import ConfigError, FitError, HesrError, LogError
 from hesr_model.findings import log_findings
-from hesr_model.fitting.days import add_fitted_nuisances
+from hesr_model.fitting.days import Nuisance, add_fitted_nuisances
 from hesr_model.fitting.estimator import estimator, registry, select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import Refined, refine
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from hesr_model.audit.properties import Properties
 
 Returned = TypeVar("Returned")
+_REFINING = "refining the rigid body"  # stage of the progress
 
 _log = logging.getLogger(__name__)
 
@@ -67,6 +67,16 @@ def of_each(
     costs = [model.size for model in models.values()]
     with parallel.results_of(jobs, None, costs, list(models)) as done:
         return {law: next(done) for law in counted(list(models), progress)}
+
+
+class _ReplayCase(NamedTuple):
+    """Replay of the FMU of a law over a test set, for a row of the scores."""
+
+    test: str
+    row: str
+    law: str
+    is_causal: bool  # velocity of a user, with its lag; else that of the fit
+    measured_start: bool  # initial state estimated from measured torque
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,59 +162,56 @@ class Job:
         logs = self.study.logs
         return list(dict.fromkeys((*logs.identification, *logs.reversed, *logs.training)))
 
+    @property
+    def tested_on(self) -> list[str]:
+        """Logs of the test sets."""
+        tests = self.study.logs.test.values()
+        return list(dict.fromkeys(name for names in tests for name in names))
+
     def log_files(self, folder: Path) -> dict[str, Path]:
         """Return the file of every log; those of the twin are simulated."""
-        tested = (name for logs in self.study.logs.test.values() for name in logs)
-        names = dict.fromkeys((*self.trained_on, *tested))
-        if self.study.twin is None:
-            parts = self.study.logs.parts
-            files = {name: parts[name].log if name in parts else name for name in names}
-            return {name: self.path.parent / file for name, file in files.items()}
+        study = self.study
+        names = list(dict.fromkeys((*self.trained_on, *self.tested_on)))
+        if study.twin is None:
+            return {name: self.path.parent / self._file_name(name) for name in names}
         # Load MuJoCo for a twin only.
         from cosim.loop.excite import excite, export_twin, twin_plant
         from cosim.loop.motions import Motions
 
         self.progress("running the arm", 0, 1)
-        motions = self.study.twin.motions
-        plant, signals = twin_plant(self.study.twin, self.path, folder)
-        arm = export_twin(plant, folder / "fmus", signals)
-        made = excite(Motions.read(motions), plant, folder / "logs", fmu=arm)
+        motions = study.twin.motions
+        plant, signals = twin_plant(study.twin, self.path, folder)
+        fmu = export_twin(plant, folder / "fmus", signals)
+        files = excite(Motions.read(motions), plant, folder / "logs", fmu=fmu)
         self.progress("running the arm", 1, 1)
         for name in names:
-            if name not in made:
+            if name not in files:
                 raise self._error(
                     f"key 'logs': '{name}' is not a motion of {motions}; its motions give "
-                    f"{', '.join(made)}.",
+                    f"{', '.join(files)}.",
                     code="study.motion",
                     key="logs",
                 )
-        return {name: made[name] for name in names}
+        return {name: files[name] for name in names}
+
+    def _file_name(self, name: str) -> str:
+        part = self.study.logs.parts.get(name)
+        return name if part is None else part.log
 
     def read(self, name: str, file: Path) -> Log:
         """Read a log of the study, or a named part of a log."""
         log = Log.read(file, self.robot)
         part = self.study.logs.parts.get(name)
-        return log if part is None else self._part(log, name, part)
+        return log if part is None else _select_part(log, name, part)
 
     def read_with_history(self, name: str, file: Path) -> Log | None:
         """Read a part of a log and all rows before it, for its start; None for a whole log."""
         part = self.study.logs.parts.get(name)
         if part is None or part.start == 0.0:
             return None
-        return self._part(Log.read(file, self.robot), name, part.model_copy(update={"start": 0.0}))
-
-    def _part(self, log: Log, name: str, part: Part) -> Log:
-        since = log.t - log.t[0]
-        rows = np.flatnonzero((since >= part.start) & (since < part.stop))
-        if len(rows) < 2:
-            raise LogError(
-                f"{log.path}: no rows from {part.start:g} to {part.stop:g} s, the part '{name}' of "
-                f"the study; the log is {since[-1]:.4g} s long.",
-                code="study.part",
-                where=log.path or "",
-                key=f"logs.parts.{name}",
-            )
-        return replace(log.rows(rows), name=name)
+        return _select_part(
+            Log.read(file, self.robot), name, part.model_copy(update={"start": 0.0})
+        )
 
     def properties(self, run: Scored, folder: Path) -> "dict[str, Properties]":
         """Run the physics checks, if present, on all laws and write the results."""
@@ -284,34 +291,58 @@ class Job:
         body = identify(forward, robot, reversed_logs=backward, physical=self.study.physical)
         self.progress("identifying the rigid body", 1, 1)
         refinement = self.study.refinement
-        refined = {}
         if refinement is None:
             return body, {}
-        training = {name: logs[name] for name in self.study.logs.training}
-        law = refinement.law
-        laws = self.laws
-        if not law and robot.n > 1:
+        if refinement.law:
+            return self._refine_with_law(refinement, logs, robot, body)
+        if robot.n > 1:
             return body, {}
+        return self._refine_with_best_law(refinement, logs, robot, body), {}
+
+    def _refine_with_best_law(
+        self, refinement: RefinementStudy, logs: Mapping[str, Log], robot: Robot, body: RigidBody
+    ) -> RigidBody:
+        """Refine the body with the law that explains most; every law is refined later with it."""
+        laws: Sequence[str] = self.laws
         for _ in range(refinement.rounds):
-            records = {
-                name: [friction_records(part, robot, body) for part in log.parts()]
-                for name, log in training.items()
-            }
-            what = "refining the rigid body"
-            if not law:  # every law is refined later, with this body
-                tried = self.fit(records, laws, what, {}, left_out=lambda *_: None)
-                both = self.refine(logs, robot, body, tried, with_body=True)
-                laws = (min(both, key=lambda name: both[name].size),)
-                body = both[laws[0]].body
-                continue
-            model = self.fit(records, (law,), what, {})[law]
+            records = self._training_records(logs, robot, body)
+            models = self.fit(records, laws, _REFINING, {}, left_out=lambda *_: None)
+            refined = self.refine(logs, robot, body, models, with_body=True)
+            law = min(refined, key=lambda law: refined[law].size)
+            body = refined[law].body
+            laws = (law,)
+        return body
+
+    def _refine_with_law(
+        self, refinement: RefinementStudy, logs: Mapping[str, Log], robot: Robot, body: RigidBody
+    ) -> tuple[RigidBody, dict[str, FrictionModel]]:
+        """Refine the body with the law of the study; return it with the law refined, if it is."""
+        law = refinement.law
+        models = {}
+        for _ in range(refinement.rounds):
+            records = self._training_records(logs, robot, body)
+            model = self.fit(records, (law,), _REFINING, {})[law]
             if refinement.kind == "output_error":
-                together = refine(robot, body, model, smoothed(list(training.values()), robot))
-                body = together.body
-                refined = {law: together.friction}
+                motions = smoothed(self._training_logs(logs), robot)
+                refined_law = refine(robot, body, model, motions)
+                body = refined_law.body
+                models[law] = refined_law.friction
             else:
+                forward = [logs[name] for name in self.study.logs.identification]
+                backward = [logs[name] for name in self.study.logs.reversed]
                 body = identify_again(forward, robot, body, model, reversed_logs=backward)
-        return body, refined
+        return body, models
+
+    def _training_records(
+        self, logs: Mapping[str, Log], robot: Robot, body: RigidBody
+    ) -> LogRecords:
+        records = {}
+        for name in self.study.logs.training:
+            records[name] = [friction_records(part, robot, body) for part in logs[name].parts()]
+        return records
+
+    def _training_logs(self, logs: Mapping[str, Log]) -> list[Log]:
+        return [logs[name] for name in self.study.logs.training]
 
     def refine(
         self,
@@ -323,33 +354,34 @@ class Job:
         with_body: bool = False,
     ) -> dict[str, Refined]:
         """Refine laws by output error on the training logs."""
-        motions = smoothed([logs[name] for name in self.study.logs.training], robot)
-        seed = self.study.seed
-        progress = partial(self.progress, "refining by output error")
-        own = partial(refine, robot, body, motions=motions, with_body=with_body, seed=seed)
-        return of_each(models, lambda _, friction: own(friction), progress)
+        motions = smoothed(self._training_logs(logs), robot)
+
+        def refine_law(_: str, model: FrictionModel) -> Refined:
+            return refine(robot, body, model, motions, with_body=with_body, seed=self.study.seed)
+
+        return of_each(models, refine_law, partial(self.progress, "refining by output error"))
 
     def fit(
         self,
         records: LogRecords,
         laws: Sequence[str],
-        what: str,
+        stage: str,
         source: Mapping[str, Any],
         *,
         left_out: Callable[[str, FitError], None] | None = None,
     ) -> dict[str, FrictionModel]:
         """Fit laws to the training logs; see `fit_models`."""
         study = self.study
-        variants = study.variants
+        options = {name: variant.options for name, variant in study.variants.items()}
         return fit_models(
             laws,
             records_of(study.logs.training, records),
             robot=self.robot.name,
             seed=study.seed,
-            options={**study.options, **{name: v.options for name, v in variants.items()}},
-            variants={name: v.law for name, v in variants.items()},
+            options={**study.options, **options},
+            variants={name: variant.law for name, variant in study.variants.items()},
             provenance=source,
-            progress=partial(self.progress, what),
+            progress=partial(self.progress, stage),
             left_out=left_out,
             kept=self.kept and self.kept / "laws",
             per_log=study.per_log,
@@ -362,15 +394,16 @@ class Job:
 
         A law that the closed loop needs raises instead.
         """
-        reasons: dict[str, str] = {}
+        left_out: dict[str, str] = {}
 
         def leave_out(law: str, error: FitError) -> None:
             if self.study.tracking and law in self.study.tracking.sources:
                 raise error
-            reasons[law] = str(error)
+            left_out[law] = str(error)
             _log.warning("law '%s' is left out: %s", law, error)
 
-        return self.fit(records, self.laws, "fitting laws", source, left_out=leave_out), reasons
+        models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
+        return models, left_out
 
     def compare(
         self,
@@ -386,65 +419,126 @@ class Job:
         With `per_log`, a second comparison has the offsets of each test log fitted. `records` are
         the last rows of `runs`.
         """
+        study = self.study
         comparisons = {}
         predictions = {}
         inputs = input_classes(models)
-        tests = self.study.logs.test
-        every = product(tests, rows_of(models).items(), (True, False))
-        cases = [(test, row, lag, *case) for test, (row, case), lag in every]
-        jobs = [
-            partial(
-                predict_fmu,
-                fmus / f"{law}.fmu",
-                (causal if lag else list)(records_of(tests[test], runs)),
-                measured_start=with_start,
-            )
-            for test, _, lag, law, with_start in cases
-        ]
-        replayed: dict[tuple[str, bool], dict[str, list[list[Array]]]] = defaultdict(dict)
-        names = [f"{row} on {test}" for test, row, *_ in cases]
-        with parallel.results_of(jobs, names=names) as results:
-            for test, row, lag, *_ in counted(cases, partial(self.progress, "replaying the FMUs")):
-                tested = records_of(tests[test], records)
-                replayed[test, lag][row] = [
-                    [tau[-len(record.t) :] for tau, record in zip(*of_joint, strict=True)]
-                    for of_joint in zip(next(results), tested, strict=True)
-                ]
-        for name, logs in tests.items():
-            tested = records_of(logs, records)
-            predicted = replayed[name, True]
-            if self.study.twin:
-                predicted[ORACLE] = self._true_friction([files[log] for log in logs])
-            comparisons[name] = compare(tested, predicted, inputs, models, replayed[name, False])
-            predictions[name] = predicted
-            per_log = self.study.per_log
-            if per_log:
-                comparisons[name] = replace(comparisons[name], per_log=())
-                fitted = {
-                    law: [
-                        add_fitted_nuisances(p, record, per_log)
-                        for p, record in zip(whole, tested, strict=True)
-                    ]
-                    for law, whole in predicted.items()
-                }
-                fitted_name = f"{name}, {' and '.join(per_log)} of each log fitted"
-                comparisons[fitted_name] = replace(compare(tested, fitted, inputs), per_log=per_log)
-            for band in self.study.bands:
-                if band.test == name:
-                    parts = {
-                        law: within(tested, whole, band.start, band.stop)
-                        for law, whole in predicted.items()
-                    }
-                    rows = next(iter(parts.values()))[0]
-                    comparisons[band.name] = compare(
-                        rows, {law: p for law, (_, p) in parts.items()}, inputs
-                    )
+        replayed = self._replay_fmus(models, records, fmus, runs)
+        for test, names in study.logs.test.items():
+            test_records = records_of(names, records)
+            torques = replayed[test, True]
+            if study.twin:
+                torques[ORACLE] = self._true_friction([files[name] for name in names])
+            comparison = compare(test_records, torques, inputs, models, replayed[test, False])
+            predictions[test] = torques
+            if study.per_log:
+                comparisons[test] = replace(comparison, per_log=())
+                name = f"{test}, {' and '.join(study.per_log)} of each log fitted"
+                comparisons[name] = _compare_with_nuisances(
+                    test_records, torques, inputs, study.per_log
+                )
+            else:
+                comparisons[test] = comparison
+            for band in study.bands:
+                if band.test == test:
+                    comparisons[band.name] = _compare_in_band(test_records, torques, inputs, band)
         return comparisons, predictions
 
-    def _true_friction(self, logs: Sequence[Path]) -> list[list[Array]]:
+    def _replay_fmus(
+        self,
+        models: Mapping[str, FrictionModel],
+        records: LogRecords,
+        fmus: Path,
+        runs: LogRecords,
+    ) -> dict[tuple[str, bool], dict[str, list[list[Array]]]]:
+        """Return torques of the FMUs by (test, is causal) and row, [joint][log]."""
+        logs = self.study.logs.test
+        cases = _list_replays(logs, models)
+        jobs = []
+        for case in cases:
+            test_records = records_of(logs[case.test], runs)
+            jobs.append(
+                partial(
+                    predict_fmu,
+                    fmus / f"{case.law}.fmu",
+                    causal(test_records) if case.is_causal else test_records,
+                    measured_start=case.measured_start,
+                )
+            )
+        replayed: dict[tuple[str, bool], dict[str, list[list[Array]]]] = defaultdict(dict)
+        names = [f"{case.row} on {case.test}" for case in cases]
+        with parallel.results_of(jobs, names=names) as results:
+            for case in counted(cases, partial(self.progress, "replaying the FMUs")):
+                test_records = records_of(logs[case.test], records)
+                torques = _cut_torques(next(results), test_records)
+                replayed[case.test, case.is_causal][case.row] = torques
+        return replayed
+
+    def _true_friction(self, files: Sequence[Path]) -> list[list[Array]]:
         from cosim.loop.excite import truth_of
 
-        joints = len(self.robot.joints)
-        names = [f"tau_f{k}" for k in range(1, joints + 1)]
-        truths = [read_table(truth_of(log)).numbers(names) for log in logs]
-        return [[truth[:, joint] for truth in truths] for joint in range(joints)]
+        names = [f"tau_f{number}" for number in range(1, len(self.robot.joints) + 1)]
+        torques = [read_table(truth_of(file)).numbers(names) for file in files]
+        return [[tau[:, joint] for tau in torques] for joint in range(len(names))]
+
+
+def _select_part(log: Log, name: str, part: Part) -> Log:
+    """Return the rows of a part of a log."""
+    seconds = log.t - log.t[0]
+    rows = np.flatnonzero((seconds >= part.start) & (seconds < part.stop))
+    if len(rows) < 2:
+        raise LogError(
+            f"{log.path}: no rows from {part.start:g} to {part.stop:g} s, the part '{name}' of "
+            f"the study; the log is {seconds[-1]:.4g} s long.",
+            code="study.part",
+            where=log.path or "",
+            key=f"logs.parts.{name}",
+        )
+    return replace(log.rows(rows), name=name)
+
+
+def _list_replays(tests: Iterable[str], models: Mapping[str, FrictionModel]) -> list[_ReplayCase]:
+    cases = []
+    for test in tests:
+        for row, (law, measured_start) in rows_of(models).items():
+            cases.append(_ReplayCase(test, row, law, True, measured_start))
+            cases.append(_ReplayCase(test, row, law, False, measured_start))
+    return cases
+
+
+def _cut_torques(torques: Sequence[Sequence[Array]], test_records: Records) -> list[list[Array]]:
+    """Return the last torques [joint][log], those of the rows of the records."""
+    shortened = []
+    for joint_torques, joint_records in zip(torques, test_records, strict=True):
+        pairs = zip(joint_torques, joint_records, strict=True)
+        shortened.append([tau[-len(record.t) :] for tau, record in pairs])
+    return shortened
+
+
+def _compare_with_nuisances(
+    test_records: Records,
+    torques: Mapping[str, Sequence[Sequence[Array]]],
+    inputs: Mapping[str, str],
+    per_log: tuple[Nuisance, ...],
+) -> Comparison:
+    """Compare laws after fitting the nuisances of each log."""
+    fitted_torques = {}
+    for law, law_torques in torques.items():
+        fitted_torques[law] = [
+            add_fitted_nuisances(joint_torques, joint_records, per_log)
+            for joint_torques, joint_records in zip(law_torques, test_records, strict=True)
+        ]
+    return replace(compare(test_records, fitted_torques, inputs), per_log=per_log)
+
+
+def _compare_in_band(
+    test_records: Records,
+    torques: Mapping[str, Sequence[Sequence[Array]]],
+    inputs: Mapping[str, str],
+    band: TimeBand,
+) -> Comparison:
+    """Compare laws on the rows of a band of a test."""
+    band_torques = {}
+    for law, law_torques in torques.items():
+        band_records, band_torques[law] = within(test_records, law_torques, band.start, band.stop)
+    return compare(band_records, band_torques, inputs)
