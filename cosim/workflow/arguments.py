@@ -75,6 +75,11 @@ def list_paths(name: str, files: Paths) -> list[Path]:
     return [Path(file) for file in list_items(name, files, (str, PathLike), expected)]
 
 
+def to_optional_path(name: str, file: PathArg | None) -> Path | None:
+    """Return text or a path as a Path, and None as None."""
+    return None if file is None else path_of(file, f"'{name}'")
+
+
 def list_logs(name: str, logs: Logs) -> list[LogSource]:
     """Return one or several logs as a list of objects and paths; no file is read."""
     from hesr_model.logs.robot_log import Log  # slow to import

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from cosim.workflow.arguments import (
     remember_trust,
     require_choice,
     require_items,
+    to_optional_path,
 )
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
@@ -54,10 +55,11 @@ class FmuReport(Answer):
         lines = []
         for report in self.reports:
             lines.append(f"{report.path}: {report.verdict}")
-            own = [f"  {line}" for line in finding_lines(report.problems)]
-            lines += own[:most]
-            if len(own) > len(own[:most]):
-                lines.append(f"  {len(own) - len(own[:most])} more: --verbose lists them.")
+            problems = [f"  {line}" for line in finding_lines(report.problems)]
+            lines += problems[:most]
+            hidden_count = len(problems) - len(problems[:most])
+            if hidden_count:
+                lines.append(f"  {hidden_count} more: --verbose lists them.")
             if report.coverage:
                 lines.append(f"  platforms: {report.coverage}")
             lines += [f"  not run: {reason}" for reason in report.skipped]
@@ -71,18 +73,20 @@ class FmuReport(Answer):
         """Return all findings, and the tables of the kind ``convention``."""
         from cosim.report.tables.laws import convention
 
-        costs = [convention(path.name, found) for path, found in self.conventions.items()]
+        costs = [convention(path.name, cost) for path, cost in self.conventions.items()]
         return [*self._lines(), *costs]
 
     def result(self) -> Any:
         """Return the reports as JSON data."""
         from hesr_model.support.typed_files import to_json
 
-        return [
-            report.to_json()
-            | ({"convention": to_json(c)} if (c := self.conventions.get(report.path)) else {})
-            for report in self.reports
-        ]
+        reports = []
+        for report in self.reports:
+            data = report.to_json()
+            if report.path in self.conventions:
+                data["convention"] = to_json(self.conventions[report.path])
+            reports.append(data)
+        return reports
 
 
 def check(
@@ -143,63 +147,90 @@ def check(
     >>> hesr.check("Friction.fmu").passed
     True
     """
-    from fmu_src.check.run import check as check_fmu
-    from fmu_src.friction.convention import judge, measure
-    from fmu_src.run.archive import opened
+    from fmu_src.friction.convention import measure
 
     paths = list_paths("fmus", fmus)
     require_items("fmus", paths)
     kinds = list_names("kind", kind)
-    plugged = plugins.names("hesr.checks")
     for name in kinds:
-        require_choice("kind", name, (*KINDS, *plugged))
-    wanted = {"junit": junit, "sarif": sarif}
-    writers = [(plugins.find("hesr.findings", k), file) for k, file in wanted.items() if file]
-    systems = [path for path in paths if path.suffix.lower() == ".ssp"]
-    if systems and set(kinds) - {"static", "references"}:
-        raise ArgumentError(f"{systems[0]}: an SSP supports 'kind' static and references only.")
+        require_choice("kind", name, (*KINDS, *plugins.names("hesr.checks")))
+    writers = _find_writers({"junit": junit, "sarif": sarif})
+    _require_supported(paths, kinds)
+    remember_trust(paths, trust=trust)
+    vdmcheck_folder = to_optional_path("vdmcheck", vdmcheck)
+    reports = [
+        _check_file(path, kinds, vdmcheck_folder)
+        for path in counted(paths, partial(progress, "checking"), lambda path: path.name)
+    ]
+    conventions = {}
+    if "convention" in kinds:
+        for number, path in enumerate(paths):
+            progress(f"measuring {path.name}", 0, 1)
+            try:
+                conventions[path] = measure(path)
+            except HesrError as error:
+                report = reports[number]
+                if not report.problems:
+                    raise
+                # The problems explain why the FMU does not run.
+                skipped = (*report.skipped, f"Convention: {error}")
+                reports[number] = replace(report, skipped=skipped)
+    for write, file in writers:
+        write(file, reports)
+    return FmuReport(reports=reports, conventions=conventions, files=[file for _, file in writers])
+
+
+def _find_writers(files: Mapping[str, PathArg | None]) -> list[tuple[Callable[..., None], Path]]:
+    """Return the writers of findings with their files, of formats that have a file."""
+    writers = []
+    for name, file in files.items():
+        if file:
+            write = plugins.find("hesr.findings", name)
+            writers.append((write, path_of(file, f"'{name}'")))
+    return writers
+
+
+def _is_system(path: Path) -> bool:
+    return path.suffix.lower() == ".ssp"
+
+
+def _require_supported(paths: Sequence[Path], kinds: Sequence[str]) -> None:
+    """Refuse an unreadable file, or one that a kind does not support, before checking others."""
+    from fmu_src.friction.convention import judge
+    from fmu_src.run.archive import opened
+
     for path in paths:
-        if path not in systems:
-            opened(path).close()  # refuse an unreadable file before checking others
+        if _is_system(path) and set(kinds) - {"static", "references"}:
+            raise ArgumentError(f"{path}: an SSP supports 'kind' static and references only.")
+    for path in paths:
+        if not _is_system(path):
+            opened(path).close()
             if "convention" in kinds:
                 judge(path)
-    remember_trust(paths, trust=trust)
-    folder = None if vdmcheck is None else path_of(vdmcheck, "'vdmcheck'")
-    reports = []
-    for path in counted(paths, partial(progress, "checking"), lambda path: path.name):
-        report = (
-            plugins.find("hesr.systems", "ssp-check")(path, vdmcheck=folder)
-            if path in systems
-            else check_fmu(path, vdmcheck=folder, kinds=[name for name in plugged if name in kinds])
-        )
-        reports.append(_with_references(report) if "references" in kinds else report)
-    conventions = {}
-    for place, path in enumerate(paths if "convention" in kinds else ()):
-        progress(f"measuring {path.name}", 0, 1)
-        try:
-            conventions[path] = measure(path)
-        except HesrError as error:
-            broken = reports[place]
-            if not broken.problems:
-                raise
-            reports[place] = replace(broken, skipped=(*broken.skipped, f"Convention: {error}"))
-    files = []
-    for write, file in writers:
-        files.append(path_of(file, "an output"))
-        write(files[-1], reports)
-    return FmuReport(reports=reports, conventions=conventions, files=files)
 
 
-def _with_references(report: Report) -> Report:
+def _check_file(path: Path, kinds: Sequence[str], vdmcheck: Path | None) -> Report:
+    """Run the static checks of an FMU or SSP, those of plug-ins, and the comparison."""
+    from fmu_src.check.run import check as check_fmu
+
+    if _is_system(path):
+        report: Report = plugins.find("hesr.systems", "ssp-check")(path, vdmcheck=vdmcheck)
+    else:
+        checks = [name for name in plugins.names("hesr.checks") if name in kinds]
+        report = check_fmu(path, vdmcheck=vdmcheck, kinds=checks)
+    return _add_references(report) if "references" in kinds else report
+
+
+def _add_references(report: Report) -> Report:
     """Return a report extended by the comparison with the reference results in the file."""
     from fmu_src.check.rules import findings, with_rule
     from fmu_src.run.reference_results import verify
 
-    system = report.path.suffix.lower() == ".ssp"
-    run = plugins.find("hesr.systems", "ssp-references") if system else verify
-    found = run(report.path)
+    if _is_system(report.path):
+        verify = plugins.find("hesr.systems", "ssp-references")
+    comparison = verify(report.path)
     return replace(
         report,
-        problems=(*findings(with_rule("references", found.problems)), *report.problems),
-        skipped=(*report.skipped, *found.skipped),
+        problems=(*findings(with_rule("references", comparison.problems)), *report.problems),
+        skipped=(*report.skipped, *comparison.skipped),
     )

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args, overload
 
 from cosim.workflow.answer import Answer, Written
-from cosim.workflow.arguments import require_choice
+from cosim.workflow.arguments import require_choice, to_optional_path
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, path_of, written_together
@@ -120,17 +120,17 @@ def excite(
     """
     require_choice("purpose", purpose, get_args(Purpose))
     path = path_of(output, "'output'")
-    file = path_of(robot, "'robot'")
-    chosen = None if settings is None else path_of(settings, "'settings'")
+    robot_path = path_of(robot, "'robot'")
+    settings_path = to_optional_path("settings", settings)
     if purpose != "body" or time is not None or after is not None or format:
         planned: Answer = plugins.find("hesr.motions", "plan")(
-            file,
+            robot_path,
             path,
             purpose=purpose,
             time=time,
-            after=None if after is None else path_of(after, "'after'"),
+            after=to_optional_path("after", after),
             format=format,
-            settings=chosen,
+            settings=settings_path,
             progress=progress,
         )
         return planned
@@ -142,32 +142,32 @@ def excite(
     import numpy as np
     from threadpoolctl import threadpool_limits
 
-    from cosim.report.figures.motions import excitation
+    from cosim.report.figures.motions import excitation as draw_excitation
     from hesr_model.logs.tables import numbered, write_table
     from hesr_model.motions.excitation import ExcitationSettings, condition, design, random_motions
     from hesr_model.rigid_body.base_parameters import base_columns
     from hesr_model.robots.robot import Robot, RobotDescription
 
-    model = Robot(RobotDescription.read(file))
-    limits = ExcitationSettings.read(chosen) if chosen else ExcitationSettings()
+    model = Robot(RobotDescription.read(robot_path))
+    limits = ExcitationSettings.read(settings_path) if settings_path else ExcitationSettings()
     try:
-        found = design(model, limits, progress=partial(progress, "designing the motion"))
+        excitation = design(model, limits, progress=partial(progress, "designing the motion"))
     except HesrError as error:
-        raise type(error)(f"{chosen or file}: {error}") from error
+        raise type(error)(f"{settings_path or robot_path}: {error}") from error
     base = base_columns(model)
     with threadpool_limits(1):  # threads cost more than they save
         random = random_motions(model, limits, _COMPARED, limits.seed)
         conditions = [condition(model, base, motion) for motion in random]
     backward = path.with_stem(f"{path.stem}_reversed")
     picture = path.with_suffix(".png")
-    t, q, dq, ddq = found.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
+    t, q, dq, ddq = excitation.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
     with written_together(path) as new:
         write_table(new(path), {"t": t} | numbered(q=q, dq=dq, ddq=ddq))
         back = numbered(q=q[::-1], dq=-dq[::-1], ddq=ddq[::-1])
         write_table(new(backward), {"t": t} | back)
-        excitation(new(picture), found, model.description.joints)
+        draw_excitation(new(picture), excitation, model.description.joints)
     return ExcitationDesign(
-        excitation=found,
+        excitation=excitation,
         random_condition=float(np.median(conditions)),
         forward=path,
         backward=backward,
@@ -175,25 +175,26 @@ def excite(
     )
 
 
-def answer(found: ExcitationDesign, _: PathArg | None) -> Answer:
+def answer(designed: ExcitationDesign, _: PathArg | None) -> Answer:
     """Return the answer of a designed motion: condition number, start and peak torques."""
-    motion = found.excitation.motion
-    torque = found.excitation.peak_torque
-    start = ", ".join(f"{q:.3f}" for q in found.excitation.setpoints()[1][0])
+    motion = designed.excitation.motion
+    torque = designed.excitation.peak_torque
+    start = ", ".join(f"{q:.3f}" for q in designed.excitation.setpoints()[1][0])
     peaks = ", ".join(f"{peak:.3g}" for peak in torque)
     return Written(
         format="hesr-excitation-1",
         lines=[
-            f"Period {motion.period:.3f} s, condition number {found.excitation.condition:.3g} "
-            f"(random motions within the same limits: {found.random_condition:.3g} in the median).",
+            f"Period {motion.period:.3f} s, condition number {designed.excitation.condition:.3g} "
+            "(random motions within the same limits: "
+            f"{designed.random_condition:.3g} in the median).",
             f"It starts at {start}; rigid-body torque peaks at {peaks} N.m without friction.",
             "Collisions are not checked: check the motion before you run it.",
         ],
         data={
             "period": motion.period,
-            "condition": found.excitation.condition,
-            "random_condition": found.random_condition,
+            "condition": designed.excitation.condition,
+            "random_condition": designed.random_condition,
             "peak_torque": [float(peak) for peak in torque],
         },
-        files=[found.forward, found.backward, found.picture],
+        files=[designed.forward, designed.backward, designed.picture],
     )

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
+from cosim.workflow.arguments import (
+    checked_logs,
+    list_laws,
+    list_logs,
+    list_names,
+    model_given,
+    paths_among,
+    require_mapping,
+)
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, newest, path_of, provenance
@@ -27,6 +36,7 @@ if TYPE_CHECKING:
         RobotArg,
     )
     from hesr_model.audit.certificate import Certificate
+    from hesr_model.findings import Finding
     from hesr_model.fitting.estimator import Estimator
     from hesr_model.friction.model import FrictionModel
 
@@ -119,19 +129,10 @@ def fit(
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
     from cosim.study.scores import by_joint
-    from cosim.workflow.arguments import (
-        checked_logs,
-        list_laws,
-        list_logs,
-        list_names,
-        paths_among,
-        require_mapping,
-    )
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.examine import check_laws, check_owner
-    from hesr_model.support.typed_files import to_json
 
     sources = list_logs("logs", logs)
     additions = list_names("add", add)
@@ -143,33 +144,30 @@ def fit(
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
     fitted = _fitted_law(law, additions, options, priors)
-    read = checked_logs(sources, robot, accepted, progress, in_pieces=True)
-    records = read.records(read.body(rigid_body), seed)
-    joined = by_joint(records)
+    checked = checked_logs(sources, robot, accepted, progress, in_pieces=True)
+    records = checked.records(checked.body(rigid_body), seed)
+    joint_records = by_joint(records)
     if fitted is None:
-        own = str(law)
-        source = _provenance(read, rigid_body, seed, options or {})
-        model = fit_models(
-            [own],
-            joined,
-            robot=read.robot.description.name,
+        law_name = str(law)
+        models = fit_models(
+            [law_name],
+            joint_records,
+            robot=checked.robot.description.name,
             seed=seed,
-            options={own: dict(options or {})},
-            provenance=source,
-            progress=partial(progress, f"fitting {own}"),
-        )[own]
-        findings = list(check_laws({own: model}, joined))
-        if findings:
-            health = [*source["health"], *map(to_json, findings)]
-            model = replace(model, provenance={**model.provenance, "health": health})
+            options={law_name: dict(options or {})},
+            provenance=_provenance(checked, rigid_body, seed, options or {}),
+            progress=partial(progress, f"fitting {law_name}"),
+        )
+        model = _add_health(models[law_name], check_laws(models, joint_records))
     else:
         model = fitted
     if priors:
-        log_findings(check_owner(model, read.robot))
+        log_findings(check_owner(model, checked.robot))
         progress("adapting", 0, 1)
-        model, sentences = adapt(model, joined)
-        source = _provenance(read, rigid_body, seed, {})
-        source |= {"prior": [str(path) for path in paths_among(*priors)], "adaptation": sentences}
+        model, sentences = adapt(model, joint_records)
+        source = _provenance(checked, rigid_body, seed, {})
+        source["prior"] = [str(path) for path in paths_among(*priors)]
+        source["adaptation"] = sentences
         model = replace(model, provenance=source)
     for name in additions:
         progress(f"fitting {name}", 0, 1)
@@ -178,9 +176,28 @@ def fit(
     if output is not None:
         model.write(path_of(output, "'output'"))
     if fitted is None:
-        known = {finding.sentence for finding in read.findings}
-        log_findings(f for f in health_of(model.provenance) if f.sentence not in known)
+        _log_new_findings(model, checked)
     return model
+
+
+def _add_health(model: FrictionModel, findings: Iterable[Finding]) -> FrictionModel:
+    """Return a model with findings about it in the health of its provenance."""
+    from hesr_model.support.typed_files import to_json
+
+    entries = [to_json(finding) for finding in findings]
+    if not entries:
+        return model
+    health = [*model.provenance["health"], *entries]
+    return replace(model, provenance={**model.provenance, "health": health})
+
+
+def _log_new_findings(model: FrictionModel, checked: CheckedLogs) -> None:
+    """Log the findings of a model that were not logged with its logs."""
+    from hesr_model.findings import log_findings
+
+    logged = {finding.sentence for finding in checked.findings}
+    findings = health_of(model.provenance)
+    log_findings(finding for finding in findings if finding.sentence not in logged)
 
 
 def _fitted_law(
@@ -190,7 +207,6 @@ def _fitted_law(
     prior: Sequence[LawSource],
 ) -> FrictionModel | None:
     """Return a law that is fitted already, None for the name of a law."""
-    from cosim.workflow.arguments import model_given
     from hesr_model.fitting.days import prior_of
     from hesr_model.fitting.estimator import estimator
     from hesr_model.friction.model import FrictionModel
@@ -198,7 +214,7 @@ def _fitted_law(
     if (law is None) != bool(prior) or (prior and options):
         raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
     if law is None:
-        return prior_of([model_given(one) for one in prior])
+        return prior_of([model_given(source) for source in prior])
     if not isinstance(law, FrictionModel) and not str(law).lower().endswith(".json"):
         estimator(str(law))  # refuse an unknown law before the logs are read
         return None
@@ -208,20 +224,19 @@ def _fitted_law(
 
 
 def _provenance(
-    read: CheckedLogs, rigid_body: BodyArg | None, seed: int, options: Mapping[str, Any]
+    checked: CheckedLogs, rigid_body: BodyArg | None, seed: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    from cosim.workflow.arguments import paths_among
     from hesr_model.support.typed_files import to_json
 
-    logs = list(dict.fromkeys(log.path for log in read.logs if log.path))
-    files = list(read.files)
+    logs = list(dict.fromkeys(log.path for log in checked.logs if log.path))
+    files = list(checked.files)
     before_logs = len(files) - len(logs)
     files[before_logs:before_logs] = paths_among(rigid_body)
-    health = [to_json(finding) for finding in read.findings]
+    health = [to_json(finding) for finding in checked.findings]
     source = provenance(files=files, seed=seed, options=dict(options), health=health)
     if logs:
         source["created"] = newest(logs)
-    description = read.robot.description
+    description = checked.robot.description
     source |= description.constants
     owner = description.owner.known
     if owner:

@@ -6,13 +6,27 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cosim.workflow.answer import Answer, Written, health_of, written_files
+from cosim.workflow.arguments import (
+    body_of,
+    checked_logs,
+    list_logs,
+    list_names,
+    model_given,
+    paths_among,
+    require_choice,
+)
 from hesr_model.errors import ArgumentError
 from hesr_model.support.files import PathArg, path_of, provenance
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
-    from cosim.workflow.arguments import BodyArg, LawArg, Logs, Names, RobotArg
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cosim.workflow.arguments import BodyArg, CheckedLogs, LawArg, Logs, Names, RobotArg
+    from hesr_model.findings import Finding
     from hesr_model.rigid_body.identification import RigidBody
+    from hesr_model.rigid_body.payload import Payload
 
 Method = Literal["stacked", "paper"]
 
@@ -84,19 +98,62 @@ def identify(
     >>> hesr.identify("excitation.csv", robot="robot.toml")
     RigidBody('arm', 3 joints, 16 base parameters, condition number ...)
     """
-    from cosim.workflow import arguments
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_body
     from hesr_model.rigid_body.accumulation import identify_long
     from hesr_model.rigid_body.identification import identify as identify_body
-    from hesr_model.rigid_body.payload import identify_payload, loaded
     from hesr_model.rigid_body.refinement import identify_again
-    from hesr_model.support.typed_files import to_json
 
-    forward_sources = arguments.list_logs("logs", logs)
-    backward_sources = arguments.list_logs("reversed_logs", reversed_logs)
-    accepted = arguments.list_names("accept", accept)
-    arguments.require_choice("method", method, get_args(Method))
+    forward_sources = list_logs("logs", logs)
+    backward_sources = list_logs("reversed_logs", reversed_logs)
+    accepted = list_names("accept", accept)
+    require_choice("method", method, get_args(Method))
+    _require_compatible(method, friction, rigid_body, payload, physical=physical)
+
+    # All other ways to identify need all rows at once.
+    in_pieces = method == "stacked" and not physical and friction is None and payload is None
+    sources = [*forward_sources, *backward_sources]
+    checked = checked_logs(sources, robot, accepted, progress, in_pieces=in_pieces)
+    forward = checked.logs[: len(forward_sources)]
+    backward = checked.logs[len(forward_sources) :]
+
+    progress("identifying", 0, 1)
+    carried = None
+    if payload is not None:
+        body, carried = _identify_payload(checked, payload)
+    elif friction is not None and rigid_body is not None:
+        body = identify_again(
+            forward,
+            checked.robot,
+            body_of(rigid_body, (), checked.robot),
+            model_given(friction),
+            reversed_logs=backward,
+        )
+    elif checked.longs:
+        body = identify_long(checked.longs, checked.robot)
+    else:
+        body = identify_body(
+            forward, checked.robot, method=method, reversed_logs=backward, physical=physical
+        )
+
+    findings = list(check_body(body, checked.robot))
+    files = [*checked.files, *paths_among(payload, friction, rigid_body)]
+    body = replace(body, provenance=_provenance(checked, findings, files, carried))
+    if output is not None:
+        body.write(path_of(output, "'output'"))
+    log_findings(findings)
+    return body
+
+
+def _require_compatible(
+    method: Method,
+    friction: LawArg | None,
+    rigid_body: BodyArg | None,
+    payload: BodyArg | None,
+    *,
+    physical: bool,
+) -> None:
+    """Raise ArgumentError for options of different ways to identify."""
     if (friction is None) != (rigid_body is None):
         raise ArgumentError("'friction' and 'rigid_body' must be given together.")
     if payload is not None and (physical or friction is not None or method != "stacked"):
@@ -105,40 +162,32 @@ def identify(
         )
     if physical and friction is not None:
         raise ArgumentError("'physical' excludes 'friction'; give one of them.")
-    plain = method == "stacked" and not physical and friction is None and payload is None
-    read = arguments.checked_logs(
-        [*forward_sources, *backward_sources], robot, accepted, progress, in_pieces=plain
-    )
-    forward = read.logs[: len(forward_sources)]
-    backward = read.logs[len(forward_sources) :]
-    progress("identifying", 0, 1)
-    files = [*read.files, *arguments.paths_among(payload, friction, rigid_body)]
-    more: dict[str, Any] = {**read.robot.description.constants}
+
+
+def _identify_payload(checked: CheckedLogs, body: BodyArg) -> tuple[RigidBody, Payload]:
+    """Return a body with the payload in the logs, and the payload."""
+    from hesr_model.rigid_body.payload import identify_payload, loaded
+
+    unloaded_body = body_of(body, (), checked.robot)
+    payload = identify_payload(checked.logs, checked.robot, unloaded_body)
+    return loaded(unloaded_body, payload, checked.robot), payload
+
+
+def _provenance(
+    checked: CheckedLogs,
+    findings: Sequence[Finding],
+    files: Sequence[Path],
+    payload: Payload | None,
+) -> dict[str, Any]:
+    from hesr_model.support.typed_files import to_json
+
+    entries: dict[str, Any] = {**checked.robot.description.constants}
     if payload is not None:
-        without = arguments.body_of(payload, (), read.robot)
-        carried = identify_payload(read.logs, read.robot, without)
-        found = loaded(without, carried, read.robot)
-        more["payload"] = carried.to_dict()
-    elif friction is not None and rigid_body is not None:
-        model = arguments.model_given(friction)
-        body = arguments.body_of(rigid_body, (), read.robot)
-        found = identify_again(forward, read.robot, body, model, reversed_logs=backward)
-    elif read.longs:
-        found = identify_long(read.longs, read.robot)
-    else:
-        found = identify_body(
-            forward, read.robot, method=method, reversed_logs=backward, physical=physical
-        )
-    slides = read.robot.slides
-    if any(slides):
-        more["sliding"] = slides
-    impossible = list(check_body(found, read.robot))
-    health = [to_json(finding) for finding in (*read.findings, *impossible)]
-    found = replace(found, provenance=provenance(files=files, **more, health=health))
-    if output is not None:
-        found.write(path_of(output, "'output'"))
-    log_findings(impossible)
-    return found
+        entries["payload"] = payload.to_dict()
+    if any(checked.robot.slides):
+        entries["sliding"] = checked.robot.slides
+    health = [to_json(finding) for finding in (*checked.findings, *findings)]
+    return provenance(files=files, **entries, health=health)
 
 
 def answer(body: RigidBody, output: PathArg | None) -> Answer:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shorten_lines
-from cosim.workflow.arguments import list_logs, list_names, list_numbers
+from cosim.workflow.arguments import list_logs, list_names, list_numbers, to_optional_path
 from hesr_model.errors import ArgumentError, HesrError
-from hesr_model.support.files import PathArg, path_of, written_together
+from hesr_model.support.files import PathArg, written_together
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from hesr_model.findings import Finding
     from hesr_model.health.proposal import Proposal
     from hesr_model.rigid_body.torque_constants import Constant
+
+
+_MASS_ERROR = 0.2  # relative error of the model's masses by default, one sigma
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -116,7 +119,7 @@ def inspect(
     study: PathArg | None = None,
     output: PathArg | None = None,
     torque_constants: bool = False,
-    mass_error: float = 0.2,
+    mass_error: float = _MASS_ERROR,
     loaded: Logs = (),
     payload: Iterable[float] | None = None,
     progress: Stages = silent,
@@ -174,50 +177,73 @@ def inspect(
     from cosim.study.proposal import split
     from hesr_model.health.joints import with_joints
     from hesr_model.health.proposal import inspect_logs, with_constants
-    from hesr_model.logs.robot_log import Log
 
     sources = list_logs("logs", logs)
     loaded_sources = list_logs("loaded", loaded)
     names = list_names("joints", joints, commas=True)
     point_mass = None if payload is None else list_numbers("payload", payload)
+    _require_robot(robot, names, write, study)
+    has_constant_options = bool(loaded_sources) or payload is not None or mass_error != _MASS_ERROR
+    if has_constant_options and not torque_constants:
+        raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
+    if not sources and (robot is None or study or torque_constants):
+        raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
+    files = _log_files(sources)
+    progress("inspecting logs", 0, 1)
+    proposal = inspect_logs(files, robot, names)
+    constants: Sequence[Constant] = ()
+    if torque_constants:
+        moved_robot = with_joints(robot, names) if robot and names else robot
+        constants = _torque_constants(
+            sources, moved_robot, mass_error, loaded_sources, point_mass, progress
+        )
+        proposal = with_constants(proposal, constants)
+    severities = {finding.severity for finding in proposal.examination.findings}
+    has_errors = "error" in severities
+    written, failure = _write(proposal, output, write, None if has_errors else study)
+    is_ready = not has_errors and not failure
+    return Inspection(
+        proposal=proposal,
+        constants=constants,
+        next_command=_next_command(write, study, is_ready=is_ready),
+        limit=split(proposal.logs).limit if study and is_ready else "",
+        failure=failure,
+        files=written,
+    )
+
+
+def _require_robot(
+    robot: RobotArg | None, joints: Sequence[str], write: PathArg | None, study: PathArg | None
+) -> None:
+    """Raise ArgumentError for options that need a robot or its file."""
     if write and not robot:
         raise ArgumentError("'write' needs 'robot': a robot file names the robot's model.")
     if study and not write:
         raise ArgumentError(
             "'study' needs 'write': a study names the robot file that reads its logs."
         )
-    if not torque_constants and (loaded_sources or payload is not None or mass_error != 0.2):
-        raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
-    files = [source.path if isinstance(source, Log) else source for source in sources]
-    if not files and (robot is None or study or torque_constants):
-        raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
-    if None in files:
-        raise ArgumentError("logs are inspected as files; give their paths.")
-    progress("inspecting logs", 0, 1)
-    if names and robot is None:
+    if joints and robot is None:
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
-    proposal = inspect_logs([file for file in files if file], robot, names)
-    constants: Sequence[Constant] = ()
-    if torque_constants:
-        known = with_joints(robot, names) if robot and names else robot
-        constants = _torque_constants(
-            sources, known, mass_error, loaded_sources, point_mass, progress
+
+
+def _log_files(sources: Sequence[LogSource]) -> list[Path]:
+    """Return the files of logs; a log in memory without a file is refused."""
+    files = []
+    for source in sources:
+        file = source if isinstance(source, Path) else source.path
+        if file is None:
+            raise ArgumentError("logs are inspected as files; give their paths.")
+        files.append(file)
+    return files
+
+
+def _next_command(write: PathArg | None, study: PathArg | None, *, is_ready: bool) -> str:
+    if not is_ready:
+        return (
+            "correct these errors in the robot file or the logs, then repeat hesr inspect with "
+            f"--robot {write or 'FILE'}"
         )
-        proposal = with_constants(proposal, constants)
-    errors = any(finding.severity == "error" for finding in proposal.examination.findings)
-    written, failure = _write(proposal, output, write, None if errors else study)
-    next_ = f"hesr run {study}" if study else ""
-    if errors or failure:
-        fix = "correct these errors in the robot file or the logs"
-        next_ = f"{fix}, then repeat hesr inspect with --robot {write or 'FILE'}"
-    return Inspection(
-        proposal=proposal,
-        constants=constants,
-        next_command=next_,
-        limit=split(proposal.logs).limit if study and not (errors or failure) else "",
-        failure=failure,
-        files=written,
-    )
+    return f"hesr run {study}" if study else ""
 
 
 def _write(
@@ -226,28 +252,29 @@ def _write(
     """Write what is requested; return the paths, and the reason if the study fails in a dry run."""
     from hesr_model.health.proposal import robot_file
 
-    page, robot, plan = (
-        None if file is None else path_of(file, "an output") for file in (output, write, study)
-    )
+    page_path = to_optional_path("output", output)
+    robot_path = to_optional_path("write", write)
+    study_path = to_optional_path("study", study)
     failure = ""
-    if page:
+    if page_path:
         from cosim.report.inspection import write_inspection
 
-        write_inspection(page, proposal)
-    if robot and plan:
+        write_inspection(page_path, proposal)
+    if robot_path and study_path:
         from cosim.study.proposal import dry_run, study_file
 
         try:
             dry_run(proposal)
         except HesrError as error:
-            plan = None
+            study_path = None
             failure = str(error)
-    if robot:
-        with written_together(plan or robot) as file:
-            file(robot).write_text(robot_file(proposal, robot), encoding="utf-8")
-            if plan:
-                file(plan).write_text(study_file(proposal, robot, plan), encoding="utf-8")
-    return [file for file in (page, robot, plan) if file], failure
+    if robot_path:
+        with written_together(study_path or robot_path) as new:
+            new(robot_path).write_text(robot_file(proposal, robot_path), encoding="utf-8")
+            if study_path:
+                text = study_file(proposal, robot_path, study_path)
+                new(study_path).write_text(text, encoding="utf-8")
+    return [path for path in (page_path, robot_path, study_path) if path], failure
 
 
 def _torque_constants(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
@@ -97,59 +97,89 @@ def new(
     """
     from cosim.study.starter import Bench, start, start_bench, start_twin
 
-    place = path_of(folder, "'folder'")
+    project_folder = path_of(folder, "'folder'")
     names = tuple(list_names("joints", joints, commas=True))
     require_mapping("log", log)
-    stated = {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
-    numbers = {
-        name: None if value is None else list_numbers(name, value) for name, value in stated.items()
-    }
+    numbers = _list_stated_numbers(
+        {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
+    )
     if twin:
         if robot is not None or bench is not None:
             raise ArgumentError("'twin' excludes 'robot' and 'bench'; it has a robot of its own.")
-        return start_twin(place)
+        return start_twin(project_folder)
     if bench is None:
-        options = {**numbers, "log": log, "source": source, "gravity": gravity or None}
-        for name in (name for name, value in options.items() if value is not None):
-            raise ArgumentError(f"'{name}' needs 'bench': other robots have a model file.")
+        _refuse_bench_options(numbers, log, source, gravity=gravity)
         if robot is None:
             raise ArgumentError("give 'robot', a URDF or MJCF, or 'bench' without a model file.")
         progress("making sample logs", 0, 1)
-        return start(place, path_of(robot, "'robot'"), names)
+        return start(project_folder, path_of(robot, "'robot'"), names)
+    _require_bench(robot, log, source)
+    if not names:
+        names = ("motor",) if bench == "rotary" else ("axis",)
+    stated = {name: per_joint(name, value, len(names)) for name, value in numbers.items()}
+    return start_bench(
+        project_folder,
+        Bench(kind=bench, joints=names, gravity=gravity, **stated),
+        log or {},
+        source,
+    )
+
+
+def _list_stated_numbers(arguments: Mapping[str, PerJoint | None]) -> dict[str, list[float]]:
+    """Return the numbers of the arguments that are stated."""
+    numbers = {}
+    for name, value in arguments.items():
+        if value is not None:
+            numbers[name] = list_numbers(name, value)
+    return numbers
+
+
+def _refuse_bench_options(
+    numbers: Mapping[str, Sequence[float]],
+    log: Mapping[str, Any] | None,
+    source: StatedSource | None,
+    *,
+    gravity: bool,
+) -> None:
+    """Refuse options of a bench for a robot with a model file."""
+    options = {**numbers, "log": log, "source": source, "gravity": gravity or None}
+    for name, value in options.items():
+        if value is not None:
+            raise ArgumentError(f"'{name}' needs 'bench': other robots have a model file.")
+
+
+def _require_bench(
+    robot: PathArg | None, log: Mapping[str, Any] | None, source: StatedSource | None
+) -> None:
+    """Raise ArgumentError for options that contradict a bench."""
     if robot is not None:
         raise ArgumentError("'robot' and 'bench' exclude each other; a bench has no model file.")
     if source is not None and "torque_per_ampere" not in (log or {}):
         raise ArgumentError("'source' needs 'torque_per_ampere' in 'log', whose source it states.")
-    used = names or ("motor" if bench == "rotary" else "axis",)
-    each = {name: per_joint(name, value, len(used)) for name, value in numbers.items()}
-    return start_bench(
-        place, Bench(kind=bench, joints=used, gravity=gravity, **each), log or {}, source
-    )
 
 
-def answer(made: NewProject, _: PathArg | None) -> Answer:
+def answer(project: NewProject, _: PathArg | None) -> Answer:
     """Return the answer of a new project: its joints and the next command."""
-    if made.bench:
-        file = made.folder / "robot.toml"
-        study = made.folder / "study.toml"
+    study = project.folder / "study.toml"
+    guide = project.folder / "README.txt"
+    joints = ", ".join(project.joints)
+    if project.bench:
+        file = project.folder / "robot.toml"
         next_ = f"hesr inspect LOG --robot {file} --write {file} --study {study}"
-        if made.bench == "twin":
-            next_ = f"the commands in {made.folder / 'README.txt'}"
-        lines = [
-            f"{file}: a {made.bench} bench with the joints {', '.join(made.joints)}.",
-            f"Next: {next_}",
-        ]
-        return Written(format="hesr-project-1", lines=lines, data={"joints": list(made.joints)})
-    lines = [f"{made.folder}: a study of the joints {', '.join(made.joints)}."]
-    if made.followers:
-        lines.append(f"Followers of other joints: {few(made.followers)}.")
-    if made.locked:
-        places = few([f"{name} = {x:.4g}" for name, x in made.locked.items()])
-        lines.append(f"Locked [rad or m]: {places}; --joints selects other joints.")
-    lines += [finding.sentence for finding in made.doubts]
+        if project.bench == "twin":
+            next_ = f"the commands in {guide}"
+        lines = [f"{file}: a {project.bench} bench with the joints {joints}.", f"Next: {next_}"]
+        return Written(format="hesr-project-1", lines=lines, data={"joints": list(project.joints)})
+    lines = [f"{project.folder}: a study of the joints {joints}."]
+    if project.followers:
+        lines.append(f"Followers of other joints: {few(project.followers)}.")
+    if project.locked:
+        positions = few([f"{name} = {q:.4g}" for name, q in project.locked.items()])
+        lines.append(f"Locked [rad or m]: {positions}; --joints selects other joints.")
+    lines += [finding.sentence for finding in project.doubts]
     lines += [
-        f"Its logs are sample data; replace them with yours: see {made.folder / 'README.txt'}.",
-        f"Next: hesr run {made.folder / 'study.toml'}",
+        f"Its logs are sample data; replace them with yours: see {guide}.",
+        f"Next: hesr run {study}",
     ]
-    data = {"joints": list(made.joints), "locked": dict(made.locked)}
+    data = {"joints": list(project.joints), "locked": dict(project.locked)}
     return Written(format="hesr-project-1", lines=lines, data=data)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.workflow.answer import Answer, Written
-from cosim.workflow.arguments import list_names, list_paths, require_items
+from cosim.workflow.arguments import list_names, list_paths, require_items, to_optional_path
 from hesr_model.errors import ArgumentError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -82,30 +83,51 @@ def report(
     folders = list_paths("results", results)
     require_items("results", folders)
     laws = list_names("law", law)
-    path = None if output is None else path_of(output, "'output'")
-    drawn = {"law": laws, "scheme": scheme, "magnify": magnify, "speed": speed}
-    given = laws or scheme is not None or (magnify, speed) != (1.0, 1.0)
-    suffix = path.suffix.lower().lstrip(".") if path else "html"
+    path = to_optional_path("output", output)
     writers = plugins.load("hesr.reports")
-    kind = "view" if view else suffix
-    kind = next((name for name in writers if (folders[0] / f"{name}.json").is_file()), kind)
+    kind = _choose_kind(folders[0], path, writers, view=view)
     if kind in writers and kind != "md":
         if len(folders) > 1:
             raise ArgumentError("give one result; use 'law' to compare laws.")
-        writers[kind].load()(folders[0], path, progress=progress, **drawn)
+        writers[kind].load()(
+            folders[0],
+            path,
+            progress=progress,
+            law=laws,
+            scheme=scheme,
+            magnify=magnify,
+            speed=speed,
+        )
         return path or folders[0]
-    if given:
+    if laws or scheme is not None or magnify != 1.0 or speed != 1.0:
         raise ArgumentError(
             "'law', 'scheme', 'magnify' and 'speed' are for 'view' and videos (.mp4, .webp)."
         )
     if kind in writers and path is not None:
         return Path(writers[kind].load()(folders, path))
-    if view or kind not in ("html", "htm", ""):
-        known = ", ".join(f".{one}" for one in ("html", *writers) if one not in ("view", "paper"))
-        raise ArgumentError(f"{path}: reports are {known}.")
+    _require_page(kind, path, writers)
     if len(folders) > 1:
         raise ArgumentError("a page (.html) shows one result; use Markdown (.md) for several.")
     return write_report(folders[0], path, progress=progress)
+
+
+def _require_page(kind: str, path: Path | None, writers: Iterable[str]) -> None:
+    """Refuse a kind of report that no package writes."""
+    if kind not in ("html", "htm", ""):
+        suffixes = [f".{name}" for name in ("html", *writers) if name not in ("view", "paper")]
+        raise ArgumentError(f"{path}: reports are {', '.join(suffixes)}.")
+
+
+def _choose_kind(
+    results_folder: Path, path: Path | None, writers: Iterable[str], *, view: bool
+) -> str:
+    """Return the kind of a report: that of special results, a view, or that of the suffix."""
+    for name in writers:
+        if (results_folder / f"{name}.json").is_file():
+            return name
+    if view:
+        return "view"
+    return path.suffix.lower().lstrip(".") if path else "html"
 
 
 def answer(path: Path, _: PathArg | None) -> Answer:

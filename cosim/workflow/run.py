@@ -75,37 +75,58 @@ class RunResult(Answer):
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return body, scores, closed loop, physics checks, findings and cache use."""
-        from cosim.report.tables import loop
         from cosim.report.tables.laws import legend, properties, rigid_body
+
+        outcome = self.outcome
+        tables: list[ResultTable | str] = [
+            rigid_body(outcome.rigid_body, self._sliding),
+            *self._score_tables(),
+            *self._loop_tables(),
+        ]
+        if outcome.properties:
+            tables += [properties(outcome.properties), legend(self._sliding)]
+        tables.append("Scores come from running these FMUs in FMPy:")
+        tables += [f"  {fmu}" for fmu in outcome.fmus.values()]
+        tables += finding_lines(self.findings)
+        reused_texts = [
+            f"{reused} of {requested} {_CACHED[kind]}"
+            for kind, (reused, requested) in outcome.cached.items()
+            if reused and kind in _CACHED
+        ]
+        if reused_texts:
+            tables.append(f"Reused from cache: {', '.join(reused_texts)}.")
+        return tables
+
+    def _score_tables(self) -> list[ResultTable | str]:
         from cosim.report.tables.scores import MEASURES, errors, left_out, other_truths, separations
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
-        sliding = self._sliding
         inputs = input_classes(outcome.models)
-        shown: list[ResultTable | str] = [rigid_body(outcome.rigid_body, sliding)]
+        tables: list[ResultTable | str | None] = []
         for name, comparison in outcome.comparisons.items():
-            shown += [errors(name, comparison, measure, inputs, sliding) for measure in MEASURES]
+            tables += [
+                errors(name, comparison, measure, inputs, self._sliding) for measure in MEASURES
+            ]
             laws = outcome.verdict.laws if name == outcome.verdict.test else ()
-            shown += filter(None, [separations(name, comparison, laws)])
-        shown += filter(None, [left_out(outcome.models, sliding)])
+            tables.append(separations(name, comparison, laws))
+        tables.append(left_out(outcome.models, self._sliding))
         if outcome.truths:
-            shown.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
+            tables.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
+        return [table for table in tables if table]
+
+    def _loop_tables(self) -> list[ResultTable | str]:
+        from cosim.report.tables import loop
+
+        outcome = self.outcome
+        tables: list[ResultTable | str] = []
         if outcome.loop:
-            shown += loop.outcome(outcome.loop)
-        follow = outcome.following
-        shown += filter(None, [loop.following(follow, sliding) or loop.benefit(follow, sliding)])
-        if outcome.properties:
-            shown += [properties(outcome.properties), legend(sliding)]
-        shown.append("Scores come from running these FMUs in FMPy:")
-        shown += [f"  {fmu}" for fmu in outcome.fmus.values()]
-        shown += finding_lines(self.findings)
-        reused = [
-            f"{found} of {asked} {_CACHED[kind]}"
-            for kind, (found, asked) in outcome.cached.items()
-            if found and kind in _CACHED
-        ]
-        return [*shown, *([f"Reused from cache: {', '.join(reused)}."] if reused else [])]
+            tables += loop.outcome(outcome.loop)
+        table = loop.following(outcome.following, self._sliding)
+        text = loop.benefit(outcome.following, self._sliding)
+        if table or text:
+            tables.append(table or text)
+        return tables
 
     def result(self) -> Any:
         """Return FMUs, verdict and scores as JSON data."""
@@ -222,82 +243,116 @@ def run(
     'lugre.fmu'
     """
     from cosim.study.results import read_findings
-    from cosim.study.run import run_study, unfinished
+    from cosim.study.run import run_study
     from cosim.study.study import Study
     from fmu_src.export.toolchain import DEFAULT_PLATFORMS
-    from hesr_model.fitting.estimator import select_laws
-    from hesr_model.support.typed_files import to_json, write_json
 
     platforms = None if platform is None else list_names("platform", platform)
     accepted = list_names("accept", accept)
-    path = path_of(study or models_folder() / "studies" / "default.toml", "'study'")
-    shipped = models_folder() / "studies" / f"{path.name}.toml"
-    if path == Path(path.name) and not path.is_file() and shipped.is_file():
-        path = shipped
-    job = find_job(path, "run")
+    study_path = _find_study(study)
+    job = find_job(study_path, "run")
     if job:
-        given = {"quick": quick, "seeds": seeds, "accept": accepted}
-        given["platform"] = platforms is not None
-        return job.run(path, output=output and Path(output), progress=progress, **given)
-    folder = path_of(output or Path("results") / Study.read(path).name, "a folder")
+        return job.run(
+            study_path,
+            output=output and Path(output),
+            progress=progress,
+            quick=quick,
+            seeds=seeds,
+            accept=accepted,
+            platform=platforms is not None,
+        )
+    results_folder = path_of(output or Path("results") / Study.read(study_path).name, "'output'")
     if seeds is not None:
-        laws = select_laws("quick") if quick else ()
-        run_seeds = plugins.find("hesr.studies", "seeds")
-        progress = partial(progress, "running draws")
-        spread: Seeds = run_seeds(path, seeds, laws=laws, progress=progress)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_json(folder / "seeds.json", to_json(spread))
-        return spread
+        return _run_draws(study_path, seeds, results_folder, quick=quick, progress=progress)
     try:
         outcome = run_study(
-            path,
-            folder,
+            study_path,
+            results_folder,
             platforms=DEFAULT_PLATFORMS if platforms is None else platforms,
             quick=quick,
             accepted=accepted,
             progress=progress,
         )
     except KeyboardInterrupt as interrupt:
-        kept = unfinished(folder)
-        counts = {what: len(list(kept.glob(pattern))) for what, pattern in _REUSED.items()}
-        finished = [f"{count} {what}" for what, count in counts.items() if count]
-        if not finished:
+        reusable = _describe_checkpoints(results_folder)
+        if not reusable:
             raise
-        raise Interrupted(
-            f"{', '.join(finished)} are kept in {kept}: repeat the command to continue", interrupt
-        ) from interrupt
-    return RunResult(folder=folder, outcome=outcome, findings=read_findings(folder))
+        raise Interrupted(f"{reusable}: repeat the command to continue", interrupt) from interrupt
+    return RunResult(folder=results_folder, outcome=outcome, findings=read_findings(results_folder))
 
 
-def answer(spread: Seeds, _: PathArg | None) -> Answer:
+def _find_study(study: PathArg | None) -> Path:
+    """Return the file of a study: a path, the name of a shipped study, or the digital twin."""
+    shipped_folder = models_folder() / "studies"
+    path = path_of(study or shipped_folder / "default.toml", "'study'")
+    shipped = shipped_folder / f"{path.name}.toml"
+    is_name = path == Path(path.name) and not path.is_file()
+    return shipped if is_name and shipped.is_file() else path
+
+
+def _run_draws(
+    study_path: Path, seeds: int, results_folder: Path, *, quick: bool, progress: Stages
+) -> Seeds:
+    """Score the laws over draws and write `seeds.json`."""
+    from hesr_model.fitting.estimator import select_laws
+    from hesr_model.support.typed_files import to_json, write_json
+
+    laws = select_laws("quick") if quick else ()
+    run_seeds = plugins.find("hesr.studies", "seeds")
+    draws: Seeds = run_seeds(
+        study_path, seeds, laws=laws, progress=partial(progress, "running draws")
+    )
+    results_folder.mkdir(parents=True, exist_ok=True)
+    write_json(results_folder / "seeds.json", to_json(draws))
+    return draws
+
+
+def _describe_checkpoints(results_folder: Path) -> str:
+    """Return what an interrupted run leaves for the next one; empty if nothing."""
+    from cosim.study.run import unfinished
+
+    checkpoints = unfinished(results_folder)
+    finished = []
+    for kind, pattern in _REUSED.items():
+        count = len(list(checkpoints.glob(pattern)))
+        if count:
+            finished.append(f"{count} {kind}")
+    return f"{', '.join(finished)} are kept in {checkpoints}" if finished else ""
+
+
+def answer(draws: Seeds, _: PathArg | None) -> Answer:
     """Return the answer of a run over draws: its tables."""
     from hesr_model.support.typed_files import to_json
 
     return Written(
         format="hesr-seeds-1",
         lines=[],
-        shown=list(over_draws(spread)),
+        shown=list(over_draws(draws)),
         shows_tables=True,
-        data=to_json(spread),
+        data=to_json(draws),
     )
 
 
-def over_draws(found: Seeds) -> Iterator[ResultTable]:
+def over_draws(draws: Seeds) -> Iterator[ResultTable]:
     """Yield errors and ratios of each test set over draws of noise, motions and friction."""
     from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
 
-    draws = f"mean of {found.seeds} draws of noise, motions and true friction [95 % interval]"
-    for test, scores in found.tests.items():
-        for what, laws in (
+    sample = f"mean of {draws.seeds} draws of noise, motions and true friction [95 % interval]"
+    reference = title(draws.reference)
+    for test, scores in draws.tests.items():
+        for caption, laws in (
             (f"RMSE of the predicted torque [N.m] on '{test}'", scores.rmse),
-            (f"RMSE over that of {title(found.reference)} on '{test}'", scores.ratios),
+            (f"RMSE over that of {reference} on '{test}'", scores.ratios),
         ):
             rows = []
             for law, spreads in laws.items():
-                texts = [f"{s.mean:.3f} [{s.low:.3f}, {s.high:.3f}]" for s in spreads]
-                pairs = zip(texts, spreads, strict=True)
-                cells = [TableCell(text=text, value=s.mean) for text, s in pairs]
+                cells = []
+                for spread in spreads:
+                    text = f"{spread.mean:.3f} [{spread.low:.3f}, {spread.high:.3f}]"
+                    cells.append(TableCell(text=text, value=spread.mean))
                 rows.append(row_of(title(law), *cells))
             yield ResultTable(
-                caption=f"{what}, {draws}", head=("law", *joints(len(found.joints))), rows=rows
+                caption=f"{caption}, {sample}",
+                head=("law", *joints(len(draws.joints))),
+                rows=rows,
             )

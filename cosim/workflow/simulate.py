@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, find_job, written_files
-from cosim.workflow.arguments import list_names, remember_trust
+from cosim.workflow.arguments import list_names, remember_trust, to_optional_path
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import PathArg, path_of, written_whole
 from hesr_model.support.progress import Progress, Stages, silent
@@ -104,26 +104,31 @@ def simulate(
 
     start_values = list_names("set", set)
     path = path_of(system, "'system'")
-    file = None if output is None else path_of(output, "'output'")
-    given = {"only": only, "workers": workers, "cluster": cluster, "insecure": insecure or None}
+    file = to_optional_path("output", output)
+    sweep_options = {
+        "only": only,
+        "workers": workers,
+        "cluster": cluster,
+        "insecure": insecure or None,
+    }
     job = find_job(path, "simulate")
     if job:
         if isolate:
             raise ArgumentError(f"'isolate' is for a system; {path} is a sweep.")
         if only is not None and file is not None:
             _require_table(file)
-        return job.run(path, output=file, progress=progress, **given)
-    for name in (name for name, value in given.items() if value is not None):
-        raise ArgumentError(f"'{name}' is for a sweep; {path} is a system.")
+        return job.run(path, output=file, progress=progress, **sweep_options)
+    sweep_option = _first_set(sweep_options)
+    if sweep_option is not None:
+        raise ArgumentError(f"'{sweep_option}' is for a sweep; {path} is a system.")
     if file is not None:
         _require_table(file)
     times = {"start": start, "stop": stop, "step": step}
-    stages = partial(progress, path.stem)
     if path.suffix.lower() == ".fmu":
         from cosim.systems.single import opened_single
 
         remember_trust([path], trust=trust)
-        single = partial(
+        open_fmu = partial(
             opened_single,
             path,
             times=times,
@@ -131,18 +136,38 @@ def simulate(
             inputs=_read_inputs(input),
             isolate=isolate,
         )
-        return _run(single, file, stages)
-    options: dict[str, Any] = {"input": input}
-    if path.suffix.lower() != ".ssp":
-        options |= times | {"set": start_values or None}
-    for name in (name for name, value in options.items() if value is not None):
-        raise ArgumentError(f"'{name}' is for an FMU{' or SSP' * (name != 'input')}, not {path}.")
+        return _run(open_fmu, file, partial(progress, path.stem))
+    _require_system_options(path, times, start_values, input)
     with opened_system(path, times, values_of(path, start_values)) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
-        system_master = partial(Master, spec, path, isolate=isolate)
-        return _run(system_master, file, partial(progress, spec.name))
+        open_master = partial(Master, spec, path, isolate=isolate)
+        return _run(open_master, file, partial(progress, spec.name))
+
+
+def _require_system_options(
+    path: Path,
+    times: Mapping[str, float | None],
+    start_values: Sequence[str],
+    input_path: PathArg | None,
+) -> None:
+    """Refuse options of an FMU for an SSP, and those of both for a system."""
+    options: dict[str, object] = {"input": input_path}
+    if path.suffix.lower() != ".ssp":
+        options |= {**times, "set": start_values or None}
+    name = _first_set(options)
+    if name is not None:
+        owner = "an FMU" if name == "input" else "an FMU or SSP"
+        raise ArgumentError(f"'{name}' is for {owner}, not {path}.")
+
+
+def _first_set(options: Mapping[str, object]) -> str | None:
+    """Return the name of the first option that is set."""
+    for name, value in options.items():
+        if value is not None:
+            return name
+    return None
 
 
 def _run(
@@ -179,16 +204,16 @@ def _read_inputs(path: PathArg | None) -> dict[str, Array]:
 
 def values_of(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
     """Return start values of texts NAME=VALUE; values are those of TOML, or texts."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for pair in pairs:
         name, sign, text = pair.partition("=")
         if not (name and sign):
             raise ConfigError(f"{path}: --set is '{pair}'; expected NAME=VALUE, such as gain=2.")
         try:
-            found[name] = parse_toml(f"value={text}")["value"]
+            values[name] = parse_toml(f"value={text}")["value"]
         except ValueError:
-            found[name] = text
-    return found
+            values[name] = text
+    return values
 
 
 def _require_table(path: Path) -> None:

@@ -12,17 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, shorten_lines
 from cosim.workflow.arguments import (
+    body_of,
+    checked_logs,
     laws_of,
     list_logs,
     list_names,
     list_numbers,
     remember_trust,
     require_choice,
+    to_optional_path,
 )
 from cosim.workflow.fit import passivity
 from hesr_model.errors import ArgumentError, ConfigError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, path_of, written_whole
+from hesr_model.support.files import PathArg, written_whole
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -108,14 +111,12 @@ class LawReport(Answer):
 
         shown: list[ResultTable | str] = []
         for law in self.laws:
-            found = self.audits.get(law.name)
-            if found is None or law.model is None:
+            model_audit = self.audits.get(law.name)
+            if model_audit is None or law.model is None:
                 continue
-            shown.append(audit(law.name, found.audits, law.model.sliding))
-            shown += [
-                f"{joint}: {certified(certificate)}"
-                for joint, certificate in zip(law.model.joints, found.certificates, strict=True)
-            ]
+            shown.append(audit(law.name, model_audit.audits, law.model.sliding))
+            certificates = zip(law.model.joints, model_audit.certificates, strict=True)
+            shown += [f"{joint}: {certified(certificate)}" for joint, certificate in certificates]
             if self.records:
                 shown += _leaving(law, self.records)
         return shown
@@ -221,76 +222,81 @@ def test(
     >>> hesr.test("uf850-table1").passed  # the paper's law generates energy
     False
     """
-    logs = list_logs("on", on)
+    sources = list_logs("on", on)
     kinds = list_names("kind", kind)
     accepted = list_names("accept", accept)
     inertias = None if inertia is None else list_numbers("inertia", inertia)
-    file = None if output is None else path_of(output, "'output'")
-    plugged = plugins.load("hesr.tests")
+    output_path = to_optional_path("output", output)
     if not kinds:
-        kinds = ["prediction", "passivity"] if logs else ["passivity"]
+        kinds = ["prediction", "passivity"] if sources else ["passivity"]
     for name in kinds:
-        require_choice("kind", name, (*KINDS, *plugged))
+        require_choice("kind", name, (*KINDS, *plugins.names("hesr.tests")))
     if not isfinite(load):
         raise ArgumentError(f"'load' is {load}; expected a number.")
-    tested = laws_of(laws)
-    remember_trust((law.fmu for law in tested if law.fmu), trust=trust)
-    report = LawReport(laws=tested)
+    subjects = laws_of(laws)
+    remember_trust((subject.fmu for subject in subjects if subject.fmu), trust=trust)
+    report = LawReport(laws=subjects)
     if "prediction" in kinds:
-        report = _predicted(report, logs, robot, rigid_body, accepted, progress)
+        report = _add_scores(report, sources, robot, rigid_body, accepted, progress)
     if "passivity" in kinds:
         report = _add_certificates(report, alone=kinds == ["passivity"])
     if "properties" in kinds:
-        report = _checked(report, inertias, load, file, progress)
-    others = {
-        name: plugged[name].load()(tested, logs)
+        report = _add_properties(report, inertias, load, output_path, progress)
+    return replace(report, others=_run_plugin_tests(kinds, subjects, sources))
+
+
+def _run_plugin_tests(
+    kinds: Sequence[str], subjects: Sequence[Subject], sources: Sequence[LogSource]
+) -> dict[str, Answer]:
+    plugin_tests = plugins.load("hesr.tests")
+    return {
+        name: plugin_tests[name].load()(subjects, sources)
         for name in kinds
         if name not in (*KINDS, "properties")
     }
-    return replace(report, others=others)
 
 
 test.__test__ = False  # type: ignore[attr-defined]  # keeps pytest off
 
 
-def _predicted(
+def _add_scores(
     report: LawReport,
-    logs: Sequence[LogSource],
+    sources: Sequence[LogSource],
     robot: RobotArg | None,
     rigid_body: BodyArg | None,
-    accept: Sequence[str],
+    accepted: Sequence[str],
     progress: Stages,
 ) -> LawReport:
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
     from cosim.study.scores import by_joint, causal, compare, input_classes, predict_models
-    from cosim.workflow.arguments import body_of, checked_logs
     from fmu_src.friction.predictions import predict_fmu
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_owner
 
-    if not logs or rigid_body is None:
-        missing = "'rigid_body', the result of 'hesr identify'" if logs else "'on', a log"
-        raise ArgumentError(f"'kind' prediction needs {missing}.")
-    read = checked_logs(logs, robot, accept, progress, in_pieces=True)
-    body = body_of(rigid_body, read.logs, read.robot)
-    records = by_joint(read.records(body))
+    if not sources:
+        raise ArgumentError("'kind' prediction needs 'on', a log.")
+    if rigid_body is None:
+        raise ArgumentError("'kind' prediction needs 'rigid_body', the result of 'hesr identify'.")
+    checked = checked_logs(sources, robot, accepted, progress, in_pieces=True)
+    body = body_of(rigid_body, checked.logs, checked.robot)
+    records = by_joint(checked.records(body))
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
-    findings = list(read.findings)
+    findings = list(checked.findings)
     for model in models.values():
-        findings += log_findings(check_owner(model, read.robot))
-    predicted = predict_models(models, causal(records), partial(progress, "predicting"))
+        findings += log_findings(check_owner(model, checked.robot))
+    torques = predict_models(models, causal(records), partial(progress, "predicting"))
     zero_phase = predict_models(models, records)
     for law in report.laws:
         if law.fmu:
             progress(f"replaying {law.fmu.name}", 0, 1)
-            predicted[law.name] = predict_fmu(law.fmu, causal(records))
+            torques[law.name] = predict_fmu(law.fmu, causal(records))
             zero_phase[law.name] = predict_fmu(law.fmu, records)
-    comparison = compare(records, predicted, input_classes(models), models, zero_phase)
+    comparison = compare(records, torques, input_classes(models), models, zero_phase)
     positions = None
     if models:
         progress("simulating", 0, 1)
-        positions = simulate_tests(models, {"": records}, read.robot, body).get("")
+        positions = simulate_tests(models, {"": records}, checked.robot, body).get("")
     return replace(
         report, scores=comparison, positions=positions, records=records, findings=findings
     )
@@ -334,7 +340,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
     return replace(report, audits=audits, findings=errors_first([*report.findings, *refuted]))
 
 
-def _checked(
+def _add_properties(
     report: LawReport,
     inertia: Sequence[float] | None,
     load: float,
@@ -348,13 +354,14 @@ def _checked(
     subjects = [replace(law, inertia=inertias) for law in report.laws]
     with ExitStack() as cleanup:
         # Check that the file can be written before the run.
-        file = cleanup.enter_context(written_whole(output)) if output else None
+        temporary = cleanup.enter_context(written_whole(output)) if output else None
         battery = plugins.find("hesr.tests", "properties")
-        found = battery(subjects, load=load, progress=partial(progress, "testing the laws"))
-        named = {law.name: of_law for law, of_law in zip(report.laws, found, strict=True)}
-        if file:
-            write_properties(file, named)
-    return replace(report, properties=named, files=(output,) if output else ())
+        results = battery(subjects, load=load, progress=partial(progress, "testing the laws"))
+        names = [law.name for law in report.laws]
+        properties = dict(zip(names, results, strict=True))
+        if temporary:
+            write_properties(temporary, properties)
+    return replace(report, properties=properties, files=(output,) if output else ())
 
 
 def _scores_lines(scores: Comparison) -> list[str]:
@@ -364,16 +371,16 @@ def _scores_lines(scores: Comparison) -> list[str]:
     best = min(scores.laws, key=scores.size)
     pairs = zip(scores.joints, scores.unexplained(scores.laws[best].rmse), strict=True)
     shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
-    joints = [replace(one, law=best) for one in separation(scores)]
+    joints = [replace(separated, law=best) for separated in separation(scores)]
     return [f"Best: {best}. Unexplained friction: {shares}.", *limits("The test", joints)]
 
 
-def _failed_checks(found: Properties) -> str:
+def _failed_checks(properties: Properties) -> str:
     """Return the failed physics checks of a law with their joints."""
-    failed = [
-        f"{title} ({', '.join(f'J{joint}' for joint in joints)})"
-        for title, joints in found.failed.items()
-    ]
+    failed = []
+    for title, joints in properties.failed.items():
+        names = ", ".join(f"J{joint}" for joint in joints)
+        failed.append(f"{title} ({names})")
     return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
 
 
@@ -384,26 +391,24 @@ def _leaving(law: Subject, records: Records) -> list[str]:
     from hesr_model.rigid_body.residual import all_at_friction
 
     model = law.model
-    if (
-        model is None
-        or not model.trained
-        or model.joints != tuple(joint_records[0].joint for joint_records in records)
-    ):
+    joints = tuple(joint_records[0].joint for joint_records in records)
+    if model is None or not model.trained or model.joints != joints:
         return []
-    coupled = [
-        [replace(joint_records, coupling=model.coupling) for joint_records in of_joint]
-        for of_joint in records
+    coupling = model.coupling
+    coupled_records = [
+        [replace(record, coupling=coupling) for record in joint_records]
+        for joint_records in records
     ]
-    warm = model.thermal or (None,) * len(coupled)
-    moved = all_at_friction(coupled)
-    found = [
-        {
-            k: v
-            for k, v in outside(trained_range, joint_records, thermal).items()
-            if k in (*map(str, law.form.inputs), "temperature")
-        }
-        for law, trained_range, thermal, joint_records in zip(
-            model.laws, model.trained, warm, moved, strict=True
-        )
-    ]
-    return [leaving(model.joints, found, model.sliding)] if any(found) else []
+    thermal_models = model.thermal or (None,) * len(joints)
+    shares = []
+    for friction_law, trained_range, thermal, joint_records in zip(
+        model.laws,
+        model.trained,
+        thermal_models,
+        all_at_friction(coupled_records),
+        strict=True,
+    ):
+        inputs = (*map(str, friction_law.form.inputs), "temperature")
+        share_by_input = outside(trained_range, joint_records, thermal)
+        shares.append({name: x for name, x in share_by_input.items() if name in inputs})
+    return [leaving(model.joints, shares, model.sliding)] if any(shares) else []

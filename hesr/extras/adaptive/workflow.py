@@ -77,14 +77,14 @@ def monitor(
         list_names,
         model_given,
         require_items,
+        to_optional_path,
     )
     from hesr.extras.adaptive.monitor import watch
     from hesr.extras.adaptive.page import Monitoring
-    from hesr_model.support.files import path_of
 
     sources = list_logs("logs", logs)
     accepted = list_names("accept", accept)
-    page_path = None if output is None else path_of(output, "'output'")
+    page_path = to_optional_path("output", output)
     require_items("logs", sources)
     first = sources[0]
     job = find_job(first, "monitor") if isinstance(first, Path) else None
