@@ -158,7 +158,7 @@ def test_physics_checks_of_one_law(tmp_path: Path) -> None:
 def test_missing_arguments_of_a_test_are_reported(table1: FrictionModel, tmp_path: Path) -> None:
     for arguments, error, sentence in (
         ({"load": float("nan")}, ArgumentError, "'load' is nan; expected a number."),
-        ({"on": ["a.csv"]}, ArgumentError, "'kind' prediction needs 'rigid_body', the result of"),
+        ({"on": ["a.csv"]}, ArgumentError, "prediction needs 'rigid_body', the"),
         ({"kind": "prediction", "rigid_body": "b"}, ArgumentError, "needs 'on', a log."),
         ({"kind": "no"}, ArgumentError, "'kind' is no; allowed are prediction, passivity, prop"),
     ):
