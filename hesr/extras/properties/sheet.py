@@ -1,11 +1,10 @@
 """Section of pages with the physics checks and small figures."""
 
 from collections.abc import Sequence
-from itertools import count
 from typing import Any
 
 from cosim.report.figures.style import svg
-from fmu_src.pages.datasheet import figure
+from fmu_src.pages.datasheet import figure as format_number
 from fmu_src.pages.html import rendered
 from hesr.extras.properties.figures import draw_check
 from hesr_model.audit import properties
@@ -21,7 +20,7 @@ def properties_section(found: properties.Properties, *, sliding: Sequence[bool] 
     return rendered(
         "properties.html.j2",
         joints=[joint.joint for joint in found.joints],
-        tau_load=f"{figure(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
+        tau_load=f"{format_number(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
         sizes=[_sizes(joint, s) for joint, s in zip(found.joints, slides, strict=True)],
         properties=[_property(found, e, sliding) for e in EXPECTATIONS.values()],
     )
@@ -38,29 +37,30 @@ def _sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[str, s
 
 
 def _size(value: float | None, unit: str) -> str:
-    return "not known" if value is None else f"{figure(value, _DIGITS)} {unit}"
+    return "not known" if value is None else f"{format_number(value, _DIGITS)} {unit}"
 
 
 def _property(
     found: properties.Properties, expectation: Expectation, sliding: Sequence[bool]
 ) -> dict[str, Any]:
-    findings = [joint.findings[expectation.key] for joint in found.joints]
-    keys = (f"check-{expectation.key}-{number}" for number in count(1))
+    """Return the values of the template for one experiment: a cell and an entry per joint."""
+    cells = []
+    joints = []
+    for number, joint in enumerate(found.joints, start=1):
+        result = joint.findings[expectation.key]
+        cells.append(_cell(result, expectation))
+        entry = {
+            "name": joint.joint,
+            "verdict": properties.MARKS[result.verdict],
+            "reason": result.reason,
+            "figures": [_spell_range(figure) for figure in result.figures],
+        }
+        joints.append(entry | _draw_plot(f"check-{expectation.key}-{number}", result.plot))
     return {
         "expectation": expectation,
         "unit": unit_of_joints(expectation.unit, sliding),
-        "cells": [_cell(f, expectation) for f in findings],
-        "joints": [
-            {
-                "name": joint.joint,
-                "verdict": properties.MARKS[f.verdict],
-                "reason": f.reason,
-                "figures": [_spell_range(one) for one in f.figures],
-                "plot": _plot(key, f.plot),
-                "alt": f"{f.plot.y} over {f.plot.x}" if f.plot else "",
-            }
-            for key, joint, f in zip(keys, found.joints, findings, strict=False)
-        ],
+        "cells": cells,
+        "joints": joints,
     }
 
 
@@ -68,15 +68,17 @@ def _cell(found: properties.PropertyResult, expectation: Expectation) -> str:
     value = found.figures[0].value if found.figures else None
     if value is None:
         return properties.MARKS[found.verdict]
-    return f"{properties.MARKS[found.verdict]} {figure(expectation.factor * value, _DIGITS)}"
+    return f"{properties.MARKS[found.verdict]} {format_number(expectation.factor * value, _DIGITS)}"
 
 
 def _spell_range(one: properties.Figure) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
-    return f"{one.name}: {figure(one.value, _DIGITS)}{unit if one.value is not None else ''}"
+    return f"{one.name}: {format_number(one.value, _DIGITS)}{unit if one.value is not None else ''}"
 
 
-def _plot(key: str, plot: properties.Plot | None) -> str:
-    """Return the figure of a check as SVG; empty if it has no curves."""
-    drawn = draw_check(plot) if plot else None
-    return svg(drawn, key) if drawn else ""
+def _draw_plot(key: str, plot: properties.Plot | None) -> dict[str, str]:
+    """Return the figure of a check as SVG and its description; both are empty without curves."""
+    drawing = draw_check(plot) if plot else None
+    if plot is None or drawing is None:
+        return {"plot": "", "alt": ""}
+    return {"plot": svg(drawing, key), "alt": f"{plot.y} over {plot.x}"}
