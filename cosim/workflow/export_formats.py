@@ -128,16 +128,17 @@ class ExportFormat:
                 self._refuse_option(name)
         if platform is not None and self.exporter.platforms == "none":
             self._refuse_platform()
+        # A missing partner is named first: of two options the message then names both.
         for option in self.exporter.options:
-            if option.requires and option.name in options and option.requires not in options:
+            if option.name in options and option.requires not in ("", *options):
                 self._refuse_alone(option)
         for option in self.exporter.options:
-            if option.required_as and option.name not in options:
+            if option.name in options:
+                _require_choice_of(option, options[option.name])
+            elif option.required_as:
                 raise ArgumentError(
                     f"'format' {self.name} needs '{option.name}', {option.required_as}."
                 )
-            if option.choices and option.name in options:
-                require_choice(option.name, options[option.name], option.choices)
 
     def choose_platforms(self, platform: Sequence[str] | None) -> tuple[str, ...]:
         """Return the platforms to build for: those of the user, by default those of the format."""
@@ -166,7 +167,7 @@ class ExportFormat:
 
     def _refuse_alone(self, option: ExportOption) -> NoReturn:
         pair = (option.name, option.requires)
-        names = [f"'{known.name}'" for known in self.exporter.options if known.name in pair]
+        names = [f"'{other.name}'" for other in self.exporter.options if other.name in pair]
         raise ArgumentError(f"{' and '.join(names)} must be given together.")
 
     def _refuse_platform(self) -> NoReturn:
@@ -184,6 +185,11 @@ class ExportFormat:
             f"'{option_name}' needs 'format' {' or '.join(formats)}, but the format is "
             f"'{self.name}'."
         )
+
+
+def _require_choice_of(option: ExportOption, value: object) -> None:
+    if option.choices:
+        require_choice(option.name, value, option.choices)
 
 
 def choose_format(source: LawArg, format_name: str | None, output: Path) -> ExportFormat:

@@ -210,9 +210,7 @@ class _Command(click.Command):
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        names_in_sections = {
-            option.name for options in self.section_options.values() for option in options
-        }
+        names_in_sections = {option.name for section in self.sections for option in section.options}
         general = [
             param
             for param in self.get_params(ctx)
