@@ -10,11 +10,11 @@ import numpy as np
 
 from cosim.workflow.arguments import (
     Names,
-    body_of,
+    find_body,
+    find_robot,
     list_names,
-    logs_of,
     logs_unless_table,
-    robot_of,
+    read_logs,
 )
 from hesr_model.errors import FitError, TableError
 from hesr_model.fitting.estimator import estimator
@@ -129,9 +129,9 @@ class FrictionRegressor:
         if logs is not None:
             if y is not None:
                 raise TableError("y was given with logs, which contain the measured torque.")
-            robot = robot_of(self.robot, logs)
+            robot = find_robot(self.robot, logs)
             self.robot_ = robot.description
-            self.rigid_body_ = body_of(self.rigid_body, logs, robot)
+            self.rigid_body_ = find_body(self.rigid_body, logs, robot)
             name = robot.description.name
             records = self._records(parts_of(logs))
             self.__dict__.pop("n_features_in_", None)
@@ -302,7 +302,7 @@ class FrictionRegressor:
         if sources is None:
             return None
         robot = getattr(self, "robot_", None) if self.robot is None else self.robot
-        return logs_of(sources, robot)
+        return read_logs(sources, robot)
 
     def _records(self, logs: Sequence[Log]) -> list[Record]:
         if not hasattr(self, "robot_"):

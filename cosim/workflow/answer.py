@@ -109,8 +109,8 @@ class Answer(ABC):
         from cosim.report.markup import table
 
         parts = (
-            f"<p>{escape(one)}</p>" if isinstance(one, str) else str(table(one))
-            for one in self.tables()
+            f"<p>{escape(shown)}</p>" if isinstance(shown, str) else str(table(shown))
+            for shown in self.tables()
         )
         return "\n".join([f"<pre>{escape(self.summary())}</pre>", *parts])
 
@@ -160,13 +160,16 @@ class Written(Answer):
 
 def shorten_lines(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
     """Return lines and written files as text of at most `MOST_LINES` lines."""
-    listed = [part for line in lines for part in line.split("\n")]
+    single_lines: list[str] = []
+    for line in lines:
+        single_lines += line.split("\n")
     written = [f"Written: {', '.join(map(str, files))}"] if files else []
-    room = MOST_LINES - len(written)
-    if len(listed) > room:
-        left = len(listed) - room + 1
-        listed = [*listed[: room - 1], f"{left} more lines: --verbose shows them."]
-    return "\n".join([*listed, *written])
+    limit = MOST_LINES - len(written)
+    if len(single_lines) > limit:
+        hidden_count = len(single_lines) - limit + 1
+        single_lines = single_lines[: limit - 1]
+        single_lines.append(f"{hidden_count} more lines: --verbose shows them.")
+    return "\n".join([*single_lines, *written])
 
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
@@ -174,13 +177,15 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
     return [f"{finding.severity}: {finding.sentence} [{finding.check}]" for finding in findings]
 
 
-def health_of(provenance: Mapping[str, Any]) -> list[Finding]:
+def read_health(provenance: Mapping[str, Any]) -> list[Finding]:
     """Return the findings that the provenance of a result holds."""
     from hesr_model.findings import Finding, errors_first
     from hesr_model.support.typed_files import from_json
 
     entries = provenance.get("health", ())
-    return errors_first(from_json(Finding, one, Path("provenance"), "a finding") for one in entries)
+    return errors_first(
+        from_json(Finding, entry, Path("provenance"), "a finding") for entry in entries
+    )
 
 
 def written_files(output: PathArg | None) -> list[Path]:

@@ -161,17 +161,17 @@ class CheckedLogs:
     robot: Robot
     findings: list[Finding]
     files: list[Path]
-    longs: list[LongLog] = field(default_factory=list)  # `logs` are then some of their rows
+    long_logs: list[LongLog] = field(default_factory=list)  # `logs` are then some of their rows
 
-    def body(self, body: BodyArg | None) -> RigidBody:
+    def find_body(self, body: BodyArg | None) -> RigidBody:
         """Return the given rigid body, by default one identified from the logs."""
-        if body is None and self.longs:
+        if body is None and self.long_logs:
             from hesr_model.rigid_body.accumulation import identify_long
 
-            return identify_long(self.longs, self.robot)
-        return body_of(body, self.logs, self.robot)
+            return identify_long(self.long_logs, self.robot)
+        return find_body(body, self.logs, self.robot)
 
-    def records(self, body: RigidBody, seed: int = 0) -> list[list[FrictionRecord]]:
+    def compute_records(self, body: RigidBody, seed: int = 0) -> list[list[FrictionRecord]]:
         """Return the friction in each part of the logs, [part][joint].
 
         Of long logs these are up to 10^6 rows, in stretches that cover speed, load and rest.
@@ -180,33 +180,33 @@ class CheckedLogs:
         from hesr_model.logs.sample import Sample
         from hesr_model.rigid_body.residual import friction_records, motion_records
 
-        if not self.longs:
+        if not self.long_logs:
             return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
         sample = Sample(MOST_ROWS, seed)
-        rows = 0
-        for log in self.longs:
+        row_count = 0
+        for log in self.long_logs:
             for motion in log.motions():
                 sample.add(motion, follows=float(motion.t[0]) not in log.starts)
-                rows += len(motion.t)
+                row_count += len(motion.t)
         motions = sample.motions()
-        used = sum(len(motion.t) for motion in motions)
-        if used < rows:
+        used_count = sum(len(motion.t) for motion in motions)
+        if used_count < row_count:
             _log.warning(
                 "The logs have %d rows; %d are used, in whole stretches that cover speed, load and "
                 "rest.",
-                rows,
-                used,
+                row_count,
+                used_count,
             )
         return [motion_records(motion, self.robot, body) for motion in motions]
 
 
-def logs_of(
+def read_logs(
     sources: Sequence[LogSource], robot: RobotArg | None = None, progress: Progress = silent
 ) -> list[Log]:
     """Return logs, reading those that are paths, which needs a robot."""
     from hesr_model.logs.robot_log import Log
 
-    robot_of_paths = _first_robot(sources) if robot is None else robot
+    robot_of_paths = _find_first_robot(sources) if robot is None else robot
     logs = []
     for source in counted(sources, progress, _source_name):
         if isinstance(source, Log):
@@ -218,7 +218,7 @@ def logs_of(
     return logs
 
 
-def _first_robot(sources: Iterable[LogSource]) -> RobotDescription | None:
+def _find_first_robot(sources: Iterable[LogSource]) -> RobotDescription | None:
     """Return the robot of the first log object that has one."""
     from hesr_model.logs.robot_log import Log
 
@@ -230,17 +230,17 @@ def _source_name(source: LogSource) -> str:
     return str(source) if isinstance(source, Path) else source.name
 
 
-def robot_of(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
+def find_robot(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     """Return the given robot, by default that of the logs."""
     from hesr_model.robots.robot import model_of
 
-    chosen = _first_robot(logs) if robot is None else robot
+    chosen = _find_first_robot(logs) if robot is None else robot
     if chosen is None:
         raise ArgumentError("the logs do not name their robot; give 'robot'.")
     return model_of(chosen)
 
 
-def _long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[LongLog]:
+def _open_long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[LongLog]:
     """Return all logs to be read in pieces, or none if they fit into memory together."""
     from hesr_model.logs.long_log import LongLog
     from hesr_model.robots.robot import model_of
@@ -251,7 +251,7 @@ def _long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[Lon
             cells += 3 * source.q.size
         elif source.is_file():  # a missing file is refused by its reader
             cells += source.stat().st_size / _CELL
-    owner = robot or _first_robot(sources)
+    owner = robot or _find_first_robot(sources)
     if owner is None or cells <= MOST_CELLS:
         return []
     description = model_of(owner).description
@@ -260,7 +260,7 @@ def _long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[Lon
     return [LongLog(source, description) for source in sources]
 
 
-def checked_logs(
+def read_checked_logs(
     sources: Sequence[LogSource],
     robot: RobotArg | None,
     accept: Sequence[str],
@@ -276,11 +276,11 @@ def checked_logs(
     from hesr_model.robots.robot import model_of
 
     require_items("logs", sources)
-    long_logs = _long_logs(sources, robot) if in_pieces else []
+    long_logs = _open_long_logs(sources, robot) if in_pieces else []
     stretches = [stretch for long_log in long_logs for stretch in long_log.stretches]
     stated_robot = None if robot is None else model_of(robot)
-    logs = logs_of(stretches or sources, stated_robot, partial(progress, "reading logs"))
-    checked_robot = stated_robot or robot_of(None, logs)
+    logs = read_logs(stretches or sources, stated_robot, partial(progress, "reading logs"))
+    checked_robot = stated_robot or find_robot(None, logs)
     findings = require_healthy(logs, checked_robot, accept)
     for long_log in long_logs:
         if long_log.gaps:
@@ -292,21 +292,21 @@ def checked_logs(
     log_paths = [log.path for log in logs if log.path]
     files = dict.fromkeys([*paths_among(robot), checked_robot.description.model, *log_paths])
     return CheckedLogs(
-        logs=logs, robot=checked_robot, findings=findings, files=list(files), longs=long_logs
+        logs=logs, robot=checked_robot, findings=findings, files=list(files), long_logs=long_logs
     )
 
 
-def require_healthy(logs: Sequence[Log], model: Robot, accept: Sequence[str]) -> list[Finding]:
+def require_healthy(logs: Sequence[Log], robot: Robot, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot: refuse errors, log and return warnings."""
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import checked
     from hesr_model.logs.robot_log import require_different
 
     require_different(logs)
-    return log_findings(checked(logs, model, accept))
+    return log_findings(checked(logs, robot, accept))
 
 
-def body_of(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
+def find_body(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
     """Return the given rigid body, by default one identified from the logs."""
     from hesr_model.rigid_body.identification import RigidBody, identify
 
@@ -315,16 +315,16 @@ def body_of(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBod
     return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "'rigid_body'"))
 
 
-def plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
+def build_plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
     """Return a robot with a rigid body or the parameters of its model file."""
     from fmu_src.plant.plant_fmu import PlantBody
     from hesr_model.robots.robot import model_of
 
-    model = model_of(robot)
-    return PlantBody.of(model, None if body is None else body_of(body, (), model))
+    loaded_robot = model_of(robot)
+    return PlantBody.of(loaded_robot, None if body is None else find_body(body, (), loaded_robot))
 
 
-def model_given(law: LawArg) -> FrictionModel:
+def read_model(law: LawArg) -> FrictionModel:
     """Return a friction model; a path or the name of a built-in model is read."""
     from fmu_src import model_file
     from hesr_model.friction.model import FrictionModel
@@ -334,7 +334,7 @@ def model_given(law: LawArg) -> FrictionModel:
     return FrictionModel.read(model_file(str(path_of(law, "a friction model"))))
 
 
-def laws_of(laws: NamedLaws) -> list[Subject]:
+def read_laws(laws: NamedLaws) -> list[Subject]:
     """Return models, FMUs and built-in names as laws, each with a unique name."""
     if isinstance(laws, Mapping):
         subjects = []
@@ -345,11 +345,11 @@ def laws_of(laws: NamedLaws) -> list[Subject]:
     sources = list_laws("laws", laws)
     require_items("laws", sources)
     subjects = [_read_subject(source) for source in sources]
-    names = _unique_names(sources, subjects)
+    names = _choose_law_names(sources, subjects)
     return [replace(subject, name=name) for name, subject in zip(names, subjects, strict=True)]
 
 
-def _unique_names(sources: Sequence[LawSource], subjects: Sequence[Subject]) -> Sequence[str]:
+def _choose_law_names(sources: Sequence[LawSource], subjects: Sequence[Subject]) -> Sequence[str]:
     """Return the names of laws: their laws, else stems of their files, else the paths."""
     from fmu_src import BUILT_IN
 
@@ -363,7 +363,7 @@ def _unique_names(sources: Sequence[LawSource], subjects: Sequence[Subject]) -> 
         law_names.append(subject.model.law if subject.model and is_model else stem)
         stems.append(stem)
         paths.append(path)
-    return telling_apart([law_names, stems, paths], "given")
+    return choose_unique_names([law_names, stems, paths], "given")
 
 
 def _read_subject(source: LawSource) -> Subject:
@@ -382,10 +382,10 @@ def _read_subject(source: LawSource) -> Subject:
             f"'{source}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "
             f"{', '.join(BUILT_IN)}."
         )
-    return Subject(name="", model=model_given(source))
+    return Subject(name="", model=read_model(source))
 
 
-def telling_apart(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
+def choose_unique_names(namings: Sequence[Sequence[str]], what: str) -> Sequence[str]:
     """Return the first row of `namings` (ways, things) whose names are unique.
 
     The error names a duplicate and uses `what`, a past participle ("given").
@@ -403,7 +403,7 @@ def require_choice(name: str, value: object, allowed: Iterable[object]) -> None:
         raise ArgumentError(f"'{name}' is {value}; allowed are {', '.join(map(str, choices))}.")
 
 
-def per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, ...] | None:
+def expand_per_joint(name: str, values: PerJoint | None, joints: int) -> tuple[float, ...] | None:
     """Return one value per joint; a single value serves all."""
     if values is None:
         return None

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from cosim.workflow.answer import Answer, Written, written_files
 from cosim.workflow.arguments import (
+    expand_per_joint,
     list_logs,
     list_names,
     list_numbers,
     list_paths,
-    per_joint,
 )
 from cosim.workflow.export_formats import LAW, ExportFormat, choose_format, find_title
 from cosim.workflow.export_formats import help_sections as help_sections
@@ -132,10 +132,10 @@ def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:
     key = _key_of_values(export_format, request)
     if key is not None and copied(model_file(str(request.source)), key, request.output):
         return
-    from cosim.workflow.arguments import model_given
+    from cosim.workflow.arguments import read_model
 
     exporter = export_format.exporter
-    model = model_given(request.source)
+    model = read_model(request.source)
     keywords = _prepare(exporter, replace(request, source=model))
     if key is None:
         key = _key_of_keywords(export_format, request, keywords)
@@ -203,7 +203,7 @@ def read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any
     from hesr_model.robots.robot import model_of
 
     if option.per_joint:
-        return per_joint(option.name, value, len(request.source.joints))
+        return expand_per_joint(option.name, value, len(request.source.joints))
     if option.type == "robot":
         return model_of(value)
     if option.type == "rigid_body":

@@ -8,14 +8,14 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cosim.workflow.answer import Answer, Written, health_of, written_files
+from cosim.workflow.answer import Answer, Written, read_health, written_files
 from cosim.workflow.arguments import (
-    checked_logs,
     list_laws,
     list_logs,
     list_names,
-    model_given,
     paths_among,
+    read_checked_logs,
+    read_model,
     require_mapping,
 )
 from hesr_model.errors import ArgumentError, HesrError
@@ -143,9 +143,9 @@ def fit(
     for name in additions:
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
-    fitted = _fitted_law(law, additions, options, priors)
-    checked = checked_logs(sources, robot, accepted, progress, in_pieces=True)
-    records = checked.records(checked.body(rigid_body), seed)
+    fitted = _read_fitted_law(law, additions, options, priors)
+    checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
+    records = checked.compute_records(checked.find_body(rigid_body), seed)
     joint_records = by_joint(records)
     if fitted is None:
         law_name = str(law)
@@ -196,11 +196,11 @@ def _log_new_findings(model: FrictionModel, checked: CheckedLogs) -> None:
     from hesr_model.findings import log_findings
 
     logged = {finding.sentence for finding in checked.findings}
-    findings = health_of(model.provenance)
+    findings = read_health(model.provenance)
     log_findings(finding for finding in findings if finding.sentence not in logged)
 
 
-def _fitted_law(
+def _read_fitted_law(
     law: LawArg | None,
     add: Sequence[str],
     options: Mapping[str, Any] | None,
@@ -214,13 +214,13 @@ def _fitted_law(
     if (law is None) != bool(prior) or (prior and options):
         raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
     if law is None:
-        return prior_of([model_given(source) for source in prior])
+        return prior_of([read_model(source) for source in prior])
     if not isinstance(law, FrictionModel) and not str(law).lower().endswith(".json"):
         estimator(str(law))  # refuse an unknown law before the logs are read
         return None
     if not add or options:
         raise ArgumentError(f"'law' is fitted already ({law}); give 'add', and no 'options'.")
-    return model_given(law)
+    return read_model(law)
 
 
 def _provenance(
@@ -261,7 +261,7 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
         lines=lines,
         shown=[*_coefficients(model), *audit_tables(model.law, model)],
         data=model.to_json(),
-        findings=health_of(model.provenance),
+        findings=read_health(model.provenance),
         files=written_files(output),
     )
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from cosim.workflow.answer import Answer, Written, health_of, written_files
+from cosim.workflow.answer import Answer, Written, read_health, written_files
 from cosim.workflow.arguments import (
-    body_of,
-    checked_logs,
+    find_body,
     list_logs,
     list_names,
-    model_given,
     paths_among,
+    read_checked_logs,
+    read_model,
     require_choice,
 )
 from hesr_model.errors import ArgumentError
@@ -113,7 +113,7 @@ def identify(
     # All other ways to identify need all rows at once.
     in_pieces = method == "stacked" and not physical and friction is None and payload is None
     sources = [*forward_sources, *backward_sources]
-    checked = checked_logs(sources, robot, accepted, progress, in_pieces=in_pieces)
+    checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=in_pieces)
     forward = checked.logs[: len(forward_sources)]
     backward = checked.logs[len(forward_sources) :]
 
@@ -125,12 +125,12 @@ def identify(
         body = identify_again(
             forward,
             checked.robot,
-            body_of(rigid_body, (), checked.robot),
-            model_given(friction),
+            find_body(rigid_body, (), checked.robot),
+            read_model(friction),
             reversed_logs=backward,
         )
-    elif checked.longs:
-        body = identify_long(checked.longs, checked.robot)
+    elif checked.long_logs:
+        body = identify_long(checked.long_logs, checked.robot)
     else:
         body = identify_body(
             forward, checked.robot, method=method, reversed_logs=backward, physical=physical
@@ -168,7 +168,7 @@ def _identify_payload(checked: CheckedLogs, body: BodyArg) -> tuple[RigidBody, P
     """Return a body with the payload in the logs, and the payload."""
     from hesr_model.rigid_body.payload import identify_payload, loaded
 
-    unloaded_body = body_of(body, (), checked.robot)
+    unloaded_body = find_body(body, (), checked.robot)
     payload = identify_payload(checked.logs, checked.robot, unloaded_body)
     return loaded(unloaded_body, payload, checked.robot), payload
 
@@ -202,7 +202,7 @@ def answer(body: RigidBody, output: PathArg | None) -> Answer:
         format="hesr-rigid-body-1",
         lines=[*statements(body.provenance), line],
         data=to_json(body),
-        findings=health_of(body.provenance),
+        findings=read_health(body.provenance),
         files=written_files(output),
     )
 

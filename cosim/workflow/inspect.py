@@ -188,13 +188,13 @@ def inspect(
         raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
     if not sources and (robot is None or study or torque_constants):
         raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
-    files = _log_files(sources)
+    files = _find_log_files(sources)
     progress("inspecting logs", 0, 1)
     proposal = inspect_logs(files, robot, names)
     constants: Sequence[Constant] = ()
     if torque_constants:
         moved_robot = with_joints(robot, names) if robot and names else robot
-        constants = _torque_constants(
+        constants = _estimate_torque_constants(
             sources, moved_robot, mass_error, loaded_sources, point_mass, progress
         )
         proposal = with_constants(proposal, constants)
@@ -226,7 +226,7 @@ def _require_robot(
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
 
 
-def _log_files(sources: Sequence[LogSource]) -> list[Path]:
+def _find_log_files(sources: Sequence[LogSource]) -> list[Path]:
     """Return the files of logs; a log in memory without a file is refused."""
     files = []
     for source in sources:
@@ -277,7 +277,7 @@ def _write(
     return [path for path in (page_path, robot_path, study_path) if path], failure
 
 
-def _torque_constants(
+def _estimate_torque_constants(
     logs: Sequence[LogSource],
     robot: RobotArg | None,
     mass_error: float,
@@ -286,7 +286,7 @@ def _torque_constants(
     progress: Stages,
 ) -> Sequence[Constant]:
     """Estimate torque constants, starting from the robot file's `torque_per_ampere`."""
-    from cosim.workflow.arguments import logs_of, robot_of
+    from cosim.workflow.arguments import find_robot, read_logs
     from hesr_model.logs.robot_log import parts_of
     from hesr_model.logs.signals import Motion, smooth
     from hesr_model.rigid_body import torque_constants as constants
@@ -296,11 +296,11 @@ def _torque_constants(
             f"'payload': found {len(payload)} values; expected mass and the three coordinates of "
             "its centre."
         )
-    model = robot_of(robot, ())
+    model = find_robot(robot, ())
     description = model.description
 
     def motions(sources: Sequence[LogSource]) -> list[Motion]:
-        parts = parts_of(logs_of(sources, model))
+        parts = parts_of(read_logs(sources, model))
         return [smooth(part, description.log.filter_cutoff) for part in parts]
 
     progress("estimating torque constants", 0, 1)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.workflow.answer import Answer, Written
-from cosim.workflow.arguments import list_names, list_numbers, per_joint, require_mapping
+from cosim.workflow.arguments import expand_per_joint, list_names, list_numbers, require_mapping
 from hesr_model.errors import ArgumentError
 from hesr_model.support.files import PathArg, path_of
 from hesr_model.support.progress import Stages, silent
@@ -100,7 +100,7 @@ def new(
     project_folder = path_of(folder, "'folder'")
     names = tuple(list_names("joints", joints, commas=True))
     require_mapping("log", log)
-    numbers = _list_stated_numbers(
+    numbers = _list_numbers(
         {"inertia": inertia, "moment": moment, "phase": phase, "gear_ratio": gear_ratio}
     )
     if twin:
@@ -116,7 +116,7 @@ def new(
     _require_bench(robot, log, source)
     if not names:
         names = ("motor",) if bench == "rotary" else ("axis",)
-    stated = {name: per_joint(name, value, len(names)) for name, value in numbers.items()}
+    stated = {name: expand_per_joint(name, value, len(names)) for name, value in numbers.items()}
     return start_bench(
         project_folder,
         Bench(kind=bench, joints=names, gravity=gravity, **stated),
@@ -125,7 +125,7 @@ def new(
     )
 
 
-def _list_stated_numbers(arguments: Mapping[str, PerJoint | None]) -> dict[str, list[float]]:
+def _list_numbers(arguments: Mapping[str, PerJoint | None]) -> dict[str, list[float]]:
     """Return the numbers of the arguments that are stated."""
     numbers = {}
     for name, value in arguments.items():

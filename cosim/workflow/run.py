@@ -327,13 +327,13 @@ def answer(draws: Seeds, _: PathArg | None) -> Answer:
     return Written(
         format="hesr-seeds-1",
         lines=[],
-        shown=list(over_draws(draws)),
+        shown=list(build_draw_tables(draws)),
         shows_tables=True,
         data=to_json(draws),
     )
 
 
-def over_draws(draws: Seeds) -> Iterator[ResultTable]:
+def build_draw_tables(draws: Seeds) -> Iterator[ResultTable]:
     """Yield errors and ratios of each test set over draws of noise, motions and friction."""
     from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
 

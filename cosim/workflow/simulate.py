@@ -118,7 +118,7 @@ def simulate(
         if only is not None and file is not None:
             _require_table(file)
         return job.run(path, output=file, progress=progress, **sweep_options)
-    sweep_option = _first_set(sweep_options)
+    sweep_option = _find_first_set(sweep_options)
     if sweep_option is not None:
         raise ArgumentError(f"'{sweep_option}' is for a sweep; {path} is a system.")
     if file is not None:
@@ -132,13 +132,13 @@ def simulate(
             opened_single,
             path,
             times=times,
-            values=values_of(path, start_values),
+            values=parse_start_values(path, start_values),
             inputs=_read_inputs(input),
             isolate=isolate,
         )
         return _run(open_fmu, file, partial(progress, path.stem))
     _require_system_options(path, times, start_values, input)
-    with opened_system(path, times, values_of(path, start_values)) as spec:
+    with opened_system(path, times, parse_start_values(path, start_values)) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
@@ -156,13 +156,13 @@ def _require_system_options(
     options: dict[str, object] = {"input": input_path}
     if path.suffix.lower() != ".ssp":
         options |= {**times, "set": start_values or None}
-    name = _first_set(options)
+    name = _find_first_set(options)
     if name is not None:
         owner = "an FMU" if name == "input" else "an FMU or SSP"
         raise ArgumentError(f"'{name}' is for {owner}, not {path}.")
 
 
-def _first_set(options: Mapping[str, object]) -> str | None:
+def _find_first_set(options: Mapping[str, object]) -> str | None:
     """Return the name of the first option that is set."""
     for name, value in options.items():
         if value is not None:
@@ -202,7 +202,7 @@ def _read_inputs(path: PathArg | None) -> dict[str, Array]:
     return dict(zip(table.names, table.numbers(table.names).T, strict=True))
 
 
-def values_of(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
+def parse_start_values(path: Path, pairs: Sequence[str]) -> dict[str, Any]:
     """Return start values of texts NAME=VALUE; values are those of TOML, or texts."""
     values: dict[str, Any] = {}
     for pair in pairs:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, shorten_lines
 from cosim.workflow.arguments import (
-    body_of,
-    checked_logs,
-    laws_of,
+    find_body,
     list_logs,
     list_names,
     list_numbers,
+    read_checked_logs,
+    read_laws,
     remember_trust,
     require_choice,
     to_optional_path,
@@ -118,7 +118,7 @@ class LawReport(Answer):
             certificates = zip(law.model.joints, model_audit.certificates, strict=True)
             shown += [f"{joint}: {certified(certificate)}" for joint, certificate in certificates]
             if self.records:
-                shown += _leaving(law, self.records)
+                shown += _describe_left_ranges(law, self.records)
         return shown
 
     def _property_tables(self) -> list[ResultTable | str]:
@@ -233,7 +233,7 @@ def test(
         require_choice("kind", name, (*KINDS, *plugins.names("hesr.tests")))
     if not isfinite(load):
         raise ArgumentError(f"'load' is {load}; expected a number.")
-    subjects = laws_of(laws)
+    subjects = read_laws(laws)
     remember_trust((subject.fmu for subject in subjects if subject.fmu), trust=trust)
     report = LawReport(laws=subjects)
     if "prediction" in kinds:
@@ -278,9 +278,9 @@ def _add_scores(
         raise ArgumentError("'kind' prediction needs 'on', a log.")
     if rigid_body is None:
         raise ArgumentError("'kind' prediction needs 'rigid_body', the result of 'hesr identify'.")
-    checked = checked_logs(sources, robot, accepted, progress, in_pieces=True)
-    body = body_of(rigid_body, checked.logs, checked.robot)
-    records = by_joint(checked.records(body))
+    checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
+    body = find_body(rigid_body, checked.logs, checked.robot)
+    records = by_joint(checked.compute_records(body))
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
     findings = list(checked.findings)
     for model in models.values():
@@ -384,7 +384,7 @@ def _failed_checks(properties: Properties) -> str:
     return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
 
 
-def _leaving(law: Subject, records: Records) -> list[str]:
+def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
     """Return which inputs leave the trained range of a law in the logs."""
     from cosim.report.tables.laws import leaving
     from hesr_model.friction.trained_range import outside

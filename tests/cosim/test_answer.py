@@ -14,7 +14,7 @@ from cosim.workflow.answer import (
     Answer,
     Written,
     finding_lines,
-    health_of,
+    read_health,
     shorten_lines,
     written_files,
 )
@@ -72,8 +72,8 @@ def test_findings_are_one_line_each() -> None:
 
 
 def test_findings_of_a_provenance_have_errors_first() -> None:
-    assert health_of({"health": [to_json(ADVICE), to_json(ERROR)]}) == [ERROR, ADVICE]
-    assert health_of({}) == []
+    assert read_health({"health": [to_json(ADVICE), to_json(ERROR)]}) == [ERROR, ADVICE]
+    assert read_health({}) == []
 
 
 def test_only_a_given_output_is_written() -> None:

@@ -12,7 +12,7 @@ from pythonfmu import FmuBuilder
 
 import hesr
 from cosim.report.tables.table import ResultTable
-from cosim.workflow.test import LawReport, _leaving, _scores_lines
+from cosim.workflow.test import LawReport, _describe_left_ranges, _scores_lines
 from hesr_model.audit.properties import Subject
 from hesr_model.errors import ArgumentError, ArtifactError
 from hesr_model.friction.model import FrictionModel
@@ -56,12 +56,12 @@ def test_inputs_beyond_the_trained_range_are_told() -> None:
         for joint in ("j1", "j2", "j3")
     ]
     own = Subject(name="own", model=stribeck(WIDE, SLOW, WIDE))
-    (told,) = _leaving(own, records)
+    (told,) = _describe_left_ranges(own, records)
     assert told.startswith("j2: dq leaves the trained range in ")
     assert "\n" not in told
     for other in (stribeck(WIDE, WIDE, WIDE), stribeck()):
-        assert _leaving(Subject(name="other", model=other), records) == []
-    assert _leaving(own, records[:2]) == []
+        assert _describe_left_ranges(Subject(name="other", model=other), records) == []
+    assert _describe_left_ranges(own, records[:2]) == []
 
 
 def test_laws_are_compared_on_logs(arm: RobotDescription, file: Path) -> None:

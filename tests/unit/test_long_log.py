@@ -143,7 +143,7 @@ def test_fit_takes_whole_stretches_of_long_logs(
     monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, rows=400))
 
     def records() -> list[list[FrictionRecord]]:
-        return arguments.checked_logs([path], file, (), in_pieces=True).records(body)
+        return arguments.read_checked_logs([path], file, (), in_pieces=True).compute_records(body)
 
     expected = records()
     monkeypatch.setattr(arguments, "MOST_CELLS", 1000)

@@ -71,11 +71,11 @@ def monitor(
     from cosim.report.result_page import write_answer
     from cosim.workflow.answer import find_job
     from cosim.workflow.arguments import (
-        body_of,
-        checked_logs,
+        find_body,
         list_logs,
         list_names,
-        model_given,
+        read_checked_logs,
+        read_model,
         require_items,
         to_optional_path,
     )
@@ -96,11 +96,11 @@ def monitor(
         raise ArgumentError("'law' is missing; give a friction model of other logs.")
     if workers is not None:
         raise ArgumentError("'workers' is for a fleet file.")
-    model = model_given(law)
-    read = checked_logs(sources, robot, accepted, progress)
-    records = read.records(body_of(rigid_body, read.logs, read.robot))
+    model = read_model(law)
+    checked = read_checked_logs(sources, robot, accepted, progress)
+    records = checked.compute_records(find_body(rigid_body, checked.logs, checked.robot))
     progress("following friction", 0, 1)
-    answer = Monitoring(**vars(watch(model, records)), findings=read.findings)
+    answer = Monitoring(**vars(watch(model, records)), findings=checked.findings)
     if page_path is None:
         return answer
     write_answer(answer, page_path)

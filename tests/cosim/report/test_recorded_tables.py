@@ -30,7 +30,7 @@ from cosim.report.tables.terminal import Drawn
 from cosim.study.position_errors import PositionErrors
 from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import Comparison, LawScores, Ratios
-from cosim.workflow.run import over_draws
+from cosim.workflow.run import build_draw_tables
 from fmu_src.friction.convention import Convention
 from fmu_src.friction.reference import Error
 from hesr_model.audit.properties import (
@@ -256,7 +256,7 @@ def test_conventions_and_draws(recorded: Recorded) -> None:
             )
         },
     )
-    recorded([laws.convention("Friction.fmu", convention), *over_draws(seeds)])
+    recorded([laws.convention("Friction.fmu", convention), *build_draw_tables(seeds)])
 
 
 def test_leaving_a_trained_range_is_told() -> None:
