@@ -51,13 +51,13 @@ class FmuReport(Answer):
             for finding in report.problems
         ]
 
-    def _lines(self, most: int | None = None) -> list[str]:
+    def _lines(self, limit: int | None = None) -> list[str]:
         lines = []
         for report in self.reports:
             lines.append(f"{report.path}: {report.verdict}")
             problems = [f"  {line}" for line in finding_lines(report.problems)]
-            lines += problems[:most]
-            hidden_count = len(problems) - len(problems[:most])
+            lines += problems[:limit]
+            hidden_count = len(problems) - len(problems[:limit])
             if hidden_count:
                 lines.append(f"  {hidden_count} more: --verbose lists them.")
             if report.coverage:
@@ -67,7 +67,7 @@ class FmuReport(Answer):
 
     def summary(self) -> str:
         """Return verdict, first findings and omitted validators of each file."""
-        return shorten_lines(self._lines(most=max(2, 16 // len(self.reports))), self.files)
+        return shorten_lines(self._lines(limit=max(2, 16 // len(self.reports))), self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return all findings, and the tables of the kind ``convention``."""

@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, finding_lines, shorten_lines
-from cosim.workflow.arguments import list_logs, list_names, list_numbers, to_optional_path
+from cosim.workflow.arguments import (
+    find_robot,
+    list_logs,
+    list_names,
+    list_numbers,
+    read_logs,
+    to_optional_path,
+)
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support.files import PathArg, written_together
 from hesr_model.support.progress import Stages, silent
@@ -41,18 +48,20 @@ class Inspection(Answer):
         """Findings that the proposed robot file leaves, and why a study is not proposed."""
         from hesr_model.findings import Finding
 
-        found = f"the study is not written, as it would fail: {self.failure}"
-        failed = [Finding(check="study", found=found)] if self.failure else []
-        return [*failed, *self.proposal.examination.findings]
+        findings = list(self.proposal.examination.findings)
+        if self.failure:
+            sentence = f"the study is not written, as it would fail: {self.failure}"
+            findings.insert(0, Finding(check="study", found=sentence))
+        return findings
 
     @property
     def fixed(self) -> Sequence[Finding]:
         """Findings that the proposed robot file removes."""
-        left = {(finding.check, finding.joints) for finding in self.findings}
+        open_checks = {(finding.check, finding.joints) for finding in self.findings}
         return [
             finding
             for finding in self.proposal.first
-            if (finding.check, finding.joints) not in left
+            if (finding.check, finding.joints) not in open_checks
         ]
 
     @property
@@ -106,7 +115,9 @@ class Inspection(Answer):
             "proposed": [to_json(finding) for finding in self.findings],
             "reasons": dict(self.proposal.reasons),
             "limit": self.limit,
-            "torque_constants": [to_json(one) for one in self.constants if one.determined],
+            "torque_constants": [
+                to_json(constant) for constant in self.constants if constant.determined
+            ],
         }
 
 
@@ -175,7 +186,6 @@ def inspect(
     True
     """
     from cosim.study.proposal import split
-    from hesr_model.health.joints import with_joints
     from hesr_model.health.proposal import inspect_logs, with_constants
 
     sources = list_logs("logs", logs)
@@ -183,19 +193,17 @@ def inspect(
     names = list_names("joints", joints, commas=True)
     point_mass = None if payload is None else list_numbers("payload", payload)
     _require_robot(robot, names, write, study)
-    has_constant_options = bool(loaded_sources) or payload is not None or mass_error != _MASS_ERROR
-    if has_constant_options and not torque_constants:
-        raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
-    if not sources and (robot is None or study or torque_constants):
-        raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
+    if not torque_constants:
+        _refuse_options_of_constants(mass_error, loaded_sources, point_mass)
+    if not sources:
+        _require_robot_alone(robot, study, torque_constants=torque_constants)
     files = _find_log_files(sources)
     progress("inspecting logs", 0, 1)
     proposal = inspect_logs(files, robot, names)
     constants: Sequence[Constant] = ()
     if torque_constants:
-        moved_robot = with_joints(robot, names) if robot and names else robot
         constants = _estimate_torque_constants(
-            sources, moved_robot, mass_error, loaded_sources, point_mass, progress
+            sources, robot, names, mass_error, loaded_sources, point_mass, progress
         )
         proposal = with_constants(proposal, constants)
     severities = {finding.severity for finding in proposal.examination.findings}
@@ -224,6 +232,20 @@ def _require_robot(
         )
     if joints and robot is None:
         raise ArgumentError("'joints' needs 'robot': joints are those of a robot's model.")
+
+
+def _require_robot_alone(
+    robot: RobotArg | None, study: PathArg | None, *, torque_constants: bool
+) -> None:
+    if robot is None or study or torque_constants:
+        raise ArgumentError("'study' and 'torque_constants' need logs; without logs give 'robot'.")
+
+
+def _refuse_options_of_constants(
+    mass_error: float, loaded: Sequence[LogSource], payload: Sequence[float] | None
+) -> None:
+    if loaded or payload is not None or mass_error != _MASS_ERROR:
+        raise ArgumentError("'mass_error', 'loaded' and 'payload' need 'torque_constants'.")
 
 
 def _find_log_files(sources: Sequence[LogSource]) -> list[Path]:
@@ -278,37 +300,42 @@ def _write(
 
 
 def _estimate_torque_constants(
-    logs: Sequence[LogSource],
+    sources: Sequence[LogSource],
     robot: RobotArg | None,
+    joints: Sequence[str],
     mass_error: float,
-    loaded: Sequence[LogSource],
+    loaded_sources: Sequence[LogSource],
     payload: Sequence[float] | None,
     progress: Stages,
 ) -> Sequence[Constant]:
     """Estimate torque constants, starting from the robot file's `torque_per_ampere`."""
-    from cosim.workflow.arguments import find_robot, read_logs
+    from hesr_model.health.joints import with_joints
     from hesr_model.logs.robot_log import parts_of
     from hesr_model.logs.signals import Motion, smooth
-    from hesr_model.rigid_body import torque_constants as constants
+    from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
 
-    if payload is not None and len(payload) != 4:
-        raise ArgumentError(
-            f"'payload': found {len(payload)} values; expected mass and the three coordinates of "
-            "its centre."
-        )
-    model = find_robot(robot, ())
-    description = model.description
+    point_mass = None
+    if payload is not None:
+        if len(payload) != 4:
+            raise ArgumentError(
+                f"'payload': found {len(payload)} values; expected mass and the three coordinates "
+                "of its centre."
+            )
+        mass, *centre = payload
+        point_mass = point_payload(mass, centre)
+    moved_robot = find_robot(with_joints(robot, joints) if robot and joints else robot, ())
+    log_format = moved_robot.description.log
 
-    def motions(sources: Sequence[LogSource]) -> list[Motion]:
-        parts = parts_of(read_logs(sources, model))
-        return [smooth(part, description.log.filter_cutoff) for part in parts]
+    def smooth_logs(sources: Sequence[LogSource]) -> list[Motion]:
+        parts = parts_of(read_logs(sources, moved_robot))
+        return [smooth(part, log_format.filter_cutoff) for part in parts]
 
     progress("estimating torque constants", 0, 1)
-    return constants.torque_constants(
-        motions(logs),
-        model,
-        description.log.torque_per_ampere or (1.0,) * model.n,
+    return torque_constants(
+        smooth_logs(sources),
+        moved_robot,
+        log_format.torque_per_ampere or (1.0,) * moved_robot.n,
         mass_error=mass_error,
-        loaded=motions(loaded),
-        payload=None if payload is None else constants.point_payload(payload[0], payload[1:]),
+        loaded=smooth_logs(loaded_sources),
+        payload=point_mass,
     )

@@ -316,12 +316,13 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
                 raise ConfigError(f"{law.fmu}: it contains no friction law to audit.")
             continue
         try:
-            seen = ranges(law.model, reference_motion(law.model))
-            audits[law.name] = audit = ModelAudit.of(law.model, seen)
+            reference_ranges = ranges(law.model, reference_motion(law.model))
+            audit = ModelAudit.of(law.model, reference_ranges)
         except HesrError:
             if alone:
                 raise
             continue
+        audits[law.name] = audit
         joints = [
             joint
             for joint, certificate in zip(law.model.joints, audit.certificates, strict=True)
