@@ -11,11 +11,14 @@ QUIET = "quiet"
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, object]:
-    """Let tests fail in CI that are skipped for a reason that is not listed."""
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, object]:
+    """Mark tests that need quiet, and let those fail in CI whose skip is not listed."""
+    # JUnit's report has the properties of the item at its teardown, not those of other phases.
+    if call.when == "setup" and item.get_closest_marker("quiet"):
+        item.user_properties.append((QUIET, "true"))
     report = yield
-    if report.when == "setup" and item.get_closest_marker("quiet"):
-        report.user_properties.append((QUIET, "true"))
     is_expected_failure = hasattr(report, "wasxfail")
     if report.skipped and not is_expected_failure:
         _fail_in_ci(item.config, report)
