@@ -145,6 +145,18 @@ def require_mapping(name: str, value: object) -> None:
         raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected a mapping.")
 
 
+def require_text(name: str, value: object) -> None:
+    """Raise ArgumentError unless an argument is text or None."""
+    if value is not None and not isinstance(value, str):
+        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected text.")
+
+
+def require_number(name: str, value: object) -> None:
+    """Raise ArgumentError unless an argument is a number or None."""
+    if value is not None and not isinstance(value, Real):
+        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected a number.")
+
+
 def paths_among(*arguments: object) -> list[Path]:
     """Return the arguments that are paths; others are objects or None."""
     return [Path(argument) for argument in arguments if isinstance(argument, str | PathLike)]

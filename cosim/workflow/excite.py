@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args, overload
 
 from cosim.workflow.answer import Answer, Written
-from cosim.workflow.arguments import require_choice, to_optional_path
+from cosim.workflow.arguments import require_choice, require_text, to_optional_path
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, path_of, written_together
@@ -119,6 +119,7 @@ def excite(
     'motion.csv'
     """
     require_choice("purpose", purpose, get_args(Purpose))
+    require_text("format", format)
     path = path_of(output, "'output'")
     robot_path = path_of(robot, "'robot'")
     settings_path = to_optional_path("settings", settings)

@@ -18,6 +18,7 @@ from cosim.workflow.arguments import (
     list_names,
     list_numbers,
     list_paths,
+    require_text,
 )
 from cosim.workflow.export_formats import LAW, ExportFormat, choose_format, find_title
 from cosim.workflow.export_formats import help_sections as help_sections
@@ -99,6 +100,7 @@ def export(
     """
     output = path_of(output, "'output'")
     platforms = None if platform is None else list_names("platform", platform)
+    require_text("format", format)
     export_format = choose_format(source, format, output)
     request = ExportRequest(
         source=source,

@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.workflow.answer import Answer, Written
-from cosim.workflow.arguments import list_names, list_paths, require_items, to_optional_path
+from cosim.workflow.arguments import (
+    list_names,
+    list_paths,
+    require_items,
+    require_text,
+    to_optional_path,
+)
 from hesr_model.errors import ArgumentError
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg
@@ -83,6 +89,7 @@ def report(
     folders = list_paths("results", results)
     require_items("results", folders)
     laws = list_names("law", law)
+    require_text("scheme", scheme)
     path = to_optional_path("output", output)
     writers = plugins.load("hesr.reports")
     kind = _choose_kind(folders[0], path, writers, view=view)

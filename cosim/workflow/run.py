@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shorten_lines
-from cosim.workflow.arguments import list_names
+from cosim.workflow.arguments import list_names, require_number
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, models_folder, path_of
 from hesr_model.support.progress import Interrupted, Stages, silent
@@ -249,6 +249,7 @@ def run(
 
     platforms = None if platform is None else list_names("platform", platform)
     accepted = list_names("accept", accept)
+    require_number("seeds", seeds)
     study_path = _find_study(study)
     job = find_job(study_path, "run")
     if job:

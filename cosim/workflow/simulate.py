@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.workflow.answer import Answer, Written, find_job, written_files
-from cosim.workflow.arguments import list_names, remember_trust, to_optional_path
+from cosim.workflow.arguments import list_names, remember_trust, require_text, to_optional_path
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
 from hesr_model.support.files import PathArg, path_of, written_whole
 from hesr_model.support.progress import Progress, Stages, silent
@@ -103,6 +103,7 @@ def simulate(
     from cosim.systems.system import opened_system
 
     start_values = list_names("set", set)
+    require_text("cluster", cluster)
     path = path_of(system, "'system'")
     file = to_optional_path("output", output)
     sweep_options = {

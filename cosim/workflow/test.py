@@ -20,6 +20,7 @@ from cosim.workflow.arguments import (
     read_laws,
     remember_trust,
     require_choice,
+    require_number,
     to_optional_path,
 )
 from cosim.workflow.fit import passivity
@@ -231,6 +232,7 @@ def test(
         kinds = ["prediction", "passivity"] if sources else ["passivity"]
     for name in kinds:
         require_choice("kind", name, (*KINDS, *plugins.names("hesr.tests")))
+    require_number("load", load)
     if not isfinite(load):
         raise ArgumentError(f"'load' is {load}; expected a number.")
     subjects = read_laws(laws)

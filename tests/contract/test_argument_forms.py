@@ -243,6 +243,29 @@ def test_no_items_where_one_is_needed_are_refused() -> None:
         hesr.monitor([], law="law.json")
 
 
+@pytest.mark.parametrize("value", [3, {"a": 1}, ["c"]])
+def test_other_values_than_text_are_refused_by_name(tmp_path: Path, value: Any) -> None:
+    calls: dict[str, list[Function]] = {
+        "format": [
+            lambda: hesr.export("uf850-table1", tmp_path / "a", format=value),
+            lambda: hesr.excite("robot.toml", format=value),
+        ],
+        "scheme": [lambda: hesr.report(tmp_path, scheme=value)],
+        "cluster": [lambda: hesr.simulate("a.toml", cluster=value)],
+    }
+    for name, functions in calls.items():
+        for function in functions:
+            with pytest.raises(ArgumentError, match=rf"^'{name}' is given as \w+; expected text"):
+                function()
+
+
+def test_other_values_than_numbers_are_refused_by_name() -> None:
+    with pytest.raises(ArgumentError, match=r"^'load' is given as str; expected a number"):
+        hesr.test("uf850-table1", load="3")  # type: ignore[arg-type]  # the mistake
+    with pytest.raises(ArgumentError, match=r"^'seeds' is given as list; expected a number"):
+        hesr.run(seeds=[3])  # type: ignore[call-overload]  # the mistake
+
+
 def test_texts_where_a_mapping_is_needed_are_refused() -> None:
     with pytest.raises(ArgumentError, match=r"^'options' is given as str; expected a mapping"):
         hesr.fit("a.csv", law="lugre", options="ripple=false")  # type: ignore[arg-type]  # mistake
