@@ -46,7 +46,7 @@ class Kernels(BuildHookInterface[Any]):
         rows.compile_c = toolchain.compile_c = kept
         for host in {here} & rows.HOSTS.keys() if editable else rows.HOSTS:
             with tempfile.TemporaryDirectory() as folder:
-                rows.built(Path(folder), host)
+                rows.compile_rows(Path(folder), host)
         if editable:
             return
         for name in MASTER:

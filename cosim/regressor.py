@@ -22,14 +22,14 @@ from hesr_model.fitting.fit import fit
 from hesr_model.friction.law import equations
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import rmse
-from hesr_model.friction.table import MotionTable, motion, numbers, torques
-from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.friction.table import MotionTable, read_motion, read_numbers, read_torques
+from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotLike, model_of
+from hesr_model.robots.robot import RobotLike, to_robot
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import path_of
+from hesr_model.support.files import to_path
 
 if TYPE_CHECKING:
     from cosim.report.figures.chart import Figure
@@ -77,16 +77,16 @@ class FrictionRegressor:
         self.options = options
 
     def __repr__(self) -> str:
-        usual = inspect.signature(type(self)).parameters
-        given = [
+        parameters = inspect.signature(type(self)).parameters
+        arguments = [
             f"{name}={value!r}"
             for name, value in self.get_params().items()
-            if not (value is usual[name].default or value == usual[name].default)
+            if not (value is parameters[name].default or value == parameters[name].default)
         ]
-        return f"{type(self).__name__}({', '.join(given)})"
+        return f"{type(self).__name__}({', '.join(arguments)})"
 
     def _repr_html_(self) -> str:
-        return self._fitted()._repr_html_() if hasattr(self, "model_") else repr(self)
+        return self._require_fitted()._repr_html_() if hasattr(self, "model_") else repr(self)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002  # scikit-learn's signature
         """Return the parameters of the constructor by name."""
@@ -94,11 +94,11 @@ class FrictionRegressor:
 
     def set_params(self, **params: Any) -> Self:
         """Set parameters of the constructor; raise TableError for an unknown one."""
-        known = self.get_params()
+        allowed = self.get_params()
         for name, value in params.items():
-            if name not in known:
+            if name not in allowed:
                 raise TableError(
-                    f"a friction regressor has no parameter '{name}'; it has {', '.join(known)}."
+                    f"a friction regressor has no parameter '{name}'; it has {', '.join(allowed)}."
                 )
             setattr(self, name, value)
         return self
@@ -133,17 +133,17 @@ class FrictionRegressor:
             self.robot_ = robot.description
             self.rigid_body_ = find_body(self.rigid_body, logs, robot)
             name = robot.description.name
-            records = self._records(parts_of(logs))
+            records = self._records(collect_parts(logs))
             self.__dict__.pop("n_features_in_", None)
         else:
-            values, names = numbers(X)
-            measured = torques(y, len(values))
-            moved = self._motion(values, names)
-            load = moved.load if self.target == "torque" else 0.0
+            values, names = read_numbers(X)
+            measured = read_torques(y, len(values))
+            table = self._motion(values, names)
+            load = table.load if self.target == "torque" else 0.0
             name = "table"
-            records = [moved.records(measured - load)]
-            for known in ("robot_", "rigid_body_"):
-                self.__dict__.pop(known, None)
+            records = [table.to_records(measured - load)]
+            for attribute in ("robot_", "rigid_body_"):
+                self.__dict__.pop(attribute, None)
             self.n_features_in_ = values.shape[1]
             self._flat = np.asarray(y).ndim == 1
         self.model_ = fit(self.law, *records, seed=self.seed, options=self.options, robot=name)
@@ -168,16 +168,16 @@ class FrictionRegressor:
         SimulationError
             If the log has other joints.
         """
-        model = self._fitted()
+        model = self._require_fitted()
         logs = self._logs(X)
         if logs is not None:
             if len(logs) != 1:
                 raise TableError(f"predict() was given {len(logs)} logs; expected one.")
             (records,) = self._records(logs)
-            return self._whole(model.predict(records), records)
-        moved = self._table(X)
-        torque = model.predict(t=moved.t, dq=moved.dq, q=moved.q, tau_load=moved.load)
-        torque += moved.load if self.target == "torque" else 0.0
+            return self._convert_to_target(model.predict(records), records)
+        table = self._table(X)
+        torque = model.predict(t=table.t, dq=table.dq, q=table.q, tau_load=table.load)
+        torque += table.load if self.target == "torque" else 0.0
         return torque[:, 0] if self._flat else torque
 
     def score(self, X: Any, y: Any = None) -> float:
@@ -185,32 +185,34 @@ class FrictionRegressor:
 
         Logs are predicted separately; rows in their gaps do not count.
         """
-        model = self._fitted()
+        model = self._require_fitted()
         logs = self._logs(X)
         if logs is not None:
-            records = self._records(parts_of(logs))
-            found = np.vstack(
+            records = self._records(collect_parts(logs))
+            tau_predicted = np.vstack(
                 [
-                    self._whole(model.predict(joint_records), joint_records)
-                    for joint_records in records
+                    self._convert_to_target(model.predict(log_records), log_records)
+                    for log_records in records
                 ]
             )
-            wanted = np.vstack(
+            tau = np.vstack(
                 [
-                    self._whole(np.column_stack([j.tau for j in joint_records]), joint_records)
-                    for joint_records in records
+                    self._convert_to_target(
+                        np.column_stack([record.tau for record in log_records]), log_records
+                    )
+                    for log_records in records
                 ]
             )
         else:
-            found = self.predict(X)
-            found = found.reshape(len(found), -1)
-            wanted = torques(y, len(found))
-        pairs = zip([rmse(e) for e in (found - wanted).T], np.std(wanted, axis=0), strict=True)
+            tau_predicted = self.predict(X)
+            tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
+            tau = read_torques(y, len(tau_predicted))
+        pairs = zip([rmse(e) for e in (tau_predicted - tau).T], np.std(tau, axis=0), strict=True)
         return float(np.mean([1.0 - (e / s) ** 2 if s else float(e == 0.0) for e, s in pairs]))
 
     def equation(self) -> str:
         """Return the fitted law as text, joint by joint."""
-        model = self._fitted()
+        model = self._require_fitted()
         lines = []
         for joint, law in zip(model.joints, model.laws, strict=True):
             lines += [f"{joint}:", *(f"  {line}" for line in equations(law))]
@@ -218,31 +220,31 @@ class FrictionRegressor:
 
     def plot(self, X: Any, y: Any = None) -> "Figure":
         """Return a figure of measured and predicted torque of one log or table over time."""
-        from cosim.report.figures.chart import Chart, Line, Panel, drawn
+        from cosim.report.figures.chart import Chart, Line, Panel, draw_chart
         from cosim.report.figures.style import MEASURED, strokes
 
-        model = self._fitted()
+        model = self._require_fitted()
         title = estimator(self.law).title
-        found = self.predict(X)
-        found = found.reshape(len(found), -1)
+        tau_predicted = self.predict(X)
+        tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
         logs = self._logs(X)
         if logs is not None:
             (records,) = self._records(logs)
             t = records[0].t
             tau = np.column_stack([record.tau for record in records])
-            wanted = self._whole(tau, records)
+            tau_measured = self._convert_to_target(tau, records)
         else:
             t = self._table(X).t
-            wanted = torques(y, len(found))
+            tau_measured = read_torques(y, len(tau_predicted))
         rows = []
         for k, joint in enumerate(model.joints):
             lines = (
-                Line(name="measured", x=t, y=wanted[:, k], stroke=MEASURED),
-                Line(name=title, x=t, y=found[:, k], stroke=strokes([title])[title]),
+                Line(name="measured", x=t, y=tau_measured[:, k], stroke=MEASURED),
+                Line(name=title, x=t, y=tau_predicted[:, k], stroke=strokes([title])[title]),
             )
             unit = "N" if model.slides[k] else "N.m"
             rows.append((Panel(title=joint, y=f"{self.target} [{unit}]", lines=lines),))
-        return drawn(Chart(x="t [s]", rows=tuple(rows)))
+        return draw_chart(Chart(x="t [s]", rows=tuple(rows)))
 
     def to_fmu(self, path: str | PathLike[str], *, platforms: Names | None = None) -> Path:
         """Write the fitted law as an FMU.
@@ -255,14 +257,14 @@ class FrictionRegressor:
         built_for: Sequence[str] = DEFAULT_PLATFORMS
         if platforms is not None:
             built_for = list_names("platforms", platforms)
-        model = self._fitted()
-        fmu = path_of(path, "'path'")
+        model = self._require_fitted()
+        fmu = to_path(path, "'path'")
         return export_fmu(model, fmu, platforms=built_for)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch, in the export format `torch`."""
-        file = path_of(path, "'path'")
-        plugins.find("hesr.exports", "torch").write(self._fitted(), file)
+        file = to_path(path, "'path'")
+        plugins.find("hesr.exports", "torch").write(self._require_fitted(), file)
         return file
 
     def __sklearn_is_fitted__(self) -> bool:
@@ -279,23 +281,23 @@ class FrictionRegressor:
         )
 
     def _motion(self, values: Array, names: Sequence[str]) -> MotionTable:
-        return motion(values, names)
+        return read_motion(values, names)
 
     def _table(self, X: Any) -> MotionTable:
-        values, names = numbers(X)
+        values, names = read_numbers(X)
         expected = getattr(self, "n_features_in_", values.shape[1])
         if values.shape[1] != expected:
             raise TableError(
                 f"X has {values.shape[1]} features, but {type(self).__name__} is expecting "
                 f"{expected} features as input."
             )
-        moved = self._motion(values, names)
-        joints = len(self._fitted().joints)
-        if moved.dq.shape[1] != joints:
+        table = self._motion(values, names)
+        joints = len(self._require_fitted().joints)
+        if table.dq.shape[1] != joints:
             raise TableError(
-                f"X is the motion of {moved.dq.shape[1]} joints; the law was fitted to {joints}."
+                f"X is the motion of {table.dq.shape[1]} joints; the law was fitted to {joints}."
             )
-        return moved
+        return table
 
     def _logs(self, X: Any) -> list[Log] | None:
         sources = logs_unless_table(X)
@@ -307,15 +309,15 @@ class FrictionRegressor:
     def _records(self, logs: Sequence[Log]) -> list[Record]:
         if not hasattr(self, "robot_"):
             raise TableError("a law fitted to a table needs a table.")
-        robot = model_of(self.robot_)
+        robot = to_robot(self.robot_)
         return [friction_records(log, robot, self.rigid_body_) for log in logs]
 
-    def _whole(self, friction: Array, records: Record) -> Array:
+    def _convert_to_target(self, friction: Array, records: Record) -> Array:
         if self.target == "friction":
             return friction
         return friction + np.column_stack([record.of_bodies for record in records])
 
-    def _fitted(self) -> FrictionModel:
+    def _require_fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):
             return self.model_
         raise _unfitted_error()("this friction regressor is not fitted yet; call fit() first.")

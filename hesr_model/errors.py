@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
-from hesr_model.support.text import escaped
+from hesr_model.support.text import escape
 
-_LONGEST = 2000  # characters of a sentence; a file may contain millions
+_MAX_SENTENCE_LENGTH = 2000  # characters of a sentence; a file may contain millions
 
 
 class HesrError(Exception):
@@ -28,14 +28,17 @@ class HesrError(Exception):
     def __init__(
         self, sentence: str, *, code: str = "", where: str | Path = "", key: str = ""
     ) -> None:
-        if len(sentence) > _LONGEST:
-            sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
-        super().__init__("\n".join(map(escaped, sentence.split("\n"))))
+        if len(sentence) > _MAX_SENTENCE_LENGTH:
+            sentence = (
+                f"{sentence[: _MAX_SENTENCE_LENGTH // 2]} ... "
+                f"{sentence[-_MAX_SENTENCE_LENGTH // 2 :]}"
+            )
+        super().__init__("\n".join(map(escape, sentence.split("\n"))))
         self.code = code
         self.where = str(where)
         self.key = key
 
-    def at(self, where: str | Path) -> Self:
+    def add_place(self, where: str | Path) -> Self:
         """Return the same error, with a place in front of its sentence."""
         return type(self)(f"{where}: {self}", code=self.code, where=where, key=self.key)
 
@@ -59,9 +62,9 @@ class ConfigError(HesrError):
 class ArgumentError(ConfigError):
     """Arguments, quoted by their Python names, are contradictory."""
 
-    def on_command_line(self, options: Mapping[str, str]) -> str:
+    def format_for_command_line(self, options: Mapping[str, str]) -> str:
         """Return the sentence with options for parameters."""
-        return re.sub(r"'([a-z_]+)'", lambda found: options.get(found[1], found[0]), str(self))
+        return re.sub(r"'([a-z_]+)'", lambda match: options.get(match[1], match[0]), str(self))
 
 
 class LogError(HesrError):

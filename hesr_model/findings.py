@@ -34,41 +34,53 @@ class Finding:
     @property
     def sentence(self) -> str:
         """Place, observation and remedy in one sentence."""
-        more = f" and {len(self.logs) - 1} more" if len(self.logs) > 1 else ""
-        where = [self.where] if self.where else []
-        where += [f"log {self.logs[0]}{more}"] if self.logs else []
+        further_logs = f" and {len(self.logs) - 1} more" if len(self.logs) > 1 else ""
+        places = [self.where] if self.where else []
+        places += [f"log {self.logs[0]}{further_logs}"] if self.logs else []
         if self.joints:
             plural = "s" if len(self.joints) > 1 else ""
-            where.append(f"joint{plural} {', '.join(map(repr, self.joints))}")
-        said = f"{self.found}: {self.remedy}." if self.remedy else self.found
-        return f"{', '.join(where)}{': ' if where else ''}{said}"
+            places.append(f"joint{plural} {', '.join(map(repr, self.joints))}")
+        observation = f"{self.found}: {self.remedy}." if self.remedy else self.found
+        return f"{', '.join(places)}{': ' if places else ''}{observation}"
 
 
 caution = partial(Finding, severity="warning")
 
 
-def errors_first(findings: Iterable[Finding]) -> list[Finding]:
+def sort_by_severity(findings: Iterable[Finding]) -> list[Finding]:
     """Return findings ordered by severity."""
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
 def log_findings(findings: Iterable[Finding]) -> list[Finding]:
     """Log findings as warnings and return them."""
-    listed = list(findings)
-    for finding in listed:
+    finding_list = list(findings)
+    for finding in finding_list:
         _log.warning("warning: %s [%s]", finding.sentence, finding.check)
-    return listed
+    return finding_list
 
 
-def reaching(findings: Iterable[Finding], severity: str) -> list[Finding]:
+def select_by_severity(findings: Iterable[Finding], severity: str) -> list[Finding]:
     """Return findings at or above a severity; none for ``"never"``."""
-    counted = SEVERITIES[: SEVERITIES.index(severity) + 1] if severity in SEVERITIES else ()
-    return [finding for finding in findings if finding.severity in counted]
+    severities = SEVERITIES[: SEVERITIES.index(severity) + 1] if severity in SEVERITIES else ()
+    return [finding for finding in findings if finding.severity in severities]
 
 
-def of_joint(
-    check: str, joint: str, found: str, remedy: str, severity: Severity = "error", **more: Any
+def build_joint_finding(
+    check: str,
+    joint: str,
+    observation: str,
+    remedy: str,
+    severity: Severity = "error",
+    **finding_fields: Any,
 ) -> Finding:
     """Return a finding on a joint, or without joints if it is empty."""
-    of = (joint,) if joint else ()
-    return Finding(check=check, severity=severity, joints=of, found=found, remedy=remedy, **more)
+    joints = (joint,) if joint else ()
+    return Finding(
+        check=check,
+        severity=severity,
+        joints=joints,
+        found=observation,
+        remedy=remedy,
+        **finding_fields,
+    )

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmu_src.export.package import own_source
+from fmu_src.export.package import read_c_source
 from fmu_src.export.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
@@ -18,7 +18,7 @@ def build_host(name: str, folder: Path, target: str = "x86_64-linux-gnu.2.17") -
 
     The target's baseline processor is used, which emulators and valgrind support.
     """
-    sources = {"fmi2.h": own_source("fmi2.h")}
+    sources = {"fmi2.h": read_c_source("fmi2.h")}
     sources |= {n: (HOSTS / n).read_text(encoding="utf-8") for n in ("host.h", "motion.h", name)}
     for file, text in sources.items():
         (folder / file).write_text(text, encoding="utf-8")

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from oracles.monolithic import MonolithicLoop
 
-from cosim.loop.closed_loop import Fmus, Gains, Scheme, Setting, system
+from cosim.loop.closed_loop import Fmus, Gains, Scheme, Setting, build_system
 from cosim.systems.system import SystemSpec
 from fmu_src import export_fmu
 from fmu_src.arm.native import arm
 from fmu_src.arm.plant import Plant
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.blocks.controller import controller, velocity
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.blocks.trajectory import start_values, trajectory
@@ -95,7 +95,7 @@ class Bench:
             arm={"q0": q0},
         )
         motion = start_values(loop.motion) | {"rest_time": loop.rest}
-        spec = system(setting, duration=loop.stop, motion=motion)
+        spec = build_system(setting, duration=loop.stop, motion=motion)
         return spec.model_copy(update={"observe": OBSERVED} | more)
 
 
@@ -110,7 +110,7 @@ def write_fmus(
 ) -> None:
     """Write the FMUs of a loop."""
     robot, model = _robot(), UF850 / "uf850.xml"
-    signals = signals_of(model, UF850 / "arm.toml")
+    signals = read_signals(model, UF850 / "arm.toml")
     contents = {
         "Arm": arm(signals, name="UF850", source=model.read_bytes(), platforms=platforms),
         "Trajectory": trajectory(robot.n),

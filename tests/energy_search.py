@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution
 
-from fmu_src.friction.friction_component import GIVEN, START_MODE, STEADY, scales_of
+from fmu_src.friction.friction_component import GIVEN, START_MODE, STEADY, scale_names
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
-from hesr_model.audit.certificate import scale_limits, storage
+from fmu_src.run.native import step_rows
+from hesr_model.audit.certificate import find_scale_limits, find_storage_factors
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -82,7 +82,7 @@ class Target:
         count, rows, _ = paths.shape
         dt, inputs = paths[:, :, 0].ravel(), paths[:, :, 1:].reshape(-1, len(INPUTS))
         times = self._time + np.concatenate([[0.0], np.cumsum(dt)])
-        found = through(self.component, self._into, self._out, times[:-1], dt, inputs)
+        found = step_rows(self.component, self._into, self._out, times[:-1], dt, inputs)
         self._time = float(times[-1])
         self.cases += count
         found = found.reshape(count, rows, -1)
@@ -161,7 +161,7 @@ def attacked(law: FrictionLaw, folder: Path, *, longest: float | None = 10.0) ->
     fmu = export_bare(model, folder / f"{law.name}.fmu")
     energies = None
     if longest is not None:
-        of_state = storage(law)
+        of_state = find_storage_factors(law)
         energies = np.array([of_state[m.name] for m in law.form.memory])
     with FmuInstance(fmu) as component:
         yield Target(
@@ -174,10 +174,10 @@ def attacked(law: FrictionLaw, folder: Path, *, longest: float | None = 10.0) ->
 
 def corners(law: FrictionLaw) -> list[dict[str, float]]:
     """Return the scales at their limits, and both at 1."""
-    limits = scale_limits(law)
+    limits = find_scale_limits(law)
     ends = [(low, _LARGEST if high is None else high) for low, high in limits]
     chosen = [(1.0, 1.0), *((a, b) for a in ends[0] for b in ends[1])]
-    return [dict(zip(scales_of(1), pair, strict=True)) for pair in chosen]
+    return [dict(zip(scale_names(1), pair, strict=True)) for pair in chosen]
 
 
 def search(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.study.sample_logs import RATE, plausible_friction, sample_settings, simulated
+from cosim.study.sample_logs import RATE, plausible_friction, sample_settings, simulate_log
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.laws.lugre import LuGre
 from hesr_model.motions.excitation import random_motions
@@ -66,7 +66,7 @@ def write_fleet(
         rng = np.random.default_rng(r)
         own = [_times(one, np.exp(spread * rng.standard_normal(7))) for one in laws]
         for k in range(logs):
-            log = simulated(
+            log = simulate_log(
                 robot,
                 motions[k % len(motions)],
                 [_times(one, np.where(_FORCES, scale(r, k), 1.0)) for one in own],

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hesr_model.equations.functions import lowered
+from hesr_model.equations.functions import to_numpy_function
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.predict import first_states
 
@@ -53,10 +53,11 @@ def equations(law):
     # large coefficients of a Dahl basis cancel.
     symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
     states = [s for m in form.memory for s in (m.state, m.derivative)]
-    moving = lowered(
-        (*symbols, *(m.state for m in form.memory)), tuple(m.continuous() for m in form.memory)
+    moving = to_numpy_function(
+        (*symbols, *(m.state for m in form.memory)),
+        tuple(m.express_derivative() for m in form.memory),
     )
-    output = lowered((*symbols, *states), (form.output,))
+    output = to_numpy_function((*symbols, *states), (form.output,))
 
     def slope(inputs, x):
         return np.array(moving(*values, *inputs, *x), dtype=float)

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cosim.loop.closed_loop import ARM
-from cosim.loop.excite import recordings, twin_plant
+from cosim.loop.excite import record_motions, twin_plant
 from cosim.loop.motions import Motions
 from cosim.study.study import Twin
 from fmu_src.arm.native import export_mjcf
@@ -20,7 +20,7 @@ from fmu_src.arm.plant import Plant
 from fmu_src.arm.table import InputTable, SignalTable
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -48,7 +48,7 @@ class Bench:
 
     @property
     def plant(self) -> PlantBody:
-        return PlantBody.of(self.robot, self.body)
+        return PlantBody.from_robot(self.robot, self.body)
 
 
 def pushed_arm(folder: Path, truth: str | None) -> tuple[Plant, Path]:
@@ -97,7 +97,7 @@ def bench(folder: Path, truth: str | None, law: str) -> Bench:
     wanted = tuple(m for m in motions.motions if m.name in ("excitation", "sweep"))
     logs = {
         one.log.name: one.log
-        for one in recordings(motions.model_copy(update={"motions": wanted}), plant, fmu=fmu)
+        for one in record_motions(motions.model_copy(update={"motions": wanted}), plant, fmu=fmu)
     }
     robot = Robot(MODELS / "uf850" / "robot.toml")
     body = identify([logs["excitation"]], robot, reversed_logs=[logs["excitation_reversed"]])
@@ -143,13 +143,13 @@ def moved(
     torque_noise = tuple(noise * x for x in (1.5, 1.5, 0.6))
     start = {"q0": tuple(desired[0]), "noise_seed": (seed, 0), "payload": payload}
     start |= {"tau_meas_noise": torque_noise}
-    fmu.initialise(start=fmu.variables.expanded(start))
+    fmu.initialise(start=fmu.variables.expand_values(start))
     joints = (1, 2, 3)
     inputs = fmu.buffer([f"{name}[{i}]" for name in ("dq_cmd", "push") for i in joints])
     outputs = fmu.buffer([f"{n}[{i}]" for n in ("q", "tau_meas", "dq_true") for i in joints])
     first = outputs.read().copy()
     times = STEP * np.arange(len(commands))
-    rows = through(
+    rows = step_rows(
         fmu, inputs, outputs, times, np.full(len(times), STEP), np.hstack([commands, push])
     )
     q, tau, dq = np.split(np.vstack([first, rows]), 3, axis=1)

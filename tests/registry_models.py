@@ -70,7 +70,7 @@ def models_of_registry(laws: Iterable[str] | None = None) -> Iterator[FrictionMo
             joints=("j1",),
             laws=(fit_joint(name, [record], seed=0),),
             sample_time=0.01,
-            trained=(TrainedRange.of([record]),),
+            trained=(TrainedRange.from_records([record]),),
             provenance={
                 "files": [{"name": "/home/someone/secret/made.csv", "sha256": "ab" * 32}],
                 "seed": 0,

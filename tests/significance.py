@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.study.results import Scored
-from cosim.study.scores import records_of
-from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, holm, law_errors
-from hesr_model.inference.covariance import Moments, long_run
+from cosim.study.scores import select_records
+from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, adjust_by_holm, law_errors
+from hesr_model.inference.covariance import Moments, compute_long_run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Against:
 def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") -> Against:
     """Compare laws with a reference law on test logs, joint by joint."""
     records, torque, laws = (
-        records_of(run.study.logs.test[tests], run.records),
+        select_records(run.study.logs.test[tests], run.records),
         run.predictions[tests],
         tuple(laws),
     )
@@ -54,11 +54,11 @@ def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") 
         )
         found |= {(law, j): ratios[law] for law in laws}
     known = {key: one.p for key, one in found.items() if one.p is not None}
-    return Against(found=found, adjusted=holm(known))
+    return Against(found=found, adjusted=adjust_by_holm(known))
 
 
 def long_run_of(influences: Sequence[np.ndarray], rows: int = 100) -> list[np.ndarray]:
-    """Return `long_run` of whole logs, fed in pieces."""
+    """Return `compute_long_run` of whole logs, fed in pieces."""
     moments = [Moments(psi.shape[1]) for psi in influences]
     pieces = [
         (log, psi[k : k + rows])
@@ -67,4 +67,4 @@ def long_run_of(influences: Sequence[np.ndarray], rows: int = 100) -> list[np.nd
     ]
     for log, piece in pieces:
         moments[log].add(piece)
-    return long_run(moments, pieces)
+    return compute_long_run(moments, pieces)

@@ -32,7 +32,7 @@ Law = Annotated[StandIn | str, Field(union_mode="left_to_right")]
 ARM = "Arm.fmu"
 
 PerJoint = Annotated[tuple[float, ...], Field(min_length=1)]
-_REST = 0.05  # [s] before the motion, longer than any preview
+_REST_TIME = 0.05  # [s] before the motion, longer than any preview
 Compensation = Literal["none", "torque_error", "servo_inversion"]
 _TITLES: Mapping[Compensation, str] = {
     "none": "velocity command only",
@@ -81,45 +81,45 @@ class Scheme:
     def name(self) -> str:
         """Name in files."""
         change = f": {self.change}" if self.change else ""
-        return ", ".join((self.compensation, *self._more)) + change
+        return ", ".join((self.compensation, *self._qualifiers)) + change
 
     @property
     def title(self) -> str:
         """Name in texts."""
-        return ", ".join((_TITLES[self.compensation], *self._more))
+        return ", ".join((_TITLES[self.compensation], *self._qualifiers))
 
     @property
-    def _more(self) -> Iterator[str]:
+    def _qualifiers(self) -> Iterator[str]:
         if self.Kx:
-            yield f"Kx = {_digits(self.Kx)}"
+            yield f"Kx = {_format_number(self.Kx)}"
         if self.source != "desired":
             yield f"friction of {self.source} velocity"
         if self.friction_gain != 1.0:
-            yield f"factor {_digits(self.friction_gain)}"
+            yield f"factor {_format_number(self.friction_gain)}"
 
     @classmethod
-    def of_name(cls, name: str) -> Self:
+    def from_name(cls, name: str) -> Self:
         """Return the scheme of a `name`, or raise ValueError."""
-        found = _NAME.fullmatch(name)
-        if found is None:
+        match = _NAME_PATTERN.fullmatch(name)
+        if match is None:
             raise RuleError(f"'{name}' is not a scheme", code="loop.scheme")
-        parts = {key: text for key, text in found.groupdict().items() if text}
+        parts = {key: text for key, text in match.groupdict().items() if text}
         return TypeAdapter(cls).validate_python(parts)
 
 
-_NAME = re.compile(
+_NAME_PATTERN = re.compile(
     r"(?P<compensation>\w+)(, Kx = (?P<Kx>[^,:]+))?(, friction of (?P<source>\w+) velocity)?"
     r"(, factor (?P<friction_gain>[^,:]+))?(: (?P<change>.+))?"
 )
 
 
-def _digits(value: float) -> str:
+def _format_number(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
 NamedScheme = Annotated[
     Scheme,
-    BeforeValidator(lambda value: Scheme.of_name(value) if isinstance(value, str) else value),
+    BeforeValidator(lambda value: Scheme.from_name(value) if isinstance(value, str) else value),
     PlainSerializer(lambda scheme: scheme.name, return_type=str),
 ]
 
@@ -155,7 +155,7 @@ def preview(scheme: Scheme, gains: Gains, step: float) -> float:
     return gains.latency + 0.5 * step if scheme.compensation == "servo_inversion" else 0.0
 
 
-def system(
+def build_system(
     setting: Setting,
     *,
     duration: float,
@@ -169,9 +169,9 @@ def system(
     fmus = setting.fmus
     scheme = setting.scheme
     gains = setting.gains
-    measured = scheme.source != "desired"
-    filtered = setting.time_constant if scheme.source == "filtered" else 0.0
-    ahead = {"preview": preview(scheme, gains, setting.step), "rest_time": _REST}
+    is_measured = scheme.source != "desired"
+    filter_time = setting.time_constant if scheme.source == "filtered" else 0.0
+    preview_start = {"preview": preview(scheme, gains, setting.step), "rest_time": _REST_TIME}
     control: dict[str, Value] = {
         "compensation": scheme.compensation,
         "friction_gain": scheme.friction_gain,
@@ -185,9 +185,9 @@ def system(
     }
     parts: dict[str, tuple[Path, Mapping[str, Value]]] = {
         "arm": (fmus.arm, setting.arm),
-        "trajectory": (fmus.trajectory, {**ahead, **(motion or {})}),
+        "trajectory": (fmus.trajectory, {**preview_start, **(motion or {})}),
         "body": (fmus.body, {}),
-        **({"velocity": (fmus.velocity, {"time_constant": filtered})} if measured else {}),
+        **({"velocity": (fmus.velocity, {"time_constant": filter_time})} if is_measured else {}),
         "friction": (fmus.friction, {}),
         "gravity": (fmus.gravity or fmus.body, {"dq": 0.0, "ddq": 0.0}),
         "controller": (fmus.controller, control),
@@ -197,7 +197,7 @@ def system(
         "body.q": "trajectory.q_ahead",
         "body.dq": "trajectory.dq_ahead",
         "body.ddq": "trajectory.ddq_ahead",
-        "friction.dq": "velocity.dq" if measured else "trajectory.dq_ahead",
+        "friction.dq": "velocity.dq" if is_measured else "trajectory.dq_ahead",
         "friction.q": "trajectory.q_ahead",
         "friction.tau_load": "body.tau",
         "gravity.q": "arm.q",
@@ -209,9 +209,9 @@ def system(
         "controller.tau_meas": "arm.tau_meas",
         "controller.q": "arm.q",
     }
-    if measured:
+    if is_measured:
         connections["velocity.q"] = "arm.q"
-    bounds = tuple((float(low), float(high)) for low, high in limits)
+    bounds = tuple((float(lower), float(upper)) for lower, upper in limits)
     return SystemSpec(
         name="closed_loop",
         step=setting.step,

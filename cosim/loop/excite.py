@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.loop.closed_loop import ARM
-from cosim.loop.motions import Motions, MotionSpec, names_of, require_within
+from cosim.loop.motions import Motions, MotionSpec, list_log_names, require_within
 from cosim.study.study import Twin
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant, joint_limits, servo_signals
 from fmu_src.arm.table import ArmSignals, SignalTable, seed_halves
 from fmu_src.arm.truth import write_truth
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from fmu_src.run.variables import Value
 from hesr_model.errors import ConfigError
 from hesr_model.logs.noise import words
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.tables import numbered, write_table
+from hesr_model.logs.tables import number_columns, write_table
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder, written_whole
@@ -49,9 +49,9 @@ def twin_plant(twin: Twin, study: Path, folder: Path) -> tuple[Plant, SignalTabl
     if twin.truth is None or signals is None:
         return plant, signals
     if twin.truth not in plant.truths:
-        known = ", ".join(plant.truths) or "none"
+        truth_names = ", ".join(plant.truths) or "none"
         raise ConfigError(
-            f"{study}: truth '{twin.truth}' is unknown; those of {twin.plant} are: {known}."
+            f"{study}: truth '{twin.truth}' is unknown; those of {twin.plant} are: {truth_names}."
         )
     mjcf = folder / "arm.xml"
     signals = write_truth(plant.truths[twin.truth], plant.model, plant.joints, signals, mjcf)
@@ -102,20 +102,22 @@ class TwinArm:
             "tau_meas_noise": noise.torque,
             "noise_seed": seed_halves(seed),
         }
-        instance.initialise(start=instance.variables.expanded(start))
+        instance.initialise(start=instance.variables.expand_values(start))
         joints = range(1, len(self.plant.joints) + 1)
         inputs = instance.buffer([f"dq_cmd[{i}]" for i in joints])
         outputs = instance.buffer([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
-        step = 1.0 / self.plant.sample_rate
-        times = step * np.arange(len(commands) - 1, dtype=float)
-        first = outputs.read().copy()
-        rows = through(instance, inputs, outputs, times, np.full(len(times), step), commands[:-1])
-        values = np.vstack([first, rows])[unlogged:].reshape(-1, len(_OUTPUTS), len(joints))
+        period = 1.0 / self.plant.sample_rate
+        times = period * np.arange(len(commands) - 1, dtype=float)
+        first_outputs = outputs.read().copy()
+        rows = step_rows(
+            instance, inputs, outputs, times, np.full(len(times), period), commands[:-1]
+        )
+        values = np.vstack([first_outputs, rows])[unlogged:].reshape(-1, len(_OUTPUTS), len(joints))
         return ArmRun(**{name: values[:, k] for k, name in enumerate(_OUTPUTS)})
 
 
 @contextmanager
-def loaded_arm(
+def load_arm(
     plant: Plant, *, fmu: Path | None = None, signals: ArmSignals | None = None
 ) -> Iterator[TwinArm]:
     """Load the FMU of the arm, exported with `signals` by default."""
@@ -127,7 +129,7 @@ def loaded_arm(
 
 _log = logging.getLogger(__name__)
 
-_MOST_SAMPLES = 10**8  # per log
+_MAX_SAMPLES = 10**8  # per log
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,28 +149,34 @@ def excite(
     The true friction is written next to each log. The FMU is by default that of `plant`.
     """
     paths = {}
-    for one in recordings(motions, plant, fmu=fmu):
-        paths[one.log.name] = path = folder / f"{one.log.name}.csv"
-        one.log.write(path)
-        with written_whole(truth_of(path)) as temporary:
-            write_table(temporary, {"t": one.log.t} | numbered(tau_f=one.truth.tau_f_true))
-        worst = np.abs(one.truth.q - one.desired).max() * 1e3
-        _log.info("%s: %d samples, at most %.0f mrad off", path, len(one.log.t), worst)
+    for recording in record_motions(motions, plant, fmu=fmu):
+        paths[recording.log.name] = path = folder / f"{recording.log.name}.csv"
+        recording.log.write(path)
+        with written_whole(truth_path(path)) as temporary:
+            write_table(
+                temporary, {"t": recording.log.t} | number_columns(tau_f=recording.truth.tau_f_true)
+            )
+        largest_deviation = np.abs(recording.truth.q - recording.desired).max() * 1e3
+        _log.info(
+            "%s: %d samples, at most %.0f mrad off", path, len(recording.log.t), largest_deviation
+        )
     return paths
 
 
-def recordings(motions: Motions, plant: Plant, *, fmu: Path | None = None) -> Iterator[Recording]:
+def record_motions(
+    motions: Motions, plant: Plant, *, fmu: Path | None = None
+) -> Iterator[Recording]:
     """Run the arm along every motion; see `excite`."""
-    with loaded_arm(plant, fmu=fmu) as arm:
+    with load_arm(plant, fmu=fmu) as arm:
         for motion in motions.motions:
-            yield from recorded(arm, motion, plant.noise.seed)
+            yield from record_directions(arm, motion, plant.noise.seed)
 
 
-def recorded(arm: TwinArm, motion: MotionSpec, seed: int) -> Iterator[Recording]:
+def record_directions(arm: TwinArm, motion: MotionSpec, seed: int) -> Iterator[Recording]:
     """Run the arm along a motion, and along its time-reversed counterpart if wanted."""
     forward = motion.trajectory()
-    both = (forward, forward.time_reversed())
-    for name, trajectory in zip(names_of(motion), both, strict=False):
+    trajectories = (forward, forward.reverse_time())
+    for name, trajectory in zip(list_log_names(motion), trajectories, strict=False):
         yield record(arm, trajectory, seed, name=name, unlogged=motion.unlogged)
 
 
@@ -186,10 +194,10 @@ def record(
     position without drift. The noise of a log depends on `seed` and `name` only.
     """
     rate = arm.plant.sample_rate
-    if not trajectory.duration * rate <= _MOST_SAMPLES:
+    if not trajectory.duration * rate <= _MAX_SAMPLES:
         raise ConfigError(
             f"motion '{name}': lasts {trajectory.duration:g} s, which at {rate:g} Hz are "
-            f"{trajectory.duration * rate:.3g} samples; at most {_MOST_SAMPLES:g} can be logged."
+            f"{trajectory.duration * rate:.3g} samples; at most {_MAX_SAMPLES:g} can be logged."
         )
     first, count = (round(t * rate) for t in (unlogged[0], trajectory.duration - unlogged[1]))
     if count - first < 2:
@@ -218,6 +226,6 @@ def record(
     return Recording(log=log, truth=truth, desired=desired[first:count])
 
 
-def truth_of(log: Path) -> Path:
+def truth_path(log: Path) -> Path:
     """Return the file of the true friction of a log: t, tau_f1.."""
     return log.parent / "truth" / log.name

@@ -45,7 +45,7 @@ class LoopMotion:
     q0: tuple[float, ...]  # [rad]
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> "LoopMotion":
+    def from_trajectory(cls, trajectory: Trajectory) -> "LoopMotion":
         """Convert a motion in closed form."""
         q0 = trajectory.sample(np.zeros(1))[0][0]
         return cls(parameters=start_values(trajectory), q0=tuple(map(float, q0)))
@@ -66,37 +66,37 @@ class _Kept:
     trace: Trace | None
 
 
-def _tracked(
+def _track_row(
     row: LoopRow, motions: Sequence[LoopMotion], duration: float, limits: Array, traced: bool
 ) -> Tracked:
-    system = closed_loop.system(row.setting, duration=duration, limits=limits)
+    system = closed_loop.build_system(row.setting, duration=duration, limits=limits)
     rmse = []
-    last = []
+    final_errors = []
     failures = []
     trace: Trace | None = None
     with Master(system, loaded=POOL) as master:
         for motion in motions:
-            result = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
-            q_d, q = (result.vector(name) for name in ("trajectory.q", "arm.q_true"))
+            signals = master.run(start={"trajectory": motion.parameters, "arm": {"q0": motion.q0}})
+            q_d, q = (signals.vector(name) for name in ("trajectory.q", "arm.q_true"))
             error = q_d - q
             if traced and trace is None:
-                trace = Trace(t=result.t, q_d=q_d, q=q)
-            if result.failure:
-                failures.append(str(result.failure))
+                trace = Trace(t=signals.t, q_d=q_d, q=q)
+            if signals.failure:
+                failures.append(str(signals.failure))
                 error = np.full((1, len(limits)), np.nan)
             rmse.append(np.sqrt(np.mean(error**2, axis=0)))
-            last.append(np.mean(error[-max(len(error) // 10, 1) :], axis=0))
+            final_errors.append(np.mean(error[-max(len(error) // 10, 1) :], axis=0))
     return Tracked(
         scheme=row.scheme,
         law=row.law,
         rmse=np.array(rmse),
-        last=np.array(last),
+        last=np.array(final_errors),
         failures=tuple(failures),
         trace=trace,
     )
 
 
-def _keys(rows: Sequence[LoopRow], about: Sequence[Any]) -> list[str]:
+def _compute_keys(rows: Sequence[LoopRow], run_settings: Sequence[Any]) -> list[str]:
     hashes: dict[Path, str] = {}  # by FMU; rows share them
     keys = []
     for row in rows:
@@ -104,23 +104,26 @@ def _keys(rows: Sequence[LoopRow], about: Sequence[Any]) -> list[str]:
         paths = {name: path for name, path in setting["fmus"].items() if path}
         hashes |= {path: sha256(path) for path in paths.values() if path not in hashes}
         files = {name: hashes[path] for name, path in paths.items()}
-        data = [row.scheme.name, row.law, setting | {"fmus": files}, *about]
-        text = json.dumps(data, default=list, sort_keys=True)
+        hashed_inputs = [row.scheme.name, row.law, setting | {"fmus": files}, *run_settings]
+        text = json.dumps(hashed_inputs, default=list, sort_keys=True)
         keys.append(hashlib.sha256(text.encode()).hexdigest()[:24])
     return keys
 
 
 _COMPENSATIONS: tuple[Compensation, ...] = ("torque_error", "servo_inversion")
-_MEASURED: tuple[closed_loop.VelocitySource, ...] = ("measured", "filtered")
+_MEASURED_SOURCES: tuple[closed_loop.VelocitySource, ...] = ("measured", "filtered")
 _MARGIN = 0.5  # [rad] beyond the joint limits, where a run has diverged
 
 
 def motions(tracking: Tracking, periods: int = 1) -> list[LoopMotion]:
     """Return the motions of a study."""
-    return [LoopMotion.of(_fourier(tracking, seed, periods)) for seed in tracking.seeds]
+    return [
+        LoopMotion.from_trajectory(_build_fourier(tracking, seed, periods))
+        for seed in tracking.seeds
+    ]
 
 
-def _fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
+def _build_fourier(tracking: Tracking, seed: int, periods: int = 1) -> Fourier:
     return random_fourier(
         seed=seed,
         harmonics=tracking.harmonics,
@@ -141,7 +144,7 @@ def require_reachable(tracking: Tracking, robot: Robot) -> None:
     limits = np.column_stack(robot.limits[:2])
     t = np.linspace(0.0, tracking.duration, 2001)
     for seed in tracking.seeds:
-        q = _fourier(tracking, seed).sample(t)[0]
+        q = _build_fourier(tracking, seed).sample(t)[0]
         require_within(limits, q, robot.description.joints, f"tracking: the motion of seed {seed}")
 
 
@@ -179,10 +182,12 @@ class StudyLoop:
         for Kx in (0.0, outer):
             yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
         for compensation, Kx in product(_COMPENSATIONS, (0.0, outer)):
-            for law in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
-                yield self.row(law, Scheme(compensation=compensation, Kx=Kx))
-        for law, compensation, source in product(self.tracking.sources, _COMPENSATIONS, _MEASURED):
-            yield self.row(law, Scheme(compensation=compensation, source=source))
+            for law_name in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
+                yield self.row(law_name, Scheme(compensation=compensation, Kx=Kx))
+        for law_name, compensation, source in product(
+            self.tracking.sources, _COMPENSATIONS, _MEASURED_SOURCES
+        ):
+            yield self.row(law_name, Scheme(compensation=compensation, source=source))
 
     def row(self, law: str, scheme: Scheme) -> LoopRow:
         """Return one row."""
@@ -203,29 +208,33 @@ class StudyLoop:
         A run ends early outside `limits`. `traced` keeps the first motion's positions.
         """
         rows, limits, progress = list(rows), self.limits, partial(self.progress, stage)
-        about = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
-        files = [self.kept / f"{key}.json" for key in _keys(rows, about)] if self.kept else []
-        done: dict[int, Tracked] = {}
+        run_settings = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
+        files = (
+            [self.kept / f"{key}.json" for key in _compute_keys(rows, run_settings)]
+            if self.kept
+            else []
+        )
+        tracked_by_row: dict[int, Tracked] = {}
         for i, file in enumerate(files):
             if file.is_file():
-                found = from_json(_Kept, read_json(file), file, "a finished row")
-                done[i] = replace(found.tracked, trace=found.trace)
-        left = [i for i in range(len(rows)) if i not in done]
-        progress(len(done), len(rows))
-        jobs = [partial(_tracked, rows[i], motions, duration, limits, traced) for i in left]
+                finished_row = from_json(_Kept, read_json(file), file, "a finished row")
+                tracked_by_row[i] = replace(finished_row.tracked, trace=finished_row.trace)
+        open_rows = [i for i in range(len(rows)) if i not in tracked_by_row]
+        progress(len(tracked_by_row), len(rows))
+        jobs = [partial(_track_row, rows[i], motions, duration, limits, traced) for i in open_rows]
         try:
-            names = [f"{rows[i].law}, {rows[i].scheme}" for i in left]
+            names = [f"{rows[i].law}, {rows[i].scheme}" for i in open_rows]
             with parallel.results_of(jobs, workers, names=names) as results:
-                for i, result in zip(left, results, strict=True):
-                    done[i] = result
+                for i, tracked_row in zip(open_rows, results, strict=True):
+                    tracked_by_row[i] = tracked_row
                     if files:
-                        row = _Kept(tracked=result, trace=result.trace)
+                        row = _Kept(tracked=tracked_row, trace=tracked_row.trace)
                         with written_whole(files[i]) as temporary:
                             temporary.write_text(to_text(row), encoding="utf-8")
-                    progress(len(done), len(rows))
+                    progress(len(tracked_by_row), len(rows))
         finally:
             POOL.clear()  # for runs in this process
-        return [done[i] for i in range(len(rows))]
+        return [tracked_by_row[i] for i in range(len(rows))]
 
 
 def build(
@@ -254,8 +263,8 @@ def build(
             for name, make in contents.items()
         ),
     ]
-    with parallel.results_of(jobs) as written:
-        list(written)
+    with parallel.results_of(jobs) as written_files:
+        list(written_files)
 
 
 def _write_block(content: Callable[[], Content], path: Path, platforms: Sequence[str]) -> Path:
@@ -269,7 +278,7 @@ def assemble(
     tracking: Tracking,
     friction: Mapping[str, Path],
     plant: Plant,
-    kept: Path | None = None,
+    checkpoints: Path | None = None,
     progress: Stages = silent,
 ) -> StudyLoop:
     """Return the loop of the FMUs that `build` has written, and of friction laws."""
@@ -290,12 +299,12 @@ def assemble(
         step=1.0 / plant.sample_rate,
         limits=np.column_stack([lower - _MARGIN, upper + _MARGIN]),
         noise=plant.noise.torque,
-        kept=kept,
+        kept=checkpoints,
         progress=progress,
     )
 
 
-def example(
+def build_example(
     loop: StudyLoop,
     *,
     compensation: Compensation = "servo_inversion",
@@ -303,11 +312,11 @@ def example(
 ) -> SystemSpec:
     """Return a loop of `duration` [s]: the last of the study's `sources` on its first motion."""
     tracking = loop.tracking
-    law = (tracking.sources or tuple(loop.friction))[-1]
+    law_name = (tracking.sources or tuple(loop.friction))[-1]
     scheme = Scheme(compensation=compensation, Kx=tracking.Kx)
-    setting = loop.setting(law, scheme)
+    setting = loop.setting(law_name, scheme)
     motion = motions(tracking)[0]
-    return closed_loop.system(
+    return closed_loop.build_system(
         replace(setting, arm={**setting.arm, "q0": motion.q0}),
         duration=duration or tracking.duration,
         limits=loop.limits,
@@ -324,15 +333,17 @@ def run_tracking(loop: StudyLoop, *, quick: bool = False) -> tuple[list[Tracked]
     tracked = loop.track(rows, motions(tracking), tracking.duration, "tracking", traced=True)
     if quick:
         return tracked, []
-    long = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
-    return tracked, loop.track(_drifting(loop), long, tracking.drift, "tracking for long")
+    long_motions = motions(tracking, int(np.ceil(tracking.drift / tracking.duration)))[:1]
+    return tracked, loop.track(
+        _choose_long_rows(loop), long_motions, tracking.drift, "tracking for long"
+    )
 
 
-def _drifting(loop: StudyLoop) -> Iterator[LoopRow]:
-    laws: Sequence[str] = (*loop.tracking.sources, StandIn.ORACLE)
+def _choose_long_rows(loop: StudyLoop) -> Iterator[LoopRow]:
+    law_names: Sequence[str] = (*loop.tracking.sources, StandIn.ORACLE)
     yield loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none"))
-    for law in (StandIn.BODY_ONLY, *laws):
-        yield loop.row(law, Scheme(compensation="torque_error"))
-    for law in laws:
-        yield loop.row(law, Scheme(compensation="servo_inversion"))
-        yield loop.row(law, Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))
+    for law_name in (StandIn.BODY_ONLY, *law_names):
+        yield loop.row(law_name, Scheme(compensation="torque_error"))
+    for law_name in law_names:
+        yield loop.row(law_name, Scheme(compensation="servo_inversion"))
+        yield loop.row(law_name, Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx))

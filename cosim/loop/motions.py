@@ -102,7 +102,7 @@ class Motions(Config):
     @field_validator("motions")
     @classmethod
     def _names_differ(cls, motions: tuple[MotionSpec, ...]) -> tuple[MotionSpec, ...]:
-        names = [name for motion in motions for name in names_of(motion)]
+        names = [name for motion in motions for name in list_log_names(motion)]
         for name in names:
             if names.count(name) > 1:
                 raise RuleError(
@@ -111,16 +111,16 @@ class Motions(Config):
         return motions
 
 
-def names_of(motion: MotionSpec) -> tuple[str, ...]:
+def list_log_names(motion: MotionSpec) -> tuple[str, ...]:
     """Return the names of the logs of a motion."""
     return (motion.name, f"{motion.name}_reversed") if motion.also_reversed else (motion.name,)
 
 
-def require_within(limits: Array, q: Array, joints: Sequence[str], what: str) -> None:
+def require_within(limits: Array, q: Array, joints: Sequence[str], subject: str) -> None:
     """Raise ConfigError if positions (N, n) leave the limits (n, 2) [rad]."""
     for joint, (lower, upper), path in zip(joints, limits, q.T, strict=True):
         if path.min() < lower or path.max() > upper:
             raise ConfigError(
-                f"{what} takes {joint} from {path.min():.3f} to {path.max():.3f} rad; it can go "
+                f"{subject} takes {joint} from {path.min():.3f} to {path.max():.3f} rad; it can go "
                 f"from {lower:.3f} to {upper:.3f} rad."
             )

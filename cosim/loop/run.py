@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.loop.closed_loop import ARM, Gains, Tracking
-from cosim.loop.loops import StudyLoop, assemble, build, example, require_reachable, run_tracking
+from cosim.loop.loops import (
+    StudyLoop,
+    assemble,
+    build,
+    build_example,
+    require_reachable,
+    run_tracking,
+)
 from cosim.loop.traces import TRACES, LoopOutcome, write_traces
 from cosim.systems.simulation import Master
 from cosim.systems.system import ComponentSpec, SystemSpec, write_system
@@ -30,33 +37,35 @@ from hesr_model.support.progress import Stages
 if TYPE_CHECKING:
     from cosim.study.results import Scored
 
-_SECONDS = 2.0  # [s] length of the runs that compare the masters
-_AGREEMENT = 1e-9  # allowed difference, relative to the largest value
-_DERIVATIVE = 5e-4  # [s] Kd / Kp there for joints without Kd
+_RUN_DURATION = 2.0  # [s] length of the runs that compare the masters
+_MAX_DIFFERENCE = 1e-9  # allowed difference, relative to the largest value
+_DERIVATIVE_RATIO = 5e-4  # [s] Kd / Kp there for joints without Kd
 PLANT = "Plant.fmu"
 
 # Signals of the plant by those of the twin's arm.
 _SIGNALS = {"arm.q_true": "arm.q", "arm.tau_meas": "arm.tau_motor"}
 
 
-def on_plant(system: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
+def replace_arm(system: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
     """Return a loop with the generated plant instead of the arm."""
 
-    def moved(component: ComponentSpec) -> ComponentSpec:
+    def replace_component(component: ComponentSpec) -> ComponentSpec:
         if component.name != "arm":
             return component
         start = {"q_start": component.start["q0"], "latency": gains.latency, "tau": 0.0}
         return component.model_copy(update={"fmu": plant, "start": start})
 
-    def named(signal: str) -> str:
+    def rename_signal(signal: str) -> str:
         return _SIGNALS.get(signal, signal)
 
     return system.model_copy(
         update={
-            "components": tuple(map(moved, system.components)),
-            "connections": {into: named(out) for into, out in system.connections.items()},
-            "observe": tuple(map(named, system.observe)),
-            "limits": {named(signal): bounds for signal, bounds in system.limits.items()},
+            "components": tuple(map(replace_component, system.components)),
+            "connections": {
+                target: rename_signal(source) for target, source in system.connections.items()
+            },
+            "observe": tuple(map(rename_signal, system.observe)),
+            "limits": {rename_signal(signal): bounds for signal, bounds in system.limits.items()},
         }
     )
 
@@ -67,7 +76,7 @@ def run_loop(
     plant: Plant,
     signals: SignalTable,
     folder: Path,
-    kept: Path | None,
+    checkpoints: Path | None,
     progress: Stages,
     *,
     quick: bool,
@@ -88,12 +97,25 @@ def run_loop(
     )
     build(fmus, robot, body, plant, oracle=truth, platforms=platforms)
     loop = assemble(
-        fmus, robot, tracking=tracking, friction=run.fmus, plant=plant, kept=kept, progress=progress
+        fmus,
+        robot,
+        tracking=tracking,
+        friction=run.fmus,
+        plant=plant,
+        checkpoints=checkpoints,
+        progress=progress,
     )
     findings = write_loops(loop, robot, body, run.models, folder, platforms=platforms)
     progress("building the loop", 1, 1)
     tables, long = run_tracking(loop, quick=quick)
-    write_traces(folder / TRACES, [(t.scheme, t.law, t.trace) for t in tables if t.trace])
+    write_traces(
+        folder / TRACES,
+        [
+            (tracked_row.scheme, tracked_row.law, tracked_row.trace)
+            for tracked_row in tables
+            if tracked_row.trace
+        ],
+    )
     sweeps = []
     overcompensation = []
     robustness = None if quick else plugins.load("hesr.studies").get("robustness")
@@ -118,63 +140,69 @@ def write_loops(
     platforms: Sequence[str] = HOST,
 ) -> list[Finding]:
     """Write the loops; return a finding if no plant can be built."""
-    system = example(loop)
+    system = build_example(loop)
     gains = loop.tracking.gains
     write_system(system, folder / "closed_loop.toml")
     try:
-        known = list(models.values())
-        model = next((one for one in known if one.laws[0].form.memory), known[0])
+        fitted_models = list(models.values())
+        model = next(
+            (candidate for candidate in fitted_models if candidate.laws[0].form.memory),
+            fitted_models[0],
+        )
         plant = export_plant(
             model,
             folder / "fmus" / PLANT,
-            body=PlantBody.of(robot, body),
+            body=PlantBody.from_robot(robot, body),
             kv=gains.Kv,
             ki=gains.Ki,
             platforms=platforms,
         )
     except ExportError as error:
         reason = str(error).rstrip(".")
-        found = f"the loop was not written with a generated plant ({reason})"
+        observation = f"the loop was not written with a generated plant ({reason})"
         remedy = "set 'physical = true' in the study"
-        return [Finding(check="plant", severity="advice", found=found, remedy=remedy)]
-    write_system(on_plant(system, plant, gains), folder / "plant_loop.toml")
+        return [Finding(check="plant", severity="advice", found=observation, remedy=remedy)]
+    write_system(replace_arm(system, plant, gains), folder / "plant_loop.toml")
     return []
 
 
 def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[Finding]:
     """Step one loop in the Python and the native master; return a finding if they disagree."""
     gains = loop.tracking.gains
-    Kd = tuple(kd or _DERIVATIVE * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))
-    changed = loop.tracking.model_copy(update={"gains": gains.model_copy(update={"Kd": Kd})})
-    loop = replace(loop, tracking=changed)
+    Kd = tuple(kd or _DERIVATIVE_RATIO * kp for kp, kd in zip(gains.Kp, gains.Kd, strict=True))
+    changed_tracking = loop.tracking.model_copy(
+        update={"gains": gains.model_copy(update={"Kd": Kd})}
+    )
+    loop = replace(loop, tracking=changed_tracking)
     runs = []
     with scratch_folder() as folder:
         try:
             python = export_python_arm(plant.model, signals, folder / ARM)
         except ConfigError as error:
-            found = "the Python and the native master were not compared"
+            observation = "the Python and the native master were not compared"
             remedy = str(error).rstrip(".")
-            return [Finding(check="masters", severity="advice", found=found, remedy=remedy)]
+            return [Finding(check="masters", severity="advice", found=observation, remedy=remedy)]
         # The arm is a PythonFMU under a PD controller, in the third run a native FMU.
         for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
-            own = replace(loop, fmus=replace(loop.fmus, arm=arm))
-            system = example(own, compensation="torque_error", duration=_SECONDS)
+            arm_loop = replace(loop, fmus=replace(loop.fmus, arm=arm))
+            system = build_example(arm_loop, compensation="torque_error", duration=_RUN_DURATION)
             with Master(system, native=native) as master:
                 runs.append(master.run().signals)
-    worst = max(_difference(run, runs[0]) for run in runs[1:])
-    if worst <= _AGREEMENT:
+    largest_difference = max(_measure_difference(run, runs[0]) for run in runs[1:])
+    if largest_difference <= _MAX_DIFFERENCE:
         return []
     return [
         caution(
             check="masters",
-            found=f"the Python and the native master differ by {worst:.1e} of a signal's largest "
-            f"value, more than rounding ({_AGREEMENT:g})",
+            found=f"the Python and the native master differ by {largest_difference:.1e} of a "
+            "signal's largest "
+            f"value, more than rounding ({_MAX_DIFFERENCE:g})",
             remedy="report this as a bug, with closed_loop.toml and fmus/",
         )
     ]
 
 
-def _difference(run: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
+def _measure_difference(run: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
     return max(
         float(np.abs(values - other[name]).max(initial=0.0) / np.abs(other[name]).max(initial=1e-3))
         if len(values) == len(other[name])

@@ -14,35 +14,35 @@ from cosim.systems.system import SystemSpec, write_system
 from hesr_model.errors import ArtifactError, LogError
 from hesr_model.findings import Finding
 from hesr_model.logs.readers.arrays import load_arrays
-from hesr_model.logs.tables import arrow, numbered, write_table
+from hesr_model.logs.tables import import_arrow, number_columns, write_table
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_written_whole, models_folder, written_whole
 from hesr_model.support.typed_files import Numbers, NumbersWithGaps
 
-_LOOPS = ("closed_loop.toml", "plant_loop.toml")
+_LOOP_FILES = ("closed_loop.toml", "plant_loop.toml")
 _SCRIPT = "simulate.py"
 
 
 def complete_loops(folder: Path) -> None:
     """Write the script that runs the loops in a folder, and their SSPs if that is possible."""
     ssp = plugins.load("hesr.exports.system").get("ssp")
-    for path in _loops(folder):
+    for path in _find_loops(folder):
         if ssp:
             ssp.load().write(path, path.with_suffix(".ssp"))
         shutil.copyfile(models_folder() / "loop" / _SCRIPT, folder / _SCRIPT)
 
 
-def _loops(folder: Path) -> list[Path]:
-    return [path for name in _LOOPS if (path := folder / name).is_file()]
+def _find_loops(folder: Path) -> list[Path]:
+    return [path for name in _LOOP_FILES if (path := folder / name).is_file()]
 
 
 def copy_loops(results: Path, output: Path) -> Path:
     """Copy the loops of results with all their FMUs into a folder that needs nothing else."""
-    loops = _loops(results)
+    loops = _find_loops(results)
     if not loops:
         raise ArtifactError(
-            f"{results}: has no {_LOOPS[0]}; 'hesr run' writes it for a study with [twin] and "
+            f"{results}: has no {_LOOP_FILES[0]}; 'hesr run' writes it for a study with [twin] and "
             "[tracking]."
         )
     with folder_written_whole(output) as folder:
@@ -54,11 +54,13 @@ def copy_loops(results: Path, output: Path) -> Path:
                 *results.glob("fmus/Velocity.fmu"),
             ):
                 shutil.copyfile(fmu, folder / "fmus" / fmu.name)
-            own = tuple(
+            copied_components = tuple(
                 component.model_copy(update={"fmu": folder / "fmus" / component.fmu.name})
                 for component in system.components
             )
-            write_system(system.model_copy(update={"components": own}), folder / path.name)
+            write_system(
+                system.model_copy(update={"components": copied_components}), folder / path.name
+            )
         complete_loops(folder)
     return output
 
@@ -147,9 +149,9 @@ def write_traces(path: Path, runs: Sequence[tuple[Scheme, str, Trace]]) -> None:
     rows = [len(trace.t) for _, _, trace in runs]
     columns = {
         "scheme": np.repeat([scheme.name for scheme, _, _ in runs], rows),
-        "law": np.repeat([law for _, law, _ in runs], rows),
+        "law": np.repeat([law_name for _, law_name, _ in runs], rows),
         "t": np.concatenate([trace.t for _, _, trace in runs]),
-        **numbered(
+        **number_columns(
             q_d=np.concatenate([trace.q_d for _, _, trace in runs]),
             q=np.concatenate([trace.q for _, _, trace in runs]),
         ),
@@ -165,22 +167,22 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         raise ArtifactError(
             f"{path}: no such file; 'hesr run' writes it for a study with [tracking]."
         )
-    read = None if path.is_file() else arrow().parquet.read_table
+    read_parquet = None if path.is_file() else import_arrow().parquet.read_table
     try:
-        table = load_arrays(path) if read is None else read(older).to_pydict()
-        every = [f"{name}{k + 1}" for name in ("q_d", "q") for k in range(len(table))]
-        names = ["t", *filter(table.__contains__, every)]
+        table = load_arrays(path) if read_parquet is None else read_parquet(older).to_pydict()
+        column_names = [f"{name}{k + 1}" for name in ("q_d", "q") for k in range(len(table))]
+        names = ["t", *filter(table.__contains__, column_names)]
         values = np.column_stack([np.asarray(table[name], dtype=float) for name in names])
         runs = list(zip(map(str, table["scheme"]), map(str, table["law"]), strict=True))
         order = {run: k for k, run in enumerate(dict.fromkeys(runs))}
-        places = np.array([order[run] for run in runs])
+        run_indices = np.array([order[run] for run in runs])
         joints = len(names) // 2
         return {
-            (Scheme.of_name(scheme), law): Trace(
+            (Scheme.from_name(scheme), law_name): Trace(
                 t=part[:, 0], q_d=part[:, 1 : 1 + joints], q=part[:, 1 + joints :]
             )
-            for (scheme, law), k in order.items()
-            for part in [values[places == k]]
+            for (scheme, law_name), k in order.items()
+            for part in [values[run_indices == k]]
         }
     except (LogError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path}: is not a file of closed-loop traces.") from error

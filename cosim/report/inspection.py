@@ -12,10 +12,10 @@ from cosim.report.figures.style import MEASURED, SERIES, Stroke, write_svg
 from cosim.report.markup import ResultFigure, Section, render
 from cosim.report.result_page import write_answer
 from cosim.report.tables.laws import robot_tables
-from cosim.report.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, make_row
 from cosim.workflow.answer import Written
 from hesr_model.health.evidence import Motionwise
-from hesr_model.health.examine import Examination, unseen
+from hesr_model.health.examine import Examination, find_unseen_effects
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
@@ -33,8 +33,8 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
     """Write the page, or only its figure if the suffix is ``.svg``."""
     robot = Robot(proposal.robot) if proposal.robot.model.is_file() else None
     if path.suffix.lower() == ".svg":
-        alone = robot if not proposal.logs else None
-        write_svg(picture(alone) if alone else joints(_views(proposal)), path)
+        pictured_robot = robot if not proposal.logs else None
+        write_svg(picture(pictured_robot) if pictured_robot else joints(_views(proposal)), path)
         return
     views = _views(proposal)
     subject = "Logs of" if proposal.logs else "Robot"
@@ -111,7 +111,7 @@ def _text_sections(proposal: Proposal, path: Path) -> list[Section]:
     """Return open findings, what the logs cannot show, and the proposed robot file."""
     open_findings = proposal.examination.findings if proposal.reasons else ()
     gaps: dict[str, list[str]] = {}
-    for joint, gap in unseen(proposal.examination, proposal.robot.joints):
+    for joint, gap in find_unseen_effects(proposal.examination, proposal.robot.joints):
         gaps.setdefault(gap, []).append(joint)
     file = robot_file(proposal, path) if proposal.robot.model.is_file() else ""
     titles = {"file": "Proposed robot file"}
@@ -134,13 +134,13 @@ def _logs(proposal: Proposal) -> ResultTable:
         numbers = (f"{log.t[-1] - log.t[0]:.1f}", f"{log.rate:.4g}", f"{100 * log.jitter:.0f}")
         gaps = str(len(log.gaps))
         dropped = str(log.dropped)
-        rows.append(row_of(log.name, str(len(log.t)), *numbers, gaps, dropped))
+        rows.append(make_row(log.name, str(len(log.t)), *numbers, gaps, dropped))
     head = ("log", "rows", "length in s", "rate in Hz", "jitter in %", "gaps", "rows left out")
     return ResultTable(caption="Logs", head=head, rows=rows)
 
 
 def _joints(proposal: Proposal) -> ResultTable:
-    rows = [row_of(f"{log}: {joint}", *cells) for log, joint, *cells in summary_rows(proposal)]
+    rows = [make_row(f"{log}: {joint}", *cells) for log, joint, *cells in summary_rows(proposal)]
     caption = (
         "Moving joints with the proposed robot file. ‘dq slope’: velocity from the position over "
         "the logged one; ‘gravity / model’: measured over modelled gravity torque; ‘friction’: "
@@ -182,18 +182,29 @@ def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:
 
 def _velocities(part: Motionwise, j: int) -> Sequence[Line]:
     raw = part.log
-    own = _line("from the position", part.t, part.v[:, j], Stroke(colour=SERIES[1], width=0.9))
-    return (own,) if raw.dq is None else (_line("logged", raw.t, raw.dq[:, j], MEASURED), own)
+    position_line = _line(
+        "from the position", part.t, part.v[:, j], Stroke(colour=SERIES[1], width=0.9)
+    )
+    return (
+        (position_line,)
+        if raw.dq is None
+        else (_line("logged", raw.t, raw.dq[:, j], MEASURED), position_line)
+    )
 
 
 def _friction(examination: Examination, k: int, j: int) -> Line | None:
     if not examination.torques or j not in examination.explained[k]:
         return None
     part = examination.parts[k]
-    of_model = examination.torques[k]
+    model_torques = examination.torques[k]
     fit = examination.explained[k][j]
-    left = part.tau[:, j].copy()
-    for estimate, torque in ((fit.gravity, of_model.gravity), (fit.inertia, of_model.inertial)):
+    residual = part.tau[:, j].copy()
+    for estimate, torque in (
+        (fit.gravity, model_torques.gravity),
+        (fit.inertia, model_torques.inertial),
+    ):
         if np.isfinite(estimate.error):
-            left -= estimate.value * torque[:, j]
-    return _line("friction", part.v[:, j], left - left.mean(), Stroke(colour=SERIES[0], width=0.6))
+            residual -= estimate.value * torque[:, j]
+    return _line(
+        "friction", part.v[:, j], residual - residual.mean(), Stroke(colour=SERIES[0], width=0.6)
+    )

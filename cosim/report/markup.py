@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from cosim.report.figures.zoom import can_zoom, unpacked, zoom_data
+from cosim.report.figures.zoom import can_zoom, unpack_text, zoom_data
 from cosim.report.tables.table import ResultTable, csv_text
-from fmu_src.pages.html import TEMPLATES, rendered
+from fmu_src.pages.html import TEMPLATES, render_template
 from hesr_model.audit.properties import MARKS
 from hesr_model.support.files import written_whole
 
@@ -66,9 +66,9 @@ class Pictures:
             return Markup()
         if not self.brief:
             write(file or picture, self.folder / key)
-        return self.shown(key, picture, **texts)
+        return self.embed_figure(key, picture, **texts)
 
-    def shown(self, key: str, picture: "Figure", caption: str = "", **texts: Any) -> Markup:
+    def embed_figure(self, key: str, picture: "Figure", caption: str = "", **texts: Any) -> Markup:
         """Return the HTML of a figure; see `drawing`."""
         from cosim.report.figures.style import svg
 
@@ -76,13 +76,13 @@ class Pictures:
 
     def chart(self, key: str, chart: "Chart | None", **texts: Any) -> Markup:
         """Write a chart and return its HTML with a zooming view; see `drawing`."""
-        from cosim.report.figures.chart import drawn
+        from cosim.report.figures.chart import draw_chart
 
         if chart is None:
             return Markup()
         if can_zoom() and not self.brief:
             self.zooms[key] = zoom_data(chart)
-        return self.figure(key, drawn(chart), **texts)
+        return self.figure(key, draw_chart(chart), **texts)
 
     def drawing(
         self,
@@ -116,15 +116,15 @@ class Tables:
         self.written[file] = table.caption, table.note
         return ""
 
-    def table(self, shown: ResultTable, name: str, *, brief: bool = False) -> Markup:
+    def table(self, result_table: ResultTable, name: str, *, brief: bool = False) -> Markup:
         """Write a table as CSV and return its HTML."""
-        self.csv(shown, name)
-        return table(shown, brief=brief)
+        self.csv(result_table, name)
+        return table(result_table, brief=brief)
 
 
 def render(template: str, *, folder: Path | None = None, **values: Any) -> Markup:
     """Return HTML from a template, also in `folder`; values except markup are escaped."""
-    return Markup(rendered(template, (*filter(None, [folder]), *_FOLDERS), **values))
+    return Markup(render_template(template, (*filter(None, [folder]), *_FOLDERS), **values))
 
 
 def write_sections(
@@ -147,7 +147,7 @@ def write_sections(
         sections=[Section(key="summary", title="Summary", html=summary), *sections],
         zooms=zooms or {},
         library=library,
-        injected=[unpacked(library)] if library else [],
+        injected=[unpack_text(library)] if library else [],
         palette=VARIABLES,
     )
     numbers = count(1)
@@ -166,6 +166,6 @@ def paragraph(text: str | Markup, *, note: bool = False) -> Markup:
     return Markup('<p class="note">{}</p>' if note else "<p>{}</p>").format(text)
 
 
-def joined(*parts: Markup) -> Markup:
+def join_parts(*parts: Markup) -> Markup:
     """Return parts one after the other."""
     return Markup("\n").join(parts)

@@ -16,11 +16,11 @@ from cosim.report.markup import TABLES, Pictures, Section, Tables, render, write
 from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, prediction
 from cosim.report.sections.summary import summary
-from cosim.report.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, make_row
 from cosim.study.results import record_files
 from hesr_model.support import parallel, plugins
 from hesr_model.support.files import folder_written_whole
-from hesr_model.support.progress import Stages, counted, silent
+from hesr_model.support.progress import Stages, report_progress, silent
 
 REPORT = "report.html"
 FIGURES = "figures"
@@ -110,45 +110,49 @@ def compose_report(
     further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]
     folded = dict([*first, *(((f.key, f.title), (replace(f, title=""),)) for f in further), last])
     parts = [part for of_section in folded.values() for part in of_section]
-    home = _link_from(place.resolve(), results.folder.resolve())
-    jobs = [partial(_made, part, results, folder, home, brief) for part in parts]
-    made: list[Made] = []
-    workers = None if parallel.shared() and not brief else 1  # starting processes costs more
+    home = _relative_link(place.resolve(), results.folder.resolve())
+    jobs = [partial(_make_chapter, part, results, folder, home, brief) for part in parts]
+    chapters: list[Made] = []
+    workers = None if parallel.is_sharing() and not brief else 1  # starting processes costs more
     names = [part.title or part.key for part in parts]
-    with parallel.results_of(jobs, workers, names=names) as found:
-        made += filter(None, [_made(_SUMMARY, results, folder, home, brief)])
-        for _ in counted(jobs, partial(progress, "writing the report")):
-            made += filter(None, [next(found)])
-    zooms = {key: data for one in made for key, data in one.zooms.items()}
+    with parallel.results_of(jobs, workers, names=names) as chapter_results:
+        chapters += filter(None, [_make_chapter(_SUMMARY, results, folder, home, brief)])
+        for _ in report_progress(jobs, partial(progress, "writing the report")):
+            chapters += filter(None, [next(chapter_results)])
+    zooms = {key: data for chapter in chapters for key, data in chapter.zooms.items()}
     if not can_zoom() and not brief:
         _log.warning("figures of the report do not zoom: pip install 'hesr[report]'.")
     sections = [
-        _section(*names, [one for one in made if one.part in of_section], home)
+        _section(*names, [chapter for chapter in chapters if chapter.part in of_section], home)
         for names, of_section in folded.items()
     ]
-    rows = [row_of(file, *texts) for one in made for file, texts in one.tables.items()]
+    rows = [
+        make_row(file, *texts) for chapter in chapters for file, texts in chapter.tables.items()
+    ]
     index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
     Tables(folder / TABLES).csv(index, "index")
     write_sections(
         page,
         title=f"HESR report: {results.run.study}",
         heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
-        summary=made[0].html,
+        summary=chapters[0].html,
         sections=[section for section in sections if section],
         zooms=zooms,
         library=library() if zooms else "",
     )
 
 
-def _link_from(place: Path, folder: Path) -> str:
+def _relative_link(place: Path, folder: Path) -> str:
     try:
-        way = quote(Path(os.path.relpath(folder, place)).as_posix())
+        link = quote(Path(os.path.relpath(folder, place)).as_posix())
     except ValueError:  # two drives of Windows
-        way = folder.as_uri()
-    return "" if way == "." else f"{way}/"
+        link = folder.as_uri()
+    return "" if link == "." else f"{link}/"
 
 
-def _made(part: Chapter, results: Results, folder: Path, home: str, brief: bool) -> Made | None:
+def _make_chapter(
+    part: Chapter, results: Results, folder: Path, home: str, brief: bool
+) -> Made | None:
     pictures = Pictures(folder / FIGURES, brief)
     tables = Tables(folder / TABLES)
     values = part.values(results)
@@ -169,6 +173,8 @@ def _made(part: Chapter, results: Results, folder: Path, home: str, brief: bool)
 def _section(key: str, title: str, parts: list[Made], home: str) -> Section | None:
     if not parts:
         return None
-    files = {f"{TABLES}/{file}": text for one in parts for file, (text, _) in one.tables.items()}
+    files = {
+        f"{TABLES}/{file}": text for chapter in parts for file, (text, _) in chapter.tables.items()
+    }
     html = render("section.html.j2", parts=parts, files=files, home=home)
     return Section(key=key, title=title, html=html, folded=True)

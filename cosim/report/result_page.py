@@ -10,7 +10,7 @@ from markupsafe import Markup
 from cosim.report.markup import (
     Pictures,
     Section,
-    joined,
+    join_parts,
     paragraph,
     render,
     table,
@@ -44,7 +44,7 @@ def _compose_summary(answer: "Answer") -> Markup:
     introduction = answer.introduction()
     texts = [introduction] if introduction else []
     texts += answer.summary().splitlines()
-    return joined(*map(paragraph, texts))
+    return join_parts(*map(paragraph, texts))
 
 
 def _compose_sections(answer: "Answer", pictures: Pictures) -> list[Section]:
@@ -52,7 +52,7 @@ def _compose_sections(answer: "Answer", pictures: Pictures) -> list[Section]:
     drawings: dict[str, list[Markup]] = {}
     for figure in answer.figures():
         texts = {"alt": figure.alt, "small": figure.small}
-        drawing = pictures.shown(figure.key, figure.drawing, figure.caption, **texts)
+        drawing = pictures.embed_figure(figure.key, figure.drawing, figure.caption, **texts)
         drawings.setdefault(figure.section, []).append(drawing)
     shown = answer.tables()
     parts: dict[str, list[Markup]] = {}
@@ -63,7 +63,7 @@ def _compose_sections(answer: "Answer", pictures: Pictures) -> list[Section]:
         part.append(_show_item(item))
     parts |= drawings  # sections without tables
     return [
-        Section(key=_link_name(title), title=title, html=joined(*html))
+        Section(key=_link_name(title), title=title, html=join_parts(*html))
         for title, html in parts.items()
     ]
 
@@ -87,7 +87,7 @@ def _show_item(item: ResultTable | str) -> Markup:
         return paragraph("None.")
     if not item.note:
         return table(item)
-    return joined(table(item), paragraph(item.note, note=True))
+    return join_parts(table(item), paragraph(item.note, note=True))
 
 
 def _link_name(title: str) -> str:

@@ -89,7 +89,7 @@ class Results:
         """Laws of the verdict by joint, or else the best one."""
         return self.verdict.laws if self.verdict else (self.best,) * len(self.joints)
 
-    def against(self, joint: int) -> tuple[str, str, dict[str, float | None]]:
+    def compare_to_reference(self, joint: int) -> tuple[str, str, dict[str, float | None]]:
         """Return recommended law and strongest reference of a joint, and ratios of their errors.
 
         Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
@@ -97,16 +97,16 @@ class Results:
         test = self.tests[0]
         comparison = self.comparisons[test]
         law = self.recommended[joint]
-        pair = law, comparison.ratios.of(law, joint)
-        of_laws = [comparison.laws[one] for one in pair]
-        models = [self.models[one] for one in pair]
+        pair = law, comparison.ratios.find_reference(law, joint)
+        law_scores = [comparison.laws[law_name] for law_name in pair]
+        models = [self.models[law_name] for law_name in pair]
         days = sum("training" in log.roles for log in self.run.logs) > 1
         simulated = self.simulated.get(test)
         errors = (
-            [of.rmse[joint : joint + 1] for of in of_laws],
-            [of.rmse_rest[joint : joint + 1] for of in of_laws],
-            [of.rmse_reversal[joint : joint + 1] for of in of_laws],
-            [_simulated_errors(simulated, one, joint) for one in pair],
+            [scores.rmse[joint : joint + 1] for scores in law_scores],
+            [scores.rmse_rest[joint : joint + 1] for scores in law_scores],
+            [scores.rmse_reversal[joint : joint + 1] for scores in law_scores],
+            [_simulated_errors(simulated, law_name, joint) for law_name in pair],
             [m.left_out_rmse[joint : joint + 1] if days and not m.coupling else () for m in models],
         )
         ratios = (o[0] / r[0] if o and r and o[0] and r[0] else None for o, r in errors)
@@ -129,26 +129,26 @@ class Results:
     @cached_property
     def key_laws(self) -> list[str]:
         """Laws of figures."""
-        paper, *others = laws_of_paper()
-        return [law for law in dict.fromkeys((paper, self.best, *others)) if law in self.models]
+        paper, *other_laws = laws_of_paper()
+        return [law for law in dict.fromkeys((paper, self.best, *other_laws)) if law in self.models]
 
     @cached_property
     def audits(self) -> Mapping[str, ModelAudit]:
         """Audits of the laws with a trained range."""
         if self.audited is not None:
             return self.audited
-        found = {}
+        audits = {}
         for law, model in self.models.items():
             with suppress(SimulationError):
                 if model.trained:
-                    found[law] = ModelAudit.of(model, model.trained)
-        return found
+                    audits[law] = ModelAudit.from_model(model, model.trained)
+        return audits
 
-    def shown(self, *laws: str) -> list[str]:
+    def find_fitted(self, *laws: str) -> list[str]:
         """Return the fitted ones of some laws."""
         return [law for law in dict.fromkeys(laws) if law in self.models]
 
-    def log_of(self, role: str) -> SavedLog | None:
+    def find_log(self, role: str) -> SavedLog | None:
         """Return the first log of a role whose torques are saved."""
         return next((log for log in self.run.logs if role in log.roles and log.trace), None)
 
@@ -161,8 +161,8 @@ class Results:
         """Read a folder written by `hesr run`, or raise ArtifactError or LogError."""
         settle(folder)
         if not (folder / RUN).is_file():
-            what = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
-            raise ArtifactError(f"{folder}: no results of 'hesr run'; {what}.")
+            reason = f"'{RUN}' is missing in it" if folder.is_dir() else "the folder does not exist"
+            raise ArtifactError(f"{folder}: no results of 'hesr run'; {reason}.")
         run = SavedRun.read(folder / RUN)
         body = RigidBody.read(folder / "rigid_body.json")
         battery = folder / "properties.json"
@@ -173,7 +173,7 @@ class Results:
         follow = read_json(path) if path.is_file() else {}
         scores = folder / "evaluation.json"
         loop = folder / "closed_loop.json"
-        comparisons = _by_test(Comparison, scores, "the scores of a run")
+        comparisons = _read_by_test(Comparison, scores, "the scores of a run")
         if not comparisons:
             raise ArtifactError(f"{scores}: not the scores of a run (it has no test set).")
         return cls(
@@ -183,7 +183,7 @@ class Results:
             models={law: FrictionModel.read(folder / "laws" / f"{law}.json") for law in run.inputs},
             comparisons=comparisons,
             properties=read_properties(battery) if battery.is_file() and not run.quick else {},
-            simulated=_by_test(PositionErrors, positions, "the simulations of a run")
+            simulated=_read_by_test(PositionErrors, positions, "the simulations of a run")
             if positions.is_file()
             else {},
             truths=from_json(dict[str, Errors], truths, folder / TRUTHS, plants),
@@ -197,14 +197,19 @@ class Results:
 
 
 def _simulated_errors(
-    found: PositionErrors | None, law: str, joint: int
+    position_errors: PositionErrors | None, law: str, joint: int
 ) -> tuple[float | None, ...]:
     """Return the position error [rad; m] of whole logs, or else of the longest windows."""
-    if found is None or law not in found.windows:
+    if position_errors is None or law not in position_errors.windows:
         return ()
-    return (found.open_loop.get(law) or found.windows[law][-1])[joint : joint + 1]
+    return (position_errors.open_loop.get(law) or position_errors.windows[law][-1])[
+        joint : joint + 1
+    ]
 
 
-def _by_test(kind: Any, path: Path, what: str) -> dict[str, Any]:
-    found = read_json(path).items()
-    return {name: from_json(kind, one, path, f"{what} on {name!r}") for name, one in found}
+def _read_by_test(kind: Any, path: Path, description: str) -> dict[str, Any]:
+    saved_tests = read_json(path).items()
+    return {
+        name: from_json(kind, saved, path, f"{description} on {name!r}")
+        for name, saved in saved_tests
+    }

@@ -11,7 +11,7 @@ from hesr_model.support.typed_files import from_json, read_json
 
 SUFFIX = ".plan.json"
 FORMAT = "hesr-plan-1"  # of the file next to a log of the planned motion
-_NEAR = 0.25  # difference of widths that agree
+_MAX_DIFFERENCE = 0.25  # difference of widths that agree
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,35 +22,43 @@ class Forecast:
     detectable: Mapping[str, float]
 
     @classmethod
-    def of(cls, logs: Iterable[Path]) -> "Forecast | None":
+    def from_logs(cls, logs: Iterable[Path]) -> "Forecast | None":
         """Read the plan next to the last log that has one."""
         paths = [path for log in logs if (path := log.with_suffix(SUFFIX)).is_file()]
         return from_json(cls, read_json(paths[-1], FORMAT), paths[-1], "a plan") if paths else None
 
     def ratios(self, models: Mapping[str, FrictionModel]) -> dict[tuple[str, str, str], float]:
         """Return the standard errors of fits over the expected ones, by law, joint, coefficient."""
-        found = {}
+        ratios = {}
         for law, joints in self.widths.items():
             model = models.get(law)
-            for joint, own in zip(model.joints, model.laws, strict=True) if model else ():
-                for name, error in own.standard_errors.items():
+            for joint, friction_law in zip(model.joints, model.laws, strict=True) if model else ():
+                for name, error in friction_law.standard_errors.items():
                     expected = joints.get(joint, {}).get(name)
                     if expected and error > 0.0:
-                        found[law, joint, name] = error / expected
-        return found
+                        ratios[law, joint, name] = error / expected
+        return ratios
 
-    def sentence(self, models: Mapping[str, FrictionModel], shown: Mapping[str, float]) -> str:
-        """Compare with fits, and with the detectable ratios that a test has `shown` by joint."""
+    def sentence(
+        self, models: Mapping[str, FrictionModel], detectable_ratios: Mapping[str, float]
+    ) -> str:
+        """Compare with fits, and with the `detectable_ratios` of a test by joint."""
         parts = []
         ratios = np.array(list(self.ratios(models).values()))
         if len(ratios):
-            near = 100 * np.mean(np.abs(ratios - 1.0) < _NEAR)
+            near = 100 * np.mean(np.abs(ratios - 1.0) < _MAX_DIFFERENCE)
             parts.append(
                 f"standard errors are {np.median(ratios):.2f} of the expected ones in the median, "
                 f"{near:.0f} % of them within 25 %"
             )
-        both = [(shown[joint], own) for joint, own in self.detectable.items() if joint in shown]
-        if both:
-            found, planned = 100 * np.expm1(np.log(both).mean(axis=0))
-            parts.append(f"differences of {found:.0f} % show ({planned:.0f} % expected)")
+        ratio_pairs = [
+            (detectable_ratios[joint], expected_ratio)
+            for joint, expected_ratio in self.detectable.items()
+            if joint in detectable_ratios
+        ]
+        if ratio_pairs:
+            shown_percent, expected_percent = 100 * np.expm1(np.log(ratio_pairs).mean(axis=0))
+            parts.append(
+                f"differences of {shown_percent:.0f} % show ({expected_percent:.0f} % expected)"
+            )
         return f"Planned motion: {'; '.join(parts)}." if parts else ""

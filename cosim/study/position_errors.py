@@ -8,7 +8,7 @@ from itertools import chain, islice
 
 import numpy as np
 
-from cosim.study.scores import by_joint
+from cosim.study.scores import transpose_records
 from fmu_src.friction.predictions import Records
 from hesr_model.errors import SimulationError
 from hesr_model.forward import simulation
@@ -39,19 +39,23 @@ def simulate_tests(
     models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out."""
-    cut: dict[str, list[simulation.Windows]] = {}  # windows of all `LENGTHS`, then whole logs
+    windows_by_test: dict[
+        str, list[simulation.Windows]
+    ] = {}  # windows of all `LENGTHS`, then whole logs
     for test, records in tests.items():
-        of_joints = by_joint(records)
+        of_joints = transpose_records(records)
         try:
-            cut[test] = [simulation.windows_of(of_joints, length) for length in LENGTHS]
+            windows_by_test[test] = [
+                simulation.cut_windows(of_joints, length) for length in LENGTHS
+            ]
         except SimulationError as error:
             _warn(error)
             continue
         # Whole logs only without gravity: an upright arm diverges with any friction.
-        if simulation.weightless(of_joints, robot, body):
-            cut[test] += map(simulation.whole, of_joints)
-    every = list(chain.from_iterable(cut.values()))
-    jobs = [partial(_errors, model, every, robot, body) for model in models.values()]
+        if simulation.is_weightless(of_joints, robot, body):
+            windows_by_test[test] += map(simulation.to_single_window, of_joints)
+    all_windows = list(chain.from_iterable(windows_by_test.values()))
+    jobs = [partial(_errors, model, all_windows, robot, body) for model in models.values()]
     with parallel.results_of(jobs, names=list(models)) as results:
         of_laws = list(results)
     parts = {}
@@ -62,17 +66,21 @@ def simulate_tests(
         parts[law] = iter(errors)
     joints = tuple(robot.description.joints)
     kinds = len(LENGTHS)
-    found = {}
-    for test, of_test in cut.items():
-        own = {law: tuple(islice(part, len(of_test))) for law, part in parts.items()}
+    errors_by_test = {}
+    for test, of_test in windows_by_test.items():
+        errors_by_law = {law: tuple(islice(part, len(of_test))) for law, part in parts.items()}
         logs = of_test[kinds:]
-        found[test] = PositionErrors(
+        errors_by_test[test] = PositionErrors(
             joints=joints,
             lengths=LENGTHS,
-            windows={law: errors[:kinds] for law, errors in own.items()},
-            open_loop={law: _over_all(errors[kinds:], logs) for law, errors in own.items() if logs},
+            windows={law: errors[:kinds] for law, errors in errors_by_law.items()},
+            open_loop={
+                law: _average_logs(errors[kinds:], logs)
+                for law, errors in errors_by_law.items()
+                if logs
+            },
         )
-    return found
+    return errors_by_test
 
 
 def _warn(reason: SimulationError) -> None:
@@ -80,25 +88,25 @@ def _warn(reason: SimulationError) -> None:
 
 
 def _errors(
-    model: FrictionModel, cut: Sequence[simulation.Windows], robot: Robot, body: RigidBody
+    model: FrictionModel, windows: Sequence[simulation.Windows], robot: Robot, body: RigidBody
 ) -> list[_Errors] | SimulationError:
     simulator = simulation.Simulator(robot=robot, parameters=body.parameters, friction=model)
-    found: dict[int, _Errors] = {}
+    errors_by_window: dict[int, _Errors] = {}
     groups: dict[tuple[int, int], list[int]] = {}
-    for i, w in enumerate(cut):
-        groups.setdefault((w.t.shape[1], simulation.inner_steps(np.diff(w.t))), []).append(i)
+    for i, w in enumerate(windows):
+        groups.setdefault((w.t.shape[1], simulation.count_inner_steps(np.diff(w.t))), []).append(i)
     try:
         for places in groups.values():
-            q = simulator.run(simulation.joined([cut[i] for i in places]))
-            ends = np.cumsum([len(cut[i].t) for i in places])
+            q = simulator.run(simulation.join_windows([windows[i] for i in places]))
+            ends = np.cumsum([len(windows[i].t) for i in places])
             for i, part in zip(places, np.split(q, ends[:-1]), strict=True):
-                found[i] = simulation.position_errors(part, cut[i])
+                errors_by_window[i] = simulation.position_errors(part, windows[i])
     except SimulationError as error:
         return error
-    return [found[i] for i in range(len(cut))]
+    return [errors_by_window[i] for i in range(len(windows))]
 
 
-def _over_all(errors: Sequence[_Errors], logs: Sequence[simulation.Windows]) -> _Errors:
+def _average_logs(errors: Sequence[_Errors], logs: Sequence[simulation.Windows]) -> _Errors:
     rows = [log.t.shape[1] for log in logs]
     return tuple(
         None

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from cosim.study.sample_logs import is_sample
-from cosim.study.scores import Comparison, LogRecords, Predictions, inputs_of
+from cosim.study.scores import Comparison, LogRecords, Predictions, name_inputs
 from cosim.study.study import Study, TimeBand
 from hesr_model.findings import Finding
 from hesr_model.forward.output_error import Refined
@@ -32,7 +32,7 @@ TRUTHS = "truths.json"
 HEALTH = "health.json"
 RUN_FORMAT = "hesr-run-1"
 HEALTH_FORMAT = "hesr-health-1"
-MOST_ROWS = 20_000  # rows per trace
+MAX_TRACE_ROWS = 20_000  # rows per trace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,11 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
     stems = Counter(log.name for log in run.logs.values())
     twin = {"mujoco": version("mujoco")} if study.twin else {}
     identification = (*study.logs.identification, *study.logs.reversed)
-    of_role = {"identification": identification, "training": study.logs.training, **study.logs.test}
+    names_by_role = {
+        "identification": identification,
+        "training": study.logs.training,
+        **study.logs.test,
+    }
     saved = SavedRun(
         study=study.name,
         command=command,
@@ -131,7 +135,7 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
                 name=log.name if stems[log.name] == 1 else name,
                 file=_file(name, files[name]),
                 sha256=sha256(files[name]),
-                roles=tuple(role for role, names in of_role.items() if name in names),
+                roles=tuple(role for role, names in names_by_role.items() if name in names),
                 rows=len(log.t),
                 duration=float(log.t[-1] - log.t[0]),
                 rate=float(1.0 / np.median(np.diff(log.t))),
@@ -141,7 +145,7 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
             for name, log in run.logs.items()
         ),
         bands=study.bands,
-        inputs={law: inputs_of(model) for law, model in run.models.items()},
+        inputs={law: name_inputs(model) for law, model in run.models.items()},
         variants={name: variant.law for name, variant in study.variants.items()},
         left_out=run.left_out,
         controller=study.tracking.model_dump(mode="json") if study.tracking else {},
@@ -152,20 +156,20 @@ def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
 
 def record_files(folder: Path, results: Path | None = None) -> None:
     """Write the hashes of all files of a folder to its `run.json`, an updated one of `results`."""
-    about = read_json((results or folder) / RUN)
-    found = {
+    saved_run = read_json((results or folder) / RUN)
+    hashes = {
         file.relative_to(folder).as_posix(): sha256(file)
         for file in sorted(folder.rglob("*"))
         if file.is_file() and file != folder / RUN
     }
-    about["written"] = {**about.get("written", {}), **found}
-    write_json(folder / RUN, about)
+    saved_run["written"] = {**saved_run.get("written", {}), **hashes}
+    write_json(folder / RUN, saved_run)
 
 
 def _file(name: str, file: Path) -> str:
     inside = PurePath(name)
-    known = file.match(name) and not inside.is_absolute() and ".." not in inside.parts
-    return inside.as_posix() if known else file.name
+    is_inside = file.match(name) and not inside.is_absolute() and ".." not in inside.parts
+    return inside.as_posix() if is_inside else file.name
 
 
 def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
@@ -193,7 +197,7 @@ def write_torques(
     Columns are t, and for joint k of 1..n q{k}, dq{k}, tau{k}, tau_rb{k} and {law}.tau_f{k}; of a
     cylinder also tau_load{k}.
     """
-    rows = slice(0, MOST_ROWS)
+    rows = slice(0, MAX_TRACE_ROWS)
     columns: dict[str, Array] = {"t": records[0].t[rows] - records[0].t[0]}
     for k, record in enumerate(records, start=1):
         columns |= {
@@ -219,8 +223,8 @@ def read_torques(path: Path) -> dict[str, Array]:
 
 def write_findings(folder: Path, findings: Sequence[Finding]) -> None:
     """Write findings into a folder of results."""
-    found = to_json(_Findings(findings=tuple(findings)))
-    write_json(folder / HEALTH, {"format": HEALTH_FORMAT, **found})
+    saved_findings = to_json(_Findings(findings=tuple(findings)))
+    write_json(folder / HEALTH, {"format": HEALTH_FORMAT, **saved_findings})
 
 
 def read_findings(folder: Path) -> list[Finding]:

@@ -12,8 +12,8 @@ from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
-from cosim.study.scores import Errors, LogRecords, records_of
-from cosim.study.steps import Job, of_each
+from cosim.study.scores import Errors, LogRecords, select_records
+from cosim.study.steps import Job, map_models
 from cosim.study.study import Study
 from cosim.study.verdict import Verdict, verdict, write_verdict
 from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST, get_ready, targets
@@ -25,14 +25,14 @@ from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.estimator import select_laws
 from hesr_model.forward.output_error import Refined
-from hesr_model.friction.model import MIXED, FrictionModel, mixed
-from hesr_model.health.examine import check_body, check_laws, checked
+from hesr_model.friction.model import MIXED, FrictionModel, mix_models
+from hesr_model.health.examine import check_body, check_laws, check_logs
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
-from hesr_model.support.cache import USED, since
+from hesr_model.support.cache import USED, count_hits
 from hesr_model.support.files import folder_written_whole, models_folder, newest, provenance
 from hesr_model.support.progress import Stages, silent
 from hesr_model.support.typed_files import to_json, write_json
@@ -73,59 +73,61 @@ def run_study(
         study = _shorten_study(study)
     targets(platforms)  # refuse unknown names, and none at all
     built_for = tuple(target.folder for target in targets((*HOST, *platforms)))
-    used = USED.copy()
-    kept = unfinished(output)
-    job = Job(study=study, path=path, progress=progress, kept=kept, platforms=built_for)
+    used_before = USED.copy()
+    checkpoints = checkpoint_folder(output)
+    job = Job(study=study, path=path, progress=progress, kept=checkpoints, platforms=built_for)
     with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
         with folder_written_whole(output) as folder:
             run = score_study(job, folder, accepted=accepted)
             models = run.models
             records = run.records
-            tested = {test: records_of(names, records) for test, names in study.logs.test.items()}
+            tested = {
+                test: select_records(names, records) for test, names in study.logs.test.items()
+            }
             simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
             write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
-            truths = job.other_truths([law for law in models if law not in study.variants])
+            truths = job.score_truths([law for law in models if law not in study.variants])
             if truths:
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run, folder, quick=quick)
             complete_loops(folder)
-            found = {} if quick else job.properties(run, folder)
+            properties = {} if quick else job.properties(run, folder)
             # Last: the FMUs document the physics checks.
-            audits = of_each(
+            audits = map_models(
                 models,
-                partial(_documented, run.fmus, found, platforms=built_for),
+                partial(_document_fmu, run.fmus, properties, platforms=built_for),
                 partial(job.progress, "documenting FMUs"),
             )
             words = verdict(
                 run.comparisons,
                 models,
-                records_of(study.logs.training, records),
+                select_records(study.logs.training, records),
                 next(iter(tested.values())),
-                found,
+                properties,
                 gear_ratio=job.robot.gear_ratio is not None,
-                expected=Forecast.of(run.files[name] for name in study.logs.training),
+                expected=Forecast.from_logs(run.files[name] for name in study.logs.training),
                 refined=run.refined if study.refinement else None,
             )
             write_verdict(folder, words)
-            made = dict(models) | recommended(
-                words, models, folder, audits, found, platforms=built_for
+            final_models = dict(models) | write_mixed_model(
+                words, models, folder, audits, properties, platforms=built_for
             )
-            following = job.following(run, made, words.law, folder)
+            following = job.following(run, final_models, words.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
             _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
-        shutil.rmtree(kept, ignore_errors=True)
-    fmus = {law: output / "fmus" / f"{law}.fmu" for law in made}
+        shutil.rmtree(checkpoints, ignore_errors=True)
+    fmus = {law: output / "fmus" / f"{law}.fmu" for law in final_models}
     return Outcome(
-        **vars(replace(run, models=made, fmus=fmus)),
-        properties=found,
+        **vars(replace(run, models=final_models, fmus=fmus)),
+        properties=properties,
         verdict=words,
         loop=loop,
         following=following,
         truths=truths,
         truth=(study.twin and study.twin.truth) or "",
         platforms=built_for,
-        cached=since(used),
+        cached=count_hits(used_before),
     )
 
 
@@ -149,8 +151,8 @@ def _report(
     from cosim.report.page import REPORT, compose_report  # slow to import
     from cosim.report.results import Results
 
-    known = {law: audit for law, audit in audits.items() if audit}
-    results = replace(Results.read(folder), audited=known)
+    known_audits = {law: audit for law, audit in audits.items() if audit}
+    results = replace(Results.read(folder), audited=known_audits)
     compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
 
 
@@ -160,7 +162,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     robot = Robot(job.robot)
     files = job.log_files(folder)
     logs = {name: job.read(name, file) for name, file in files.items()}
-    findings = log_findings(checked(list(logs.values()), robot, accepted))
+    findings = log_findings(check_logs(list(logs.values()), robot, accepted))
 
     body, refined_models = job.rigid_body(logs, robot)
     findings += log_findings(check_body(body, robot))
@@ -177,7 +179,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     if study.refinement is not None and not study.refinement.law:  # all laws are refined
         refined = job.refine(logs, robot, body, models)
         models |= {law: refinement.friction for law, refinement in refined.items()}
-    findings += log_findings(check_laws(models, records_of(study.logs.training, records)))
+    findings += log_findings(check_laws(models, select_records(study.logs.training, records)))
     write_findings(folder, findings)
 
     fmus = _write_laws(job, models, folder)
@@ -254,7 +256,7 @@ def _write_laws(job: Job, models: Mapping[str, FrictionModel], folder: Path) -> 
     for law, model in models.items():
         model.write(folder / "laws" / f"{law}.json")
     fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
-    of_each(
+    map_models(
         models,
         lambda law, model: export_bare(model, fmus[law]),
         partial(job.progress, "building FMUs"),
@@ -262,47 +264,47 @@ def _write_laws(job: Job, models: Mapping[str, FrictionModel], folder: Path) -> 
     return fmus
 
 
-def _documented(
+def _document_fmu(
     fmus: Mapping[str, Path],
-    found: Mapping[str, Properties],
+    properties: Mapping[str, Properties],
     law: str,
     model: FrictionModel,
-    **more: Any,
+    **export_options: Any,
 ) -> ModelAudit | None:
     audit = None
     with suppress(SimulationError):
-        audit = ModelAudit.of(model, model.trained)
-    export_fmu(model, fmus[law], properties=found.get(law), audit=audit, **more)
+        audit = ModelAudit.from_model(model, model.trained)
+    export_fmu(model, fmus[law], properties=properties.get(law), audit=audit, **export_options)
     return audit
 
 
-def recommended(
+def write_mixed_model(
     words: Verdict,
     models: Mapping[str, FrictionModel],
     folder: Path,
     audits: Mapping[str, ModelAudit | None],
-    found: Mapping[str, Properties],
-    **more: Any,
+    properties: Mapping[str, Properties],
+    **export_options: Any,
 ) -> dict[str, FrictionModel]:
     """Write and return the model with the recommended laws, if joints differ."""
     if words.law != MIXED:
         return {}
-    model = mixed([models[law] for law in words.laws])
+    model = mix_models([models[law] for law in words.laws])
     model.write(folder / "laws" / f"{MIXED}.json")
     audit = None
-    known = [audits.get(law) for law in words.laws]
-    if all(known):
-        joints = list(enumerate(audit for audit in known if audit))
+    law_audits = [audits.get(law) for law in words.laws]
+    if all(law_audits):
+        joints = list(enumerate(audit for audit in law_audits if audit))
         audit = ModelAudit(
-            certificates=tuple(one.certificates[k] for k, one in joints),
-            audits=tuple(one.audits[k] for k, one in joints),
+            certificates=tuple(law_audit.certificates[k] for k, law_audit in joints),
+            audits=tuple(law_audit.audits[k] for k, law_audit in joints),
         )
-    checks = combine_results(MIXED, found, words.laws)
-    export_fmu(model, folder / words.fmu, properties=checks, audit=audit, **more)
+    checks = combine_results(MIXED, properties, words.laws)
+    export_fmu(model, folder / words.fmu, properties=checks, audit=audit, **export_options)
     return {MIXED: model}
 
 
-def unfinished(output: Path) -> Path:
+def checkpoint_folder(output: Path) -> Path:
     """Return the folder of a run's checkpoints."""
     return output.parent / f".{output.name}-unfinished"
 

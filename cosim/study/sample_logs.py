@@ -12,10 +12,10 @@ from hesr_model.laws.lugre import LuGre
 from hesr_model.logs.noise import standard_normal
 from hesr_model.logs.robot_log import Log
 from hesr_model.motions.excitation import ExcitationSettings, condition, random_motions
-from hesr_model.motions.limits import KEPT_FREE, MotionLimits
+from hesr_model.motions.limits import RANGE_MARGIN, MotionLimits
 from hesr_model.motions.trajectories import Fourier
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.rigid_body.identification import MIN_PEAK_SPEED
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
@@ -54,15 +54,15 @@ def sample_logs(robot: Robot) -> tuple[Log, Log]:
     (test,) = random_motions(robot, settings, 1, 1)
     laws = plausible_friction(robot, training)
     return (
-        simulated(robot, training, laws, name="sample_training", seed=1),
-        simulated(robot, test, laws, name="sample_test", seed=2),
+        simulate_log(robot, training, laws, name="sample_training", seed=1),
+        simulate_log(robot, test, laws, name="sample_test", seed=2),
     )
 
 
 def sample_settings(robot: Robot, period: float = _PERIOD) -> ExcitationSettings:
     """Return the settings of sample motions with a period [s]."""
     lower, upper, speed = robot.reach
-    free = KEPT_FREE * (upper - lower)
+    free = RANGE_MARGIN * (upper - lower)
     ranges = zip((lower + free).tolist(), (upper - free).tolist(), strict=True)
     return ExcitationSettings(
         harmonics=_HARMONICS,
@@ -92,11 +92,11 @@ def plausible_friction(robot: Robot, motion: Fourier) -> list[FrictionLaw]:
     speed = np.abs(dq).max(axis=0)
     travel = np.ptp(q, axis=0)
     for joint, peak in zip(robot.description.joints, speed, strict=True):
-        if peak <= LEAST_PEAK:
+        if peak <= MIN_PEAK_SPEED:
             raise RobotError(
                 f"robot '{robot.description.name}': the limits of joint '{joint}' allow at most "
                 f"{peak:.2g} rad/s (m/s); leave the joint out, identification needs "
-                f"{LEAST_PEAK:g}."
+                f"{MIN_PEAK_SPEED:g}."
             )
     return [
         FrictionLaw(
@@ -123,7 +123,7 @@ def _levels(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
     return np.where(levels > 0.0, levels, 1.0)
 
 
-def simulated(
+def simulate_log(
     robot: Robot,
     motion: Fourier,
     laws: Sequence[FrictionLaw],

@@ -14,17 +14,17 @@ from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.model import FrictionModel, compute_band
 from hesr_model.friction.records import BandScore, Score, score, score_band, time_band
 from hesr_model.inference.comparison import (
-    LEAST_SECONDS,
+    MIN_SECONDS,
     SIGNIFICANCE,
     ErrorRatio,
     LawErrors,
-    holm,
+    adjust_by_holm,
     law_errors,
 )
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.frames import html_table, pandas_frame
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 
 LogRecords = Mapping[str, Sequence[Sequence[FrictionRecord]]]  # by log, [part][joint]
 Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
@@ -56,7 +56,7 @@ class Ratios:
         """Whether each law has a reference of the same inputs or fewer."""
         return bool(self.references or self.by_joint)
 
-    def of(self, law: str, joint: int) -> str:
+    def find_reference(self, law: str, joint: int) -> str:
         """Return the reference of a law on a joint."""
         if law in self.by_joint:
             return self.by_joint[law][joint]
@@ -98,20 +98,20 @@ class Comparison:
     def too_short(self) -> tuple[bool, ...]:
         """Whether the logs are too short to find any law worse, by joint."""
         pairs = zip(self.leading, self.detectable, strict=True)
-        return tuple(len(leading) > 1 and not found for leading, found in pairs)
+        return tuple(len(leading) > 1 and not ratios for leading, ratios in pairs)
 
-    def of(self, laws: Sequence[str]) -> LawScores:
+    def combine_scores(self, laws: Sequence[str]) -> LawScores:
         """Return the errors of a law per joint."""
         rows = list(enumerate(self.laws[law] for law in laws))
         return LawScores(**{m: tuple(getattr(row, m)[k] for k, row in rows) for m in MEASURES})
 
-    def unexplained(self, errors: Sequence[float]) -> tuple[float, ...]:
+    def unexplained_shares(self, errors: Sequence[float]) -> tuple[float, ...]:
         """Return errors by joint over the standard deviation of its friction."""
         return tuple(e / max(std, 1e-300) for e, std in zip(errors, self.tau_std, strict=True))
 
     def size(self, law: str) -> float:
         """Return the unexplained share of friction, averaged over joints."""
-        return fmean(self.unexplained(self.laws[law].rmse))
+        return fmean(self.unexplained_shares(self.laws[law].rmse))
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""
@@ -128,19 +128,19 @@ class Comparison:
         )
 
 
-def by_joint(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
+def transpose_records(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
     """Transpose records [log][joint] to [joint][log]."""
     return [list(of_joint) for of_joint in zip(*records, strict=True)]
 
 
-def causal(records: Records) -> list[list[FrictionRecord]]:
+def make_causal(records: Records) -> list[list[FrictionRecord]]:
     """Return records with the velocity that a user of an FMU has."""
     return [[record.causal for record in joint_records] for joint_records in records]
 
 
-def records_of(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
+def select_records(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
     """Return the records of the named logs, [joint][part]."""
-    return by_joint([joint_records for name in names for joint_records in records[name]])
+    return transpose_records([joint_records for name in names for joint_records in records[name]])
 
 
 def compare(
@@ -161,13 +161,16 @@ def compare(
     }
     fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
     ranked = [law for law in predictions if law != ORACLE and not law.endswith(MEASURED_START)]
-    tables = [_table(of_joint, predictions, j, ranked) for j, of_joint in enumerate(records)]
+    tables = [_joint_errors(of_joint, predictions, j, ranked) for j, of_joint in enumerate(records)]
     references = [
-        {law: _reference(law, j, scores, inputs or {}, models or {}, fallback) for law in scores}
+        {
+            law: _choose_reference(law, j, scores, inputs or {}, models or {}, fallback)
+            for law in scores
+        }
         for j in range(len(records))
     ]
-    ratios = [_ratios(*pair) for pair in zip(tables, references, strict=True)]
-    others = [law for law in scores if any(law in of_joint for of_joint in ratios)]
+    ratios = [_error_ratios(*pair) for pair in zip(tables, references, strict=True)]
+    rated_laws = [law for law in scores if any(law in of_joint for of_joint in ratios)]
     itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
     against = [_find_leaders(table, ranked) for table in tables if ranked]
     return Comparison(
@@ -181,8 +184,8 @@ def compare(
         },
         ratios=Ratios(
             reference=fallback,
-            laws={law: tuple(of.get(law, itself) for of in ratios) for law in others},
-            by_joint={law: tuple(of[law] for of in references) for law in others if inputs},
+            laws={law: tuple(of.get(law, itself) for of in ratios) for law in rated_laws},
+            by_joint={law: tuple(of[law] for of in references) for law in rated_laws if inputs},
         ),
         leading=tuple(leading for leading, *_ in against),
         bands=_band_scores(models or {}, records, predictions),
@@ -197,7 +200,7 @@ def compare(
     )
 
 
-def _table(
+def _joint_errors(
     joint_records: Sequence[FrictionRecord],
     predictions: Mapping[str, Sequence[Sequence[Array]]],
     joint: int,
@@ -212,13 +215,16 @@ def _table(
     )
 
 
-def _ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
-    others = [law for law in table.laws if references[law] != law]
+def _error_ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
+    compared_laws = [law for law in table.laws if references[law] != law]
     against = {reference: table.ratios(reference) for reference in set(references.values())}
-    found = {law: against[references[law]][law] for law in others}
-    adjusted = holm({law: ratio.p for law, ratio in found.items() if ratio.p is not None})
+    law_ratios = {law: against[references[law]][law] for law in compared_laws}
+    adjusted_p = adjust_by_holm(
+        {law: ratio.p for law, ratio in law_ratios.items() if ratio.p is not None}
+    )
     return {
-        law: replace(ratio, p=adjusted.get(law), detectable=None) for law, ratio in found.items()
+        law: replace(ratio, p=adjusted_p.get(law), detectable=None)
+        for law, ratio in law_ratios.items()
     }
 
 
@@ -228,14 +234,14 @@ def _find_leaders(
     """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
     # One family per joint; one over all would have little power.
     best = min(ranked, key=lambda law: table.log_rmse[table.laws.index(law)])
-    others = [law for law in ranked if law != best]
-    if not others or table.too_short:
-        return (best, *others), {}, LEAST_SECONDS
-    found = table.ratios(best, len(others))
-    adjusted = holm({law: p for law in others if (p := found[law].p) is not None})
-    tied = [law for law in others if adjusted[law] >= SIGNIFICANCE]
-    detectable = {law: x for law in others if (x := found[law].detectable) is not None}
-    durations = [table.required_seconds(law, best, RECORDED, len(others)) for law in tied or others]
+    rivals = [law for law in ranked if law != best]
+    if not rivals or table.too_short:
+        return (best, *rivals), {}, MIN_SECONDS
+    ratios = table.ratios(best, len(rivals))
+    adjusted_p = adjust_by_holm({law: p for law in rivals if (p := ratios[law].p) is not None})
+    tied = [law for law in rivals if adjusted_p[law] >= SIGNIFICANCE]
+    detectable = {law: x for law in rivals if (x := ratios[law].detectable) is not None}
+    durations = [table.required_seconds(law, best, RECORDED, len(rivals)) for law in tied or rivals]
     return (best, *tied), detectable, float(np.median(durations))
 
 
@@ -249,7 +255,7 @@ def _band_scores(
         | {"t": log[0].t}
         for log in zip(*records, strict=True)
     ]
-    found = {}
+    scores = {}
     for name, model in models.items():
         if model.banded:
             torques = map(np.column_stack, zip(*predictions[name], strict=True))
@@ -257,16 +263,16 @@ def _band_scores(
                 compute_band(model, **m, torque=torque)
                 for m, torque in zip(motions, torques, strict=True)
             ]
-            found[name] = tuple(
+            scores[name] = tuple(
                 score_band(
                     joint_records, predictions[name][k], [(lo[:, k], up[:, k]) for lo, up in ends]
                 )
                 for k, joint_records in enumerate(records)
             )
-    return found
+    return scores
 
 
-def _reference(
+def _choose_reference(
     law: str,
     joint: int,
     scores: Mapping[str, Sequence[Score]],
@@ -280,7 +286,7 @@ def _reference(
     """
     if law not in inputs:
         return fallback
-    own = set(inputs[law].split(", "))
+    law_inputs = set(inputs[law].split(", "))
     suffix = MEASURED_START * law.endswith(MEASURED_START)
 
     def error(row: str) -> float:
@@ -293,13 +299,13 @@ def _reference(
         row
         for row in scores
         if row.removesuffix(MEASURED_START) in select_laws("classic")
-        and set(inputs.get(row, "v").split(", ")) <= own
+        and set(inputs.get(row, "v").split(", ")) <= law_inputs
     ]
     with_start = [row for row in classic if suffix and row.endswith(suffix)]
     return min(with_start or classic, key=error, default=fallback)
 
 
-def within(
+def select_window(
     records: Records, torques: Sequence[Sequence[Array]], start: float, stop: float
 ) -> tuple[list[list[FrictionRecord]], list[list[Array]]]:
     """Return the rows of records and torques [joint][log] with start <= t < stop [s] in each log.
@@ -310,26 +316,26 @@ def within(
     kept_torques = []
     for joint_records, predicted in zip(records, torques, strict=True):
         rows = [time_band(record.t - record.t[0], start, stop) for record in joint_records]
-        kept = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]
-        if not kept:
+        log_indices = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]
+        if not log_indices:
             longest = max(float(record.t[-1] - record.t[0]) for record in joint_records)
             raise ConfigError(
                 f"the band from {start:g} to {stop:g} s is empty; the longest log of its test set "
                 f"lasts {longest:.3g} s."
             )
-        kept_records.append([joint_records[k].rows(rows[k]) for k in kept])
-        kept_torques.append([predicted[k][rows[k]] for k in kept])
+        kept_records.append([joint_records[k].rows(rows[k]) for k in log_indices])
+        kept_torques.append([predicted[k][rows[k]] for k in log_indices])
     return kept_records, kept_torques
 
 
-def inputs_of(model: FrictionModel) -> str:
+def name_inputs(model: FrictionModel) -> str:
     """Return the inputs that a model uses on any joint."""
-    used = {symbol for law in model.laws for symbol in law.form.inputs}
-    named = zip(INPUTS, ("v", "q", "load"), strict=True)
-    return ", ".join(name for symbol, name in named if symbol in used)
+    used_symbols = {symbol for law in model.laws for symbol in law.form.inputs}
+    named_symbols = zip(INPUTS, ("v", "q", "load"), strict=True)
+    return ", ".join(name for symbol, name in named_symbols if symbol in used_symbols)
 
 
-def rows_of(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:
+def table_rows(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:
     """Return the model of each row of a table, and whether it starts from measured torques."""
     rows = {}
     for name, model in models.items():
@@ -342,8 +348,8 @@ def rows_of(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:
 def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
     """Return the inputs of each row of a table; only rows with equal inputs compare fairly."""
     return {
-        row: inputs_of(models[name]) + (", start" if with_start else "")
-        for row, (name, with_start) in rows_of(models).items()
+        row: name_inputs(models[name]) + (", start" if with_start else "")
+        for row, (name, with_start) in table_rows(models).items()
     }
 
 
@@ -351,8 +357,8 @@ def predict_models(
     models: Mapping[str, FrictionModel], records: Records, progress: Progress = silent
 ) -> dict[str, list[list[Array]]]:
     """Return the torques (N,) [N.m] by row of `rows_of`, joint and log."""
-    rows = rows_of(models)
+    rows = table_rows(models)
     return {
         row: predict_model(models[name], records, measured_start=with_start)
-        for row, (name, with_start) in counted(rows.items(), progress, lambda row: row[0])
+        for row, (name, with_start) in report_progress(rows.items(), progress, lambda row: row[0])
     }

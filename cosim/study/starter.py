@@ -16,11 +16,17 @@ from fmu_src.pages.html import code_templates
 from hesr_model.errors import ArgumentError, ConfigError, RobotError
 from hesr_model.findings import Finding
 from hesr_model.health.proposal import robot_text
-from hesr_model.robots.mjcf import with_includes
-from hesr_model.robots.model_file import arm, driven_joints, joints_of, load, locked
+from hesr_model.robots.mjcf import resolve_includes
+from hesr_model.robots.model_file import (
+    find_arm,
+    find_driven_joints,
+    find_rest_positions,
+    load,
+    read_joints,
+)
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import folder_written_whole, is_empty, models_folder
-from hesr_model.support.text import few, toml
+from hesr_model.support.text import join_few, to_toml
 
 _FILES = ("robot.toml", "study.toml", "README.txt")
 
@@ -48,32 +54,36 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
             f"{model}: is a xacro file; expand it first: "
             f"xacro {model.name} > {model.with_suffix('').with_suffix('.urdf').name}."
         )
-    used = driven_joints(model, joints) if joints else arm(model)
-    others = [joint for joint in joints_of(model) if joint not in used]
-    rest = locked(others)
+    used_joints = find_driven_joints(model, joints) if joints else find_arm(model)
+    other_joints = [joint for joint in read_joints(model) if joint not in used_joints]
+    resting_positions = find_rest_positions(other_joints)
     springs = load(model).springs
     name = project_name(folder)
-    last = f"..{{}}{len(used)}" if len(used) > 1 else ""
+    last = f"..{{}}{len(used_joints)}" if len(used_joints) > 1 else ""
     with folder_written_whole(folder) as temporary:
         mjcf = model.suffix.lower() == ".xml"
-        content = with_includes(model) if mjcf else model.read_bytes()
+        content = resolve_includes(model) if mjcf else model.read_bytes()
         (temporary / model.name).write_bytes(content)
         for file in _FILES:
             text = _template(file).render(
-                toml=toml,
+                toml=to_toml,
                 name=name,
                 study=name,
                 folder=folder.as_posix(),
                 model=model.name,
-                joints=used,
-                resting=rest,
-                unused=few([joint.name for joint in others]),
-                names=", ".join(toml(joint.name) for joint in used),
-                springs=", ".join(json.dumps(own.name) for own in used if own.name in springs),
-                ratios=", ".join(["100.0"] * len(used)),
+                joints=used_joints,
+                resting=resting_positions,
+                unused=join_few([joint.name for joint in other_joints]),
+                names=", ".join(to_toml(joint.name) for joint in used_joints),
+                springs=", ".join(
+                    json.dumps(driven_joint.name)
+                    for driven_joint in used_joints
+                    if driven_joint.name in springs
+                ),
+                ratios=", ".join(["100.0"] * len(used_joints)),
                 matrix=[
-                    ", ".join("100.0" if i == k else "0.0" for i in range(len(used)))
-                    for k in range(len(used))
+                    ", ".join("100.0" if i == k else "0.0" for i in range(len(used_joints)))
+                    for k in range(len(used_joints))
                 ],
                 columns=", ".join(["t", *(f"{c}1{last.format(c)}" for c in ("q", "dq", "tau"))]),
                 rate=RATE,
@@ -81,17 +91,17 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
             (temporary / file).write_text(text, encoding="utf-8")
         description = RobotDescription.read(temporary / "robot.toml")
         Study.read(temporary / "study.toml")
-        written = []
+        log_paths = []
         robot = Robot(description)
         for log in sample_logs(robot):
-            written.append(temporary / "logs" / f"{log.name}.csv")
-            log.write(written[-1])
-        mark_samples(written)
+            log_paths.append(temporary / "logs" / f"{log.name}.csv")
+            log.write(log_paths[-1])
+        mark_samples(log_paths)
     return NewProject(
         folder=folder,
-        joints=tuple(joint.name for joint in used),
-        followers=tuple(joint.name for joint in others if not joint.freedom),
-        locked=rest,
+        joints=tuple(joint.name for joint in used_joints),
+        followers=tuple(joint.name for joint in other_joints if not joint.freedom),
+        locked=resting_positions,
         doubts=tuple(replace(finding, where=str(folder / model.name)) for finding in robot.doubts),
     )
 
@@ -153,8 +163,8 @@ class Bench:
         for name in ("inertia", "moment", "phase"):
             for value in getattr(self, name) or ():
                 if not (np.isfinite(value) and (value > 0.0 or name == "phase")):
-                    wanted = "finite" if name == "phase" else "positive"
-                    raise ArgumentError(f"'{name}' is {value:g}; it must be {wanted}.")
+                    requirement = "finite" if name == "phase" else "positive"
+                    raise ArgumentError(f"'{name}' is {value:g}; it must be {requirement}.")
 
     @property
     def hangs(self) -> bool:
@@ -203,7 +213,7 @@ def start_bench(
     with folder_written_whole(folder) as temporary:
         model, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))
         model.write_text(bench.urdf(), encoding="utf-8")
-        description = RobotDescription.validated(
+        description = RobotDescription.from_data(
             folder / "robot.toml",
             {
                 "name": project_name(folder),

@@ -19,12 +19,12 @@ from cosim.study.scores import (
     Errors,
     LogRecords,
     Predictions,
-    causal,
     compare,
     input_classes,
-    records_of,
-    rows_of,
-    within,
+    make_causal,
+    select_records,
+    select_window,
+    table_rows,
 )
 from cosim.study.study import Part, RefinementStudy, Study, TimeBand
 from fmu_src.export.toolchain import HOST
@@ -37,7 +37,7 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import Refined, refine
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import smoothed
+from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import read_table
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.refinement import identify_again
@@ -45,7 +45,7 @@ from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel, plugins
 from hesr_model.support.arrays import Array
-from hesr_model.support.progress import Progress, Stages, counted
+from hesr_model.support.progress import Progress, Stages, report_progress
 from hesr_model.support.typed_files import to_json, write_json
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ _REFINING = "refining the rigid body"  # stage of the progress
 _log = logging.getLogger(__name__)
 
 
-def of_each(
+def map_models(
     models: Mapping[str, FrictionModel],
     do: Callable[[str, FrictionModel], Returned],
     progress: Progress,
@@ -65,8 +65,8 @@ def of_each(
     """Return the results of a function of each law and model, called in processes."""
     jobs = [partial(do, law, model) for law, model in models.items()]
     costs = [model.size for model in models.values()]
-    with parallel.results_of(jobs, None, costs, list(models)) as done:
-        return {law: next(done) for law in counted(list(models), progress)}
+    with parallel.results_of(jobs, None, costs, list(models)) as results:
+        return {law: next(results) for law in report_progress(list(models), progress)}
 
 
 class _ReplayCase(NamedTuple):
@@ -220,15 +220,15 @@ class Job:
         battery = plugins.load("hesr.tests").get("properties")
         if battery is None:
             return {}
-        listed = battery.load()(
+        property_list = battery.load()(
             [Subject(name=name, model=model) for name, model in run.models.items()],
             body=(run.robot, run.rigid_body),
             progress=partial(self.progress, "testing the laws"),
             kept=self.kept and self.kept / "properties",
         )
-        found = dict(zip(run.models, listed, strict=True))
-        write_properties(folder / "properties.json", found)
-        return found
+        properties_by_law = dict(zip(run.models, property_list, strict=True))
+        write_properties(folder / "properties.json", properties_by_law)
+        return properties_by_law
 
     def closed_loop(self, run: Scored, folder: Path, *, quick: bool) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
@@ -264,22 +264,24 @@ class Job:
             return Following()
         names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
         logs = [run.logs[name] for name in names]
-        shown = {name: models[name] for name in select_laws("quick") if name in models}
-        shown[law] = shown.pop(law, models[law])
-        found: Following = predict.load()(logs, run.robot, run.rigid_body, shown, models[law])
-        write_json(folder / FOLLOWING, to_json(found))
-        return found
+        models_by_law = {name: models[name] for name in select_laws("quick") if name in models}
+        models_by_law[law] = models_by_law.pop(law, models[law])
+        following_errors: Following = predict.load()(
+            logs, run.robot, run.rigid_body, models_by_law, models[law]
+        )
+        write_json(folder / FOLLOWING, to_json(following_errors))
+        return following_errors
 
-    def other_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
+    def score_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
         """Score laws on the alternative plants of the twin, if there are any, and a plug-in."""
         under_truths = plugins.load("hesr.studies").get("truths")
         if under_truths is None or self.study.twin is None or not self.study.twin.truths:
             return {}
         progress = partial(self.progress, "trying alternative plants")
-        found: dict[str, Errors] = under_truths.load()(
+        truth_errors: dict[str, Errors] = under_truths.load()(
             self.study, self.path, laws, progress=progress
         )
-        return found
+        return truth_errors
 
     def rigid_body(
         self, logs: Mapping[str, Log], robot: Robot
@@ -323,7 +325,7 @@ class Job:
             records = self._training_records(logs, robot, body)
             model = self.fit(records, (law,), _REFINING, {})[law]
             if refinement.kind == "output_error":
-                motions = smoothed(self._training_logs(logs), robot)
+                motions = smooth_logs(self._training_logs(logs), robot)
                 refined_law = refine(robot, body, model, motions)
                 body = refined_law.body
                 models[law] = refined_law.friction
@@ -354,12 +356,12 @@ class Job:
         with_body: bool = False,
     ) -> dict[str, Refined]:
         """Refine laws by output error on the training logs."""
-        motions = smoothed(self._training_logs(logs), robot)
+        motions = smooth_logs(self._training_logs(logs), robot)
 
         def refine_law(_: str, model: FrictionModel) -> Refined:
             return refine(robot, body, model, motions, with_body=with_body, seed=self.study.seed)
 
-        return of_each(models, refine_law, partial(self.progress, "refining by output error"))
+        return map_models(models, refine_law, partial(self.progress, "refining by output error"))
 
     def fit(
         self,
@@ -375,7 +377,7 @@ class Job:
         options = {name: variant.options for name, variant in study.variants.items()}
         return fit_models(
             laws,
-            records_of(study.logs.training, records),
+            select_records(study.logs.training, records),
             robot=self.robot.name,
             seed=study.seed,
             options={**study.options, **options},
@@ -383,7 +385,7 @@ class Job:
             provenance=source,
             progress=partial(self.progress, stage),
             left_out=left_out,
-            kept=self.kept and self.kept / "laws",
+            checkpoints=self.kept and self.kept / "laws",
             per_log=study.per_log,
         )
 
@@ -425,7 +427,7 @@ class Job:
         inputs = input_classes(models)
         replayed = self._replay_fmus(models, records, fmus, runs)
         for test, names in study.logs.test.items():
-            test_records = records_of(names, records)
+            test_records = select_records(names, records)
             torques = replayed[test, True]
             if study.twin:
                 torques[ORACLE] = self._true_friction([files[name] for name in names])
@@ -456,29 +458,29 @@ class Job:
         cases = _list_replays(logs, models)
         jobs = []
         for case in cases:
-            test_records = records_of(logs[case.test], runs)
+            test_records = select_records(logs[case.test], runs)
             jobs.append(
                 partial(
                     predict_fmu,
                     fmus / f"{case.law}.fmu",
-                    causal(test_records) if case.is_causal else test_records,
+                    make_causal(test_records) if case.is_causal else test_records,
                     measured_start=case.measured_start,
                 )
             )
         replayed: dict[tuple[str, bool], dict[str, list[list[Array]]]] = defaultdict(dict)
         names = [f"{case.row} on {case.test}" for case in cases]
         with parallel.results_of(jobs, names=names) as results:
-            for case in counted(cases, partial(self.progress, "replaying the FMUs")):
-                test_records = records_of(logs[case.test], records)
+            for case in report_progress(cases, partial(self.progress, "replaying the FMUs")):
+                test_records = select_records(logs[case.test], records)
                 torques = _cut_torques(next(results), test_records)
                 replayed[case.test, case.is_causal][case.row] = torques
         return replayed
 
     def _true_friction(self, files: Sequence[Path]) -> list[list[Array]]:
-        from cosim.loop.excite import truth_of
+        from cosim.loop.excite import truth_path
 
         names = [f"tau_f{number}" for number in range(1, len(self.robot.joints) + 1)]
-        torques = [read_table(truth_of(file)).numbers(names) for file in files]
+        torques = [read_table(truth_path(file)).numbers(names) for file in files]
         return [[tau[:, joint] for tau in torques] for joint in range(len(names))]
 
 
@@ -500,7 +502,7 @@ def _select_part(log: Log, name: str, part: Part) -> Log:
 def _list_replays(tests: Iterable[str], models: Mapping[str, FrictionModel]) -> list[_ReplayCase]:
     cases = []
     for test in tests:
-        for row, (law, measured_start) in rows_of(models).items():
+        for row, (law, measured_start) in table_rows(models).items():
             cases.append(_ReplayCase(test, row, law, True, measured_start))
             cases.append(_ReplayCase(test, row, law, False, measured_start))
     return cases
@@ -540,5 +542,7 @@ def _compare_in_band(
     """Compare laws on the rows of a band of a test."""
     band_torques = {}
     for law, law_torques in torques.items():
-        band_records, band_torques[law] = within(test_records, law_torques, band.start, band.stop)
+        band_records, band_torques[law] = select_window(
+            test_records, law_torques, band.start, band.stop
+        )
     return compare(band_records, band_torques, inputs)

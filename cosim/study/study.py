@@ -59,14 +59,14 @@ class StudyLogs(Config):
 
     @model_validator(mode="after")
     def _tests_are_unseen(self) -> Self:
-        seen = {*self.identification, *self.reversed, *self.training}
+        trained_logs = {*self.identification, *self.reversed, *self.training}
         for name, logs in self.test.items():
             if not logs:
                 raise RuleError(
                     f"test set '{name}' has no log", code="study.test_empty", key=f"test.{name}"
                 )
             for log in logs:
-                if log in seen:
+                if log in trained_logs:
                     raise RuleError(
                         f"log '{log}' of test set '{name}' is also trained on",
                         code="study.test_trained",
@@ -154,11 +154,11 @@ class Study(Config):
                 *(band.name for band in self.bands),
             ],
         }
-        for (what, key), names in rows.items():
-            twice = [name for name, count in Counter(names).items() if count > 1]
-            if twice:
+        for (kind, key), names in rows.items():
+            repeated = [name for name, count in Counter(names).items() if count > 1]
+            if repeated:
                 raise RuleError(
-                    f"more than one {what} is named '{twice[0]}'", code="study.names", key=key
+                    f"more than one {kind} is named '{repeated[0]}'", code="study.names", key=key
                 )
         if self.tracking and not (self.twin and self.twin.signals):
             raise RuleError(

@@ -7,31 +7,31 @@ from statistics import fmean
 
 import numpy as np
 
+from cosim.report.tables.table import join_law_titles, title
 from cosim.report.tables.table import joints as short_names
-from cosim.report.tables.table import on_joints, title
 from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.forward.output_error import Refined
 from hesr_model.friction.inputs import TAU_LOAD
-from hesr_model.friction.model import MIXED, FrictionModel, compatible
-from hesr_model.friction.trained_range import outside
+from hesr_model.friction.model import MIXED, FrictionModel, can_share_fmu
+from hesr_model.friction.trained_range import find_excess
 from hesr_model.logs.signals import MOVING
-from hesr_model.rigid_body.residual import all_at_friction
+from hesr_model.rigid_body.residual import transform_all_records
 from hesr_model.robots.description import statements
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 
 VERDICT = "verdict.json"
 VERDICT_FORMAT = "hesr-verdict-1"
 
-CLOSE = 1.05  # ratio of errors; smaller ones are due to coefficients
+CLOSE_RATIO = 1.05  # ratio of errors; smaller ones are due to coefficients
 _SHORT = "the test is too short to compare laws"
-_MUCH = 25.0  # [%] of friction unexplained
-_AT_REVERSALS = 1.5  # error near reversals over that of all rows
-_BEYOND = 0.02  # share of test rows outside the trained speeds
-_RESTS = 0.02  # share of training rows at rest that shows stiction
-_LOADED = 0.5  # spread of the load over that of friction
+_MAX_UNEXPLAINED = 25.0  # [%] of friction unexplained
+_MAX_REVERSAL_RATIO = 1.5  # error near reversals over that of all rows
+_MAX_UNTRAINED_SHARE = 0.02  # share of test rows outside the trained speeds
+_MIN_REST_SHARE = 0.02  # share of training rows at rest that shows stiction
+_MIN_LOAD_SPREAD = 0.5  # spread of the load over that of friction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,13 +59,17 @@ class ForSimulation:
     refined: tuple[str, ...]  # laws that output error improved
 
     @classmethod
-    def of(cls, refined: Mapping[str, Refined]) -> "ForSimulation | None":
+    def from_refined(cls, refined: Mapping[str, Refined]) -> "ForSimulation | None":
         """Return the law with the lowest error; None without windows."""
-        errors = {law: one.size for law, one in refined.items() if np.isfinite(one.size)}
+        errors = {
+            law: refinement.size
+            for law, refinement in refined.items()
+            if np.isfinite(refinement.size)
+        }
         if not errors:
             return None
         law = min(errors, key=errors.__getitem__)
-        improved = tuple(law for law, one in refined.items() if one.ratio < 1.0)
+        improved = tuple(law for law, refinement in refined.items() if refinement.ratio < 1.0)
         return cls(law=law, fmu=f"fmus/{law}.fmu", errors=errors, refined=improved)
 
     def sentence(self, feed_forward: str) -> str:
@@ -99,20 +103,20 @@ class Verdict:
     @property
     def laws(self) -> tuple[str, ...]:
         """Recommended law of each joint."""
-        known = tuple(one.law or self.law for one in self.joints)
-        return known or (self.law,) * len(self.unexplained)
+        laws = tuple(joint_separation.law or self.law for joint_separation in self.joints)
+        return laws or (self.law,) * len(self.unexplained)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in sentences."""
         shares = zip(short_names(len(self.unexplained)), self.unexplained.values(), strict=True)
-        left = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
+        shares_text = ", ".join(f"{joint} {share:.0f} %" for joint, share in shares)
         return (
-            f"Recommended: {self.fmu} ({on_joints(self.laws)}), for feed-forward: {self.why}",
+            f"Recommended: {self.fmu} ({join_law_titles(self.laws)}), for feed-forward: {self.why}",
             *([self.simulation.sentence(self.law)] if self.simulation else []),
             *self.constants,
             *self.limits,
-            f"Unexplained friction on '{self.test}': {left}.",
+            f"Unexplained friction on '{self.test}': {shares_text}.",
             *self.weak,
             *self.improve,
             *filter(None, [self.planned]),
@@ -135,28 +139,35 @@ def verdict(
     `refined` are the laws refined by output error, None if the study does not refine.
     """
     test, comparison = next(iter(comparisons.items()))
-    laws, why = recommend(comparison, models)
+    laws, reason = recommend(comparison, models)
     law = laws[0] if len(set(laws)) == 1 else MIXED
-    shares = comparison.unexplained(comparison.of(laws).rmse)
+    shares = comparison.unexplained_shares(comparison.combine_scores(laws).rmse)
     percent = {joint: 100.0 * share for joint, share in zip(comparison.joints, shares, strict=True)}
     joints = tuple(
-        replace(one, law=own) for one, own in zip(separation(comparison), laws, strict=True)
+        replace(joint_separation, law=law_name)
+        for joint_separation, law_name in zip(separation(comparison), laws, strict=True)
     )
-    named = zip(comparison.joints, joints, strict=True)
-    shown = {name: one.detectable[1] for name, one in named if one.detectable}
+    named_joints = zip(comparison.joints, joints, strict=True)
+    detectable_ratios = {
+        name: joint_separation.detectable[1]
+        for name, joint_separation in named_joints
+        if joint_separation.detectable
+    }
     return Verdict(
         law=law,
-        planned=expected.sentence(models, shown) if expected else "",
+        planned=expected.sentence(models, detectable_ratios) if expected else "",
         fmu=f"fmus/{law}.fmu",
         test=test,
-        why=why,
+        why=reason,
         unexplained=percent,
-        weak=tuple(_weak(comparison.of(laws), percent, combine_results(law, properties, laws))),
+        weak=tuple(
+            _weak(comparison.combine_scores(laws), percent, combine_results(law, properties, laws))
+        ),
         improve=(
             *_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio),
             *_simulate(trained, refined),
         ),
-        simulation=ForSimulation.of(refined or {}),
+        simulation=ForSimulation.from_refined(refined or {}),
         joints=joints,
         limits=tuple(limits(f"'{test}'", joints)),
         constants=tuple(statements(models[laws[0]].provenance)),
@@ -169,11 +180,11 @@ def separation(comparison: Comparison) -> Iterator[Separation]:
         comparison.leading, comparison.detectable, comparison.seconds, strict=True
     ):
         best, *tied = of_joint
-        among = [detectable[law] for law in tied if law in detectable] or [*detectable.values()]
+        ratios = [detectable[law] for law in tied if law in detectable] or [*detectable.values()]
         yield Separation(
             best=best,
             tied=tuple(tied),
-            detectable=(min(among), max(among)) if among else None,
+            detectable=(min(ratios), max(ratios)) if ratios else None,
             seconds=seconds,
         )
 
@@ -191,36 +202,54 @@ def recommend(
     count = len(comparison.joints)
     long = [j for j in range(count) if not comparison.too_short[j]]
     if not long:
-        known = [law for law in names if models[law].left_out_rmse]
-        if not known:
+        validated_laws = [law for law in names if models[law].left_out_rmse]
+        if not validated_laws:
             return (min(names, key=comparison.size),) * count, f"{_SHORT}; it has the lowest error."
-        law = min(known, key=lambda name: fmean(comparison.unexplained(models[name].left_out_rmse)))
+        law = min(
+            validated_laws,
+            key=lambda name: fmean(comparison.unexplained_shares(models[name].left_out_rmse)),
+        )
         return (law,) * count, f"{_SHORT}; it has the lowest error on left-out training logs."
     lowest = [comparison.laws[leading[0]].rmse[j] for j, leading in enumerate(comparison.leading)]
     rmse = {law: zip(comparison.laws[law].rmse, lowest, strict=True) for law in names}
-    above = {law: [e / max(least, 1e-300) for e, least in of_law] for law, of_law in rmse.items()}
+    error_ratios = {
+        law: [e / max(minimum, 1e-300) for e, minimum in of_law] for law, of_law in rmse.items()
+    }
     good = {
-        j: [law for law in comparison.leading[j] if law in names and above[law][j] <= CLOSE]
+        j: [
+            law
+            for law in comparison.leading[j]
+            if law in names and error_ratios[law][j] <= CLOSE_RATIO
+        ]
         for j in long
     }
-    spread = {n: (-sum(n in of for of in good.values()), max(above[n])) for n in names}
-    main = min(names, key=lambda n: (spread[n][0], simplicity(models[n]), spread[n][1]))
-    laws = [main] * count
+    spread = {
+        n: (-sum(n in joint_laws for joint_laws in good.values()), max(error_ratios[n]))
+        for n in names
+    }
+    recommended = min(names, key=lambda n: (spread[n][0], simplicity(models[n]), spread[n][1]))
+    laws = [recommended] * count
     reasons: dict[str, list[str]] = {}
     for j, short in enumerate(short_names(count)):
-        fitting = [n for n in good.get(j, ()) if n == main or compatible(models[n], models[main])]
+        fitting = [
+            n
+            for n in good.get(j, ())
+            if n == recommended or can_share_fmu(models[n], models[recommended])
+        ]
         if fitting:
             laws[j] = min(fitting, key=lambda n: (simplicity(models[n], j), *spread[n]))
-            least = simplicity(models[laws[j]], j)
-            equal = sum(simplicity(models[n], j) == least for n in fitting)
-            many = f"one of {len(fitting)}" + f", {equal} equally simple" * (equal > 1)
-            reasons.setdefault(many if len(fitting) > 1 else "the only one", []).append(short)
+            minimum = simplicity(models[laws[j]], j)
+            equal = sum(simplicity(models[n], j) == minimum for n in fitting)
+            fit_text = f"one of {len(fitting)}" + f", {equal} equally simple" * (equal > 1)
+            reasons.setdefault(fit_text if len(fitting) > 1 else "the only one", []).append(short)
         elif j in good:
             reasons.setdefault("no such law fits into this FMU", []).append(short)
-    said = "; ".join(f"{', '.join(where)}: {reason}" for reason, where in reasons.items())
+    reasons_text = "; ".join(
+        f"{', '.join(joint_names)}: {reason}" for reason, joint_names in reasons.items()
+    )
     return tuple(laws), (
         "no law is significantly better, and of those within "
-        f"{100 * (CLOSE - 1):.0f} % of the lowest error it is the simplest ({said})."
+        f"{100 * (CLOSE_RATIO - 1):.0f} % of the lowest error it is the simplest ({reasons_text})."
     )
 
 
@@ -231,7 +260,7 @@ def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int
     return len(inputs), max(len(law.start) for law in laws), max(len(law.values) for law in laws)
 
 
-def format_percent_above(low: float, high: float) -> str:
+def format_excess_percent(low: float, high: float) -> str:
     """Return a range of ratios as percentages above 1."""
     first = f"{100 * (low - 1):.0f}"
     last = f"{100 * (high - 1):.0f}"
@@ -240,21 +269,31 @@ def format_percent_above(low: float, high: float) -> str:
 
 def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
     """Yield sentences on the limits of a test of each joint's law."""
-    named = dict(zip(short_names(len(joints)), joints, strict=True))
-    short = [name for name, one in named.items() if one.detectable is None and one.tied]
+    joint_separations = dict(zip(short_names(len(joints)), joints, strict=True))
+    short = [
+        name
+        for name, joint_separation in joint_separations.items()
+        if joint_separation.detectable is None and joint_separation.tied
+    ]
     if short:
-        where = f" on {', '.join(short)}" if len(short) < len(joints) else ""
-        seconds = max(named[name].seconds for name in short)
-        yield f"{test} is too short to compare laws{where}; record at least {seconds:.0f} s."
+        place_text = f" on {', '.join(short)}" if len(short) < len(joints) else ""
+        seconds = max(joint_separations[name].seconds for name in short)
+        yield f"{test} is too short to compare laws{place_text}; record at least {seconds:.0f} s."
     parts = []
     wide = []
-    for name, one in named.items():
-        laws = {one.best, *one.tied}
-        if one.detectable is not None and one.law in laws and len(laws) > 1:
+    for name, joint_separation in joint_separations.items():
+        laws = {joint_separation.best, *joint_separation.tied}
+        if (
+            joint_separation.detectable is not None
+            and joint_separation.law in laws
+            and len(laws) > 1
+        ):
             count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
-            parts.append(f"{count} on {name} ({format_percent_above(*one.detectable)})")
-            if one.detectable[1] > RECORDED:
-                wide.append(one.seconds)
+            parts.append(
+                f"{count} on {name} ({format_excess_percent(*joint_separation.detectable)})"
+            )
+            if joint_separation.detectable[1] > RECORDED:
+                wide.append(joint_separation.seconds)
     if parts:
         yield (
             f"{test} does not separate it from {', '.join(parts)}; the smallest detectable "
@@ -264,13 +303,26 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(wide):.0f} s."
 
 
-def _weak(own: LawScores, percent: Mapping[str, float], checks: Properties | None) -> Iterable[str]:
+def _weak(
+    law_scores: LawScores, percent: Mapping[str, float], checks: Properties | None
+) -> Iterable[str]:
     short = short_names(len(percent))
-    much = [name for name, share in zip(short, percent.values(), strict=True) if share > _MUCH]
+    much = [
+        name
+        for name, share in zip(short, percent.values(), strict=True)
+        if share > _MAX_UNEXPLAINED
+    ]
     if much:
-        yield f"Poorly modelled: {', '.join(much)} (more than {_MUCH:g} % of friction unexplained)."
-    pairs = zip(short, own.rmse_reversal, own.rmse, strict=True)
-    turning = [name for name, at, over in pairs if at is not None and at > _AT_REVERSALS * over]
+        yield (
+            f"Poorly modelled: {', '.join(much)} (more than {_MAX_UNEXPLAINED:g} % of "
+            "friction unexplained)."
+        )
+    pairs = zip(short, law_scores.rmse_reversal, law_scores.rmse, strict=True)
+    turning = [
+        name
+        for name, reversal_error, total_error in pairs
+        if reversal_error is not None and reversal_error > _MAX_REVERSAL_RATIO * total_error
+    ]
     if turning:
         yield f"Large errors near reversals: {', '.join(turning)}."
     if checks and (failed := checks.failed):
@@ -280,33 +332,37 @@ def _weak(own: LawScores, percent: Mapping[str, float], checks: Properties | Non
 def _improve(
     model: FrictionModel, trained: Records, tested: Records, *, gear_ratio: bool
 ) -> Iterable[str]:
-    trained, tested = all_at_friction(trained), all_at_friction(tested)
+    trained, tested = transform_all_records(trained), transform_all_records(tested)
     short = short_names(len(trained))
     faster = []
     heavier = []
     resting = []
-    loaded = []
+    constant_load = []
     rows = zip(short, model.laws, model.trained, trained, tested, strict=True)
-    for name, law, trained_range, learnt, new in rows:
-        beyond = {k: e for k, e in outside(trained_range, new).items() if e.rows > _BEYOND}
-        if "dq" in beyond:
+    for name, law, trained_range, trained_records, tested_records in rows:
+        excesses = {
+            k: e
+            for k, e in find_excess(trained_range, tested_records).items()
+            if e.rows > _MAX_UNTRAINED_SHARE
+        }
+        if "dq" in excesses:
             faster.append(name)
-        if "tau_load" in beyond and TAU_LOAD in law.form.inputs:
+        if "tau_load" in excesses and TAU_LOAD in law.form.inputs:
             heavier.append(name)
         dq, load, tau = (
-            np.concatenate([getattr(record, what) for record in learnt])
-            for what in ("dq", "tau_load", "tau")
+            np.concatenate([getattr(record, quantity) for record in trained_records])
+            for quantity in ("dq", "tau_load", "tau")
         )
-        if np.mean(np.abs(dq) < MOVING) < _RESTS:
+        if np.mean(np.abs(dq) < MOVING) < _MIN_REST_SHARE:
             resting.append(name)
-        if np.std(load) < _LOADED * np.std(tau):
-            loaded.append(name)
+        if np.std(load) < _MIN_LOAD_SPREAD * np.std(tau):
+            constant_load.append(name)
     advice = {
         "the test is faster than the training logs; record faster motion.": faster,
         "the load of the test exceeds the training logs; record larger loads.": heavier,
         "hardly any standstill in the training logs; record rests.": resting,
         "the load hardly changes; record a log with a payload to model load-dependent "
-        "friction.": loaded,
+        "friction.": constant_load,
     }
     for sentence, names in advice.items():
         if names:
@@ -318,7 +374,7 @@ def _improve(
 def _simulate(trained: Records, refined: Mapping[str, Refined] | None) -> Iterator[str]:
     if refined is None and len(trained) == 1 and trained[0][0].tau_body is None:
         yield 'To choose and refine a law for simulation, add refinement = "output_error".'
-    if refined and ForSimulation.of(refined) is None:
+    if refined and ForSimulation.from_refined(refined) is None:
         yield "The training logs are too short to choose a law for simulation by left-out windows."
 
 

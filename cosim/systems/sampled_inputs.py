@@ -15,7 +15,7 @@ from hesr_model.support.arrays import Array
 
 SOURCE = "input"  # name of the component
 
-_CLOSE = 1e-9  # relative distance of times that are equal but for round-off
+_TIME_TOLERANCE = 1e-9  # relative distance of times that are equal but for round-off
 _CONTINUOUS = ("Real", "Float32")
 
 
@@ -52,14 +52,14 @@ class SampledInputs:
     ) -> None:
         self.name = SOURCE
         self.time = float(points[0])
-        self.variables = _as_outputs(variables, columns)
+        self.variables = _declare_outputs(variables, columns)
         self._target = target
         self._exchange = exchange
         self._points = points
         self._names = list(columns)
         self._linear = [name for name in columns if is_linear(variables[name])]
         samples = {name: _sample(t, column, points) for name, column in columns.items()}
-        slopes = {name: _slopes(t, columns[name], points) for name in self._linear}
+        slopes = {name: _compute_slopes(t, columns[name], points) for name in self._linear}
         for name in columns:
             if name not in self._linear:
                 samples[name] = _hold(t, columns[name], points)
@@ -113,7 +113,7 @@ class SourceBuffer:
         return self.values
 
 
-def _as_outputs(variables: Variables, columns: Mapping[str, Array]) -> Variables:
+def _declare_outputs(variables: Variables, columns: Mapping[str, Array]) -> Variables:
     outputs = []
     for name in columns:
         output = copy(variables[name])
@@ -125,20 +125,20 @@ def _as_outputs(variables: Variables, columns: Mapping[str, Array]) -> Variables
     return Variables(Path(SOURCE), description)
 
 
-def _last_sample(t: Array, points: Array) -> Any:
+def _find_last_sample(t: Array, points: Array) -> Any:
     """Return the index of the last sample until each point; -1 before the first one."""
-    tolerance = _CLOSE * np.maximum(np.abs(points), np.finfo(float).tiny)
+    tolerance = _TIME_TOLERANCE * np.maximum(np.abs(points), np.finfo(float).tiny)
     return np.searchsorted(t, points + tolerance, side="right") - 1
 
 
 def _hold(t: Array, column: Array, points: Array) -> Array:
-    held: Array = column[np.maximum(_last_sample(t, points), 0)]
-    return held
+    held_samples: Array = column[np.maximum(_find_last_sample(t, points), 0)]
+    return held_samples
 
 
-def _intervals(t: Array, points: Array) -> tuple[Any, Any]:
+def _find_intervals(t: Array, points: Array) -> tuple[Any, Any]:
     """Return the sample before each point, and whether a longer time to the next one follows."""
-    last = _last_sample(t, points)
+    last = _find_last_sample(t, points)
     first = np.clip(last, 0, len(t) - 1)
     following = np.minimum(first + 1, len(t) - 1)
     return first, (last >= 0) & (t[following] > t[first])
@@ -146,30 +146,30 @@ def _intervals(t: Array, points: Array) -> tuple[Any, Any]:
 
 def _sample(t: Array, column: Array, points: Array) -> Array:
     """Return a linear input at points [s]; the first and last values hold outside the samples."""
-    first, inside = _intervals(t, points)
+    first, is_inside = _find_intervals(t, points)
     following = np.minimum(first + 1, len(t) - 1)
-    length = np.where(inside, t[following] - t[first], 1.0)
-    weight = np.where(inside, (t[following] - points) / length, 1.0)
+    length = np.where(is_inside, t[following] - t[first], 1.0)
+    weight = np.where(is_inside, (t[following] - points) / length, 1.0)
     weight = np.where(points <= t[first], 1.0, weight)  # not before the sample by round-off
     samples: Array = weight * column[first] + (1.0 - weight) * column[following]
     return samples
 
 
-def _sample_before(t: Array, column: Array, points: Array) -> Array:
+def _sample_left_limits(t: Array, column: Array, points: Array) -> Array:
     """Return a linear input immediately before points [s]: of samples with one time the first."""
-    tolerance = _CLOSE * np.maximum(np.abs(points), np.finfo(float).tiny)
+    tolerance = _TIME_TOLERANCE * np.maximum(np.abs(points), np.finfo(float).tiny)
     following = np.searchsorted(t, points - tolerance, side="left")
-    inside = (following > 0) & (following < len(t))
+    is_inside = (following > 0) & (following < len(t))
     following = np.minimum(following, len(t) - 1)
     first = np.maximum(following - 1, 0)
-    length = np.where(inside, t[following] - t[first], 1.0)
-    weight = np.where(inside, np.maximum(t[following] - points, 0.0) / length, 0.0)
-    before: Array = weight * column[first] + (1.0 - weight) * column[following]
-    return before
+    length = np.where(is_inside, t[following] - t[first], 1.0)
+    weight = np.where(is_inside, np.maximum(t[following] - points, 0.0) / length, 0.0)
+    left_limits: Array = weight * column[first] + (1.0 - weight) * column[following]
+    return left_limits
 
 
-def _slopes(t: Array, column: Array, points: Array) -> Array:
+def _compute_slopes(t: Array, column: Array, points: Array) -> Array:
     """Return the mean slope of a linear input from each point to the next one; at last 0."""
-    after = _sample(t, column, points)
-    before = _sample_before(t, column, points)
-    return np.append((before[1:] - after[:-1]) / np.diff(points), 0.0)
+    samples = _sample(t, column, points)
+    left_limits = _sample_left_limits(t, column, points)
+    return np.append((left_limits[1:] - samples[:-1]) / np.diff(points), 0.0)

@@ -9,7 +9,7 @@ from hesr_model.errors import HesrError, SimulationError
 from hesr_model.logs.tables import write_table
 from hesr_model.support import frames
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import PathArg, path_of, written_whole
+from hesr_model.support.files import PathArg, to_path, written_whole
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -71,5 +71,5 @@ class Signals:
 
         Raises ArtifactError if the file cannot be written.
         """
-        with written_whole(path_of(path, "an output")) as temporary:
+        with written_whole(to_path(path, "an output")) as temporary:
             write_table(temporary, {"t": self.t} | self.signals)

@@ -12,10 +12,10 @@ import numpy as np
 
 from cosim.systems.sampled_inputs import SampledInputs
 from cosim.systems.signals import Signals
-from cosim.systems.system import SystemSpec, Value, opened_system
+from cosim.systems.system import SystemSpec, Value, open_system
 from cosim.systems.wiring import Wiring
-from fmu_src.arm.clock import untimed
-from fmu_src.run.fmu import SECONDS, FmuInstance, FmuPool, mixed_buffer, numbered_text
+from fmu_src.arm.clock import stop_clock
+from fmu_src.run.fmu import SECONDS, FmuInstance, FmuPool, build_mixed_buffer, text_from_number
 from fmu_src.run.instance import Buffer
 from fmu_src.run.master import (
     Convert,
@@ -30,7 +30,7 @@ from fmu_src.run.native import NativeStepper, native_stepper
 from fmu_src.run.sandbox import SandboxStepper, SystemSandbox, sandbox_stepper
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.progress import Progress, silent
 
 
@@ -67,9 +67,9 @@ class System:
         SimulationError
             If an FMU in an SSP cannot be read and its units are needed.
         """
-        file = path_of(path, "a system")
+        file = to_path(path, "a system")
         with ExitStack() as opened:
-            system = cls(opened.enter_context(opened_system(file)), file)
+            system = cls(opened.enter_context(open_system(file)), file)
             finalize(system, opened.pop_all().close)
         return system
 
@@ -156,48 +156,56 @@ class Master:
 
     def _build(self) -> None:
         wiring = self._wiring
-        wanted = [*wiring.sources.values(), *wiring.observed, *(e for e, _ in wiring.limited)]
+        layout_elements = [
+            *wiring.sources.values(),
+            *wiring.observed,
+            *(e for e, _ in wiring.limited),
+        ]
         order = [*self._slaves, *([self.source.name] if self.source else [])]
-        names = sorted(dict.fromkeys(wanted), key=lambda element: order.index(element[0]))
-        place = {element: i for i, element in enumerate(names)}
-        values = np.zeros(len(place))
+        names = sorted(dict.fromkeys(layout_elements), key=lambda element: order.index(element[0]))
+        indices = {element: i for i, element in enumerate(names)}
+        values = np.zeros(len(indices))
         stations = []
         for component in self.spec.components:
             instance = self._slaves[component.name]
-            own = [element for element in names if element[0] == component.name]
-            fed = [into for into in wiring.sources if into[0] == component.name]
-            start = place[own[0]] if own else 0
-            part = values[start : start + len(own)]
+            component_outputs = [element for element in names if element[0] == component.name]
+            fed_inputs = [target for target in wiring.sources if target[0] == component.name]
+            start = indices[component_outputs[0]] if component_outputs else 0
+            component_values = values[start : start + len(component_outputs)]
             stations.append(
                 Station(
                     slave=instance,
-                    every=self.spec.every(component),
-                    inputs=mixed_buffer(instance, [variable for _, variable in fed]),
-                    sources=np.array([place[wiring.sources[into]] for into in fed], dtype=np.intp),
-                    outputs=mixed_buffer(instance, [variable for _, variable in own], part),
+                    every=self.spec.find_step_multiple(component),
+                    inputs=build_mixed_buffer(instance, [variable for _, variable in fed_inputs]),
+                    sources=np.array(
+                        [indices[wiring.sources[target]] for target in fed_inputs], dtype=np.intp
+                    ),
+                    outputs=build_mixed_buffer(
+                        instance, [variable for _, variable in component_outputs], component_values
+                    ),
                     begin=self.spec.begin,
                     conversions=[
                         (i, convert)
-                        for i, into in enumerate(fed)
-                        if (convert := self._conversion(into))
+                        for i, target in enumerate(fed_inputs)
+                        if (convert := self._build_conversion(target))
                     ],
                 )
             )
         if self.source:
             stations.append(self._source_station(self.source, names, values))
-        low, high = np.array([b for _, b in wiring.limited]).reshape(-1, 2).T
+        lower, upper = np.array([bounds for _, bounds in wiring.limited]).reshape(-1, 2).T
         self._layout = Layout(
             stations=tuple(stations),
-            links=tuple(self._links(place)),
+            links=tuple(self._build_links(indices)),
             scheme=self._scheme,
             begin=self.spec.begin,
             step=self.spec.step,
             values=values,
             names=tuple(names),
-            rows=np.array([place[e] for e in wiring.observed], dtype=np.intp),
-            limited=np.array([place[e] for e, _ in wiring.limited], dtype=np.intp),
-            low=low,
-            high=high,
+            rows=np.array([indices[e] for e in wiring.observed], dtype=np.intp),
+            limited=np.array([indices[e] for e, _ in wiring.limited], dtype=np.intp),
+            low=lower,
+            high=upper,
             times=self.times,
         )
         layout = self._layout
@@ -223,13 +231,13 @@ class Master:
     def _buffer(self, name: str, variables: Sequence[str]) -> Buffer:
         if self.source and name == self.source.name:
             return self.source.buffer(variables, np.zeros(len(variables)))
-        return mixed_buffer(self._slaves[name], variables)
+        return build_mixed_buffer(self._slaves[name], variables)
 
-    def _conversion(self, into: Element) -> Convert | None:
-        steps = self.spec.conversions.get(".".join(into), ())
+    def _build_conversion(self, target: Element) -> Convert | None:
+        steps = self.spec.conversions.get(".".join(target), ())
         return partial(reduce, lambda value, step: step(value), steps) if steps else None
 
-    def _links(self, place: Mapping[Element, int]) -> Iterator[Link]:
+    def _build_links(self, indices: Mapping[Element, int]) -> Iterator[Link]:
         sources = self._wiring.sources
         feeding = set(sources.values())
         for element in self._wiring.order:
@@ -237,9 +245,9 @@ class Master:
                 name, variable = element
                 yield Link(
                     buffer=self._buffer(name, [variable]),
-                    place=place[sources.get(element, element)],
+                    place=indices[sources.get(element, element)],
                     is_input=element in sources,
-                    convert=self._conversion(element),
+                    convert=self._build_conversion(element),
                 )
 
     def run(
@@ -250,14 +258,14 @@ class Master:
         `start` adds start values of components to those of the system.
         """
         steps = self.spec.steps
-        step = self.spec.step
+        step_size = self.spec.step
         stepper = self._stepper
-        kept = np.empty((steps + 1, len(self._layout.rows)))
+        recorded = np.empty((steps + 1, len(self._layout.rows)))
         failure = None
-        stepper.begin(kept)
+        stepper.begin(recorded)
         try:
             self._initialise(start or {})
-            with untimed():
+            with stop_clock():
                 for k in range(0, steps + 1, _REPORT_EVERY):
                     progress(k, steps)
                     stepper.advance(stop := min(k + _REPORT_EVERY, steps + 1))
@@ -269,15 +277,15 @@ class Master:
         finite = np.isfinite(self._layout.values)
         if not finite.all():
             # a NaN may make another component fail
-            ended = self._layout.time(min(done, steps))
-            failure = self._layout.not_finite(int(np.argmin(finite)), ended)
+            end_time = self._layout.time(min(done, steps))
+            failure = self._layout.non_finite_error(int(np.argmin(finite)), end_time)
         progress(steps, steps)
         signals = {
-            self._signal_name(e): self._typed(e, kept[:done, i])
+            self._signal_name(e): self._convert_type(e, recorded[:done, i])
             for i, e in enumerate(self._wiring.observed)
         }
         if self.times is None:
-            t = self.spec.begin + step * np.arange(done, dtype=float)
+            t = self.spec.begin + step_size * np.arange(done, dtype=float)
         else:
             t = self.times[:done]
         return Signals(t=t, signals=signals, failure=failure)
@@ -285,10 +293,10 @@ class Master:
     def _signal_name(self, element: Element) -> str:
         return element[1] if self.single else ".".join(element)
 
-    def _typed(self, element: Element, values: Array) -> Array:
+    def _convert_type(self, element: Element, values: Array) -> Array:
         kind = self._slaves[element[0]].variables[element[1]].type
         if kind == "String":
-            return np.array([numbered_text(value) for value in values])
+            return np.array([text_from_number(value) for value in values])
         if kind in ("Real", "Float32"):
             return values
         return values.astype(bool if kind == "Boolean" else np.int64)
@@ -296,12 +304,12 @@ class Master:
     def require_start(self, start: Mapping[str, Mapping[str, Value]], path: Path) -> None:
         """Raise ConfigError, naming `path`, if start values do not fit the system."""
         try:
-            self._wiring.started(start)
+            self._wiring.merge_start_values(start)
         except ConfigError as error:
-            raise error.at(path) from error
+            raise error.add_place(path) from error
         for name, values in start.items():
             variables = self._slaves[name].variables
-            for variable in variables.expanded(values):
+            for variable in variables.expand_values(values):
                 if variables[variable].causality in ("output", "local", "independent"):
                     raise ConfigError(
                         f"{path}: '{name}.{variable}' cannot be varied: its FMU calculates it.",
@@ -310,34 +318,38 @@ class Master:
                         key=f"{name}.{variable}",
                     )
 
-    def require_alike(self, one: str, other: str, path: Path) -> None:
+    def require_same_size(self, measured: str, reference: str, path: Path) -> None:
         """Raise ConfigError, naming `path`, if two signals differ in size."""
-        counts = [len(self._wiring.elements(signal)) for signal in (one, other)]
+        counts = [len(self._wiring.elements(signal)) for signal in (measured, reference)]
         if counts[0] != counts[1]:
             raise ConfigError(
-                f"{path}: '{one}' has {counts[0]} elements and its reference '{other}' "
+                f"{path}: '{measured}' has {counts[0]} elements and its reference '{reference}' "
                 f"{counts[1]}.",
                 code="system.reference",
                 where=path,
-                key=one,
+                key=measured,
             )
 
-    def _initialise(self, more: Mapping[str, Mapping[str, Value]]) -> None:
+    def _initialise(self, extra_start: Mapping[str, Mapping[str, Value]]) -> None:
         self._layout.values[:] = 0.0
         if self.source:
             self.source.begin(self._slaves)
         for name, instance in self._slaves.items():
             if instance.used:
                 instance.reset()
-            start = self._wiring.start[name] | instance.variables.expanded(more.get(name, {}))
+            start = self._wiring.start[name] | instance.variables.expand_values(
+                extra_start.get(name, {})
+            )
             instance.enter_initialisation(time=self.spec.begin, stop=self.spec.stop, start=start)
         if self._scheme.first == "propagated":
-            before = None
+            previous_values = None
             for _ in self._wiring.order:
                 self._layout.propagate(self.spec.begin)
-                if before is not None and np.array_equal(before, self._layout.values):
+                if previous_values is not None and np.array_equal(
+                    previous_values, self._layout.values
+                ):
                     break
-                before = self._layout.values.copy()
+                previous_values = self._layout.values.copy()
         for instance in self._slaves.values():
             instance.exit_initialisation()
         for station in self._layout.stations:

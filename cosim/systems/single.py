@@ -17,11 +17,11 @@ from fmu_src.run.variables import Variables, read_packed_description
 from hesr_model.errors import ArtifactError, ConfigError, SimulationError
 from hesr_model.support.arrays import Array
 
-_MOST_ROWS = 1_000_000
-_MOST_STATES = 5  # shown of an FMU without outputs
-_SHOWN = ("Real", "Float32", "Integer", "Enumeration", "Boolean", "String")
-_CLOSE = 1e-9  # relative distance of times that are equal but for round-off
-_NAME = "fmu"  # of the component
+_MAX_ROWS = 1_000_000
+_MAX_STATES = 5  # shown of an FMU without outputs
+_OBSERVED_TYPES = ("Real", "Float32", "Integer", "Enumeration", "Boolean", "String")
+_TIME_TOLERANCE = 1e-9  # relative distance of times that are equal but for round-off
+_COMPONENT_NAME = "fmu"  # of the component
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,33 +33,43 @@ class Experiment:
     step: float
 
 
-def read_experiment(fmu: Path, about: Any, times: Mapping[str, float | None]) -> Experiment:
+def read_experiment(
+    fmu: Path, model_description: Any, times: Mapping[str, float | None]
+) -> Experiment:
     """Return the times of a run: those of the FMU unless others are given."""
-    begin = _time(fmu, about, times, "start")
-    end = _time(fmu, about, times, "stop")
-    step = _time(fmu, about, times, "step")
-    begin = 0.0 if begin is None else begin
-    end = begin + 1.0 if end is None else end
-    if not end > begin:
-        raise ConfigError(f"{fmu}: --stop is {end:g} s, not after the start, {begin:g} s.")
-    if not step:
-        step = _auto_step(end - begin)
-    if not step > 0.0 or (end - begin) / step > _MOST_ROWS:
-        raise ConfigError(f"{fmu}: --step is {step:g} s; at most {_MOST_ROWS} steps are run.")
-    if begin + step == begin or end - step == end:
-        raise ConfigError(f"{fmu}: --step is {step:g} s; it must change times of {end:g} s.")
-    return Experiment(begin=begin, end=end, step=step)
+    start_time = _read_time(fmu, model_description, times, "start")
+    stop_time = _read_time(fmu, model_description, times, "stop")
+    step_size = _read_time(fmu, model_description, times, "step")
+    start_time = 0.0 if start_time is None else start_time
+    stop_time = start_time + 1.0 if stop_time is None else stop_time
+    if not stop_time > start_time:
+        raise ConfigError(
+            f"{fmu}: --stop is {stop_time:g} s, not after the start, {start_time:g} s."
+        )
+    if not step_size:
+        step_size = _choose_step(stop_time - start_time)
+    if not step_size > 0.0 or (stop_time - start_time) / step_size > _MAX_ROWS:
+        raise ConfigError(f"{fmu}: --step is {step_size:g} s; at most {_MAX_ROWS} steps are run.")
+    if start_time + step_size == start_time or stop_time - step_size == stop_time:
+        raise ConfigError(
+            f"{fmu}: --step is {step_size:g} s; it must change times of {stop_time:g} s."
+        )
+    return Experiment(begin=start_time, end=stop_time, step=step_size)
 
 
-def _time(fmu: Path, about: Any, times: Mapping[str, float | None], option: str) -> float | None:
+def _read_time(
+    fmu: Path, model_description: Any, times: Mapping[str, float | None], option: str
+) -> float | None:
     """Return a time of the run [s], or None if neither the user nor the FMU gives it."""
-    given = times.get(option)
-    if given is not None:
-        if not isfinite(given):
-            raise ConfigError(f"{fmu}: --{option} is {given:g} s; it must be a finite number.")
-        return given
+    stated_time = times.get(option)
+    if stated_time is not None:
+        if not isfinite(stated_time):
+            raise ConfigError(
+                f"{fmu}: --{option} is {stated_time:g} s; it must be a finite number."
+            )
+        return stated_time
     attribute = {"start": "startTime", "stop": "stopTime", "step": "stepSize"}[option]
-    text = getattr(about.defaultExperiment, attribute, None)
+    text = getattr(model_description.defaultExperiment, attribute, None)
     if text is None or text == "":
         return None
     try:
@@ -71,43 +81,48 @@ def _time(fmu: Path, about: Any, times: Mapping[str, float | None], option: str)
     return time
 
 
-def _auto_step(length: float) -> float:
+def _choose_step(length: float) -> float:
     """Return a round step that divides a length [s] into 500 to 1000 rows, as FMPy does."""
     step = float(10.0 ** (np.round(np.log10(length)) - 3.0))
     count = length / step
-    for least, factor in ((2500, 5), (2000, 4), (1000, 2)):
-        if count >= least:
+    for smallest_count, factor in ((2500, 5), (2000, 4), (1000, 2)):
+        if count >= smallest_count:
             return step * factor
-    for most, divisor in ((200, 5), (250, 4), (500, 2)):
-        if count <= most:
+    for largest_count, divisor in ((200, 5), (250, 4), (500, 2)):
+        if count <= largest_count:
             return step / divisor
     return step
 
 
-def communication_points(
+def find_communication_points(
     experiment: Experiment, jumps: Array, *, any_step: bool
 ) -> tuple[Array, bool]:
     """Return the communication points [s], and whether they are evenly spaced.
 
     An FMU that takes any step also has points at the jumps of its inputs and at the end.
     """
-    begin = experiment.begin
-    end = experiment.end
-    step = experiment.step
-    count = int(np.floor((end - begin) / step * (1.0 + _CLOSE)))
-    points: Array = begin + step * np.arange(count + 1, dtype=float)
+    start_time = experiment.begin
+    stop_time = experiment.end
+    step_size = experiment.step
+    step_count = int(np.floor((stop_time - start_time) / step_size * (1.0 + _TIME_TOLERANCE)))
+    points: Array = start_time + step_size * np.arange(step_count + 1, dtype=float)
     if not any_step:
         return points, True
-    inner = jumps[(jumps > begin) & (jumps < end)]
-    more = np.append(inner, end)
-    nearest = points[np.clip(np.rint((more - begin) / step).astype(int), 0, count)]
-    more = more[np.abs(more - nearest) > _CLOSE * np.maximum(np.abs(more), step)]
-    all_points: Array = np.union1d(points, more)
-    return all_points, not more.size
+    inner = jumps[(jumps > start_time) & (jumps < stop_time)]
+    extra_points = np.append(inner, stop_time)
+    nearest = points[
+        np.clip(np.rint((extra_points - start_time) / step_size).astype(int), 0, step_count)
+    ]
+    extra_points = extra_points[
+        np.abs(extra_points - nearest)
+        > _TIME_TOLERANCE * np.maximum(np.abs(extra_points), step_size)
+    ]
+    all_points: Array = np.union1d(points, extra_points)
+    return all_points, not extra_points.size
 
 
 @contextmanager
-def opened_single(
+def open_single(
     fmu: Path,
     *,
     times: Mapping[str, float | None],
@@ -122,22 +137,24 @@ def opened_single(
     """
     try:
         with Archive(fmu) as archive:
-            about, declared = read_packed_description(archive)
+            model_description, declared = read_packed_description(archive)
     except ArtifactError as error:
         raise SimulationError(f"{error}") from error
-    if about.fmiVersion == "1.0":
+    if model_description.fmiVersion == "1.0":
         raise ConfigError(f"{fmu}: is of FMI 1.0; export it for FMI 2.0 or 3.0.")
-    if about.coSimulation is None and about.modelExchange is None:
+    if model_description.coSimulation is None and model_description.modelExchange is None:
         raise ConfigError(f"{fmu}: is for scheduled execution only; export it for co-simulation.")
-    experiment = read_experiment(fmu, about, times)
-    variables = Variables(fmu, about, declared)
+    experiment = read_experiment(fmu, model_description, times)
+    variables = Variables(fmu, model_description, declared)
     _require_settable(fmu, variables, values)
     columns = _require_inputs(fmu, variables, inputs)
-    exchange = about.coSimulation is None
-    any_step = exchange or bool(about.coSimulation.canHandleVariableCommunicationStepSize)
+    exchange = model_description.coSimulation is None
+    any_step = exchange or bool(
+        model_description.coSimulation.canHandleVariableCommunicationStepSize
+    )
     t = inputs["time"] if columns else np.zeros(1)
     jumps = find_jumps(t, columns, variables)
-    points, even = communication_points(experiment, jumps, any_step=any_step)
+    points, evenly_spaced = find_communication_points(experiment, jumps, any_step=any_step)
     if len(points) < 2:
         raise ConfigError(
             f"{fmu}: --step is {experiment.step:g} s, longer than the run of "
@@ -146,25 +163,25 @@ def opened_single(
     source = None
     if columns:
         source = SampledInputs(
-            _NAME, variables, t=t, columns=columns, points=points, exchange=exchange
+            _COMPONENT_NAME, variables, t=t, columns=columns, points=points, exchange=exchange
         )
     count = len(points) - 1
     system = SystemSpec(
-        name=str(about.modelName or fmu.stem),
-        step=experiment.step if even else float(points[-1] - points[0]) / count,
+        name=str(model_description.modelName or fmu.stem),
+        step=experiment.step if evenly_spaced else float(points[-1] - points[0]) / count,
         begin=experiment.begin,
-        stop=experiment.begin + count * experiment.step if even else float(points[-1]),
-        components=(ComponentSpec(name=_NAME, fmu=fmu, start=dict(values)),),
-        connections={f"{_NAME}.{name}": f"{SOURCE}.{name}" for name in columns},
+        stop=experiment.begin + count * experiment.step if evenly_spaced else float(points[-1]),
+        components=(ComponentSpec(name=_COMPONENT_NAME, fmu=fmu, start=dict(values)),),
+        connections={f"{_COMPONENT_NAME}.{name}": f"{SOURCE}.{name}" for name in columns},
         open_inputs=True,
-        observe=tuple(f"{_NAME}.{name}" for name in _observed_outputs(about)),
+        observe=tuple(f"{_COMPONENT_NAME}.{name}" for name in _choose_outputs(model_description)),
     )
     master = Master(
         system,
         fmu,
         isolate=isolate,
         source=source,
-        times=None if even else points,
+        times=None if evenly_spaced else points,
         exchange=exchange,
         single=True,
     )
@@ -172,22 +189,26 @@ def opened_single(
         yield master
 
 
-def _observed_outputs(about: Any) -> list[str]:
+def _choose_outputs(model_description: Any) -> list[str]:
     """Return the outputs; the first continuous states or variables of an FMU without outputs."""
-    known = [v for v in about.modelVariables if v.type in _SHOWN and v.name != "time"]
-    outputs = [v.name for v in known if v.causality == "output"]
+    observable = [
+        v
+        for v in model_description.modelVariables
+        if v.type in _OBSERVED_TYPES and v.name != "time"
+    ]
+    outputs = [v.name for v in observable if v.causality == "output"]
     if outputs:
         return outputs
-    states = [unknown.variable.derivative for unknown in about.derivatives or ()]
-    shown = [state.name for state in states if state is not None]
-    return (shown or [v.name for v in known])[:_MOST_STATES]
+    states = [unknown.variable.derivative for unknown in model_description.derivatives or ()]
+    shown_states = [state.name for state in states if state is not None]
+    return (shown_states or [v.name for v in observable])[:_MAX_STATES]
 
 
 def _require_settable(fmu: Path, variables: Variables, values: Mapping[str, Value]) -> None:
-    for name in variables.expanded(values):
-        about = variables[name]
-        exact = about.initial in ("exact", "approx") and about.variability != "constant"
-        if about.causality != "input" and not exact:
+    for name in variables.expand_values(values):
+        variable = variables[name]
+        has_start = variable.initial in ("exact", "approx") and variable.variability != "constant"
+        if variable.causality != "input" and not has_start:
             raise ConfigError(f"{fmu}: --set '{name}' has no start value that can be set.")
 
 
@@ -202,7 +223,7 @@ def _require_inputs(
         if variables[name].type == "String":
             raise ConfigError(f"{fmu}: --input has the column '{name}', a text; use --set.")
         for value in np.unique(column).tolist():
-            variables.expanded({name: value})
+            variables.expand_values({name: value})
     if inputs and "time" not in inputs:
         raise ConfigError(f"{fmu}: --input has no column 'time'.")
     if inputs and np.any(np.diff(inputs["time"]) < 0.0):

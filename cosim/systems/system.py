@@ -13,7 +13,7 @@ from fmu_src.run.master import Order
 from hesr_model.errors import RuleError
 from hesr_model.support import plugins
 from hesr_model.support.files import written_whole
-from hesr_model.support.text import toml
+from hesr_model.support.text import to_toml
 from hesr_model.support.typed_files import Config, RelativePath
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
@@ -21,12 +21,12 @@ Signal = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*\.\S+$")]
 """`component.variable`; without an index all elements of a vector."""
 Value = bool | int | float | str | tuple[float, ...]
 
-_MULTIPLE = 1e-9  # relative tolerance of multiples
-_MOST_STEPS = 10**9
-_MOST_COMPONENTS = 1000
+_MULTIPLE_TOLERANCE = 1e-9  # relative tolerance of multiples
+_MAX_STEPS = 10**9
+_MAX_COMPONENTS = 1000
 
 
-def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
+def _require_order(bounds: tuple[float, float]) -> tuple[float, float]:
     if not bounds[0] < bounds[1]:
         raise RuleError(
             f"the limits {bounds[0]:g} and {bounds[1]:g} are not in ascending order",
@@ -35,7 +35,7 @@ def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-Bounds = Annotated[tuple[float, float], AfterValidator(_ordered)]
+Bounds = Annotated[tuple[float, float], AfterValidator(_require_order)]
 
 
 class ComponentSpec(Config):
@@ -67,7 +67,7 @@ class SystemSpec(Config):
     begin: float = 0.0  # [s] of the run
     stop: float  # [s] end of the run
     order: Order = "gauss_seidel"  # see `fmu_src.run.master.ExchangeScheme`
-    components: tuple[ComponentSpec, ...] = Field(min_length=1, max_length=_MOST_COMPONENTS)
+    components: tuple[ComponentSpec, ...] = Field(min_length=1, max_length=_MAX_COMPONENTS)
     connections: Mapping[Signal, Signal] = {}  # source of each input
     conversions: Mapping[Signal, tuple[Conversion, ...]] = {}  # of connected inputs, in order
     open_inputs: bool = False  # unconnected inputs keep the start value of the FMU
@@ -75,17 +75,17 @@ class SystemSpec(Config):
     limits: Mapping[Signal, Bounds | tuple[Bounds, ...]] = {}  # the run ends outside these
 
     @model_validator(mode="after")
-    def _names_and_steps_fit(self) -> Self:
+    def _require_consistency(self) -> Self:
         for name, count in Counter(c.name for c in self.components).items():
             if count > 1:
                 raise RuleError(
                     f"two components are named '{name}'", code="system.names", key="components"
                 )
-        _multiple_of(self.stop - self.begin, self.step, "the stop time", "stop")
+        _require_multiple(self.stop - self.begin, self.step, "the stop time", "stop")
         for k, component in enumerate(self.components):
             if component.step is not None:
-                what = f"the step of '{component.name}'"
-                _multiple_of(component.step, self.step, what, f"components.{k}.step")
+                subject = f"the step of '{component.name}'"
+                _require_multiple(component.step, self.step, subject, f"components.{k}.step")
         return self
 
     @property
@@ -93,30 +93,31 @@ class SystemSpec(Config):
         """Number of communication steps of a run."""
         return round((self.stop - self.begin) / self.step)
 
-    def every(self, component: ComponentSpec) -> int:
+    def find_step_multiple(self, component: ComponentSpec) -> int:
         """Return the number of communication steps per step of a component."""
         return round((component.step or self.step) / self.step)
 
 
-def _multiple_of(time: float, step: float, what: str, key: str) -> None:
-    if not time / step <= _MOST_STEPS:
+def _require_multiple(time: float, step: float, subject: str, key: str) -> None:
+    if not time / step <= _MAX_STEPS:
         raise RuleError(
-            f"{what} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at most "
-            f"{_MOST_STEPS:g} are allowed",
+            f"{subject} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at "
+            "most "
+            f"{_MAX_STEPS:g} are allowed",
             code="system.most_steps",
             key=key,
         )
-    count = round(time / step)
-    if count < 1 or abs(time - count * step) > _MULTIPLE * time:
+    step_count = round(time / step)
+    if step_count < 1 or abs(time - step_count * step) > _MULTIPLE_TOLERANCE * time:
         raise RuleError(
-            f"{what} is {time:g} s; it must be a multiple of the communication step, {step:g} s",
+            f"{subject} is {time:g} s; it must be a multiple of the communication step, {step:g} s",
             code="system.multiple",
             key=key,
         )
 
 
 @contextmanager
-def opened_system(
+def open_system(
     path: Path,
     times: Mapping[str, float | None] | None = None,
     values: Mapping[str, Any] | None = None,
@@ -135,28 +136,28 @@ def opened_system(
 def write_system(system: SystemSpec, path: Path) -> Path:
     """Write a system as TOML with relative paths of FMUs, and return the path."""
     with written_whole(path) as temporary:
-        text = "\n".join(_lines(system, path.parent.resolve()))
+        text = "\n".join(_format_lines(system, path.parent.resolve()))
         temporary.write_text(f"{text}\n", encoding="utf-8")
     return path
 
 
-def _lines(system: SystemSpec, folder: Path) -> Iterator[str]:
+def _format_lines(system: SystemSpec, folder: Path) -> Iterator[str]:
     for key in ("name", "step", "stop", "order", "observe"):
-        yield f"{key} = {toml(getattr(system, key))}"
+        yield f"{key} = {to_toml(getattr(system, key))}"
     for component in system.components:
-        yield from ("", "[[components]]", f"name = {toml(component.name)}")
+        yield from ("", "[[components]]", f"name = {to_toml(component.name)}")
         fmu = Path(os.path.relpath(component.fmu.resolve(), folder)).as_posix()
-        yield f"fmu = {toml(fmu)}"
+        yield f"fmu = {to_toml(fmu)}"
         if component.step is not None:
-            yield f"step = {toml(component.step)}"
+            yield f"step = {to_toml(component.step)}"
         if component.start:
-            yield from ("", "[components.start]", *_pairs(component.start))
+            yield from ("", "[components.start]", *_format_pairs(component.start))
     for table in ("connections", "limits"):
         pairs = getattr(system, table)
         if pairs:
-            yield from ("", f"[{table}]", *_pairs(pairs))
+            yield from ("", f"[{table}]", *_format_pairs(pairs))
 
 
-def _pairs(table: Any) -> Iterator[str]:
+def _format_pairs(table: Any) -> Iterator[str]:
     for key, value in table.items():
-        yield f"{toml(key)} = {toml(value)}"
+        yield f"{to_toml(key)} = {to_toml(value)}"

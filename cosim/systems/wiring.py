@@ -11,7 +11,7 @@ from fmu_src.run.master import Element
 from fmu_src.run.variables import Variables, suggestion
 from hesr_model.errors import ConfigError, SimulationError
 
-_FITTING: Mapping[str, tuple[str, ...]] = {
+_ACCEPTED_TYPES: Mapping[str, tuple[str, ...]] = {
     "Real": ("Real", "Float32", "Integer", "Boolean"),
     "Float32": ("Float32",),
     "Integer": ("Integer", "Enumeration", "Boolean"),
@@ -53,11 +53,16 @@ class Wiring:
                         )
         self.order = self._sort_components()
 
-    def started(self, more: Mapping[str, Mapping[str, Value]]) -> dict[str, dict[str, float | str]]:
+    def merge_start_values(
+        self, extra_start: Mapping[str, Mapping[str, Value]]
+    ) -> dict[str, dict[str, float | str]]:
         """Return the start values of each component, replaced by the given ones."""
-        for name in more:
+        for name in extra_start:
             self._require_component(name, "start values")
-        return {n: own | self._start(n, more.get(n, {})) for n, own in self.start.items()}
+        return {
+            n: component_start | self._start(n, extra_start.get(n, {}))
+            for n, component_start in self.start.items()
+        }
 
     def _error(self, text: str, *, code: str, key: str) -> ConfigError:
         return ConfigError(f"{self._path}: {text}", code=code, where=self._path, key=key)
@@ -68,7 +73,7 @@ class Wiring:
             raise self._error(
                 f"{where}: there is no component '{name}'; {hint}",
                 code="system.component",
-                key=_key_of(where),
+                key=_find_key(where),
             )
 
     def elements(self, signal: str, where: str = "", kind: str | None = None) -> list[Element]:
@@ -77,18 +82,18 @@ class Wiring:
         where = where or f"'{signal}'"
         self._require_component(name, where)
         try:
-            found = self._slaves[name].elements(variable)
+            element_names = self._slaves[name].elements(variable)
             if kind:
-                self._slaves[name].references(found, kind)
+                self._slaves[name].references(element_names, kind)
         except SimulationError as error:
             raise self._error(
-                f"{where}: {error}", code="system.variable", key=_key_of(where)
+                f"{where}: {error}", code="system.variable", key=_find_key(where)
             ) from error
-        return [(name, element) for element in found]
+        return [(name, element) for element in element_names]
 
     def _start(self, name: str, values: Mapping[str, Value]) -> dict[str, float | str]:
         try:
-            return self._slaves[name].expanded(values)
+            return self._slaves[name].expand_values(values)
         except SimulationError as error:
             raise self._error(
                 f"start values of '{name}': {error}",
@@ -103,7 +108,7 @@ class Wiring:
             raise self._error(
                 f"{where}: {len(pairs)} pairs for {len(elements)} elements.",
                 code="system.limit_pairs",
-                key=_key_of(where),
+                key=_find_key(where),
             )
         yield from zip(elements, pairs, strict=True)
 
@@ -115,55 +120,61 @@ class Wiring:
                 f"{where}: '{target}' has {len(inputs)} element{'s'[: len(inputs) > 1]}, "
                 f"'{source}' has {len(outputs)}.",
                 code="system.sizes",
-                key=_key_of(where),
+                key=_find_key(where),
             )
-        for into, out in zip(inputs, outputs, strict=True):
-            self._require_fit(into, out, where)
-            if into in self.sources:
+        for input_element, output_element in zip(inputs, outputs, strict=True):
+            self._require_fit(input_element, output_element, where)
+            if input_element in self.sources:
                 raise self._error(
-                    f"{where}: '{'.'.join(into)}' is connected already, to "
-                    f"'{'.'.join(self.sources[into])}'.",
+                    f"{where}: '{'.'.join(input_element)}' is connected already, to "
+                    f"'{'.'.join(self.sources[input_element])}'.",
                     code="system.connected",
-                    key=_key_of(where),
+                    key=_find_key(where),
                 )
-            self.sources[into] = out
+            self.sources[input_element] = output_element
 
-    def _require_fit(self, into: Element, out: Element, where: str) -> None:
-        for (name, variable), wanted in ((into, "input"), (out, "output")):
-            found = self._slaves[name][variable].causality
-            if found != wanted:
+    def _require_fit(self, target: Element, source: Element, where: str) -> None:
+        for (name, variable), expected in ((target, "input"), (source, "output")):
+            causality = self._slaves[name][variable].causality
+            if causality != expected:
                 raise self._error(
-                    f"{where}: the causality of '{name}.{variable}' is {found}; it must be "
-                    f"{wanted}.",
+                    f"{where}: the causality of '{name}.{variable}' is {causality}; it must be "
+                    f"{expected}.",
                     code="system.causality",
-                    key=_key_of(where),
+                    key=_find_key(where),
                 )
-        kinds = [self._slaves[name][variable].type for name, variable in (into, out)]
-        if kinds[1] not in _FITTING.get(kinds[0], ()):
+        kinds = [self._slaves[name][variable].type for name, variable in (target, source)]
+        if kinds[1] not in _ACCEPTED_TYPES.get(kinds[0], ()):
             raise self._error(
                 f"{where}: the input is of type {kinds[0]}, the output of type {kinds[1]}, which "
                 "does not fit.",
                 code="system.types",
-                key=_key_of(where),
+                key=_find_key(where),
             )
-        if ".".join(into) in self._converted or "Real" not in kinds:
+        if ".".join(target) in self._converted or "Real" not in kinds:
             return
-        taken, given = (self._slaves[name].unit(variable) for name, variable in (into, out))
+        target_unit, source_unit = (
+            self._slaves[name].unit(variable) for name, variable in (target, source)
+        )
         # Tools spell units differently: compare SI base units.
-        alike = taken[0] == given[0] or (taken[1] is not None and taken[1] == given[1])
-        if taken[0] and given[0] and not alike:
+        same_base = target_unit[0] == source_unit[0] or (
+            target_unit[1] is not None and target_unit[1] == source_unit[1]
+        )
+        if target_unit[0] and source_unit[0] and not same_base:
             raise self._error(
-                f"{where}: the input is in {taken[0]}, the output in {given[0]}.",
+                f"{where}: the input is in {target_unit[0]}, the output in {source_unit[0]}.",
                 code="system.units",
-                key=_key_of(where),
+                key=_find_key(where),
             )
 
     def _sort_components(self) -> tuple[Element, ...]:
         # Lists, not sets, for a reproducible order.
-        graph: dict[Element, list[Element]] = {i: [out] for i, out in self.sources.items()}
+        graph: dict[Element, list[Element]] = {
+            target: [source] for target, source in self.sources.items()
+        }
         for name, slave in self._slaves.items():
-            for output, needed in slave.feedthrough.items():
-                graph[name, output] = [(name, element) for element in needed]
+            for output, needed_inputs in slave.feedthrough.items():
+                graph[name, output] = [(name, element) for element in needed_inputs]
         try:
             return tuple(TopologicalSorter(graph).static_order())
         except CycleError as error:
@@ -184,9 +195,9 @@ class Wiring:
 _TABLES = {"connection": "connections", "limits": "limits", "observed": "observe"}
 
 
-def _key_of(where: str) -> str:
+def _find_key(where: str) -> str:
     """Return the key of a system file for a place such as ``limits of 'arm.q'``."""
-    what, _, rest = where.partition("'")
-    table = _TABLES.get(what.partition(" ")[0])
-    signal = rest.partition("'")[0]
+    kind, _, remainder = where.partition("'")
+    table = _TABLES.get(kind.partition(" ")[0])
+    signal = remainder.partition("'")[0]
     return f"{table}.{signal}" if table else signal or where

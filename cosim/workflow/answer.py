@@ -179,11 +179,11 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
 
 def read_health(provenance: Mapping[str, Any]) -> list[Finding]:
     """Return the findings that the provenance of a result holds."""
-    from hesr_model.findings import Finding, errors_first
+    from hesr_model.findings import Finding, sort_by_severity
     from hesr_model.support.typed_files import from_json
 
     entries = provenance.get("health", ())
-    return errors_first(
+    return sort_by_severity(
         from_json(Finding, entry, Path("provenance"), "a finding") for entry in entries
     )
 

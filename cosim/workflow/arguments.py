@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hesr_model.errors import ArgumentError, ConfigError
-from hesr_model.support.files import PathArg, path_of
-from hesr_model.support.progress import Progress, Stages, counted, silent
+from hesr_model.support.files import PathArg, to_path
+from hesr_model.support.progress import Progress, Stages, report_progress, silent
 
 if TYPE_CHECKING:
     from fmu_src.plant.plant_fmu import PlantBody
@@ -77,7 +77,7 @@ def list_paths(name: str, files: Paths) -> list[Path]:
 
 def to_optional_path(name: str, file: PathArg | None) -> Path | None:
     """Return text or a path as a Path, and None as None."""
-    return None if file is None else path_of(file, f"'{name}'")
+    return None if file is None else to_path(file, f"'{name}'")
 
 
 def list_logs(name: str, logs: Logs) -> list[LogSource]:
@@ -188,12 +188,12 @@ class CheckedLogs:
 
         Of long logs these are up to 10^6 rows, in stretches that cover speed, load and rest.
         """
-        from hesr_model.logs.robot_log import parts_of
+        from hesr_model.logs.robot_log import collect_parts
         from hesr_model.logs.sample import Sample
         from hesr_model.rigid_body.residual import friction_records, motion_records
 
         if not self.long_logs:
-            return [friction_records(part, self.robot, body) for part in parts_of(self.logs)]
+            return [friction_records(part, self.robot, body) for part in collect_parts(self.logs)]
         sample = Sample(MOST_ROWS, seed)
         row_count = 0
         for log in self.long_logs:
@@ -220,7 +220,7 @@ def read_logs(
 
     robot_of_paths = _find_first_robot(sources) if robot is None else robot
     logs = []
-    for source in counted(sources, progress, _source_name):
+    for source in report_progress(sources, progress, _source_name):
         if isinstance(source, Log):
             logs.append(source)
             continue
@@ -244,18 +244,18 @@ def _source_name(source: LogSource) -> str:
 
 def find_robot(robot: RobotArg | None, logs: Sequence[Log]) -> Robot:
     """Return the given robot, by default that of the logs."""
-    from hesr_model.robots.robot import model_of
+    from hesr_model.robots.robot import to_robot
 
     chosen = _find_first_robot(logs) if robot is None else robot
     if chosen is None:
         raise ArgumentError("the logs do not name their robot; give 'robot'.")
-    return model_of(chosen)
+    return to_robot(chosen)
 
 
 def _open_long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> list[LongLog]:
     """Return all logs to be read in pieces, or none if they fit into memory together."""
     from hesr_model.logs.long_log import LongLog
-    from hesr_model.robots.robot import model_of
+    from hesr_model.robots.robot import to_robot
 
     cells = 0.0
     for source in sources:
@@ -266,7 +266,7 @@ def _open_long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> lis
     owner = robot or _find_first_robot(sources)
     if owner is None or cells <= MOST_CELLS:
         return []
-    description = model_of(owner).description
+    description = to_robot(owner).description
     if description.log.columns.q_link or description.log.sort:  # need all rows at once
         return []
     return [LongLog(source, description) for source in sources]
@@ -285,22 +285,22 @@ def read_checked_logs(
     Only some rows of long logs are read and checked if the others can be read `in_pieces`.
     """
     from hesr_model.findings import log_findings
-    from hesr_model.robots.robot import model_of
+    from hesr_model.robots.robot import to_robot
 
     require_items("logs", sources)
     long_logs = _open_long_logs(sources, robot) if in_pieces else []
     stretches = [stretch for long_log in long_logs for stretch in long_log.stretches]
-    stated_robot = None if robot is None else model_of(robot)
+    stated_robot = None if robot is None else to_robot(robot)
     logs = read_logs(stretches or sources, stated_robot, partial(progress, "reading logs"))
     checked_robot = stated_robot or find_robot(None, logs)
     findings = require_healthy(logs, checked_robot, accept)
     for long_log in long_logs:
         if long_log.gaps:
-            from hesr_model.health.examine import of_log
-            from hesr_model.health.positions import of_gaps
+            from hesr_model.health.examine import add_log_name
+            from hesr_model.health.positions import report_gaps
 
-            finding = of_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
-            findings += log_findings(of_log(long_log.stretches[0], [finding]))
+            finding = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
+            findings += log_findings(add_log_name(long_log.stretches[0], [finding]))
     log_paths = [log.path for log in logs if log.path]
     files = dict.fromkeys([*paths_among(robot), checked_robot.description.model, *log_paths])
     return CheckedLogs(
@@ -311,11 +311,11 @@ def read_checked_logs(
 def require_healthy(logs: Sequence[Log], robot: Robot, accept: Sequence[str]) -> list[Finding]:
     """Check logs on their robot: refuse errors, log and return warnings."""
     from hesr_model.findings import log_findings
-    from hesr_model.health.examine import checked
+    from hesr_model.health.examine import check_logs
     from hesr_model.logs.robot_log import require_different
 
     require_different(logs)
-    return log_findings(checked(logs, robot, accept))
+    return log_findings(check_logs(logs, robot, accept))
 
 
 def find_body(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
@@ -324,16 +324,18 @@ def find_body(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidB
 
     if body is None:
         return identify(logs, robot)
-    return body if isinstance(body, RigidBody) else RigidBody.read(path_of(body, "'rigid_body'"))
+    return body if isinstance(body, RigidBody) else RigidBody.read(to_path(body, "'rigid_body'"))
 
 
 def build_plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
     """Return a robot with a rigid body or the parameters of its model file."""
     from fmu_src.plant.plant_fmu import PlantBody
-    from hesr_model.robots.robot import model_of
+    from hesr_model.robots.robot import to_robot
 
-    loaded_robot = model_of(robot)
-    return PlantBody.of(loaded_robot, None if body is None else find_body(body, (), loaded_robot))
+    loaded_robot = to_robot(robot)
+    return PlantBody.from_robot(
+        loaded_robot, None if body is None else find_body(body, (), loaded_robot)
+    )
 
 
 def read_model(law: LawArg) -> FrictionModel:
@@ -343,7 +345,7 @@ def read_model(law: LawArg) -> FrictionModel:
 
     if isinstance(law, FrictionModel):
         return law
-    return FrictionModel.read(model_file(str(path_of(law, "a friction model"))))
+    return FrictionModel.read(model_file(str(to_path(law, "a friction model"))))
 
 
 def read_laws(laws: NamedLaws) -> list[Subject]:
@@ -386,9 +388,9 @@ def _read_subject(source: LawSource) -> Subject:
         return Subject(name="", model=source)
     suffix = source.suffix.lower()
     if suffix == ".fmu":
-        from fmu_src.friction.embedded_model import embedded_model
+        from fmu_src.friction.embedded_model import read_embedded_model
 
-        return Subject(name="", model=embedded_model(source), fmu=source)
+        return Subject(name="", model=read_embedded_model(source), fmu=source)
     if str(source) not in BUILT_IN and suffix != ".json":
         raise ConfigError(
             f"'{source}' is neither a friction model (.json), nor an FMU (.fmu), nor one of "

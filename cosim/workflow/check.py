@@ -18,8 +18,8 @@ from cosim.workflow.arguments import (
 )
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, path_of
-from hesr_model.support.progress import Stages, counted, silent
+from hesr_model.support.files import PathArg, to_path
+from hesr_model.support.progress import Stages, report_progress, silent
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -160,7 +160,7 @@ def check(
     vdmcheck_folder = to_optional_path("vdmcheck", vdmcheck)
     reports = [
         _check_file(path, kinds, vdmcheck_folder)
-        for path in counted(paths, partial(progress, "checking"), lambda path: path.name)
+        for path in report_progress(paths, partial(progress, "checking"), lambda path: path.name)
     ]
     conventions = {}
     if "convention" in kinds:
@@ -186,7 +186,7 @@ def _find_writers(files: Mapping[str, PathArg | None]) -> list[tuple[Callable[..
     for name, file in files.items():
         if file:
             write = plugins.find("hesr.findings", name)
-            writers.append((write, path_of(file, f"'{name}'")))
+            writers.append((write, to_path(file, f"'{name}'")))
     return writers
 
 
@@ -197,14 +197,14 @@ def _is_system(path: Path) -> bool:
 def _require_supported(paths: Sequence[Path], kinds: Sequence[str]) -> None:
     """Refuse an unreadable file, or one that a kind does not support, before checking others."""
     from fmu_src.friction.convention import judge
-    from fmu_src.run.archive import opened
+    from fmu_src.run.archive import open_file
 
     for path in paths:
         if _is_system(path) and set(kinds) - {"static", "references"}:
             raise ArgumentError(f"{path}: an SSP supports 'kind' static and references only.")
     for path in paths:
         if not _is_system(path):
-            opened(path).close()
+            open_file(path).close()
             if "convention" in kinds:
                 judge(path)
 
@@ -223,7 +223,7 @@ def _check_file(path: Path, kinds: Sequence[str], vdmcheck: Path | None) -> Repo
 
 def _add_references(report: Report) -> Report:
     """Return a report extended by the comparison with the reference results in the file."""
-    from fmu_src.check.rules import findings, with_rule
+    from fmu_src.check.rules import findings, label_problems
     from fmu_src.run.reference_results import verify
 
     if _is_system(report.path):
@@ -231,6 +231,6 @@ def _add_references(report: Report) -> Report:
     comparison = verify(report.path)
     return replace(
         report,
-        problems=(*findings(with_rule("references", comparison.problems)), *report.problems),
+        problems=(*findings(label_problems("references", comparison.problems)), *report.problems),
         skipped=(*report.skipped, *comparison.skipped),
     )

@@ -10,7 +10,7 @@ from cosim.workflow.answer import Answer, Written
 from cosim.workflow.arguments import require_choice, require_text, to_optional_path
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, path_of, written_together
+from hesr_model.support.files import PathArg, to_path, written_together
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -120,8 +120,8 @@ def excite(
     """
     require_choice("purpose", purpose, get_args(Purpose))
     require_text("format", format)
-    path = path_of(output, "'output'")
-    robot_path = path_of(robot, "'robot'")
+    path = to_path(output, "'output'")
+    robot_path = to_path(robot, "'robot'")
     settings_path = to_optional_path("settings", settings)
     if purpose != "body" or time is not None or after is not None or format:
         planned: Answer = plugins.find("hesr.motions", "plan")(
@@ -143,8 +143,8 @@ def excite(
     import numpy as np
     from threadpoolctl import threadpool_limits
 
-    from cosim.report.figures.motions import excitation as draw_excitation
-    from hesr_model.logs.tables import numbered, write_table
+    from cosim.report.figures.motions import write_excitation as draw_excitation
+    from hesr_model.logs.tables import number_columns, write_table
     from hesr_model.motions.excitation import ExcitationSettings, condition, design, random_motions
     from hesr_model.rigid_body.base_parameters import base_columns
     from hesr_model.robots.robot import Robot, RobotDescription
@@ -163,8 +163,8 @@ def excite(
     picture = path.with_suffix(".png")
     t, q, dq, ddq = excitation.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
     with written_together(path) as new:
-        write_table(new(path), {"t": t} | numbered(q=q, dq=dq, ddq=ddq))
-        back = numbered(q=q[::-1], dq=-dq[::-1], ddq=ddq[::-1])
+        write_table(new(path), {"t": t} | number_columns(q=q, dq=dq, ddq=ddq))
+        back = number_columns(q=q[::-1], dq=-dq[::-1], ddq=ddq[::-1])
         write_table(new(backward), {"t": t} | back)
         draw_excitation(new(picture), excitation, model.description.joints)
     return ExcitationDesign(

@@ -23,7 +23,7 @@ from cosim.workflow.arguments import (
 from cosim.workflow.export_formats import LAW, ExportFormat, choose_format, find_title
 from cosim.workflow.export_formats import help_sections as help_sections
 from fmu_src.exporter import Exporter, ExportOption, ExportRequest
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def export(
     >>> hesr.export("uf850-table1", "Table1.h", format="c").name
     'Table1.h'
     """
-    output = path_of(output, "'output'")
+    output = to_path(output, "'output'")
     platforms = None if platform is None else list_names("platform", platform)
     require_text("format", format)
     export_format = choose_format(source, format, output)
@@ -128,11 +128,11 @@ def _drop_unset(options: Mapping[str, object]) -> dict[str, object]:
 def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:
     """Write a friction law, or copy the FMU of the same file and options from the cache."""
     from fmu_src import model_file
-    from fmu_src.export.cache import copied, exported
+    from fmu_src.export.cache import copy_from_cache, export_with_cache
 
     # Options in the cache were accepted before; nothing slow is imported to copy.
     key = _key_of_values(export_format, request)
-    if key is not None and copied(model_file(str(request.source)), key, request.output):
+    if key is not None and copy_from_cache(model_file(str(request.source)), key, request.output):
         return
     from cosim.workflow.arguments import read_model
 
@@ -148,7 +148,7 @@ def _export_law(export_format: ExportFormat, request: ExportRequest) -> None:
     if key is None:
         write()
     else:
-        exported(model_file(str(request.source)), key, request.output, write)
+        export_with_cache(model_file(str(request.source)), key, request.output, write)
 
 
 def _is_cached(export_format: ExportFormat, request: ExportRequest) -> bool:
@@ -202,17 +202,17 @@ def _prepare(exporter: Exporter, request: ExportRequest) -> Mapping[str, Any]:
 def read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any:
     """Return the value of an option with files read, and several items as a list."""
     from hesr_model.rigid_body.identification import RigidBody
-    from hesr_model.robots.robot import model_of
+    from hesr_model.robots.robot import to_robot
 
     if option.per_joint:
         return expand_per_joint(option.name, value, len(request.source.joints))
     if option.type == "robot":
-        return model_of(value)
+        return to_robot(value)
     if option.type == "rigid_body":
         return value if isinstance(value, RigidBody) else RigidBody.read(value)
     if option.repeatable:
         return _LISTS[option.type](option.name, value)
-    return path_of(value, f"'{option.name}'") if option.type == "path" else value
+    return to_path(value, f"'{option.name}'") if option.type == "path" else value
 
 
 def _write(exporter: Exporter, request: ExportRequest, keywords: Mapping[str, Any]) -> None:
@@ -252,9 +252,9 @@ def _platform_line(fmu: Path) -> str:
 
 def _coupling_line(system: Path, effect: str = "") -> str:
     """Return the declared coupling of a system, and how other engines differ from it."""
-    from cosim.systems.system import opened_system
+    from cosim.systems.system import open_system
 
-    with opened_system(system) as spec:
+    with open_system(system) as spec:
         if spec.order == "jacobi" or not spec.connections:
             return f"Coupling: {spec.order}, as in other engines."
     return (

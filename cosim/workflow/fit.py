@@ -20,7 +20,7 @@ from cosim.workflow.arguments import (
 )
 from hesr_model.errors import ArgumentError, HesrError
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, newest, path_of, provenance
+from hesr_model.support.files import PathArg, newest, provenance, to_path
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def fit(
     >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
-    from cosim.study.scores import by_joint
+    from cosim.study.scores import transpose_records
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
     from hesr_model.fitting.fit import fit_models
@@ -146,7 +146,7 @@ def fit(
     fitted = _read_fitted_law(law, additions, options, priors)
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
     records = checked.compute_records(checked.find_body(rigid_body), seed)
-    joint_records = by_joint(records)
+    joint_records = transpose_records(records)
     if fitted is None:
         law_name = str(law)
         models = fit_models(
@@ -174,7 +174,7 @@ def fit(
         model, sentences = refinements[name].load()(model, records)
         model = replace(model, provenance={**model.provenance, name: sentences})
     if output is not None:
-        model.write(path_of(output, "'output'"))
+        model.write(to_path(output, "'output'"))
     if fitted is None:
         _log_new_findings(model, checked)
     return model
@@ -207,14 +207,14 @@ def _read_fitted_law(
     prior: Sequence[LawSource],
 ) -> FrictionModel | None:
     """Return a law that is fitted already, None for the name of a law."""
-    from hesr_model.fitting.days import prior_of
+    from hesr_model.fitting.days import build_prior
     from hesr_model.fitting.estimator import estimator
     from hesr_model.friction.model import FrictionModel
 
     if (law is None) != bool(prior) or (prior and options):
         raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
     if law is None:
-        return prior_of([read_model(source) for source in prior])
+        return build_prior([read_model(source) for source in prior])
     if not isinstance(law, FrictionModel) and not str(law).lower().endswith(".json"):
         estimator(str(law))  # refuse an unknown law before the logs are read
         return None
@@ -268,7 +268,7 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
 
 def _equations(model: FrictionModel) -> list[str]:
     """Return the equation and training error of each joint."""
-    from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+    from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
     from hesr_model.friction.law import equations
     from hesr_model.units import unit_of_joint
 
@@ -278,23 +278,23 @@ def _equations(model: FrictionModel) -> list[str]:
         model.joints, model.laws, model.slides, errors, strict=True
     ):
         count = len(law.values)
-        text = f"{count} coefficients" if count > MOST_COEFFICIENTS else "; ".join(equations(law))
+        text = f"{count} coefficients" if count > MAX_COEFFICIENTS else "; ".join(equations(law))
         if error is not None:
-            text += f"  (RMSE {error:.3g} {unit_of_joint('N.m', slides=slides)})"
+            text += f"  (RMSE {error:.3g} {unit_of_joint('N.m', is_prismatic=slides)})"
         lines.append(f"{joint}: {text}")
     return lines
 
 
 def _coefficients(model: FrictionModel) -> list[str]:
     """Return the coefficients of each joint with their 95 % intervals."""
-    from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+    from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
     from hesr_model.friction.law import coefficient_lines
 
     head = "95 % intervals (within and between logs; none at bounds or of chosen structures):"
     return [
         "\n".join([f"{joint}: {head}", *(f"  {line}" for line in coefficient_lines(law))])
         for joint, law in zip(model.joints, model.laws, strict=True)
-        if len(law.values) <= MOST_COEFFICIENTS
+        if len(law.values) <= MAX_COEFFICIENTS
     ]
 
 

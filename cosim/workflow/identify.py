@@ -16,7 +16,7 @@ from cosim.workflow.arguments import (
     require_choice,
 )
 from hesr_model.errors import ArgumentError
-from hesr_model.support.files import PathArg, path_of, provenance
+from hesr_model.support.files import PathArg, provenance, to_path
 from hesr_model.support.progress import Stages, silent
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def identify(
     files = [*checked.files, *paths_among(payload, friction, rigid_body)]
     body = replace(body, provenance=_provenance(checked, findings, files, carried))
     if output is not None:
-        body.write(path_of(output, "'output'"))
+        body.write(to_path(output, "'output'"))
     log_findings(findings)
     return body
 
@@ -166,11 +166,11 @@ def _require_compatible(
 
 def _identify_payload(checked: CheckedLogs, body: BodyArg) -> tuple[RigidBody, Payload]:
     """Return a body with the payload in the logs, and the payload."""
-    from hesr_model.rigid_body.payload import identify_payload, loaded
+    from hesr_model.rigid_body.payload import add_payload, identify_payload
 
     unloaded_body = find_body(body, (), checked.robot)
     payload = identify_payload(checked.logs, checked.robot, unloaded_body)
-    return loaded(unloaded_body, payload, checked.robot), payload
+    return add_payload(unloaded_body, payload, checked.robot), payload
 
 
 def _provenance(

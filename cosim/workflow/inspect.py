@@ -83,7 +83,7 @@ class Inspection(Answer):
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return one line and one table per log and all findings, or the tables of a robot."""
-        from cosim.report.tables.table import ResultTable, TableRow, row_of
+        from cosim.report.tables.table import ResultTable, TableRow, make_row
         from hesr_model.health.proposal import HEAD, summary_rows
 
         shown: list[ResultTable | str] = []
@@ -102,7 +102,7 @@ class Inspection(Answer):
             )
         by_log: dict[str, list[TableRow]] = {}
         for name, joint, *cells in summary_rows(self.proposal):
-            by_log.setdefault(name, []).append(row_of(joint, *cells))
+            by_log.setdefault(name, []).append(make_row(joint, *cells))
         shown += [ResultTable(caption=n, head=HEAD[1:], rows=rows) for n, rows in by_log.items()]
         return [*shown, *(finding_lines(self.proposal.first) if self.proposal.logs else ())]
 
@@ -186,7 +186,7 @@ def inspect(
     True
     """
     from cosim.study.proposal import split
-    from hesr_model.health.proposal import inspect_logs, with_constants
+    from hesr_model.health.proposal import apply_constants, inspect_logs
 
     sources = list_logs("logs", logs)
     loaded_sources = list_logs("loaded", loaded)
@@ -205,7 +205,7 @@ def inspect(
         constants = _estimate_torque_constants(
             sources, robot, names, mass_error, loaded_sources, point_mass, progress
         )
-        proposal = with_constants(proposal, constants)
+        proposal = apply_constants(proposal, constants)
     severities = {finding.severity for finding in proposal.examination.findings}
     has_errors = "error" in severities
     written, failure = _write(proposal, output, write, None if has_errors else study)
@@ -309,8 +309,8 @@ def _estimate_torque_constants(
     progress: Stages,
 ) -> Sequence[Constant]:
     """Estimate torque constants, starting from the robot file's `torque_per_ampere`."""
-    from hesr_model.health.joints import with_joints
-    from hesr_model.logs.robot_log import parts_of
+    from hesr_model.health.joints import select_joints
+    from hesr_model.logs.robot_log import collect_parts
     from hesr_model.logs.signals import Motion, smooth
     from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
 
@@ -323,11 +323,11 @@ def _estimate_torque_constants(
             )
         mass, *centre = payload
         point_mass = point_payload(mass, centre)
-    moved_robot = find_robot(with_joints(robot, joints) if robot and joints else robot, ())
+    moved_robot = find_robot(select_joints(robot, joints) if robot and joints else robot, ())
     log_format = moved_robot.description.log
 
     def smooth_logs(sources: Sequence[LogSource]) -> list[Motion]:
-        parts = parts_of(read_logs(sources, moved_robot))
+        parts = collect_parts(read_logs(sources, moved_robot))
         return [smooth(part, log_format.filter_cutoff) for part in parts]
 
     progress("estimating torque constants", 0, 1)

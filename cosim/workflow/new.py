@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.workflow.answer import Answer, Written
 from cosim.workflow.arguments import expand_per_joint, list_names, list_numbers, require_mapping
 from hesr_model.errors import ArgumentError
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.progress import Stages, silent
-from hesr_model.support.text import few
+from hesr_model.support.text import join_few
 
 if TYPE_CHECKING:
     from cosim.study.starter import NewProject
@@ -97,7 +97,7 @@ def new(
     """
     from cosim.study.starter import Bench, start, start_bench, start_twin
 
-    project_folder = path_of(folder, "'folder'")
+    project_folder = to_path(folder, "'folder'")
     names = tuple(list_names("joints", joints, commas=True))
     require_mapping("log", log)
     numbers = _list_numbers(
@@ -112,7 +112,7 @@ def new(
         if robot is None:
             raise ArgumentError("give 'robot', a URDF or MJCF, or 'bench' without a model file.")
         progress("making sample logs", 0, 1)
-        return start(project_folder, path_of(robot, "'robot'"), names)
+        return start(project_folder, to_path(robot, "'robot'"), names)
     _require_bench(robot, log, source)
     if not names:
         names = ("motor",) if bench == "rotary" else ("axis",)
@@ -172,9 +172,9 @@ def answer(project: NewProject, _: PathArg | None) -> Answer:
         return Written(format="hesr-project-1", lines=lines, data={"joints": list(project.joints)})
     lines = [f"{project.folder}: a study of the joints {joints}."]
     if project.followers:
-        lines.append(f"Followers of other joints: {few(project.followers)}.")
+        lines.append(f"Followers of other joints: {join_few(project.followers)}.")
     if project.locked:
-        positions = few([f"{name} = {q:.4g}" for name, q in project.locked.items()])
+        positions = join_few([f"{name} = {q:.4g}" for name, q in project.locked.items()])
         lines.append(f"Locked [rad or m]: {positions}; --joints selects other joints.")
     lines += [finding.sentence for finding in project.doubts]
     lines += [

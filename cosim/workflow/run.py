@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from cosim.workflow.answer import Answer, Written, find_job, finding_lines, shorten_lines
 from cosim.workflow.arguments import list_names, require_number
 from hesr_model.support import plugins
-from hesr_model.support.files import PathArg, models_folder, path_of
+from hesr_model.support.files import PathArg, models_folder, to_path
 from hesr_model.support.progress import Interrupted, Stages, silent
-from hesr_model.support.text import few
+from hesr_model.support.text import join_few
 
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
@@ -64,7 +64,7 @@ class RunResult(Answer):
         """Platforms of the FMUs, in words."""
         from fmu_src.export.toolchain import HOST
 
-        built_for = few(self.outcome.platforms)
+        built_for = join_few(self.outcome.platforms)
         if self.outcome.study.twin is None:
             return f"for {built_for}"
         return f"for {built_for} (Arm.fmu with MuJoCo: {HOST[0]} only)"
@@ -98,7 +98,13 @@ class RunResult(Answer):
         return tables
 
     def _score_tables(self) -> list[ResultTable | str]:
-        from cosim.report.tables.scores import MEASURES, errors, left_out, other_truths, separations
+        from cosim.report.tables.scores import (
+            MEASURES,
+            compare_truths,
+            cross_validation,
+            errors,
+            separations,
+        )
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
@@ -110,9 +116,9 @@ class RunResult(Answer):
             ]
             laws = outcome.verdict.laws if name == outcome.verdict.test else ()
             tables.append(separations(name, comparison, laws))
-        tables.append(left_out(outcome.models, self._sliding))
+        tables.append(cross_validation(outcome.models, self._sliding))
         if outcome.truths:
-            tables.append(other_truths(outcome.comparisons, outcome.truths, outcome.truth))
+            tables.append(compare_truths(outcome.comparisons, outcome.truths, outcome.truth))
         return [table for table in tables if table]
 
     def _loop_tables(self) -> list[ResultTable | str]:
@@ -262,7 +268,7 @@ def run(
             accept=accepted,
             platform=platforms is not None,
         )
-    results_folder = path_of(output or Path("results") / Study.read(study_path).name, "'output'")
+    results_folder = to_path(output or Path("results") / Study.read(study_path).name, "'output'")
     if seeds is not None:
         return _run_draws(study_path, seeds, results_folder, quick=quick, progress=progress)
     try:
@@ -285,7 +291,7 @@ def run(
 def _find_study(study: PathArg | None) -> Path:
     """Return the file of a study: a path, the name of a shipped study, or the digital twin."""
     shipped_folder = models_folder() / "studies"
-    path = path_of(study or shipped_folder / "default.toml", "'study'")
+    path = to_path(study or shipped_folder / "default.toml", "'study'")
     shipped = shipped_folder / f"{path.name}.toml"
     is_name = path == Path(path.name) and not path.is_file()
     return shipped if is_name and shipped.is_file() else path
@@ -310,9 +316,9 @@ def _run_draws(
 
 def _describe_checkpoints(results_folder: Path) -> str:
     """Return what an interrupted run leaves for the next one; empty if nothing."""
-    from cosim.study.run import unfinished
+    from cosim.study.run import checkpoint_folder
 
-    checkpoints = unfinished(results_folder)
+    checkpoints = checkpoint_folder(results_folder)
     finished = []
     for kind, pattern in _REUSED.items():
         count = len(list(checkpoints.glob(pattern)))
@@ -336,7 +342,7 @@ def answer(draws: Seeds, _: PathArg | None) -> Answer:
 
 def build_draw_tables(draws: Seeds) -> Iterator[ResultTable]:
     """Yield errors and ratios of each test set over draws of noise, motions and friction."""
-    from cosim.report.tables.table import ResultTable, TableCell, joints, row_of, title
+    from cosim.report.tables.table import ResultTable, TableCell, joints, make_row, title
 
     sample = f"mean of {draws.seeds} draws of noise, motions and true friction [95 % interval]"
     reference = title(draws.reference)
@@ -351,7 +357,7 @@ def build_draw_tables(draws: Seeds) -> Iterator[ResultTable]:
                 for spread in spreads:
                     text = f"{spread.mean:.3f} [{spread.low:.3f}, {spread.high:.3f}]"
                     cells.append(TableCell(text=text, value=spread.mean))
-                rows.append(row_of(title(law), *cells))
+                rows.append(make_row(title(law), *cells))
             yield ResultTable(
                 caption=f"{caption}, {sample}",
                 head=("law", *joints(len(draws.joints))),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.workflow.answer import Answer, Written, find_job, written_files
 from cosim.workflow.arguments import list_names, remember_trust, require_text, to_optional_path
 from hesr_model.errors import ArgumentError, ConfigError, SimulationError
-from hesr_model.support.files import PathArg, path_of, written_whole
+from hesr_model.support.files import PathArg, to_path, written_whole
 from hesr_model.support.progress import Progress, Stages, silent
 from hesr_model.support.text import parse_toml
 
@@ -100,11 +100,11 @@ def simulate(
     0.0
     """
     from cosim.systems.simulation import Master
-    from cosim.systems.system import opened_system
+    from cosim.systems.system import open_system
 
     start_values = list_names("set", set)
     require_text("cluster", cluster)
-    path = path_of(system, "'system'")
+    path = to_path(system, "'system'")
     file = to_optional_path("output", output)
     sweep_options = {
         "only": only,
@@ -126,11 +126,11 @@ def simulate(
         _require_table(file)
     times = {"start": start, "stop": stop, "step": step}
     if path.suffix.lower() == ".fmu":
-        from cosim.systems.single import opened_single
+        from cosim.systems.single import open_single
 
         remember_trust([path], trust=trust)
         open_fmu = partial(
-            opened_single,
+            open_single,
             path,
             times=times,
             values=parse_start_values(path, start_values),
@@ -139,7 +139,7 @@ def simulate(
         )
         return _run(open_fmu, file, partial(progress, path.stem))
     _require_system_options(path, times, start_values, input)
-    with opened_system(path, times, parse_start_values(path, start_values)) as spec:
+    with open_system(path, times, parse_start_values(path, start_values)) as spec:
         remember_trust((component.fmu for component in spec.components), trust=trust)
         if not spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
@@ -199,7 +199,7 @@ def _read_inputs(path: PathArg | None) -> dict[str, Array]:
 
     if path is None:
         return {}
-    table = read_table(path_of(path, "'input'"))
+    table = read_table(to_path(path, "'input'"))
     return dict(zip(table.names, table.numbers(table.names).T, strict=True))
 
 

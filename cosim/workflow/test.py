@@ -108,7 +108,7 @@ class LawReport(Answer):
 
     def _audit_tables(self) -> list[ResultTable | str]:
         from cosim.report.tables.laws import audit
-        from fmu_src.pages.datasheet import certified
+        from fmu_src.pages.datasheet import describe_certificate
 
         shown: list[ResultTable | str] = []
         for law in self.laws:
@@ -117,7 +117,10 @@ class LawReport(Answer):
                 continue
             shown.append(audit(law.name, model_audit.audits, law.model.sliding))
             certificates = zip(law.model.joints, model_audit.certificates, strict=True)
-            shown += [f"{joint}: {certified(certificate)}" for joint, certificate in certificates]
+            shown += [
+                f"{joint}: {describe_certificate(certificate)}"
+                for joint, certificate in certificates
+            ]
             if self.records:
                 shown += _describe_left_ranges(law, self.records)
         return shown
@@ -271,7 +274,13 @@ def _add_scores(
 ) -> LawReport:
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
-    from cosim.study.scores import by_joint, causal, compare, input_classes, predict_models
+    from cosim.study.scores import (
+        compare,
+        input_classes,
+        make_causal,
+        predict_models,
+        transpose_records,
+    )
     from fmu_src.friction.predictions import predict_fmu
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_owner
@@ -282,17 +291,17 @@ def _add_scores(
         raise ArgumentError("'kind' prediction needs 'rigid_body', the result of 'hesr identify'.")
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
     body = find_body(rigid_body, checked.logs, checked.robot)
-    records = by_joint(checked.compute_records(body))
+    records = transpose_records(checked.compute_records(body))
     models = {law.name: law.model for law in report.laws if law.model and not law.fmu}
     findings = list(checked.findings)
     for model in models.values():
         findings += log_findings(check_owner(model, checked.robot))
-    torques = predict_models(models, causal(records), partial(progress, "predicting"))
+    torques = predict_models(models, make_causal(records), partial(progress, "predicting"))
     zero_phase = predict_models(models, records)
     for law in report.laws:
         if law.fmu:
             progress(f"replaying {law.fmu.name}", 0, 1)
-            torques[law.name] = predict_fmu(law.fmu, causal(records))
+            torques[law.name] = predict_fmu(law.fmu, make_causal(records))
             zero_phase[law.name] = predict_fmu(law.fmu, records)
     comparison = compare(records, torques, input_classes(models), models, zero_phase)
     positions = None
@@ -308,7 +317,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
     """Add proofs of passivity; laws without equations are refused if `alone`."""
     from fmu_src.friction.reference import reference_motion
     from fmu_src.pages.datasheet import ModelAudit, ranges
-    from hesr_model.findings import Finding, errors_first
+    from hesr_model.findings import Finding, sort_by_severity
 
     audits = {}
     refuted = []
@@ -319,7 +328,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
             continue
         try:
             reference_ranges = ranges(law.model, reference_motion(law.model))
-            audit = ModelAudit.of(law.model, reference_ranges)
+            audit = ModelAudit.from_model(law.model, reference_ranges)
         except HesrError:
             if alone:
                 raise
@@ -340,7 +349,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
                     remedy="--verbose shows the cycle; use a law that is proven passive",
                 )
             )
-    return replace(report, audits=audits, findings=errors_first([*report.findings, *refuted]))
+    return replace(report, audits=audits, findings=sort_by_severity([*report.findings, *refuted]))
 
 
 def _add_properties(
@@ -372,7 +381,7 @@ def _scores_lines(scores: Comparison) -> list[str]:
     from cosim.study.verdict import limits, separation
 
     best = min(scores.laws, key=scores.size)
-    pairs = zip(scores.joints, scores.unexplained(scores.laws[best].rmse), strict=True)
+    pairs = zip(scores.joints, scores.unexplained_shares(scores.laws[best].rmse), strict=True)
     shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
     joints = [replace(separated, law=best) for separated in separation(scores)]
     return [f"Best: {best}. Unexplained friction: {shares}.", *limits("The test", joints)]
@@ -389,9 +398,9 @@ def _failed_checks(properties: Properties) -> str:
 
 def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
     """Return which inputs leave the trained range of a law in the logs."""
-    from cosim.report.tables.laws import leaving
-    from hesr_model.friction.trained_range import outside
-    from hesr_model.rigid_body.residual import all_at_friction
+    from cosim.report.tables.laws import describe_excesses
+    from hesr_model.friction.trained_range import find_excess
+    from hesr_model.rigid_body.residual import transform_all_records
 
     model = law.model
     joints = tuple(joint_records[0].joint for joint_records in records)
@@ -408,10 +417,10 @@ def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
         model.laws,
         model.trained,
         thermal_models,
-        all_at_friction(coupled_records),
+        transform_all_records(coupled_records),
         strict=True,
     ):
         inputs = (*map(str, friction_law.form.inputs), "temperature")
-        share_by_input = outside(trained_range, joint_records, thermal)
+        share_by_input = find_excess(trained_range, joint_records, thermal)
         shares.append({name: x for name, x in share_by_input.items() if name in inputs})
-    return [leaving(model.joints, shares, model.sliding)] if any(shares) else []
+    return [describe_excesses(model.joints, shares, model.sliding)] if any(shares) else []

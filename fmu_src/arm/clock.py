@@ -10,11 +10,11 @@ from typing import Any
 
 _lock = Lock()
 _users = 0
-_kept: int | None = None
+_saved_callback: int | None = None
 
 
 @contextmanager
-def untimed() -> Iterator[None]:
+def stop_clock() -> Iterator[None]:
     """Stop MuJoCo's clock, a sixth of a small arm's step; `MjData.timer` stays as it is."""
     global _users, _kept
     clock = _clock() if "mujoco" in sys.modules else None
@@ -23,7 +23,7 @@ def untimed() -> Iterator[None]:
         return
     with _lock:
         if not _users:
-            _kept, clock.value = clock.value, None
+            _saved_callback, clock.value = clock.value, None
         _users += 1
     try:
         yield
@@ -31,17 +31,17 @@ def untimed() -> Iterator[None]:
         with _lock:
             _users -= 1
             if not _users:
-                clock.value = _kept
+                clock.value = _saved_callback
 
 
 @cache
 def _clock() -> Any:
-    from fmu_src.arm.library import installed
+    from fmu_src.arm.library import find_host_libraries
 
     try:
-        return ctypes.c_void_p.in_dll(ctypes.CDLL(str(installed()[-1])), "mjcb_time")
+        return ctypes.c_void_p.in_dll(ctypes.CDLL(str(find_host_libraries()[-1])), "mjcb_time")
     except (IndexError, OSError, ValueError):
         return None
 
 
-__all__ = ["untimed"]
+__all__ = ["stop_clock"]

@@ -15,7 +15,7 @@ from hesr_model.errors import ExportError
 from hesr_model.support.files import scratch_folder
 
 _PACKAGE = "mujoco-core"
-_SECONDS = 600.0
+_DOWNLOAD_TIMEOUT = 600.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,45 +53,58 @@ _WHEELS = {
 def library(platform: str) -> Binary:
     """Return MuJoCo for a platform, to compile against and to ship; ExportError if unavailable."""
     wheel = _WHEELS[platform]
-    own = installed() if platform == host_platform() else []
+    host_files = find_host_libraries() if platform == host_platform() else []
     name, content = (
-        (own[-1].name, own[-1].read_bytes()) if own else _download_library(platform, wheel)
+        (host_files[-1].name, host_files[-1].read_bytes())
+        if host_files
+        else _download_library(platform, wheel)
     )
     include = (f"-isystem{Path(mujoco.__file__).parent / 'include'}",)
     return Binary(name=wheel.place + name, content=content, flags=include, link=wheel.flags)
 
 
-def installed() -> list[Path]:
+def find_host_libraries() -> list[Path]:
     """Return the library files of this machine in MuJoCo's package, normally one."""
     platform = host_platform()
     return sorted(Path(mujoco.__file__).parent.glob(_WHEELS[platform].pattern)) if platform else []
 
 
 def _download_library(platform: str, wheel: _Wheel) -> tuple[str, bytes]:
-    wanted = f"{_PACKAGE}=={version(_PACKAGE)}"
+    requirement = f"{_PACKAGE}=={version(_PACKAGE)}"
     options = [option for tag in wheel.tags for option in ("--platform", tag)]
     options += ["--no-deps", "--only-binary", ":all:", "--quiet", "--disable-pip-version-check"]
     with scratch_folder() as folder:
-        command = [sys.executable, "-m", "pip", "download", wanted, *options, "--dest", str(folder)]
+        command = [
+            sys.executable,
+            "-m",
+            "pip",
+            "download",
+            requirement,
+            *options,
+            "--dest",
+            str(folder),
+        ]
         try:
-            ended = subprocess.run(
-                command, capture_output=True, text=True, check=False, timeout=_SECONDS
+            process = subprocess.run(
+                command, capture_output=True, text=True, check=False, timeout=_DOWNLOAD_TIMEOUT
             )
         except subprocess.TimeoutExpired as error:
-            raise _missing(platform, wanted, f"no answer within {_SECONDS:g} s") from error
-        if ended.returncode:
-            lines = ended.stderr.strip().splitlines() or ["no message"]
-            raise _missing(platform, wanted, lines[-1].rstrip("."))
+            raise _download_error(
+                platform, requirement, f"no answer within {_DOWNLOAD_TIMEOUT:g} s"
+            ) from error
+        if process.returncode:
+            lines = process.stderr.strip().splitlines() or ["no message"]
+            raise _download_error(platform, requirement, lines[-1].rstrip("."))
         [file] = Path(folder).glob("*.whl")
         with zipfile.ZipFile(file) as archive:
             for name in archive.namelist():
                 path = Path(name)
                 if path.parent.name == "mujoco" and path.match(wheel.pattern):
                     return path.name, archive.read(name)
-    raise _missing(platform, wanted, f"the wheel holds no {wheel.pattern}")
+    raise _download_error(platform, requirement, f"the wheel holds no {wheel.pattern}")
 
 
-def _missing(platform: str, wanted: str, why: str) -> ExportError:
+def _download_error(platform: str, requirement: str, reason: str) -> ExportError:
     return ExportError(
-        f"platform '{platform}': pip could not download MuJoCo's wheel of {wanted} ({why})."
+        f"platform '{platform}': pip could not download MuJoCo's wheel of {requirement} ({reason})."
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu_src.arm.library import library
 from fmu_src.arm.losses import losses_header
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.arm.table import (
     LATENCY,
     PAYLOAD,
@@ -24,9 +24,9 @@ from fmu_src.arm.table import (
     noise_name,
     variables,
 )
-from fmu_src.export.description import RELEASED, Description
+from fmu_src.export.description import RELEASE_DATE, Description
 from fmu_src.export.interface import Interface, literal
-from fmu_src.export.package import Content, check_request, own_source, write_fmu
+from fmu_src.export.package import Content, check_request, read_c_source, write_fmu
 from fmu_src.export.toolchain import HOST
 from fmu_src.pages.block_page import BlockPage, block_html
 from fmu_src.run.reference_results import Stimuli, waves
@@ -34,9 +34,9 @@ from hesr_model.errors import ExportError
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, silent
 
-_SMALL = 0.1  # amplitude of controls in the reference results
-_OWN = 4
-_OF_LOSS = 2  # state variables of mjcf.c without MuJoCo's, and per loss
+_STIMULUS_AMPLITUDE = 0.1  # amplitude of controls in the reference results
+_COMPONENT_STATES = 4
+_STATES_PER_LOSS = 2  # state variables of mjcf.c without MuJoCo's, and per loss
 _SOURCES = (
     *("mjcf.c", "mjcf_losses.h", "mjcf_parameters.h", "beside.h", "guard.h"),
     *("mujoco_library.h", "noise.h", "resource.h"),
@@ -55,8 +55,10 @@ _TABLES = {
 
 def to_h(signals: ArmSignals, interface: Interface, *, state: int, digest: str) -> str:
     """Return signals.h; `state` is the size of MuJoCo's integration state."""
-    at = interface.places
-    rows = {name: list(map(_row, found)) for name, found in _rows(signals, at).items()}
+    indices = interface.places
+    rows = {
+        name: list(map(_row, table_rows)) for name, table_rows in _rows(signals, indices).items()
+    }
     arrays = [
         f"static const {kind} {name}[] = {{{', '.join(rows[name]) or empty}}};"
         for name, (kind, _, empty) in _TABLES.items()
@@ -67,11 +69,11 @@ def to_h(signals: ArmSignals, interface: Interface, *, state: int, digest: str) 
         counts=", ".join(f"{_TABLES[name][1]} = {len(e)}" for name, e in rows.items()),
         arrays="\n".join(arrays),
         outputs=len(signals.outputs),
-        first_output=at[signals.outputs[0].name],
-        scale=at.get(SCALE, -1),
-        payload=at.get(PAYLOAD, -1),
-        latency=at.get(LATENCY, -1),
-        seed=at.get(f"{SEED}[1]", -1),
+        first_output=indices[signals.outputs[0].name],
+        scale=indices.get(SCALE, -1),
+        payload=indices.get(PAYLOAD, -1),
+        latency=indices.get(LATENCY, -1),
+        seed=indices.get(f"{SEED}[1]", -1),
         body=-1 if signals.payload is None else signals.payload,
         state=state,
         longest=literal(delay.longest if delay else 0.0),
@@ -83,25 +85,31 @@ def _row(values: tuple[object, ...]) -> str:
     return f"{{{', '.join(texts)}}}" if len(texts) > 1 else texts[0]
 
 
-def _rows(signals: ArmSignals, at: Mapping[str, int]) -> dict[str, list[tuple[object, ...]]]:
+def _rows(signals: ArmSignals, indices: Mapping[str, int]) -> dict[str, list[tuple[object, ...]]]:
     outputs = signals.outputs
     noisy = [o for o in outputs if o.noise is not None]
     starts: list[tuple[object, ...]] = []
     for start in signals.starts:
-        place = at[start.name]
-        starts.append((place, 0, start.position, -1, 1.0))
+        index = indices[start.name]
+        starts.append((index, 0, start.position, -1, 1.0))
         if start.activation is not None:
-            starts += [(place, 1, start.activation, h, start.gain) for h in start.held or (-1,)]
+            starts += [(index, 1, start.activation, h, start.gain) for h in start.held or (-1,)]
         if start.other is not None:
-            starts.append((place, 0, start.other, -1, 1.0))
+            starts.append((index, 0, start.other, -1, 1.0))
     return {
-        "drives": [(at[one.name], c) for one in signals.inputs for c in one.controls],
-        "reads": [(at[o.name], where, k, int(s)) for o in outputs for where, k, s in o.reads],
-        "noises": [(at[o.name], at[noise_name(o)], f"{o.stream}u") for o in noisy],
+        "drives": [
+            (indices[arm_input.name], c) for arm_input in signals.inputs for c in arm_input.controls
+        ],
+        "reads": [
+            (indices[o.name], address, factor, int(scaled))
+            for o in outputs
+            for address, factor, scaled in o.reads
+        ],
+        "noises": [(indices[o.name], indices[noise_name(o)], f"{o.stream}u") for o in noisy],
         "starts": starts,
         "rubbing": [(actuator,) for actuator in signals.friction],
         "losses": [astuple(loss) for loss in signals.losses],
-        "lost": [(at[o.name], place) for o in outputs for place in o.losses],
+        "lost": [(indices[o.name], index) for o in outputs for index in o.losses],
     }
 
 
@@ -167,13 +175,13 @@ def export_mjcf(
     progress: Progress = silent,
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo."""
-    wanted = check_request(path, platforms)
-    signals = table if isinstance(table, ArmSignals) else signals_of(model, table)
+    targets = check_request(path, platforms)
+    signals = table if isinstance(table, ArmSignals) else read_signals(model, table)
     content = arm(
         signals,
         name=model_name(signals.model, model),
         source=model.read_bytes(),
-        platforms=[target.folder for target in wanted],
+        platforms=[target.folder for target in targets],
     )
     return write_fmu(content, path, platforms=platforms, progress=progress)
 
@@ -197,7 +205,7 @@ def arm(
     state = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
     interface = Interface(
         variables=variables(signals),
-        own=_OWN + _OF_LOSS * len(signals.losses) + state,
+        own=_COMPONENT_STATES + _STATES_PER_LOSS * len(signals.losses) + state,
         model_exchange=False,
         directional_derivatives=False,
     )
@@ -207,7 +215,7 @@ def arm(
     return Content(
         table=interface,
         about=about,
-        sources={name: own_source(name) for name in _SOURCES}
+        sources={name: read_c_source(name) for name in _SOURCES}
         | {
             "signals.h": to_h(signals, interface, state=state, digest=digest),
             "losses.h": losses_header(),
@@ -231,7 +239,9 @@ def arm_page(signals: ArmSignals, interface: Interface, about: Description) -> d
 
 def arm_stimuli(signals: ArmSignals) -> Stimuli:
     """Return small controls for reference results."""
-    return Stimuli(step=signals.step, inputs=waves({i.name: _SMALL for i in signals.inputs}))
+    return Stimuli(
+        step=signals.step, inputs=waves({i.name: _STIMULUS_AMPLITUDE for i in signals.inputs})
+    )
 
 
 _NOTES = (
@@ -285,7 +295,7 @@ def description(signals: ArmSignals, name: str) -> Description:
         name=name,
         identifier=re.sub(r"^(?=\d)", "_", re.sub(r"\W", "_", name, flags=re.ASCII)),
         text=f"{name}, simulated by MuJoCo {mujoco.__version__}.",
-        created=RELEASED,
+        created=RELEASE_DATE,
         step=signals.step,
         sources=(),
     )

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from fmu_src.arm.signals import SENSORS_OF_JOINT, named_signals, passive_motors
+from fmu_src.arm.signals import SENSORS_OF_JOINT, passive_motors, select_signals
 from fmu_src.arm.table import (
     ArmSignals,
     InputTable,
@@ -18,7 +18,7 @@ from fmu_src.arm.table import (
 )
 from fmu_src.arm.truth import Truth, TruthName
 from hesr_model.errors import ConfigError, RuleError
-from hesr_model.robots.mjcf import compiled
+from hesr_model.robots.mjcf import compile_model
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config, RelativePath
 
@@ -73,7 +73,7 @@ class Plant(Config):
 
 def joint_limits(plant: Plant) -> Array:
     """Return the lowest and highest position (n, 2) [rad] of each joint."""
-    model = compiled(plant.model)
+    model = compile_model(plant.model)
     for joint in plant.joints:
         _require(model, "joint", joint, plant)
     return np.array([model.joint(joint).range for joint in plant.joints])
@@ -90,15 +90,17 @@ def servo_signals(
     joint_limits(plant)  # rejects files that MuJoCo's specification reader accepts
     spec = mujoco.MjSpec.from_file(str(plant.model))
     force = mujoco.mjtSensor.mjSENS_ACTUATORFRC
-    of = mujoco.mjtObj
+    object_types = mujoco.mjtObj
     for i, actuator in enumerate(spec.actuators):
         actuator.name = own = actuator.name or f"/actuator{i}"
-        spec.add_sensor(name=f"/{own}", type=force, objtype=of.mjOBJ_ACTUATOR, objname=own)
+        spec.add_sensor(
+            name=f"/{own}", type=force, objtype=object_types.mjOBJ_ACTUATOR, objname=own
+        )
     for joint in plant.joints:
         spec.joint(joint).actgravcomp = True
         for suffix, kind in SENSORS_OF_JOINT.items():
             name = f"/{joint}/{suffix}"
-            spec.add_sensor(name=name, type=kind, objtype=of.mjOBJ_JOINT, objname=joint)
+            spec.add_sensor(name=name, type=kind, objtype=object_types.mjOBJ_JOINT, objname=joint)
     model = spec.compile()
     for sensor in plant.servo.torque:
         _require(model, "sensor", sensor, plant)
@@ -108,24 +110,27 @@ def servo_signals(
         model.actuator_dynprm[own, 5] *= level  # bristle stiffness
         model.actuator_biasprm[np.ix_(own, (3, 4))] *= level
         model.actuator_damping[own] *= rate
-    return named_signals(model, plant.model, _table(model, plant, elements))
+    return select_signals(model, plant.model, _table(model, plant, elements))
 
 
 def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> SignalTable:
-    friction = [[model.actuator(i).name for i in own] for own in elements]
+    friction = [[model.actuator(i).name for i in joint_elements] for joint_elements in elements]
     damping = [
-        float(model.joint(joint).damping[0] + model.actuator_damping[own].sum())
-        for joint, own in zip(plant.joints, elements, strict=True)
+        float(model.joint(joint).damping[0] + model.actuator_damping[joint_elements].sum())
+        for joint, joint_elements in zip(plant.joints, elements, strict=True)
     ]
 
     def joints(suffix: str) -> tuple[dict[str, float], ...]:
         return tuple({f"/{joint}/{suffix}": 1.0} for joint in plant.joints)
 
-    forces = [{f"/{name}": -1.0 for name in own} for own in friction]
-    tau = tuple(one | own for one, own in zip(joints("tau"), forces, strict=True))
+    forces = [{f"/{name}": -1.0 for name in joint_elements} for joint_elements in friction]
+    tau = tuple(
+        joint_torque | joint_elements
+        for joint_torque, joint_elements in zip(joints("tau"), forces, strict=True)
+    )
     speeds = tuple(f"/{joint}/dq" for joint in plant.joints)
     rows = zip(forces, speeds, damping, strict=True)
-    lost = tuple(own | {speed: rate} for own, speed, rate in rows)
+    friction_sensors = tuple(joint_elements | {speed: rate} for joint_elements, speed, rate in rows)
     streams = tuple(range(2 * len(plant.joints)))
     noise = plant.noise
     servo = plant.servo
@@ -134,7 +139,7 @@ def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> Signa
     return SignalTable(
         seed=noise.seed % 2**64,
         step=1.0 / plant.sample_rate,
-        friction=tuple(name for own in friction for name in own),
+        friction=tuple(name for joint_elements in friction for name in joint_elements),
         inputs={"dq_cmd": InputTable(unit="rad/s", actuators=servo.commanded)},
         outputs={
             "q": OutputTable(unit="rad", sensors=q, noise=noise.encoder, streams=streams[1::2]),
@@ -144,7 +149,7 @@ def _table(model: Any, plant: Plant, elements: Sequence[Sequence[int]]) -> Signa
             "q_true": OutputTable(unit="rad", sensors=q),
             "dq_true": OutputTable(unit="rad/s", sensors=joints("dq")),
             "tau_true": OutputTable(unit="N.m", sensors=tau),
-            "tau_f_true": OutputTable(unit="N.m", sensors=lost, scaled=speeds),
+            "tau_f_true": OutputTable(unit="N.m", sensors=friction_sensors, scaled=speeds),
         },
         start={"q0": start},
     )

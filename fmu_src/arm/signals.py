@@ -21,12 +21,12 @@ from fmu_src.arm.table import (
     StartTable,
 )
 from hesr_model.errors import ConfigError
-from hesr_model.robots.mjcf import compiled, compiled_spec
+from hesr_model.robots.mjcf import compile_model, compile_spec
 
 _S = mujoco.mjtSensor
 _J = mujoco.mjtJoint
 
-SINGLE = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)  # types of joints with a scalar position
+SCALAR_JOINT_TYPES = (_J.mjJNT_HINGE, _J.mjJNT_SLIDE)  # types of joints with a scalar position
 
 _SENSORS = {
     "m": (_S.mjSENS_RANGEFINDER, _S.mjSENS_FRAMEPOS, _S.mjSENS_SUBTREECOM),
@@ -58,30 +58,30 @@ def passive_motors(model: Any, joint: str | None = None) -> list[int]:
     return np.flatnonzero(passive).tolist()
 
 
-def named_signals(model: Any, file: Path, table: SignalTable) -> ArmSignals:
+def select_signals(model: Any, file: Path, table: SignalTable) -> ArmSignals:
     """Return the signals of a compiled model that a table names; errors name `file`."""
     return _Lookup(model, file).signals(table)
 
 
-def signals_of(path: Path, table: Path | SignalTable | None = None) -> ArmSignals:
+def read_signals(path: Path, table: Path | SignalTable | None = None) -> ArmSignals:
     """Return the signals of an MJCF: those of a table or its file, or every control and sensor.
 
     A file without sensors, such as a URDF, receives those of its joints, and one without actuators
     a motor per joint.
     """
-    model = compiled(path)
+    model = compile_model(path)
     if isinstance(table, SignalTable):
-        return named_signals(model, path, table)
+        return select_signals(model, path, table)
     if table is not None:
-        return named_signals(model, table, SignalTable.read(table))
+        return select_signals(model, table, SignalTable.read(table))
     if not model.nsensor:
-        model = compiled_spec(path, _add_joint_signals)
+        model = compile_spec(path, _add_joint_signals)
     if not model.nsensor:
         raise ConfigError(
             f"{path}: has neither a sensor nor a hinge or slide, so an FMU of it would have no "
             "output; add a sensor."
         )
-    return everything(model)
+    return build_all_signals(model)
 
 
 def _add_joint_signals(spec: Any) -> None:
@@ -89,7 +89,7 @@ def _add_joint_signals(spec: Any) -> None:
     passive = not list(spec.actuators)
     of_joint = mujoco.mjtObj.mjOBJ_JOINT
     for number, joint in enumerate(spec.joints, start=1):
-        if joint.type in SINGLE:
+        if joint.type in SCALAR_JOINT_TYPES:
             joint.name = joint.name or f"joint{number}"
             for stem, kind in SENSORS_OF_JOINT.items():
                 name = f"{stem}_{joint.name}"
@@ -106,8 +106,10 @@ class _Lookup:
 
     def signals(self, table: SignalTable) -> ArmSignals:
         model = self._model
-        losing = table.losses.joints if table.losses else ()
-        outputs = [o for name, v in table.outputs.items() for o in self._outputs(name, v, losing)]
+        loss_joints = table.losses.joints if table.losses else ()
+        outputs = [
+            o for name, v in table.outputs.items() for o in self._outputs(name, v, loss_joints)
+        ]
         inputs = [
             ArmInput(
                 f"{name}[{i}]",
@@ -133,17 +135,19 @@ class _Lookup:
         )
 
     def _outputs(
-        self, name: str, vector: OutputTable, losing: Sequence[str]
+        self, name: str, vector: OutputTable, loss_joints: Sequence[str]
     ) -> Iterator[ArmOutput]:
         for i, sensors in enumerate(vector.sensors):
-            lost = vector.losses[i : i + 1]
-            if lost and lost[0] not in losing:
-                raise self._error(f"joint '{lost[0]}' of 'outputs.{name}.losses' has no losses.")
+            element_losses = vector.losses[i : i + 1]
+            if element_losses and element_losses[0] not in loss_joints:
+                raise self._error(
+                    f"joint '{element_losses[0]}' of 'outputs.{name}.losses' has no losses."
+                )
             yield ArmOutput(
                 f"{name}[{i + 1}]",
                 vector.unit,
                 tuple((self._sensor(s), k, s in vector.scaled) for s, k in sensors.items()),
-                losses=tuple(map(losing.index, lost)),
+                losses=tuple(map(loss_joints.index, element_losses)),
                 noise=vector.noise[i] if vector.noise else None,
                 stream=vector.streams[i] if vector.streams else -1,
                 description=vector.description,
@@ -159,11 +163,11 @@ class _Lookup:
             if vector.integrals:
                 activation, gain = self._activation(vector.integrals[i])
                 start = replace(start, activation=activation, gain=gain)
-            together = (joint, *vector.others[i : i + 1])
+            start_joints = (joint, *vector.others[i : i + 1])
             if vector.hold:
-                start = replace(start, held=tuple(map(self._dof, together)))
+                start = replace(start, held=tuple(map(self._dof, start_joints)))
             if vector.others:
-                start = replace(start, other=self._position(together[1]))
+                start = replace(start, other=self._position(start_joints[1]))
             yield start
 
     def _losses(self, table: LossTable) -> Iterator[Loss]:
@@ -172,7 +176,7 @@ class _Lookup:
             if not self._model.dof_frictionloss[dof] > 0:
                 raise self._error(f"joint '{joint}' has losses; it needs a frictionloss above 0.")
             carrier = self._dof(table.carriers[i]) if table.carriers else -1
-            yield Loss(dof=dof, carrier=carrier, **table.of_joint(i))
+            yield Loss(dof=dof, carrier=carrier, **table.select_joint(i))
 
     def _dof(self, name: str) -> int:
         self._position(name)
@@ -190,13 +194,13 @@ class _Lookup:
         self._require_one(size, f"sensor '{name}' has {size} numbers")
         return int(self._model.sensor_adr[sensor])
 
-    def _require_one(self, size: int, found: str) -> None:
+    def _require_one(self, size: int, observation: str) -> None:
         if size != 1:
-            raise self._error(f"{found}; expected exactly one.")
+            raise self._error(f"{observation}; expected exactly one.")
 
     def _position(self, name: str) -> int:
         joint = self._find("joint", name)
-        if mujoco.mjtJoint(self._model.jnt_type[joint]) not in SINGLE:
+        if mujoco.mjtJoint(self._model.jnt_type[joint]) not in SCALAR_JOINT_TYPES:
             raise self._error(f"joint '{name}' is not a hinge or slide.")
         return int(self._model.jnt_qposadr[joint])
 
@@ -226,18 +230,20 @@ class _Lookup:
         return ConfigError(f"{self._file}: {reason}")
 
 
-def everything(model: Any) -> ArmSignals:
+def build_all_signals(model: Any) -> ArmSignals:
     """Return all controls as inputs, all sensors as outputs, and start positions of all joints."""
     names = _Names()
-    inputs = tuple(one for i in range(model.nactuator) for one in _inputs(model, i, names))
+    inputs = tuple(
+        arm_input for i in range(model.nactuator) for arm_input in _inputs(model, i, names)
+    )
     outputs = tuple(output for i in range(model.nsensor) for output in _outputs(model, i, names))
     starts = []
     for i, kind in enumerate(map(_J, model.jnt_type)):
-        if kind in SINGLE:
-            name = names.of(f"start_{model.joint(i).name or f'joint{i + 1}'}", "")
+        if kind in SCALAR_JOINT_TYPES:
+            name = names.make_unique(f"start_{model.joint(i).name or f'joint{i + 1}'}", "")
             unit = "rad" if kind == _J.mjJNT_HINGE else "m"
-            place = int(model.jnt_qposadr[i])
-            starts.append(ArmStart(name, unit, place, float(model.qpos0[place])))
+            address = int(model.jnt_qposadr[i])
+            starts.append(ArmStart(name, unit, address, float(model.qpos0[address])))
     step = float(model.opt.timestep)
     return ArmSignals(model=model, inputs=inputs, outputs=outputs, starts=tuple(starts), step=step)
 
@@ -246,19 +252,21 @@ class _Names:
     def __init__(self) -> None:
         self._used: set[str] = {"latency"}
 
-    def of(self, name: str, otherwise: str) -> str:
-        plain = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or otherwise
-        plain = f"_{plain}" if plain[0].isdigit() else plain
-        numbered = chain([plain], (f"{plain}_{k}" for k in count(2)))
-        free = next(name for name in numbered if name not in self._used)
-        self._used.add(free)
-        return free
+    def make_unique(self, name: str, default: str) -> str:
+        identifier = "".join(c if c.isalnum() and c.isascii() else "_" for c in name) or default
+        identifier = f"_{identifier}" if identifier[0].isdigit() else identifier
+        numbered = chain([identifier], (f"{identifier}_{k}" for k in count(2)))
+        unique_name = next(name for name in numbered if name not in self._used)
+        self._used.add(unique_name)
+        return unique_name
 
 
 def _inputs(model: Any, actuator: int, names: _Names) -> Iterator[ArmInput]:
     size = int(model.actuator_ctrlnum[actuator])
     address = int(model.actuator_ctrladr[actuator])
-    name = names.of(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
+    name = (
+        names.make_unique(model.actuator(actuator).name, f"control{actuator + 1}") if size else ""
+    )
     for k in range(size):
         yield ArmInput(name + _index(k, size), _unit_of_control(model, actuator), (address + k,))
 
@@ -275,7 +283,7 @@ def _unit_of_control(model: Any, actuator: int) -> str:
 
 
 def _outputs(model: Any, sensor: int, names: _Names) -> Iterator[ArmOutput]:
-    name = names.of(model.sensor(sensor).name, f"sensor{sensor + 1}")
+    name = names.make_unique(model.sensor(sensor).name, f"sensor{sensor + 1}")
     size = int(model.sensor_dim[sensor])
     address = int(model.sensor_adr[sensor])
     for k in range(size):

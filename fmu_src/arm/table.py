@@ -147,20 +147,22 @@ def seed_halves(seed: int) -> tuple[int, int]:
     return low, high
 
 
-def seed_of(low: int, high: int) -> int:
+def join_seed_halves(low: int, high: int) -> int:
     """Return the seed of two signed halves."""
     (seed,) = struct.unpack("<Q", struct.pack("<2i", low, high))
     return int(seed)
 
 
 def _connectors(signals: ArmSignals, parameters: tuple[str, ...]) -> Iterator[Variable]:
-    for one in signals.inputs:
-        text = one.description or f"commanded {_KINDS.get(one.unit, 'control')}"
-        yield Variable(one.name, "input", text, unit=one.unit)
-    for out in signals.outputs:
-        kind = "true" if out.noise is None else "measured"
-        text = out.description or f"{kind} {_KINDS.get(out.unit, 'signal')}"
-        yield Variable(out.name, "output", text, unit=out.unit, dependencies=parameters)
+    for arm_input in signals.inputs:
+        text = arm_input.description or f"commanded {_KINDS.get(arm_input.unit, 'control')}"
+        yield Variable(arm_input.name, "input", text, unit=arm_input.unit)
+    for arm_output in signals.outputs:
+        kind = "true" if arm_output.noise is None else "measured"
+        text = arm_output.description or f"{kind} {_KINDS.get(arm_output.unit, 'signal')}"
+        yield Variable(
+            arm_output.name, "output", text, unit=arm_output.unit, dependencies=parameters
+        )
 
 
 def _parameters(signals: ArmSignals) -> Iterator[Variable]:
@@ -180,9 +182,15 @@ def _parameters(signals: ArmSignals) -> Iterator[Variable]:
     for start in signals.starts:
         text = "position at the start"
         yield Variable(start.name, "fixed", text, unit=start.unit, start=start.value)
-    for out in noisy:
-        text = f"standard deviation of the noise of {out.name}"
-        yield Variable(noise_name(out), "fixed", text, unit=out.unit, start=out.noise or 0.0)
+    for arm_output in noisy:
+        text = f"standard deviation of the noise of {arm_output.name}"
+        yield Variable(
+            noise_name(arm_output),
+            "fixed",
+            text,
+            unit=arm_output.unit,
+            start=arm_output.noise or 0.0,
+        )
 
 
 Names = tuple[str, ...]
@@ -192,7 +200,7 @@ Element = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
 
 
 def require_entries(
-    table: Config, count: int, what: str = "joint", *, besides: Collection[str] = ()
+    table: Config, count: int, entity: str = "joint", *, besides: Collection[str] = ()
 ) -> None:
     """Raise ValueError unless the lists of a table have `count` entries or are omitted."""
     for key, entries in table:
@@ -201,7 +209,7 @@ def require_entries(
         omitted = not entries and not type(table).model_fields[key].is_required()
         if len(entries) != count and not omitted:
             raise RuleError(
-                f"{key} has {len(entries)} entries; {count} are needed, one per {what}",
+                f"{key} has {len(entries)} entries; {count} are needed, one per {entity}",
                 code="table.entries",
                 key=key,
             )
@@ -275,12 +283,14 @@ class Losses(Config):
     slip: tuple[Positive, ...] = ()
     longest: Positive = 1e4
 
-    def of_joint(self, i: int) -> dict[str, float]:
+    def select_joint(self, i: int) -> dict[str, float]:
         """Return the numbers of a joint by key; omitted ones have no effect."""
         scales = ("speed", "age", "slip")
         lists = ("constant", "load", "direct", "evolution", *scales)
-        found = {key: (getattr(self, key) or (float(key in scales),) * (i + 1))[i] for key in lists}
-        return found | {"longest": self.longest}
+        numbers = {
+            key: (getattr(self, key) or (float(key in scales),) * (i + 1))[i] for key in lists
+        }
+        return numbers | {"longest": self.longest}
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

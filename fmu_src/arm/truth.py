@@ -38,7 +38,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.robots.mjcf import compiled
+from hesr_model.robots.mjcf import compile_model
 from hesr_model.support.files import written_whole
 from hesr_model.support.typed_files import Config
 
@@ -52,7 +52,7 @@ _COEFFICIENTS = (
     ("poles", "1/rad", "ripples in a radian"),
     ("phase", "rad", "phase of the ripple"),
 )
-_OF_LOSSES = (
+_LOSS_COEFFICIENTS = (
     ("constant", "N.m", "dry friction"),
     ("load", "1", "share of the load"),
     ("direct", "N.m", "direct effect of speed"),
@@ -75,14 +75,14 @@ def true_friction(
         z' = v - stiffness |v| / g(v) z,  g = coulomb + (static - coulomb) exp(-(v / stribeck)^2)
         tau = stiffness z + damping v - cogging sin(poles q + phase)
     """
-    model = compiled(mjcf)
+    model = compile_model(mjcf)
     slide = mujoco.mjtJoint.mjJNT_SLIDE
     return FrictionModel(
         law="true_friction",
         robot=mjcf.stem,
         joints=tuple(joints),
         laws=tuple(
-            _of_losses(losses, i, float(model.joint(joint).damping[0]))
+            _build_loss_law(losses, i, float(model.joint(joint).damping[0]))
             if losses
             else _law(model, passive_motors(model, joint))
             for i, joint in enumerate(joints)
@@ -92,9 +92,9 @@ def true_friction(
     )
 
 
-def _of_losses(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
-    coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _OF_LOSSES]
-    values = losses.of_joint(i) | {"viscous": viscous}
+def _build_loss_law(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
+    coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _LOSS_COEFFICIENTS]
+    values = losses.select_joint(i) | {"viscous": viscous}
     *numbers, viscous_ = (quantity.symbol for quantity in coefficients)
     symbols = dict(zip(NUMBERS, numbers, strict=True)) | {SPEED: DQ, TORQUE: TAU_LOAD}
     rate = renewal_rate().xreplace(symbols)
@@ -117,14 +117,17 @@ def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
         bias = model.actuator_biasprm[i]
         dynamics = model.actuator_dynprm[i]
         numbers = (dynamics[5], *bias[3:6], model.actuator_damping[i], *bias[:3])
-        own = [
+        element_coefficients = [
             Coefficient(name=f"{name}_{number}", unit=unit, description=f"{text}, element {number}")
             for name, unit, text in _COEFFICIENTS
         ]
-        coefficients += own
-        values |= {quantity.name: float(x) for quantity, x in zip(own, numbers, strict=True)}
+        coefficients += element_coefficients
+        values |= {
+            quantity.name: float(x)
+            for quantity, x in zip(element_coefficients, numbers, strict=True)
+        }
         stiffness, coulomb, static, stribeck, damping, cogging, poles, phase = (
-            quantity.symbol for quantity in own
+            quantity.symbol for quantity in element_coefficients
         )
         level = coulomb + (static - coulomb) * sympy.exp(-((DQ / stribeck) ** 2))
         element = Relaxation(
@@ -136,9 +139,11 @@ def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
     return FrictionLaw(name="true_friction", form=form, values=values)
 
 
-_FIRM = "0.9999 0.9999 0.001 0.5 2"  # highest impedance of dry friction, to avoid creep under load
+_FRICTION_IMPEDANCE = (
+    "0.9999 0.9999 0.001 0.5 2"  # highest impedance of dry friction, to avoid creep under load
+)
 
-_LIGHT = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
+_ROTOR_INERTIAL = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
 """Mass [kg] and inertia [kg.m2] of a rotor's body; the armature of its joint is the inertia."""
 
 
@@ -178,45 +183,45 @@ TruthName = Annotated[str, Field(pattern=r"^[A-Za-z]\w*$")]
 
 
 def write_truth(
-    truth: Truth, model: Path, joints: tuple[str, ...], table: SignalTable, path: Path
+    truth: Truth, model_path: Path, joints: tuple[str, ...], table: SignalTable, path: Path
 ) -> SignalTable:
     """Write the MJCF of an alternative plant to `path` and return the names of its signals."""
     if len(truth.viscous) != len(joints):
         raise ConfigError(
-            f"{model}: the truth is of {len(truth.viscous)} joints; {len(joints)} are needed."
+            f"{model_path}: the truth is of {len(truth.viscous)} joints; {len(joints)} are needed."
         )
-    compiled_model = compiled(model)
-    tree = ElementTree.parse(model)
+    compiled_model = compile_model(model_path)
+    tree = ElementTree.parse(model_path)
     root = tree.getroot()
-    gone = _without_elements(root, compiled_model)
+    removed_sensors = _remove_elements(root, compiled_model)
     for i, name in enumerate(joints):
         joint = root.find(f".//worldbody//joint[@name='{name}']")
         if joint is None:
-            raise ConfigError(f"{model}: has no joint '{name}', or another file has it.")
+            raise ConfigError(f"{model_path}: has no joint '{name}', or another file has it.")
         if truth.transmission:
             joint = _divide_joint(root, joint, compiled_model.joint(name), i, truth.transmission)
         joint.attrib |= {
             "damping": repr(truth.viscous[i]),
             "frictionloss": repr(truth.losses.constant[i]),
             "solreffriction": f"{2.0 * compiled_model.opt.timestep!r} 1",
-            "solimpfriction": _FIRM,
+            "solimpfriction": _FRICTION_IMPEDANCE,
         }
     with written_whole(path) as temporary:
         tree.write(temporary, encoding="utf-8")
-    return _signals(table, joints, gone, truth)
+    return _signals(table, joints, removed_sensors, truth)
 
 
-def _without_elements(root: Element, model: Any) -> set[str]:
+def _remove_elements(root: Element, model: Any) -> set[str]:
     elements = {model.actuator(i).name for i in passive_motors(model)}
-    gone = set()
+    removed_sensors = set()
     for section in (*root.iterfind("actuator"), *root.iterfind("sensor")):
-        for part in list(section):
-            reads = part.get("actuator") in elements
-            if reads or (part.tag == "dcmotor" and part.get("name") in elements):
-                section.remove(part)
+        for child in list(section):
+            reads = child.get("actuator") in elements
+            if reads or (child.tag == "dcmotor" and child.get("name") in elements):
+                section.remove(child)
             if reads:
-                gone.add(part.get("name", ""))
-    return gone
+                removed_sensors.add(child.get("name", ""))
+    return removed_sensors
 
 
 def _link(joint: str) -> str:
@@ -224,20 +229,23 @@ def _link(joint: str) -> str:
 
 
 def _divide_joint(
-    root: Element, joint: Element, known: Any, i: int, transmission: GearElasticity
+    root: Element, joint: Element, compiled_joint: Any, i: int, transmission: GearElasticity
 ) -> Element:
     """Divide a joint into rotor and link; return the rotor's joint.
 
     In link coordinates the rotor's reaction is that of a gear, up to one part in the gear ratio.
     """
-    name = known.name
-    link = _link(known.name)
+    name = compiled_joint.name
+    link = _link(compiled_joint.name)
     joint.attrib |= {"name": link, "armature": "0"}
     body = SubElement(_section(root, "worldbody"), "body", name=f"{name}_rotor")
-    SubElement(body, "inertial", _LIGHT)
-    own = {"name": name, "type": joint.get("type", "hinge"), "axis": "0 0 1"}
-    own |= {"armature": repr(float(known.armature[0])), "range": _numbers(known.range)}
-    rotor = SubElement(body, "joint", own)
+    SubElement(body, "inertial", _ROTOR_INERTIAL)
+    attributes = {"name": name, "type": joint.get("type", "hinge"), "axis": "0 0 1"}
+    attributes |= {
+        "armature": repr(float(compiled_joint.armature[0])),
+        "range": _numbers(compiled_joint.range),
+    }
+    rotor = SubElement(body, "joint", attributes)
     half = transmission.backlash[i] / 2.0
     damping = {"damping": repr(transmission.damping[i]), "springlength": _numbers((-half, half))}
     springs = {"torsion": {"stiffness": repr(transmission.stiffness[i]), **damping}}
@@ -256,8 +264,8 @@ def _divide_joint(
 
 
 def _section(root: Element, name: str) -> Element:
-    found = root.find(name)
-    return SubElement(root, name) if found is None else found
+    section = root.find(name)
+    return SubElement(root, name) if section is None else section
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -265,7 +273,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _signals(
-    table: SignalTable, joints: tuple[str, ...], gone: set[str], truth: Truth
+    table: SignalTable, joints: tuple[str, ...], removed_sensors: set[str], truth: Truth
 ) -> SignalTable:
 
     links = tuple(map(_link, joints)) if truth.transmission else ()
@@ -275,7 +283,9 @@ def _signals(
         if name == "tau_f_true":
             update = {"sensors": ({},) * len(joints), "losses": joints, "scaled": ()}
             return vector.model_copy(update=update)
-        rows = tuple({s: k for s, k in row.items() if s not in gone} for row in vector.sensors)
+        rows = tuple(
+            {s: k for s, k in row.items() if s not in removed_sensors} for row in vector.sensors
+        )
         if links and name in ("q_true", "dq_true"):
             rows = tuple({f"{link}_{name.partition('_')[0]}": 1.0} for link in links)
         elif links and name in ("tau_meas", "tau_true"):

@@ -2,8 +2,8 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-from fmu_src.equations.header import Joint, equations_header, own_size
-from fmu_src.export.description import RELEASED, Description
+from fmu_src.equations.header import Joint, equations_header, memory_size
+from fmu_src.export.description import RELEASE_DATE, Description
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
 from fmu_src.export.package import Content, equation_sources
 from fmu_src.pages.block_page import BlockPage, block_html, component_page
@@ -23,9 +23,14 @@ def vector(
 ) -> Iterator[Variable]:
     """Yield one variable per joint; `{}` in a dependency is replaced by the joint number."""
     for i, value in enumerate(map(float, start), start=1):
-        own = tuple(d.format(i) for d in dependencies)
+        joint_dependencies = tuple(d.format(i) for d in dependencies)
         yield Variable(
-            f"{name}[{i}]", role, f"{text}, joint {i}", unit=unit, start=value, dependencies=own
+            f"{name}[{i}]",
+            role,
+            f"{text}, joint {i}",
+            unit=unit,
+            start=value,
+            dependencies=joint_dependencies,
         )
 
 
@@ -55,7 +60,7 @@ def content(
     `example` has the parameters of the reference results that differ from their start values.
     """
     about = Description(
-        name=name, identifier=name.lower(), text=text, created=RELEASED, step=step, owner=owner
+        name=name, identifier=name.lower(), text=text, created=RELEASE_DATE, step=step, owner=owner
     )
     inputs = waves(
         {variable.name: 1.0 for variable in interface.variables if variable.role == "input"}
@@ -86,12 +91,14 @@ def block(
             f"block '{name}': state '{component.memory[0].name}' has no start value; write what is "
             "remembered with previous()."
         )
-    own = [Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)]
+    block_joints = [
+        Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)
+    ]
     # Values of the last sample are not states of a solver.
     free = not (component.remembered or component.sample_time)
     interface = Interface(
-        variables=tuple(_variables(component, own)),
-        own=own_size(own),
+        variables=tuple(_variables(component, block_joints)),
+        own=memory_size(block_joints),
         model_exchange=free,
         directional_derivatives=free,
     )
@@ -99,10 +106,14 @@ def block(
         interface,
         name=name,
         text=text,
-        sources=equation_sources(equations_header(own, interface, {})),
+        sources=equation_sources(equations_header(block_joints, interface, {})),
         step=step,
         page=component_page(component, notes),
-        example={joint.names[of]: value for of, value in example.items() for joint in own},
+        example={
+            joint.names[parameter_name]: value
+            for parameter_name, value in example.items()
+            for joint in block_joints
+        },
     )
 
 
@@ -118,16 +129,16 @@ def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
     for quantity in component.inputs:
         yield from vector(quantity.name, "input", quantity.unit, quantity.description, zeros)
     for equation in component.outputs:
-        at_once = frozenset() if component.holds else component.sources(equation.symbol)
-        initial = component.sources(equation.symbol, starting=True)
+        at_once = frozenset() if component.holds else component.find_sources(equation.symbol)
+        initial = component.find_sources(equation.symbol, starting=True)
         for i, joint in enumerate(joints, start=1):
             yield Variable(
                 joint.names[equation.name],
                 "output",
                 f"{equation.description}, joint {i}",
                 unit=equation.unit,
-                dependencies=_named(component, joint, at_once),
-                initial_dependencies=_named(component, joint, initial),
+                dependencies=_select_names(component, joint, at_once),
+                initial_dependencies=_select_names(component, joint, initial),
             )
     for parameter in component.shared:
         yield _parameter(parameter, parameter.name, parameter.description)
@@ -137,9 +148,11 @@ def _variables(component: Component, joints: list[Joint]) -> Iterator[Variable]:
             yield _parameter(parameter, name, f"{parameter.description}, joint {i}")
 
 
-def _named(component: Component, joint: Joint, used: Collection[object]) -> tuple[str, ...]:
+def _select_names(
+    component: Component, joint: Joint, symbols: Collection[object]
+) -> tuple[str, ...]:
     return tuple(
-        joint.names[quantity.name] for quantity in component.given if quantity.symbol in used
+        joint.names[quantity.name] for quantity in component.given if quantity.symbol in symbols
     )
 
 

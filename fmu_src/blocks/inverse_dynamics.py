@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fmu_src.blocks.block import content, places, vector
 from fmu_src.export.interface import Interface, Variable, literal
-from fmu_src.export.package import Content, own_source
+from fmu_src.export.package import Content, read_c_source
 from fmu_src.pages.block_page import BlockPage
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 
@@ -42,28 +42,32 @@ def inverse_dynamics(
     links = 10 * robot.links
     rotors = parameters[links : robot.inertial] if robot.inertial > links else np.zeros(n)
     zeros = np.zeros(n)
-    needed = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
-    own = []
+    input_names = [f"{name}[{i}]" for name in ("q", "dq", "ddq") for i in range(1, n + 1)]
+    parameter_variables = []
     for i, joint in enumerate(robot.tree, start=1):
         values = parameters[10 * (i - 1) : 10 * i]
         for name, unit, value in zip(LINK_PARAMETERS, _UNITS, values, strict=True):
             text = f"{name} of link {i}, {joint.name}"
-            own.append(Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=value))
+            parameter_variables.append(
+                Variable(f"link[{i}].{name}", "tunable", text, unit=unit, start=value)
+            )
     for i, value in enumerate(rotors, start=1):
         text = f"rotor inertia of joint {i}"
-        own.append(Variable(f"link[{i}].Ir", "tunable", text, unit="kg.m2", start=value))
+        parameter_variables.append(
+            Variable(f"link[{i}].Ir", "tunable", text, unit="kg.m2", start=value)
+        )
     for term, value in zip(robot.springs, parameters[robot.inertial :], strict=True):
         name = f"spring[{term.joint + 1}].{term.name}"
         text = f"{_SPRINGS[term.linear]} of joint {term.joint + 1}"
-        own.append(Variable(name, "tunable", text, unit=term.unit, start=value))
-    made_of = [*needed, *(variable.name for variable in own)]
+        parameter_variables.append(Variable(name, "tunable", text, unit=term.unit, start=value))
+    dependencies = [*input_names, *(variable.name for variable in parameter_variables)]
     interface = Interface(
         variables=(
             *vector("q", "input", "rad", "position", zeros),
             *vector("dq", "input", "rad/s", "velocity", zeros),
             *vector("ddq", "input", "rad/s2", "acceleration", zeros),
-            *vector("tau", "output", "N.m", "rigid-body torque", zeros, made_of),
-            *own,
+            *vector("tau", "output", "N.m", "rigid-body torque", zeros, dependencies),
+            *parameter_variables,
         ),
         directional_derivatives=False,
     )
@@ -74,7 +78,7 @@ def inverse_dynamics(
         name="InverseDynamics",
         text="Rigid-body torque of a motion, by the recursive Newton-Euler algorithm.",
         sources={
-            "inverse_dynamics.c": own_source("inverse_dynamics.c"),
+            "inverse_dynamics.c": read_c_source("inverse_dynamics.c"),
             "places.h": places(interface, "PLACES_H", first, JOINTS=n, LINKS=robot.links),
             "tree.h": _tree(robot),
         },

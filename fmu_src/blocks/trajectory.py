@@ -4,7 +4,7 @@ import numpy as np
 
 from fmu_src.blocks.block import content, places, vector
 from fmu_src.export.interface import Enumeration, Interface, Variable
-from fmu_src.export.package import Content, own_source
+from fmu_src.export.package import Content, read_c_source
 from fmu_src.pages.block_page import BlockPage
 from fmu_src.run.reference_results import ROWS
 from hesr_model.errors import ExportError
@@ -82,19 +82,25 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         Variable(name, "fixed", text, unit=unit, start=start)
         for name, unit, text, start in _SCALARS
     ]
-    vectors = [v for n, unit, text in _PARAMETERS for v in vector(n, "fixed", unit, text, zeros)]
+    vectors = [
+        parameter
+        for n, unit, text in _PARAMETERS
+        for parameter in vector(n, "fixed", unit, text, zeros)
+    ]
     series = [
         Variable(f"{name}[{i},{k}]", "fixed", f"harmonic {k} of joint {i}", unit="rad/s")
         for name in ("a", "b")
         for i in range(1, joints + 1)
         for k in range(1, HARMONICS + 1)
     ]
-    made_of = [v.name for v in (kind, *scalars, *vectors, *series)]
+    parameter_names = [parameter.name for parameter in (kind, *scalars, *vectors, *series)]
     outputs = [
         variable
         for tail, text in (("", "desired {}"), ("_ahead", "desired {} a preview time ahead"))
-        for name, (unit, what) in _MOTION.items()
-        for variable in vector(name + tail, "output", unit, text.format(what), zeros, made_of)
+        for name, (unit, quantity) in _MOTION.items()
+        for variable in vector(
+            name + tail, "output", unit, text.format(quantity), zeros, parameter_names
+        )
     ]
     interface = Interface(
         variables=(*outputs, kind, *scalars, *vectors, *series),
@@ -102,9 +108,9 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         directional_derivatives=False,
     )
     first = {
-        f"{what.upper()}{tail.upper()}": name + tail
+        f"{quantity.upper()}{tail.upper()}": name + tail
         for tail in ("", "_ahead")
-        for name, (_, what) in _MOTION.items()
+        for name, (_, quantity) in _MOTION.items()
     }
     parameters = ("kind", "a", "b", *(name for name, *_ in (*_SCALARS, *_PARAMETERS)))
     first |= {name.upper(): name for name in parameters}
@@ -116,7 +122,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         interface,
         name="Trajectory",
         text="Desired motion of all joints: Fourier series, sine or sweep.",
-        sources={"trajectory.c": own_source("trajectory.c"), "motion.h": header},
+        sources={"trajectory.c": read_c_source("trajectory.c"), "motion.h": header},
         step=step,
         page=_PAGE,
         example={"kind": 1.0, "period": ROWS * step, "preview": 2.0 * step, **example},
@@ -125,24 +131,24 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
 
 def start_values(motion: Trajectory) -> dict[str, float | str | tuple[float, ...]]:
     """Return the parameters of the Trajectory FMU for a motion; ExportError if unsupported."""
-    found: dict[str, float | str | tuple[float, ...]]
+    parameters: dict[str, float | str | tuple[float, ...]]
     match motion:
         case Fourier():
-            found = {"kind": "fourier", "period": motion.period, **_series(motion)}
+            parameters = {"kind": "fourier", "period": motion.period, **_series(motion)}
             vectors = {"offset": motion.offset}
         case Sine():
-            found = {"kind": "sine", "first": motion.frequency}
+            parameters = {"kind": "sine", "first": motion.frequency}
             vectors = {"offset": motion.offset, "amplitude": motion.amplitude}
         case Sweep():
             scalars = ("first", "last", "length", "swing_period")
-            found = {"kind": "sweep", **{name: getattr(motion, name) for name in scalars}}
+            parameters = {"kind": "sweep", **{name: getattr(motion, name) for name in scalars}}
             vectors = {"offset": motion.start, "swing_phase": motion.swing_phase}
             vectors |= {"amplitude": motion.amplitude, "swing": motion.swing}
         case _:
             raise ExportError(
                 f"a motion of kind '{type(motion).__name__}' cannot be made by the FMU."
             )
-    return found | {name: tuple(values) for name, values in vectors.items()}
+    return parameters | {name: tuple(values) for name, values in vectors.items()}
 
 
 def _series(motion: Fourier) -> dict[str, float]:

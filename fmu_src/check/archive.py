@@ -15,26 +15,26 @@ from lxml import etree
 from fmu_src.check.rules import Problem
 from fmu_src.run.archive import (
     DAMAGED,
-    MOST_BYTES_IN_ALL,
-    MOST_ENTRIES,
+    MAX_ENTRIES,
+    MAX_TOTAL_BYTES,
     copy_entry,
-    entries,
+    explain_oversize,
+    explain_unreadable,
+    format_error,
     hazards,
     is_folder,
-    opened,
-    oversize,
-    said,
-    unreadable,
+    open_archive,
+    open_file,
 )
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
-from hesr_model.support.text import listed, plain, quoted
+from hesr_model.support.text import quote, quote_names, sanitise
 
-MOST_BYTES = 64 << 20
-MOST_NODES = 2_000_000
+MAX_XML_BYTES = 64 << 20
+MAX_XML_NODES = 2_000_000
 """Largest number of elements and attributes; each takes about 200 bytes of memory."""
 
-SECONDS = 60.0
+SCHEMA_TIMEOUT = 60.0
 
 _UTF8 = re.compile("utf-?8", re.IGNORECASE)
 
@@ -70,22 +70,22 @@ class _Guard:
 
     def _element(self, _name: str, attributes: dict[str, str]) -> None:
         self.nodes += 1 + len(attributes)
-        if self.nodes > MOST_NODES:
+        if self.nodes > MAX_XML_NODES:
             raise _RefusedError(
-                f"it has more than {MOST_NODES} elements and attributes; it is not read any "
+                f"it has more than {MAX_XML_NODES} elements and attributes; it is not read any "
                 "further."
             )
 
 
 def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
     """Return the root of an XML file, or None, and its problems."""
-    if file.stat().st_size > MOST_BYTES:
-        text = f"{name}: it has more than {MOST_BYTES} bytes; it is not read."
+    if file.stat().st_size > MAX_XML_BYTES:
+        text = f"{name}: it has more than {MAX_XML_BYTES} bytes; it is not read."
         return None, [("xml-unreadable", text)]
     data = file.read_bytes()
-    place = _not_utf8(data)
-    if place is not None:
-        text = f"it is not valid UTF-8, which FMI requires (byte {place + 1})."
+    invalid_byte = _find_invalid_byte(data)
+    if invalid_byte is not None:
+        text = f"it is not valid UTF-8, which FMI requires (byte {invalid_byte + 1})."
         return None, [("xml-encoding", f"{name}: {text}")]
     guard = _Guard()
     try:
@@ -97,18 +97,18 @@ def parse(name: str, file: Path) -> tuple[etree._Element | None, list[Problem]]:
     except _RefusedError as error:
         return None, [("xml-unreadable", f"{name}: {error}")]
     except etree.XMLSyntaxError as error:
-        text = f"{name}: it cannot be read as XML ({plain(str(error))})."
+        text = f"{name}: it cannot be read as XML ({sanitise(str(error))})."
         return None, [("xml-unreadable", text)]
     if guard.encoding is None and root.get("fmiVersion"):
         text = f"{name}: its first line declares no encoding; FMI asks for UTF-8."
         return root, [("xml-undeclared", text)]
     if guard.encoding is not None and not _UTF8.fullmatch(guard.encoding):
-        text = f"{name}: its first line declares '{plain(guard.encoding)}'; FMI needs UTF-8."
+        text = f"{name}: its first line declares '{sanitise(guard.encoding)}'; FMI needs UTF-8."
         return root, [("xml-encoding", text)]
     return root, []
 
 
-def _not_utf8(data: bytes) -> int | None:
+def _find_invalid_byte(data: bytes) -> int | None:
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -121,12 +121,13 @@ def schema_problems(name: str, file: Path, folder: Path) -> list[Problem]:
     """Return the schema violations of an XML file; time is limited, being quadratic in errors."""
     try:
         reader = "fmu_src.check.readers:compare"
-        found = run_in_sandbox(reader, str(file), folder=folder, seconds=SECONDS)
+        violations = run_in_sandbox(reader, str(file), folder=folder, seconds=SCHEMA_TIMEOUT)
     except DiedError as error:
         text = f"{name}: it cannot be compared with the schema: the comparison {error}."
         return [("xsd", text)]
     return [
-        (f"xsd:{kind}", f"{name}, line {line}: {plain(text, 400)}") for line, kind, text in found
+        (f"xsd:{kind}", f"{name}, line {line}: {sanitise(text, 400)}")
+        for line, kind, text in violations
     ]
 
 
@@ -145,59 +146,59 @@ class Contents:
 
 def unpack(path: Path, folder: Path) -> Contents:
     """Read an archive into numbered files of an empty folder; raise ArtifactError."""
-    with opened(path) as file:
+    with open_file(path) as file:
         try:
-            archive = entries(file)
+            archive = open_archive(file)
         except DAMAGED as error:
-            text = f"it is not a readable ZIP archive ({said(error)})."
+            text = f"it is not a readable ZIP archive ({format_error(error)})."
             return Contents(problems=(("archive-damaged", text),))
         with archive:
             return _read_all(archive, folder)
 
 
 def _read_all(archive: zipfile.ZipFile, folder: Path) -> Contents:
-    found = archive.infolist()
-    if len(found) > MOST_ENTRIES:
-        text = f"it has {len(found)} entries; more than {MOST_ENTRIES} are not checked."
+    zip_entries = archive.infolist()
+    if len(zip_entries) > MAX_ENTRIES:
+        text = f"it has {len(zip_entries)} entries; more than {MAX_ENTRIES} are not checked."
         return Contents(problems=(("archive-large", text),))
-    problems = [problem for entry in found for problem in _oddities(entry)]
-    problems += _duplicates([entry.filename for entry in found])
+    problems = [problem for entry in zip_entries for problem in _oddities(entry)]
+    problems += _duplicates([entry.filename for entry in zip_entries])
     files: dict[str, Path] = {}
     unpacked = 0
     unread: list[str] = []
-    for number, entry in enumerate(found):
-        if is_folder(entry) or unreadable(entry):
+    for number, entry in enumerate(zip_entries):
+        if is_folder(entry) or explain_unreadable(entry):
             continue
         unpacked += entry.file_size
-        if unpacked > MOST_BYTES_IN_ALL:
+        if unpacked > MAX_TOTAL_BYTES:
             unread.append(entry.filename)
             continue
         target = folder / str(number)
         try:
             copy_entry(archive, entry, target)
         except DAMAGED as error:
-            text = f"the entry {quoted(entry.filename)} cannot be read ({said(error)})."
+            text = f"the entry {quote(entry.filename)} cannot be read ({format_error(error)})."
             problems.append(("archive-damaged", text))
         else:
             files.setdefault(entry.filename, target)
     if unread:
         text = (
-            f"its entries claim {unpacked} bytes unpacked; more than {MOST_BYTES_IN_ALL} are not "
-            f"read; left out: {listed(dict.fromkeys(unread))}."
+            f"its entries claim {unpacked} bytes unpacked; more than {MAX_TOTAL_BYTES} are not "
+            f"read; left out: {quote_names(dict.fromkeys(unread))}."
         )
         problems.append(("archive-large", text))
-    names = tuple(dict.fromkeys(e.filename for e in found if not is_folder(e)))
+    names = tuple(dict.fromkeys(e.filename for e in zip_entries if not is_folder(e)))
     return Contents(names=names, files=files, problems=tuple(problems))
 
 
 def _oddities(entry: zipfile.ZipInfo) -> Iterator[Problem]:
-    large = oversize(entry)
+    large = explain_oversize(entry)
     for text in hazards(entry):
         yield "archive-large" if large and text.endswith(large) else "archive-entry", text
     if "\\" in entry.filename:
         yield (
             "archive-backslash",
-            f"the entry {quoted(entry.filename)} has a backslash in its name; FMI separates "
+            f"the entry {quote(entry.filename)} has a backslash in its name; FMI separates "
             "folders by '/'.",
         )
 
@@ -211,10 +212,10 @@ def _duplicates(names: list[str]) -> Iterator[Problem]:
             continue
         other = first[folded]
         if other == name:
-            yield "archive-duplicate", f"the entry {quoted(name)} is duplicated."
+            yield "archive-duplicate", f"the entry {quote(name)} is duplicated."
         else:
             yield (
                 "archive-case",
-                f"the entries {quoted(other)} and {quoted(name)} are the same file on Windows, "
+                f"the entries {quote(other)} and {quote(name)} are the same file on Windows, "
                 "which ignores case.",
             )

@@ -15,25 +15,27 @@ from fmu_src.check.description import KINDS, InterfaceKind, ParsedDescription
 from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
-from hesr_model.support.text import listed, plain, quoted
+from hesr_model.support.text import quote, quote_names, sanitise
 
 
-def _declared(version: int) -> list[list[str]]:
+def _read_functions(version: int) -> list[list[str]]:
     header = Path(fmpy.__file__).parent / "c-code" / f"fmi{version}Functions.h"
     sections = re.split(r"^(?:Common )?Functions", header.read_text("utf-8"), flags=re.MULTILINE)
-    found = [re.findall(rf"FMI{version}_Export\s+\w+\s+(\w+);", section) for section in sections]
-    return [names for names in found if names]
+    function_lists = [
+        re.findall(rf"FMI{version}_Export\s+\w+\s+(\w+);", section) for section in sections
+    ]
+    return [names for names in function_lists if names]
 
 
-_COMMON, _EXCHANGE, _SIMULATION = _declared(2)
+_COMMON, _EXCHANGE, _SIMULATION = _read_functions(2)
 
 REQUIRED = {"ModelExchange": _COMMON + _EXCHANGE, "CoSimulation": _COMMON + _SIMULATION}
-REQUIRED_3 = list(chain(*_declared(3)))
+REQUIRED_3 = list(chain(*_read_functions(3)))
 """The standard requires all of them, even for unsupported features."""
 
-KNOWN = frozenset((*_COMMON, *_EXCHANGE, *_SIMULATION, *REQUIRED_3))
+KNOWN_FUNCTIONS = frozenset((*_COMMON, *_EXCHANGE, *_SIMULATION, *REQUIRED_3))
 
-PROMISED = {
+FUNCTIONS_BY_FLAG = {
     "canGetAndSetFMUstate": ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate"),
     "canSerializeFMUstate": (
         "fmi2SerializedFMUstateSize",
@@ -47,7 +49,7 @@ PROMISED = {
 """Functions that hosts call because of a flag."""
 
 
-SECONDS = 30.0
+READER_TIMEOUT = 30.0
 _READER = "fmu_src.check.readers:inspect"
 
 
@@ -113,7 +115,7 @@ _REDISTRIBUTABLE = re.compile(
     re.IGNORECASE,
 )
 _MACH_O = re.compile(r"/usr/lib/.*|/System/Library/.*", re.DOTALL)
-_USUAL = {"ELF": _ELF, "PE": _PE, "Mach-O": _MACH_O}
+_SYSTEM_LIBRARIES = {"ELF": _ELF, "PE": _PE, "Mach-O": _MACH_O}
 _PYTHON_LIBRARY = re.compile(
     r"(lib)?python[0-9._]*[a-z]*(\.so|\.dll|\.dylib).*|Python", re.IGNORECASE
 )
@@ -126,7 +128,7 @@ def problems(
     model_description: ParsedDescription, contents: Contents, folder: Path
 ) -> Iterator[Problem]:
     """Yield the problems of the binaries; `folder` is for temporary files."""
-    for platform, names in _by_platform(contents).items():
+    for platform, names in _group_by_platform(contents).items():
         expected = PLATFORMS[model_description.fmi].get(platform)
         # Subfolders may contain only static libraries.
         if expected is None or not any("/" not in name for name in names):
@@ -136,24 +138,26 @@ def problems(
             name = f"{_FOLDER}{platform}/{identifier}{expected.suffix}"
             if name in contents.files:
                 file = contents.files[name]
-                for rule, text in _of_library(
+                for rule, text in _check_library(
                     file, model_description, kinds, expected, names, folder
                 ):
-                    yield rule, f"{plain(name)}: {text}"
+                    yield rule, f"{sanitise(name)}: {text}"
             elif name not in contents.names:
-                what = " and ".join(kind.element for kind in kinds)
+                elements = " and ".join(kind.element for kind in kinds)
                 yield (
                     "binary-missing",
-                    f"{_FOLDER}{platform}: it lacks {quoted(posixpath.basename(name))}, the name "
-                    f"that modelIdentifier of {what} requires.",
+                    f"{_FOLDER}{platform}: it lacks {quote(posixpath.basename(name))}, the name "
+                    f"that modelIdentifier of {elements} requires.",
                 )
 
 
-def skipped(model_description: ParsedDescription, contents: Contents) -> list[str]:
+def describe_unknown_platforms(
+    model_description: ParsedDescription, contents: Contents
+) -> list[str]:
     """Return the folders whose binaries are not checked, with the reason."""
     return [
-        f"binaries/{plain(platform)}: not checked; the platform is unknown."
-        for platform in _by_platform(contents)
+        f"binaries/{sanitise(platform)}: not checked; the platform is unknown."
+        for platform in _group_by_platform(contents)
         if platform not in PLATFORMS[model_description.fmi]
     ]
 
@@ -162,55 +166,61 @@ def platforms(contents: Contents) -> tuple[str, ...]:
     """Return the known platforms that have a library."""
     libraries = {
         folder: {posixpath.splitext(name)[1] for name in names if "/" not in name}
-        for folder, names in _by_platform(contents).items()
+        for folder, names in _group_by_platform(contents).items()
     }
-    known = {**PLATFORMS[2], **PLATFORMS[3]}
-    return tuple(name for name, of in known.items() if of.suffix in libraries.get(name, ()))
+    known_platforms = {**PLATFORMS[2], **PLATFORMS[3]}
+    return tuple(
+        name
+        for name, platform in known_platforms.items()
+        if platform.suffix in libraries.get(name, ())
+    )
 
 
 def missing_systems(names: Iterable[str]) -> list[str]:
     """Return the operating systems without a binary, for the platforms that have one."""
-    known = {**PLATFORMS[2], **PLATFORMS[3]}
-    covered = {_SYSTEMS[known[name].format] for name in names}
+    known_platforms = {**PLATFORMS[2], **PLATFORMS[3]}
+    covered = {_SYSTEMS[known_platforms[name].format] for name in names}
     return [system for system in _SYSTEMS.values() if system not in covered]
 
 
-def _by_platform(contents: Contents) -> dict[str, set[str]]:
-    found: dict[str, set[str]] = {}
+def _group_by_platform(contents: Contents) -> dict[str, set[str]]:
+    names_by_platform: dict[str, set[str]] = {}
     for name in contents.names:
-        first, _, rest = name.partition("/")
-        platform, _, file = rest.partition("/")
+        first, _, subpath = name.partition("/")
+        platform, _, file = subpath.partition("/")
         if first == "binaries" and file:
-            found.setdefault(platform, set()).add(file)
-    return found
+            names_by_platform.setdefault(platform, set()).add(file)
+    return names_by_platform
 
 
-def _of_library(
+def _check_library(
     file: Path,
     model_description: ParsedDescription,
     kinds: list[InterfaceKind],
     expected: Platform,
-    beside: set[str],
+    neighbours: set[str],
     folder: Path,
 ) -> Iterator[Problem]:
     try:
-        found = run_in_sandbox(_READER, str(file), folder=folder, seconds=SECONDS)
+        library = run_in_sandbox(_READER, str(file), folder=folder, seconds=READER_TIMEOUT)
     except DiedError as error:
         yield "binary-unreadable", f"its content could not be read: its reader {error}."
         return
-    parts = found["parts"]
+    parts = library["parts"]
     machines = [part["machine"] for part in parts]
-    right = [part for part in parts if part["machine"] in expected.machines]
-    if found["format"] != expected.format or not right:
-        is_a = f"{found['format']} for {', '.join(machines)}" if parts else "not a readable library"
+    matching_parts = [part for part in parts if part["machine"] in expected.machines]
+    if library["format"] != expected.format or not matching_parts:
+        is_a = (
+            f"{library['format']} for {', '.join(machines)}" if parts else "not a readable library"
+        )
         needed = " or ".join(expected.machines)
         text = f"it is {is_a}; needed in this folder is {expected.format} for {needed}."
         yield "binary-format", text
         return
     texts = [
         text
-        for part in right
-        for text in (*_exports(part, model_description, kinds), *_needs(part, expected, beside))
+        for part in matching_parts
+        for text in (*_exports(part, model_description, kinds), *_needs(part, expected, neighbours))
     ]
     yield from dict.fromkeys(texts)
 
@@ -225,13 +235,15 @@ def _exports(
         for kind in kinds:
             yield from _missing(kind, exports)
     elif missing := [name for name in REQUIRED_3 if name not in exports]:
-        text = f"it does not export {listed(missing)}; FMI 3.0 requires all of its "
+        text = f"it does not export {quote_names(missing)}; FMI 3.0 requires all of its "
         yield "binary-functions", text
     # One library may serve several versions of FMI.
-    own = f"fmi{model_description.fmi}"
-    strange = sorted(n for n in exports if n.startswith(own) and n not in KNOWN)
+    prefix = f"fmi{model_description.fmi}"
+    strange = sorted(n for n in exports if n.startswith(prefix) and n not in KNOWN_FUNCTIONS)
     if strange:
-        text = f"it exports {listed(strange)}, which FMI {model_description.fmi}.0 does not have."
+        text = (
+            f"it exports {quote_names(strange)}, which FMI {model_description.fmi}.0 does not have."
+        )
         yield "binary-unknown", text
 
 
@@ -241,22 +253,23 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
     if prefixed:
         yield (
             "binary-functions",
-            f"it exports {listed([f'{kind.identifier}_{prefixed[0]}'])} and the like; the prefix "
+            f"it exports {quote_names([f'{kind.identifier}_{prefixed[0]}'])} and the like; the "
+            "prefix "
             "is for source code and static libraries only.",
         )
         return
     promised: set[str] = set()
-    for capability, names in PROMISED.items():
+    for capability, names in FUNCTIONS_BY_FLAG.items():
         broken = [name for name in names if name in missing]
         if broken and kind.can(capability):
             promised.update(broken)
-            text = f"it does not export {listed(broken)}, though {capability} is 'true'."
+            text = f"it does not export {quote_names(broken)}, though {capability} is 'true'."
             yield "binary-functions", text
-    rest = [name for name in missing if name not in promised]
-    if rest:
+    remaining = [name for name in missing if name not in promised]
+    if remaining:
         yield (
             "binary-functions",
-            f"it does not export {listed(rest)}; FMI 2.0 requires all functions of "
+            f"it does not export {quote_names(remaining)}; FMI 2.0 requires all functions of "
             f"{KINDS[kind.element]}.",
         )
 
@@ -268,30 +281,34 @@ def _place(name: str) -> str:
     return posixpath.basename(name)
 
 
-def _needs(part: Mapping[str, Any], expected: Platform, beside: set[str]) -> Iterator[Problem]:
+def _needs(part: Mapping[str, Any], expected: Platform, neighbours: set[str]) -> Iterator[Problem]:
     python = [name for name in part["imports"] if _PYTHON.fullmatch(name)]
-    others = []
+    foreign_libraries = []
     for name in part["libraries"]:
         if _PYTHON_LIBRARY.fullmatch(posixpath.basename(name)):
             python.append(name)
-        elif not _USUAL[expected.format].fullmatch(name):
-            others.append(name)
+        elif not _SYSTEM_LIBRARIES[expected.format].fullmatch(name):
+            foreign_libraries.append(name)
     if python:
-        text = f"it needs a Python interpreter in the host ({listed(python, 3)} undefined)."
+        text = f"it needs a Python interpreter in the host ({quote_names(python, 3)} undefined)."
         yield "binary-python", text
-    names = {_place(name) for name in others}
-    absent = sorted(names - beside)
+    names = {_place(name) for name in foreign_libraries}
+    absent = sorted(names - neighbours)
     runtime = [name for name in absent if _REDISTRIBUTABLE.fullmatch(name)]
     for rule, needed in (
         ("binary-library", [name for name in absent if name not in runtime]),
         ("binary-runtime", runtime),
     ):
         if needed:
-            yield rule, f"it needs {listed(needed)}, neither part of the system nor in the FMU."
+            yield (
+                rule,
+                f"it needs {quote_names(needed)}, neither part of the system nor in the FMU.",
+            )
     origin = any("$ORIGIN" in path or "${ORIGIN}" in path for path in part["run_paths"])
-    present = sorted(names & beside)
+    present = sorted(names & neighbours)
     if present and expected.format == "ELF" and not origin:
         yield (
             "binary-path",
-            f"it needs {listed(present)} in its folder, but its run path lacks $ORIGIN to find it.",
+            f"it needs {quote_names(present)} in its folder, but its run path lacks $ORIGIN to "
+            "find it.",
         )

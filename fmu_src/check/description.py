@@ -111,7 +111,7 @@ class ParsedDescription:
     variables: tuple[ParsedVariable, ...]
     structure: Mapping[str, tuple[Unknown, ...]]
 
-    def shown(self, index: int) -> str:
+    def name_index(self, index: int) -> str:
         """Return the text for a variable that does not exist."""
         return f"variable number {index}" if self.fmi == 2 else f"value reference {-1 - index}"
 
@@ -135,14 +135,14 @@ def read_description(
     return (_Reader3(root, build) if three else _Reader(root)).description()
 
 
-def name_of(element: etree._Element) -> str:
+def read_name(element: etree._Element) -> str:
     """Return the name of an element, or ""."""
     return str(element.get("name", ""))
 
 
-def names_of(elements: Iterable[etree._Element]) -> tuple[str, ...]:
+def read_names(elements: Iterable[etree._Element]) -> tuple[str, ...]:
     """Return the names of elements."""
-    return tuple(map(name_of, elements))
+    return tuple(map(read_name, elements))
 
 
 def _attributes(element: etree._Element | None) -> dict[str, str]:
@@ -176,60 +176,64 @@ class _Reader:
                 for e in root.findall(name)
             ),
             units=tuple(
-                (name_of(u), names_of(u.findall("DisplayUnit")))
+                (read_name(u), read_names(u.findall("DisplayUnit")))
                 for u in root.findall("UnitDefinitions/Unit")
             ),
             types=self._types,
-            categories=names_of(root.findall("LogCategories/Category")),
+            categories=read_names(root.findall("LogCategories/Category")),
             experiment=_attributes(root.find("DefaultExperiment")),
             variables=tuple(self.variable(i, e) for i, e in enumerate(self.elements, start=1)),
-            structure={name: tuple(self._unknowns(place)) for name, place in self.lists.items()},
+            structure={
+                name: tuple(self._unknowns(list_path)) for name, list_path in self.lists.items()
+            },
         )
 
-    def own(self, element: etree._Element) -> etree._Element | None:
+    def find_type_element(self, element: etree._Element) -> etree._Element | None:
         return next((child for child in element if child.tag in _TYPES), None)
 
     def sources(self, kind: etree._Element) -> tuple[str, ...]:
-        return names_of(kind.findall("SourceFiles/File"))
+        return read_names(kind.findall("SourceFiles/File"))
 
     def number(self, text: str | None) -> int | None:
         return integer(text)
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
-        own = self.own(element)
-        given = _attributes(own)
+        type_element = self.find_type_element(element)
+        type_attributes = _attributes(type_element)
         return ParsedVariable(
             index=index,
-            name=name_of(element),
+            name=read_name(element),
             reference=integer(element.get("valueReference")),
             causality=element.get("causality", "local"),
             variability=element.get("variability", "continuous"),
             declared_initial=element.get("initial"),
-            kind="" if own is None else str(own.tag),
-            own=given,
-            type=self._by_name.get(given.get("declaredType", "")),
+            kind="" if type_element is None else str(type_element.tag),
+            own=type_attributes,
+            type=self._by_name.get(type_attributes.get("declaredType", "")),
         )
 
     def _type(self, element: etree._Element) -> SimpleType:
-        own = self.own(element)
-        items = [] if own is None else own.findall("Item")
+        type_element = self.find_type_element(element)
+        items = [] if type_element is None else type_element.findall("Item")
         return SimpleType(
-            name=name_of(element),
-            kind="" if own is None else str(own.tag).removesuffix("Type"),
-            attributes=_attributes(own),
-            items=tuple((name_of(item), integer(item.get("value"))) for item in items),
+            name=read_name(element),
+            kind="" if type_element is None else str(type_element.tag).removesuffix("Type"),
+            attributes=_attributes(type_element),
+            items=tuple((read_name(item), integer(item.get("value"))) for item in items),
         )
 
-    def _unknowns(self, place: str) -> Iterator[Unknown]:
-        for element in self.root.findall(place + self.unknown):
+    def _unknowns(self, list_path: str) -> Iterator[Unknown]:
+        for element in self.root.findall(list_path + self.unknown):
             index = self.number(element.get(self.reference))
             if index is None:
                 continue
-            known = element.get("dependencies")
-            numbers = map(self.number, (known or "").split())
+            dependencies_text = element.get("dependencies")
+            numbers = map(self.number, (dependencies_text or "").split())
             yield Unknown(
                 index=index,
-                dependencies=None if known is None else tuple(n for n in numbers if n is not None),
+                dependencies=None
+                if dependencies_text is None
+                else tuple(n for n in numbers if n is not None),
             )
 
 
@@ -258,7 +262,7 @@ class _Reader3(_Reader):
             self._numbers.setdefault(reference, i)
             self._sizes[reference] = integer(element.get("start"))
 
-    def own(self, element: etree._Element) -> etree._Element:
+    def find_type_element(self, element: etree._Element) -> etree._Element:
         return element
 
     def sources(self, kind: etree._Element) -> tuple[str, ...]:
@@ -267,7 +271,7 @@ class _Reader3(_Reader):
             name
             for build in builds
             if build.get("modelIdentifier", "") == kind.get("modelIdentifier", "")
-            for name in names_of(build.findall("SourceFileSet/SourceFile"))
+            for name in read_names(build.findall("SourceFileSet/SourceFile"))
         )
 
     def number(self, text: str | None) -> int:
@@ -276,23 +280,25 @@ class _Reader3(_Reader):
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         variable = super().variable(index, element)
-        own = dict(variable.own)
-        if "start" not in own and element.find("Start") is not None:  # of a String
-            own["start"] = " ".join(e.get("value", "") or "?" for e in element.findall("Start"))
-        if "derivative" in own:
-            own["derivative"] = str(self.number(own["derivative"]))
-        parts = [
+        type_attributes = dict(variable.own)
+        if "start" not in type_attributes and element.find("Start") is not None:  # of a String
+            type_attributes["start"] = " ".join(
+                e.get("value", "") or "?" for e in element.findall("Start")
+            )
+        if "derivative" in type_attributes:
+            type_attributes["derivative"] = str(self.number(type_attributes["derivative"]))
+        sizes = [
             integer(d.get("start"))
             if "start" in d.attrib
             else self._sizes.get(integer(d.get("valueReference")))
             for d in element.findall("Dimension")
         ]
-        known = [size for size in parts if size is not None]
+        known_sizes = [size for size in sizes if size is not None]
         usual = "continuous" if variable.kind in FLOATS else "discrete"
-        more = {
+        updates = {
             "variability": element.get("variability", usual),
-            "own": own,
-            "size": prod(known) if len(known) == len(parts) else None,
-            "others": names_of(element.findall("Alias")),
+            "own": type_attributes,
+            "size": prod(known_sizes) if len(known_sizes) == len(sizes) else None,
+            "others": read_names(element.findall("Alias")),
         }
-        return ParsedVariable(**(vars(variable) | more))  # faster than `replace`
+        return ParsedVariable(**(vars(variable) | updates))  # faster than `replace`

@@ -18,12 +18,12 @@ from fmu_src.check.description import (
     ParsedVariable,
     Unknown,
     integer,
-    name_of,
-    names_of,
+    read_name,
+    read_names,
     real,
 )
 from fmu_src.check.rules import Problem
-from hesr_model.support.text import listed, plain, quoted
+from hesr_model.support.text import quote, quote_names, sanitise
 
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 _ICON = "terminalsAndIcons/icon.png"
@@ -39,7 +39,7 @@ def _kinds(model_description: ParsedDescription) -> Iterator[Problem]:
         if not _C_NAME.fullmatch(kind.identifier):
             yield (
                 "kind-identifier",
-                f"{kind.element} has the modelIdentifier {quoted(kind.identifier)}, which is "
+                f"{kind.element} has the modelIdentifier {quote(kind.identifier)}, which is "
                 "not a C identifier.",
             )
         if kind.can("needsExecutionTool"):
@@ -67,7 +67,7 @@ def _identity(model_description: ParsedDescription) -> Iterator[Problem]:
         else None
     )
     if date is not None and not _DATE.fullmatch(date):
-        text = f"generationDateAndTime is {quoted(date)}; the format is YYYY-MM-DDThh:mm:ssZ."
+        text = f"generationDateAndTime is {quote(date)}; the format is YYYY-MM-DDThh:mm:ssZ."
         yield "date-format", text
 
 
@@ -88,79 +88,81 @@ def _experiment(model_description: ParsedDescription) -> Iterator[Problem]:
             yield "experiment-times", text
     for name, text in model_description.experiment.items():
         if text.strip() in ("INF", "+INF", "-INF", "NaN"):
-            said = f"DefaultExperiment has {name} {text.strip()}; it must be finite."
-            yield "experiment-times", said
+            sentence = f"DefaultExperiment has {name} {text.strip()}; it must be finite."
+            yield "experiment-times", sentence
 
 
 def _definitions(model_description: ParsedDescription) -> Iterator[Problem]:
-    yield from repeated("unit-twice", "unit", (name for name, _ in model_description.units))
+    yield from find_duplicates("unit-twice", "unit", (name for name, _ in model_description.units))
     for unit, displays in model_description.units:
-        yield from repeated("unit-twice", f"display unit of {quoted(unit)},", displays)
-    yield from repeated("type-twice", "type", (t.name for t in model_description.types))
-    yield from repeated("category-twice", "log category", model_description.categories)
+        yield from find_duplicates("unit-twice", f"display unit of {quote(unit)},", displays)
+    yield from find_duplicates("type-twice", "type", (t.name for t in model_description.types))
+    yield from find_duplicates("category-twice", "log category", model_description.categories)
     variables = {variable.name for variable in model_description.variables}
     for simple in model_description.types:
         if simple.name in variables:
-            yield "type-name", f"the type {quoted(simple.name)} has the name of a variable."
-        who = f"enumeration {quoted(simple.name)}"
-        yield from repeated("type-twice", f"item of the {who},", (name for name, _ in simple.items))
+            yield "type-name", f"the type {quote(simple.name)} has the name of a variable."
+        subject = f"enumeration {quote(simple.name)}"
+        yield from find_duplicates(
+            "type-twice", f"item of the {subject},", (name for name, _ in simple.items)
+        )
         for value, times in Counter(value for _, value in simple.items).items():
             if times > 1:
-                yield "type-twice", f"the {who} has {times} items of the value {value}."
+                yield "type-twice", f"the {subject} has {times} items of the value {value}."
 
 
-def repeated(
-    rule: str, what: str, names: Iterable[str], done: str = "defined"
+def find_duplicates(
+    rule: str, noun: str, names: Iterable[str], predicate: str = "defined"
 ) -> Iterator[Problem]:
     """Yield a sentence for each repeated name."""
     for name, times in Counter(names).items():
         if times > 1:
-            yield rule, f"the {what} {quoted(name)} is {done} {times} times."
+            yield rule, f"the {noun} {quote(name)} is {predicate} {times} times."
 
 
-def _of_each(
+def _apply_to_variables(
     rule: Callable[[ParsedDescription, ParsedVariable], Iterator[Problem]],
 ) -> Callable[[ParsedDescription], Iterator[Problem]]:
-    def of_all(model_description: ParsedDescription) -> Iterator[Problem]:
+    def check_all(model_description: ParsedDescription) -> Iterator[Problem]:
         for variable in model_description.variables:
             for name, text in rule(model_description, variable):
-                yield name, f"the variable {quoted(variable.name)} {text}"
+                yield name, f"the variable {quote(variable.name)} {text}"
 
-    return of_all
+    return check_all
 
 
 def _independent(model_description: ParsedDescription) -> Iterator[Problem]:
-    found = [
+    independent_names = [
         variable.name
         for variable in model_description.variables
         if variable.causality == "independent"
     ]
-    if len(found) > 1:
+    if len(independent_names) > 1:
         yield (
             "variable-independent",
-            f"the variables {listed(found)} are all independent; only one may be.",
+            f"the variables {quote_names(independent_names)} are all independent; only one may be.",
         )
 
 
-@_of_each
+@_apply_to_variables
 def _ranges(model_description: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
     if (
         variable.kind not in ("Real", "Integer", "Enumeration", *model_description.continuous)
         and "Int" not in variable.kind
     ):
         return
-    low, high = (real(variable.get(name)) for name in ("min", "max"))
-    bounded = low is not None or high is not None
+    lower, upper = (real(variable.get(name)) for name in ("min", "max"))
+    bounded = lower is not None or upper is not None
     starts = [real(text) for text in (variable.get("start") or "").split()] if bounded else []
-    if low is not None and high is not None and low > high:
-        yield "variable-range", f"has min {low:.15g}, above its max {high:.15g}."
+    if lower is not None and upper is not None and lower > upper:
+        yield "variable-range", f"has min {lower:.15g}, above its max {upper:.15g}."
     elif outside := [
         start
         for start in starts
         if start is not None
-        and ((low is not None and start < low) or (high is not None and start > high))
+        and ((lower is not None and start < lower) or (upper is not None and start > upper))
     ]:
-        bounds = [f"{k} {x:.15g}" for k, x in (("min", low), ("max", high)) if x is not None]
+        bounds = [f"{k} {x:.15g}" for k, x in (("min", lower), ("max", upper)) if x is not None]
         text = f"has the start value {outside[0]:.15g}, outside its {' and '.join(bounds)}."
         yield "variable-range", text
     nominal = real(variable.get("nominal"))
@@ -172,39 +174,39 @@ def _ranges(model_description: ParsedDescription, variable: ParsedVariable) -> I
             yield (
                 "variable-item",
                 f"has the start value {value}, which is not an item of the enumeration "
-                f"{quoted(variable.type.name)}.",
+                f"{quote(variable.type.name)}.",
             )
 
 
-@_of_each
+@_apply_to_variables
 def _inputs(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
     if variable.causality == "input" and variable.declared_initial is not None:
         text = (
-            f"has initial '{plain(variable.declared_initial)}', which is invalid with causality "
+            f"has initial '{sanitise(variable.declared_initial)}', which is invalid with causality "
             "'input'."
         )
         yield "variable-initial", text
 
 
-@_of_each
+@_apply_to_variables
 def _types(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
     if variable.type is not None and variable.type.kind != variable.kind:
         yield (
             "variable-type",
-            f"is of type {plain(variable.kind)}, but its declared type "
-            f"{quoted(variable.type.name)} is of type "
-            f"{plain(variable.type.kind)}.",
+            f"is of type {sanitise(variable.kind)}, but its declared type "
+            f"{quote(variable.type.name)} is of type "
+            f"{sanitise(variable.type.kind)}.",
         )
 
 
-@_of_each
+@_apply_to_variables
 def _display_units(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
     display = variable.own.get("displayUnit")
     if display is not None and variable.get("unit") is None:
-        yield "variable-unit", f"has the display unit {quoted(display)} but no unit."
+        yield "variable-unit", f"has the display unit {quote(display)} but no unit."
 
 
-@_of_each
+@_apply_to_variables
 def _derivatives(
     model_description: ParsedDescription, variable: ParsedVariable
 ) -> Iterator[Problem]:
@@ -218,7 +220,7 @@ def _derivatives(
         size = "" if model_description.fmi == 2 else " and of its size"
         yield (
             "variable-derivative",
-            f"is the derivative of {quoted(state.name)}, which is not another continuous "
+            f"is the derivative of {quote(state.name)}, which is not another continuous "
             f"variable of type {' or '.join(model_description.continuous)}{size}.",
         )
 
@@ -232,31 +234,36 @@ def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
     for (_, reference), members in sets.items():
         if len(members) < 2:
             continue
-        who = (
-            f"the variables {listed(variable.name for variable in members)} share value reference "
+        subject = (
+            f"the variables {quote_names(variable.name for variable in members)} share value "
+            "reference "
             f"{reference}"
         )
         constants = [variable for variable in members if variable.variability == "constant"]
         if constants and len(constants) < len(members):
-            yield "alias-constant", f"{who}, but only some of them are constant."
+            yield "alias-constant", f"{subject}, but only some of them are constant."
         if len({variable.own.get("start") for variable in constants}) > 1:
-            yield "alias-constant", f"{who}, but as constants have different values."
-        if sum(_settable(variable) for variable in members) > 1:
-            yield "alias-settable", f"{who}, but more than one of them can be set."
+            yield "alias-constant", f"{subject}, but as constants have different values."
+        if sum(_is_settable(variable) for variable in members) > 1:
+            yield "alias-settable", f"{subject}, but more than one of them can be set."
         if len({variable.get("unit") for variable in members}) > 1:
-            yield "alias-unit", f"{who}, but have different units."
+            yield "alias-unit", f"{subject}, but have different units."
 
 
-@_of_each
+@_apply_to_variables
 def _sizes(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
-    given = len((variable.own.get("start") or "").split())
+    start_count = len((variable.own.get("start") or "").split())
     if variable.size is None:
         yield "variable-size", "has a dimension of unknown size."
-    elif variable.kind not in ("String", "Binary") and given > 1 and given != variable.size:
-        yield "variable-size", f"has {given} start values for {variable.size} elements."
+    elif (
+        variable.kind not in ("String", "Binary")
+        and start_count > 1
+        and start_count != variable.size
+    ):
+        yield "variable-size", f"has {start_count} start values for {variable.size} elements."
 
 
-def _settable(variable: ParsedVariable) -> bool:
+def _is_settable(variable: ParsedVariable) -> bool:
     initial = variable.declared_initial or ("exact" if variable.causality == "parameter" else "")
     started = variable.variability != "constant" and initial in ("exact", "approx")
     return started or variable.causality == "input"
@@ -265,8 +272,8 @@ def _settable(variable: ParsedVariable) -> bool:
 def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Problem]:
     if all(kind.element != "ModelExchange" for kind in model_description.kinds):
         return
-    place = model_description.lists["Derivatives"]
-    found = {u.index for u in model_description.structure["Derivatives"]}
+    list_name = model_description.lists["Derivatives"]
+    listed_indices = {u.index for u in model_description.structure["Derivatives"]}
     declared = [
         variable for variable in model_description.variables if "derivative" in variable.own
     ]
@@ -274,37 +281,38 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
         ("structure-states", "lacks"): [
             variable
             for variable in declared
-            if variable.variability == "continuous" and variable.index not in found
+            if variable.variability == "continuous" and variable.index not in listed_indices
         ],
         ("structure-derivatives", "lists"): [
             variable
             for variable in declared
-            if variable.variability != "continuous" and variable.index in found
+            if variable.variability != "continuous" and variable.index in listed_indices
         ],
     }
     for (rule, verb), variables in wrong.items():
         if variables:
             yield (
                 rule,
-                f"{place} {verb} {listed(variable.name for variable in variables)}; it must list "
+                f"{list_name} {verb} {quote_names(variable.name for variable in variables)}; "
+                "it must list "
                 "every "
                 "derivative of a state and no other variable.",
             )
 
 
 def _order(model_description: ParsedDescription) -> Iterator[Problem]:
-    place = "InitialUnknowns"
-    found = [
+    list_name = "InitialUnknowns"
+    initial_variables = [
         variable
-        for u in model_description.structure[place]
+        for u in model_description.structure[list_name]
         if (variable := model_description.variable(u.index))
     ]
-    for before, after in pairwise(found if model_description.fmi == 2 else ()):
+    for before, after in pairwise(initial_variables if model_description.fmi == 2 else ()):
         if after.index < before.index:
             yield (
                 "structure-order",
-                f"{model_description.lists[place]} lists {quoted(after.name)} after "
-                f"{quoted(before.name)}; it "
+                f"{model_description.lists[list_name]} lists {quote(after.name)} after "
+                f"{quote(before.name)}; it "
                 "must follow the order of the variables.",
             )
 
@@ -315,13 +323,13 @@ def _indices(model_description: ParsedDescription) -> Iterator[Problem]:
             variable = model_description.variable(index)
             if variable is None:
                 text = (
-                    f"{model_description.lists[name]} lists {model_description.shown(index)}, "
+                    f"{model_description.lists[name]} lists {model_description.name_index(index)}, "
                     "which does not exist."
                 )
                 yield "structure-index", text
             elif times > 1:
                 text = (
-                    f"{model_description.lists[name]} lists {quoted(variable.name)} {times} times."
+                    f"{model_description.lists[name]} lists {quote(variable.name)} {times} times."
                 )
                 yield "structure-index", text
 
@@ -334,57 +342,69 @@ def _dependencies(model_description: ParsedDescription) -> Iterator[Problem]:
     for name in STRUCTURE:
         unknowns = model_description.structure[name]
         silent = [
-            _named(model_description, u) for u in unknowns if u.dependencies is None and inputs
+            _describe_unknown(model_description, u)
+            for u in unknowns
+            if u.dependencies is None and inputs
         ]
         if silent:
             yield (
                 "structure-loops",
-                f"{model_description.lists[name]} gives no dependencies for {listed(silent)}, "
+                f"{model_description.lists[name]} gives no dependencies for {quote_names(silent)}, "
                 "so importers assume all inputs and find false algebraic loops.",
             )
         for unknown in unknowns:
-            who = (
+            subject = (
                 f"{model_description.lists[name]} gives "
-                f"{quoted(_named(model_description, unknown))}"
+                f"{quote(_describe_unknown(model_description, unknown))}"
             )
-            known = unknown.dependencies or ()
-            missing = [i for i in known if model_description.variable(i) is None]
+            dependencies = unknown.dependencies or ()
+            missing = [i for i in dependencies if model_description.variable(i) is None]
             if missing:
                 text = (
-                    f"{who} a dependency on {model_description.shown(missing[0])}, which does not "
+                    f"{subject} a dependency on {model_description.name_index(missing[0])}, "
+                    "which does not "
                     "exist."
                 )
                 yield "structure-dependency", text
-            elif model_description.fmi == 2 and any(a >= b for a, b in pairwise(known)):
-                yield "structure-order", f"{who} dependencies that are not in ascending order."
+            elif model_description.fmi == 2 and any(a >= b for a, b in pairwise(dependencies)):
+                yield "structure-order", f"{subject} dependencies that are not in ascending order."
 
 
-def _named(model_description: ParsedDescription, unknown: Unknown) -> str:
+def _describe_unknown(model_description: ParsedDescription, unknown: Unknown) -> str:
     variable = model_description.variable(unknown.index)
-    return variable.name if variable else model_description.shown(unknown.index)
+    return variable.name if variable else model_description.name_index(unknown.index)
 
 
 def terminal_problems(
     root: etree._Element, model_description: ParsedDescription, contents: Contents
 ) -> Iterator[Problem]:
     """Yield missing references and repeated names of terminals."""
-    known = {name for v in model_description.variables for name in (v.name, *v.others)}
-    yield from repeated(
-        "terminal-twice", "terminal", names_of(root.findall("Terminals/Terminal")), "there"
+    variable_names = {
+        name
+        for variable in model_description.variables
+        for name in (variable.name, *variable.others)
+    }
+    yield from find_duplicates(
+        "terminal-twice", "terminal", read_names(root.findall("Terminals/Terminal")), "there"
     )
     for terminal in root.iter("Terminal"):
         members = terminal.findall("TerminalMemberVariable")
-        who = f"terminal {quoted(name_of(terminal))}"
-        named = [e.get("memberName", "") for e in members if e.get("memberName")]
-        yield from repeated("terminal-twice", f"member of the {who},", named, "there")
-        nested = names_of(terminal.findall("Terminal"))
-        yield from repeated("terminal-twice", f"nested terminal of the {who},", nested, "there")
+        subject = f"terminal {quote(read_name(terminal))}"
+        member_names = [e.get("memberName", "") for e in members if e.get("memberName")]
+        yield from find_duplicates(
+            "terminal-twice", f"member of the {subject},", member_names, "there"
+        )
+        nested = read_names(terminal.findall("Terminal"))
+        yield from find_duplicates(
+            "terminal-twice", f"nested terminal of the {subject},", nested, "there"
+        )
         for member in members:
-            variable = member.get("variableName", "")
-            if variable not in known:
+            member_variable = member.get("variableName", "")
+            if member_variable not in variable_names:
                 yield (
                     "terminal-member",
-                    f"the {who} has the member {quoted(variable)}, which is not a variable.",
+                    f"the {subject} has the member {quote(member_variable)}, which is not a "
+                    "variable.",
                 )
     if root.find("GraphicalRepresentation/Icon") is not None and _ICON not in contents.names:
         yield "terminal-icon", f"it declares an icon, but {_ICON} is missing."

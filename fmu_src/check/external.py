@@ -10,8 +10,8 @@ from fmu_src.check.archive import Contents
 from fmu_src.check.rules import Problem
 from fmu_src.run.instance import DiedError
 from fmu_src.run.sandbox import run_in_sandbox
-from hesr_model.support.process import FailedError, run, tied
-from hesr_model.support.text import listed, plain
+from hesr_model.support.process import FailedError, run, tie_command
+from hesr_model.support.text import quote_names, sanitise
 
 FMPY_SECONDS = 120.0
 VDMCHECK_SECONDS = 300.0
@@ -20,7 +20,7 @@ VDMCHECK_VARIABLES = 5000  # it takes quadratic time
 DEFAULT_VDMCHECK = Path(".tools/vdmcheck2")
 JAR = "vdmcheck2.jar"
 
-_LONGEST = 1000  # characters of a message: FMPy lists all unknowns in one
+_MAX_MESSAGE_LENGTH = 1000  # characters of a message: FMPy lists all unknowns in one
 _RULE = re.compile(r"(\w+): (.+)")
 _SETS = re.compile(r"Expected \{(.*)\} but was \{(.*)\}")
 _LINE = re.compile(r" at \w+\.xml:(\d+)$")
@@ -40,33 +40,38 @@ def fmpy(copy: Path, folder: Path) -> tuple[list[Problem], list[str]]:
     """Return the problems that FMPy finds, and why it was not run."""
     try:
         reader = "fmu_src.check.readers:validate"
-        found, failed = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
+        messages, failure = run_in_sandbox(reader, str(copy), folder=folder, seconds=FMPY_SECONDS)
     except DiedError as error:
         return [], [f"FMPy {error}."]
-    problems = [("fmpy", _with_difference(text)) for text in found]
-    if failed:
-        problems = [("fmpy-failed", f"FMPy cannot read the description ({plain(failed, 400)}).")]
+    problems = [("fmpy", _add_difference(text)) for text in messages]
+    if failure:
+        problems = [
+            ("fmpy-failed", f"FMPy cannot read the description ({sanitise(failure, 400)}).")
+        ]
     return problems, []
 
 
-def _with_difference(text: str) -> str:
+def _add_difference(text: str) -> str:
     sentence = _sentence(text)
     sets = _SETS.search(text)
     if not sets:
         return sentence
-    expected, found = (dict.fromkeys(names.split(", ")) for names in sets.groups())
-    for verb, one, other in (("lacks", expected, found), ("must not list", found, expected)):
-        names = [name for name in one if name and name not in other]
+    expected, actual = (dict.fromkeys(names.split(", ")) for names in sets.groups())
+    for verb, candidates, excluded in (
+        ("lacks", expected, actual),
+        ("must not list", actual, expected),
+    ):
+        names = [name for name in candidates if name and name not in excluded]
         if names:
-            sentence += f" It {verb} {listed(names)}."
+            sentence += f" It {verb} {quote_names(names)}."
     return sentence
 
 
 def vdmcheck2(
-    copy: Path, folder: Path, place: Path | None, count: int
+    copy: Path, folder: Path, vdmcheck_folder: Path | None, count: int
 ) -> tuple[list[Problem], list[str]]:
     """Return the problems that VDMCheck2 finds, and why it was not run."""
-    jar = (place or DEFAULT_VDMCHECK) / JAR
+    jar = (vdmcheck_folder or DEFAULT_VDMCHECK) / JAR
     if not jar.is_file():
         return [], [f"VDMCheck2: {JAR} is missing in {jar.parent}."]
     java = shutil.which("java")
@@ -78,14 +83,14 @@ def vdmcheck2(
     # Without -v it writes a file into its own folder.
     command = (java, "-jar", str(jar.resolve()), "-v", str(folder / "model.vdm"), str(copy))
     try:
-        ended = run(tied(command), folder, VDMCHECK_SECONDS)
+        ended = run(tie_command(command), folder, VDMCHECK_SECONDS)
     except FailedError as error:
-        return [], [f"VDMCheck2: {plain(str(error))}."]
+        return [], [f"VDMCheck2: {sanitise(str(error))}."]
     lines = ended.stdout.splitlines()
     if "No errors found." in lines:
         return [], []
     if "Errors found." not in lines:
-        first = plain(next(iter(lines), "no message"), _LONGEST).rstrip(".")
+        first = sanitise(next(iter(lines), "no message"), _MAX_MESSAGE_LENGTH).rstrip(".")
         return [], [f"VDMCheck2: it gave no verdict but said '{first}'."]
     rules = [match for line in lines if (match := _RULE.fullmatch(line))]
     # FMI 2 only recommends a form of dates: see `date-format`.
@@ -97,12 +102,12 @@ def vdmcheck2(
 
 def _rule(name: str, text: str) -> Problem:
     line = _LINE.search(text)
-    where = f"modelDescription.xml, line {line[1]}: " if line else ""
+    location = f"modelDescription.xml, line {line[1]}: " if line else ""
     text = text[: line.start()] if line else text
-    return f"vdmcheck2:{name}", _sentence(f"{where}{text}")
+    return f"vdmcheck2:{name}", _sentence(f"{location}{text}")
 
 
 def _sentence(text: str) -> str:
     # Further lines are drawings of parsers.
-    text = plain(next(iter(text.strip().splitlines()), "no message"), _LONGEST)
+    text = sanitise(next(iter(text.strip().splitlines()), "no message"), _MAX_MESSAGE_LENGTH)
     return text if text.endswith((".", "!", "?")) else f"{text}."

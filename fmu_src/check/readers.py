@@ -7,9 +7,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-MOST_SYMBOLS = 10_000
-MOST_ERRORS = 10_000
-MOST_NAMES = 1000  # parsed by FMPy in a millisecond each
+MAX_SYMBOLS = 10_000
+MAX_ERRORS = 10_000
+MAX_NAMES = 1000  # parsed by FMPy in a millisecond each
 
 _SCHEMAS = {
     "1.0": "schema/fmi1/fmiModelDescription.xsd",
@@ -31,19 +31,31 @@ def validate(file: str) -> tuple[list[str], str]:
     from fmpy.validation import validate_model_description
 
     try:
-        about = read_model_description(file, validate=False)
-        found = validate_model_description(about, validate_model_structure=True)
-        exempt = {v.name for v in about.modelVariables if v.alias or v.type == "Clock"}
-        odd = (v for v in about.modelVariables if not _LEGAL.fullmatch(v.name))
-        about.modelVariables = list(islice(odd, MOST_NAMES))
-        about.fmiVersion = ""
-        found = validate_model_description(about, validate_variable_names=True) + found
+        model_description = read_model_description(file, validate=False)
+        messages = validate_model_description(model_description, validate_model_structure=True)
+        exempt = {
+            variable.name
+            for variable in model_description.modelVariables
+            if variable.alias or variable.type == "Clock"
+        }
+        odd = (
+            variable
+            for variable in model_description.modelVariables
+            if not _LEGAL.fullmatch(variable.name)
+        )
+        model_description.modelVariables = list(islice(odd, MAX_NAMES))
+        model_description.fmiVersion = ""
+        messages = (
+            validate_model_description(model_description, validate_variable_names=True) + messages
+        )
     except Exception as error:
         # FMPy raises bare exceptions for violations; others are its own faults.
-        said = str(error) or type(error).__name__
-        problems = getattr(error, "problems", [said] if type(error) is Exception else [])
-        return problems, "" if problems else f"{type(error).__name__}: {said}"
-    return [problem for problem in dict.fromkeys(found) if not _of_fmi_3(problem, exempt)], ""
+        reason = str(error) or type(error).__name__
+        problems = getattr(error, "problems", [reason] if type(error) is Exception else [])
+        return problems, "" if problems else f"{type(error).__name__}: {reason}"
+    return [
+        problem for problem in dict.fromkeys(messages) if not _is_fmi_3_only(problem, exempt)
+    ], ""
 
 
 _PART = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
@@ -51,13 +63,13 @@ _LEGAL = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,\d+)?\)", r
 _INITIAL = re.compile(r"ModelStructure/InitialUnknowns .*Expected \{(.*)\} but was \{(.*)\}\.")
 
 
-def _of_fmi_3(problem: str, exempt: set[str]) -> bool:
+def _is_fmi_3_only(problem: str, exempt: set[str]) -> bool:
     """Whether FMPy only misses aliases and clocks of FMI 3, which are no initial unknowns."""
     sets = _INITIAL.fullmatch(problem)
     if not sets:
         return False
-    expected, found = (set(names.split(", ")) for names in sets.groups())
-    return expected - exempt == found - exempt
+    expected, actual = (set(names.split(", ")) for names in sets.groups())
+    return expected - exempt == actual - exempt
 
 
 def compare(file: str) -> list[tuple[int, str, str]]:
@@ -65,18 +77,18 @@ def compare(file: str) -> list[tuple[int, str, str]]:
     from lxml import etree
 
     root = etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).getroot()
-    place = schema_of(root.tag, root.attrib)
-    if place is None:
+    schema_path = find_schema(root.tag, root.attrib)
+    if schema_path is None:
         return []
-    schema = etree.XMLSchema(file=str(place))
+    schema = etree.XMLSchema(file=str(schema_path))
     schema.validate(root)
     return [
         (e.line, e.type_name.removeprefix("SCHEMAV_").lower(), str(e.message)[:1000])
-        for e in islice(schema.error_log, MOST_ERRORS)
+        for e in islice(schema.error_log, MAX_ERRORS)
     ]
 
 
-def schema_of(tag: str, attributes: Mapping[str, str]) -> Path | None:
+def find_schema(tag: str, attributes: Mapping[str, str]) -> Path | None:
     """Return the schema for a root element, None if it is not installed."""
     tag, version = tag.rpartition("}")[2], attributes.get("fmiVersion", "")
     name = _SCHEMAS.get(tag) or _SCHEMAS["3" if version.startswith("3.") else version]
@@ -103,8 +115,8 @@ def inspect(file: str) -> dict[str, Any]:
 
 def _answer(kind: str, parts: Any, read: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
     # `parts` stays alive here: LIEF's parts do not keep their file alive.
-    found = [read(part) for part in parts or () if part is not None]
-    return {"format": kind if found else None, "parts": found}
+    part_records = [read(part) for part in parts or () if part is not None]
+    return {"format": kind if part_records else None, "parts": part_records}
 
 
 def _word(value: object) -> str:
@@ -112,11 +124,11 @@ def _word(value: object) -> str:
 
 
 def _exports(names: Iterable[object]) -> list[str]:
-    return list(islice((str(n) for n in names if n and "fmi" in str(n)), MOST_SYMBOLS))
+    return list(islice((str(n) for n in names if n and "fmi" in str(n)), MAX_SYMBOLS))
 
 
 def _imports(names: Iterable[object]) -> list[str]:
-    return list(islice((str(n) for n in names if n and "Py" in str(n)), MOST_SYMBOLS))
+    return list(islice((str(n) for n in names if n and "Py" in str(n)), MAX_SYMBOLS))
 
 
 def _elf(elf: Any) -> dict[str, Any]:
@@ -143,8 +155,8 @@ def _pe(pe: Any) -> dict[str, Any]:
     return {
         "machine": _word(pe.header.machine),
         "shared": "DLL" in {_word(c) for c in pe.header.characteristics_list},
-        "exports": _exports(e.name for e in exports.entries) if exports else [],
-        "imports": _imports(e.name for library in imports for e in library.entries),
+        "exports": _exports(e.name for e in exports.open_archive) if exports else [],
+        "imports": _imports(e.name for library in imports for e in library.open_archive),
         "libraries": [str(library.name) for library in imports],
         "run_paths": [],
     }

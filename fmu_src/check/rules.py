@@ -8,7 +8,7 @@ from hesr_model.findings import Finding, Severity
 Problem = tuple[str, str]
 """Identifier of a rule, with an own identifier of a validator after ":", and a sentence."""
 
-MOST_PROBLEMS = 1000  # per check
+MAX_PROBLEMS = 1000  # per check
 
 
 @dataclass(frozen=True)
@@ -126,29 +126,34 @@ _FOREIGN = Rule("error", "findings of another package's check", "the package")
 
 
 def findings(problems: Iterable[Problem]) -> list[Finding]:
-    """Return the findings of one check, without repetitions and at most `MOST_PROBLEMS`."""
-    kept: dict[Problem, None] = {}
-    more = 0
+    """Return the findings of one check, without repetitions and at most `MAX_PROBLEMS`."""
+    distinct_problems: dict[Problem, None] = {}
+    omitted_count = 0
     for problem in problems:
-        if len(kept) < MOST_PROBLEMS:
-            kept[problem] = None
-        elif problem not in kept:
-            more += 1
+        if len(distinct_problems) < MAX_PROBLEMS:
+            distinct_problems[problem] = None
+        elif problem not in distinct_problems:
+            omitted_count += 1
     findings = [
-        Finding(check=name, severity=rule_of(name).severity, found=text) for name, text in kept
+        Finding(check=name, severity=find_rule(name).severity, found=text)
+        for name, text in distinct_problems
     ]
-    if more:
+    if omitted_count:
         findings.append(
-            Finding(check="more", severity="advice", found=f"{more} more findings are not listed.")
+            Finding(
+                check="more",
+                severity="advice",
+                found=f"{omitted_count} more findings are not listed.",
+            )
         )
     return findings
 
 
-def rule_of(name: str) -> Rule:
+def find_rule(name: str) -> Rule:
     """Return the rule of a finding."""
     return RULES.get(name.partition(":")[0], _FOREIGN)
 
 
-def with_rule(name: str, texts: Iterable[str]) -> Iterator[Problem]:
+def label_problems(name: str, texts: Iterable[str]) -> Iterator[Problem]:
     """Yield sentences as problems of one rule."""
     return ((name, text) for text in texts)

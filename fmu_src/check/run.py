@@ -14,10 +14,10 @@ from fmu_src.check.description import ParsedDescription, read_description
 from fmu_src.check.description_rules import RULES, RULES_2, RULES_3, TERMINALS, terminal_problems
 from fmu_src.check.rules import Problem
 from hesr_model.errors import ConfigError
-from hesr_model.findings import SEVERITIES, Finding, errors_first
+from hesr_model.findings import SEVERITIES, Finding, sort_by_severity
 from hesr_model.support import plugins
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.text import plain, quoted
+from hesr_model.support.text import quote, sanitise
 from hesr_model.support.typed_files import to_json
 
 _MODEL = "modelDescription.xml"
@@ -46,20 +46,20 @@ class Report:
         if not self.platforms:
             is_system = self.path.suffix.lower() == ".ssp"
             return "none that all its FMUs share." if is_system else "none."
-        without = binaries.missing_systems(self.platforms)
-        lack = f"; no binary for tools on {' and '.join(without)}" if without else ""
+        missing = binaries.missing_systems(self.platforms)
+        lack = f"; no binary for tools on {' and '.join(missing)}" if missing else ""
         return f"{', '.join(self.platforms)}{lack}."
 
     @property
     def verdict(self) -> str:
         """One-line summary."""
         counts = {s: sum(finding.severity == s for finding in self.problems) for s in SEVERITIES}
-        said = [
+        count_texts = [
             f"{count} {severity}{'s' * (count > 1 and severity != 'advice')}"
             for severity, count in counts.items()
             if count
         ]
-        return f"{', '.join(said)}." if said else "no finding."
+        return f"{', '.join(count_texts)}." if count_texts else "no finding."
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as JSON data."""
@@ -83,13 +83,13 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         folder = Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
-        found = _Found(folder, vdmcheck, kinds)
+        check_run = _Found(folder, vdmcheck, kinds)
         contents = archive.unpack(path, files)
-        found.check(contents)
+        check_run.check(contents)
     return Report(
         path=path,
-        problems=tuple(errors_first(found.problems)),
-        skipped=tuple(found.skipped),
+        problems=tuple(sort_by_severity(check_run.problems)),
+        skipped=tuple(check_run.skipped),
         platforms=binaries.platforms(contents) if _MODEL in contents.names else None,
     )
 
@@ -108,9 +108,9 @@ class _Found:
         self.problems += findings
         return any(finding.severity == "error" for finding in findings)
 
-    def _add_run(self, found: tuple[list[Problem], list[str]]) -> None:
-        self._add(found[0])
-        self.skipped += found[1]
+    def _add_run(self, outcome: tuple[list[Problem], list[str]]) -> None:
+        self._add(outcome[0])
+        self.skipped += outcome[1]
 
     def check(self, contents: Contents) -> None:
         damaged = self._add(contents.problems)
@@ -118,7 +118,7 @@ class _Found:
             self.skipped.append("All other checks: not run; the archive could not be read.")
             return
         self._add(sources.machine_paths(contents))
-        self.skipped += sources.skipped_libraries(contents)
+        self.skipped += sources.find_skipped_libraries(contents)
         root, texts = _model(contents)
         broken = self._add(texts)
         if root is None:
@@ -137,24 +137,24 @@ class _Found:
                 "FMPy and VDMCheck2: not run; the archive, its XML or the schema is wrong."
             )
         else:
-            self._run_others(contents, version, len(model_description.variables))
+            self._run_validators(contents, version, len(model_description.variables))
         for kind in self._kinds:
             self._add_run(
                 plugins.find("hesr.checks", kind)(model_description, contents, self._folder)
             )
 
     def _check_rules(self, model_description: ParsedDescription, contents: Contents) -> None:
-        more = RULES_2 if model_description.fmi == 2 else RULES_3
-        self._add(chain.from_iterable(rule(model_description) for rule in (*RULES, *more)))
+        version_rules = RULES_2 if model_description.fmi == 2 else RULES_3
+        self._add(chain.from_iterable(rule(model_description) for rule in (*RULES, *version_rules)))
         if TERMINALS in contents.files:
             connected, _ = archive.parse(TERMINALS, contents.files[TERMINALS])
             if connected is not None:
                 self._add(terminal_problems(connected, model_description, contents))
         self._add(sources.problems(model_description, contents))
         self._add(binaries.problems(model_description, contents, self._folder))
-        self.skipped += binaries.skipped(model_description, contents)
+        self.skipped += binaries.describe_unknown_platforms(model_description, contents)
 
-    def _run_others(self, contents: Contents, version: str, count: int) -> None:
+    def _run_validators(self, contents: Contents, version: str, count: int) -> None:
         readable = [_MODEL]
         for name in _OTHER_XML:
             if name in contents.files:
@@ -168,7 +168,7 @@ class _Found:
         external.write_copy(contents, readable, copy)
         self._add_run(external.fmpy(copy, self._folder))
         if version != "2.0":
-            self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {plain(version)}.")
+            self.skipped.append(f"VDMCheck2: it is for FMI 2.0, this is FMI {sanitise(version)}.")
             return
         self._add_run(external.vdmcheck2(copy, self._folder, self._vdmcheck, count))
 
@@ -176,7 +176,7 @@ class _Found:
 def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:
     if _MODEL not in contents.names:
         elsewhere = next((n for n in contents.names if n.endswith(f"/{_MODEL}")), None)
-        hint = f"; {quoted(elsewhere)} is in the wrong folder" if elsewhere else ""
+        hint = f"; {quote(elsewhere)} is in the wrong folder" if elsewhere else ""
         return None, [("xml-unreadable", f"{_MODEL} is missing{hint}.")]
     if _MODEL not in contents.files:
         return None, []
@@ -184,11 +184,11 @@ def _model(contents: Contents) -> tuple[etree._Element | None, list[Problem]]:
     if root is None:
         return None, texts
     if root.tag != "fmiModelDescription":
-        tag = quoted(str(root.tag))
+        tag = quote(str(root.tag))
         text = f"{_MODEL}: its root is {tag}; it must be 'fmiModelDescription'."
         return None, [*texts, ("xml-unreadable", text)]
     version = root.get("fmiVersion", "")
     if version not in ("1.0", "2.0") and not version.startswith("3."):
-        text = f"{_MODEL}: its fmiVersion is {quoted(version)}; expected '2.0'."
+        text = f"{_MODEL}: its fmiVersion is {quote(version)}; expected '2.0'."
         return None, [*texts, ("fmi-version", text)]
     return root, texts

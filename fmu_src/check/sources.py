@@ -11,17 +11,17 @@ from pathlib import Path
 from fmu_src.check.archive import Contents
 from fmu_src.check.description import ParsedDescription
 from fmu_src.check.rules import Problem
-from hesr_model.support.text import plain, quoted
+from hesr_model.support.text import quote, sanitise
 
-MOST_PATHS = 100  # per file; the first one and the number are reported
+MAX_PATHS = 100  # per file; the first one and the number are reported
 _NAME = rb"[A-Za-z0-9_.+@-]{1,100}"
-_OF_USERS = re.compile(
+_USER_PATH = re.compile(
     rb"/(?:home|Users|tmp|builds|var/tmp|var/folders)/%(n)s/%(n)s" % {b"n": _NAME}
 )
 # "root" is a common name of XML elements, so a dot is required in the rest.
-_OF_ROOT = re.compile(rb"/root/[A-Za-z0-9_.+@/-]{0,100}\.[A-Za-z0-9_+-]{1,50}")
+_ROOT_PATH = re.compile(rb"/root/[A-Za-z0-9_.+@/-]{0,100}\.[A-Za-z0-9_+-]{1,50}")
 _PART = rb"[^\x00-\x1f\\/:*?\"<>|]{1,100}"
-_OF_WINDOWS = re.compile(
+_WINDOWS_PATH = re.compile(
     rb"[A-Za-z]:(\\{1,2}|/)(?:Users|Documents and Settings|a|Temp|builds)\1%(p)s\1%(p)s"
     # The full name of the file with debugging symbols.
     rb"|[A-Za-z]:(?:\\%(p)s){2,30}\.pdb" % {b"p": _PART}
@@ -29,68 +29,69 @@ _OF_WINDOWS = re.compile(
 
 # Pattern, its offset in the path [B], and pattern of the rest of the path.
 _PLACES = (
-    *((b"/%s/" % name, 0, _OF_USERS) for name in (b"home", b"Users", b"tmp", b"builds")),
-    *((b"/var/%s/" % name, 0, _OF_USERS) for name in (b"tmp", b"folders")),
-    (b"/root/", 0, _OF_ROOT),
-    (b":\\", 1, _OF_WINDOWS),
-    (b":/", 1, _OF_WINDOWS),
+    *((b"/%s/" % name, 0, _USER_PATH) for name in (b"home", b"Users", b"tmp", b"builds")),
+    *((b"/var/%s/" % name, 0, _USER_PATH) for name in (b"tmp", b"folders")),
+    (b"/root/", 0, _ROOT_PATH),
+    (b":\\", 1, _WINDOWS_PATH),
+    (b":/", 1, _WINDOWS_PATH),
 )
 
 # A path does not follow a name or another path, except after a compiler option.
-_ALONE = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
+_PATH_START = re.compile(rb"(?<![A-Za-z0-9_.~-])(?<!\b[A-Za-z]:)|(?<=-[IL])")
 
 
 # Hosts never look for the FMU's own binary under a versioned name.
-_CARRIED = re.compile(r"(.+/)?binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
+_CARRIED_LIBRARY = re.compile(r"(.+/)?binaries/[^/]+/lib[^/]+\.so(\.[0-9]+)+")
 
 _XML_COMMENT = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
 _LIBRARIES = (".so", ".dll", ".dylib")
 
 
-def skipped_libraries(contents: Contents) -> list[str]:
+def find_skipped_libraries(contents: Contents) -> list[str]:
     """Return the third-party libraries in an FMU, with the reason."""
     return [
-        f"paths in {plain(name)}: {reason}"
+        f"paths in {sanitise(name)}: {reason}"
         for name, file in contents.files.items()
-        if (reason := _built_elsewhere(name, file))
+        if (reason := _find_skip_reason(name, file))
     ]
 
 
 def machine_paths(contents: Contents) -> Iterator[Problem]:
     """Yield the files that contain such a path."""
     for name, file in contents.files.items():
-        if _built_elsewhere(name, file):
+        if _find_skip_reason(name, file):
             continue
-        found = list(dict.fromkeys(islice(_paths(_code(name, file)), MOST_PATHS)))
-        if found:
-            more = f" and {len(found) - 1} more of its kind" if len(found) > 1 else ""
+        paths = list(dict.fromkeys(islice(_paths(_code(name, file)), MAX_PATHS)))
+        if paths:
+            suffix = f" and {len(paths) - 1} more of its kind" if len(paths) > 1 else ""
             yield (
                 "machine-path",
-                f"{plain(name)}: it holds {quoted(found[0])}{more}, a path of the machine where "
+                f"{sanitise(name)}: it holds {quote(paths[0])}{suffix}, a path of the machine "
+                "where "
                 "the FMU was built.",
             )
 
 
-def _built_elsewhere(name: str, file: Path) -> str | None:
-    if _CARRIED.fullmatch(name):
+def _find_skip_reason(name: str, file: Path) -> str | None:
+    if _CARRIED_LIBRARY.fullmatch(name):
         return "a library that the FMU carries, built elsewhere."
     if name.endswith(_LIBRARIES):
-        for own in _of_fmpy().get(file.stat().st_size, ()):
-            if file.read_bytes() == own.read_bytes():
-                return f"{own.name} of FMPy as it is distributed, built elsewhere."
+        for library in _find_fmpy_libraries().get(file.stat().st_size, ()):
+            if file.read_bytes() == library.read_bytes():
+                return f"{library.name} of FMPy as it is distributed, built elsewhere."
     return None
 
 
 @cache
-def _of_fmpy() -> dict[int, list[Path]]:
+def _find_fmpy_libraries() -> dict[int, list[Path]]:
     """Return the libraries in FMPy, which containers use as their own, by size [B]."""
-    found: dict[int, list[Path]] = {}
+    libraries: dict[int, list[Path]] = {}
     spec = find_spec("fmpy")
     for folder in (spec.submodule_search_locations if spec else None) or ():
         for file in sorted(Path(folder).rglob("*")):
             if file.suffix in _LIBRARIES and file.is_file():
-                found.setdefault(file.stat().st_size, []).append(file)
-    return found
+                libraries.setdefault(file.stat().st_size, []).append(file)
+    return libraries
 
 
 def _code(name: str, file: Path) -> bytes:
@@ -98,7 +99,7 @@ def _code(name: str, file: Path) -> bytes:
     # Do not map the file: Python's search in a map reads one byte past the end.
     data = file.read_bytes()
     if name.lower().endswith(SUFFIXES):
-        return without_comments(data)
+        return remove_comments(data)
     if name.lower().endswith((".xml", ".html", ".htm", ".svg")):
         return _XML_COMMENT.sub(b"", data)
     return data
@@ -106,17 +107,17 @@ def _code(name: str, file: Path) -> bytes:
 
 def _paths(data: bytes) -> Iterator[str]:
     for literal, before, pattern in _PLACES:
-        place = data.find(literal)
-        while place >= 0:
-            start = place - before
+        position = data.find(literal)
+        while position >= 0:
+            start = position - before
             match = pattern.match(data, start) if start >= 0 else None
-            if match and _ALONE.match(data, start):
+            if match and _PATH_START.match(data, start):
                 yield match[0].decode("utf-8", "replace")
-            place = data.find(literal, match.end() if match else place + 1)
+            position = data.find(literal, match.end() if match else position + 1)
 
 
-MOST_BYTES = 8 << 20  # of a source file; larger ones are data
-_OFFICIAL = {
+MAX_SOURCE_BYTES = 8 << 20  # of a source file; larger ones are data
+_FMI_HEADERS = {
     *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     *("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
@@ -127,7 +128,7 @@ assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp 
 stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar
 wchar wctype direct dlfcn io malloc process pthread unistd windows
 """
-_SYSTEM = frozenset(_SYSTEM_NAMES.split())  # system headers that may be included in quotes
+_SYSTEM_HEADERS = frozenset(_SYSTEM_NAMES.split())  # system headers that may be included in quotes
 SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx", ".inc")
 
 # Strings may contain comment markers. Unclosed comments end with the file: a search for their end
@@ -151,7 +152,7 @@ def problems(model_description: ParsedDescription, contents: Contents) -> Iterat
             if posixpath.normpath(_FOLDER + source) not in names:  # some begin with "./"
                 yield (
                     "source-missing",
-                    f"{kind.element} lists the source file {quoted(source)}, which is not in "
+                    f"{kind.element} lists the source file {quote(source)}, which is not in "
                     "sources/.",
                 )
     yield from _includes(model_description, contents)
@@ -164,35 +165,38 @@ def _includes(model_description: ParsedDescription, contents: Contents) -> Itera
         if name.startswith(_FOLDER) and name.lower().endswith(SUFFIXES)
     }
     names = frozenset(contents.names)
-    listed = (source for kind in model_description.kinds for source in kind.sources)
-    start = {posixpath.normpath(_FOLDER + source) for source in listed} & code
+    source_names = (source for kind in model_description.kinds for source in kind.sources)
+    start = {posixpath.normpath(_FOLDER + source) for source in source_names} & code
     # Nothing states the folders of headers for sources that are not listed.
-    others = set[str]() if start else {posixpath.basename(name) for name in names}
+    base_names = set[str]() if start else {posixpath.basename(name) for name in names}
     waiting = sorted(start or code, reverse=True)
-    seen = set(waiting)
+    visited = set(waiting)
     while waiting:
         name = waiting.pop()
-        if contents.files[name].stat().st_size > MOST_BYTES:
+        if contents.files[name].stat().st_size > MAX_SOURCE_BYTES:
             continue
-        for included, always in _included(contents.read(name)):
+        for included, always in _read_includes(contents.read(name)):
             places = [
                 posixpath.normpath(posixpath.join(folder, included))
                 for folder in (posixpath.dirname(name), _FOLDER)
             ]
-            found = next((p for p in places if p in names), None)
+            included_file = next((p for p in places if p in names), None)
             base = posixpath.basename(included)
-            supplied = base in _OFFICIAL | others or base.lower().removesuffix(".h") in _SYSTEM
-            if found is None and always and not supplied:
-                text = f"{plain(name)}: includes {quoted(included)}, which is not in the archive."
+            supplied = (
+                base in _FMI_HEADERS | base_names
+                or base.lower().removesuffix(".h") in _SYSTEM_HEADERS
+            )
+            if included_file is None and always and not supplied:
+                text = f"{sanitise(name)}: includes {quote(included)}, which is not in the archive."
                 yield "source-include", text
-            elif found in code and found not in seen:
-                seen.add(found)
-                waiting.append(found)
+            elif included_file in code and included_file not in visited:
+                visited.add(included_file)
+                waiting.append(included_file)
 
 
-def _included(text: bytes) -> Iterator[tuple[str, bool]]:
+def _read_includes(text: bytes) -> Iterator[tuple[str, bool]]:
     """Yield the included names, and whether they are included on every platform."""
-    code = without_comments(text)
+    code = remove_comments(text)
     depth = 0
     for match in _DIRECTIVE.finditer(code):
         name, directive, guard = match.groups()
@@ -207,6 +211,6 @@ def _included(text: bytes) -> Iterator[tuple[str, bool]]:
             depth += 0 if guards else 1
 
 
-def without_comments(text: bytes) -> bytes:
+def remove_comments(text: bytes) -> bytes:
     """Return source code of C without its comments."""
     return _COMMENT.sub(lambda match: match[0] if match[0].startswith(b'"') else b" ", text)

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import sympy
 
-from fmu_src.equations.c_printer import Arguments, function, in_c, printed
+from fmu_src.equations.c_printer import Arguments, expression_to_c, function, print_function
 from hesr_model.equations.component import Component, Quantity, previous
 from hesr_model.equations.functions import positive, sgn
 from hesr_model.equations.memory import DT, EULER, Relaxation
@@ -19,16 +19,16 @@ from hesr_model.equations.program import (
     Assignments,
     Invariants,
     Jumps,
-    beginning,
-    change_of,
-    changes_along,
+    build_initial_states,
+    build_step,
+    change_symbol,
     derivatives,
-    event_free,
+    derive_changes,
     first_readings,
     initial_symbol,
-    moved,
+    moved_symbol,
     readings,
-    sampled,
+    remove_events,
     step,
 )
 
@@ -111,33 +111,37 @@ class Functions:
     @cached_property
     def _arguments(self) -> Arguments:
         component = self.component
-        found = Arguments().plus(self._parameters, "k").plus(self._inputs, "u")
-        found = found.plus(self.jumps.signs, "s").plus(self._states, "x")
-        found = found.plus((previous(equation.name) for equation in component.remembered), "p")
-        return found.single(DT, "dt").single(EULER, "euler")
+        arguments = Arguments().add_array(self._parameters, "k").add_array(self._inputs, "u")
+        arguments = arguments.add_array(self.jumps.signs, "s").add_array(self._states, "x")
+        arguments = arguments.add_array(
+            (previous(equation.name) for equation in component.remembered), "p"
+        )
+        return arguments.add_scalar(DT, "dt").add_scalar(EULER, "euler")
 
     @cached_property
     def _seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:
         moving = (*(self._parameters if self.tunable else ()), *self._inputs, *self._states)
-        return {symbol: change_of(symbol) for symbol in moving}
+        return {symbol: change_symbol(symbol) for symbol in moving}
 
     @cached_property
-    def _with_seeds(self) -> Arguments:
-        found = self._arguments
+    def _seeded_arguments(self) -> Arguments:
+        arguments = self._arguments
         places = ((self._parameters, "dk"), (self._inputs, "du"), (self._states, "tx"))
         for symbols, array in places:
-            found = found.plus(
+            arguments = arguments.add_array(
                 (self._seeds[s] if s in self._seeds else sympy.Dummy() for s in symbols), array
             )
-        return found
+        return arguments
 
     def _head(self, function: str) -> str:
         return f"{self.name}_{function}({SIGNATURES[function]})"
 
-    def _written(self, name: str, program: Assignments, targets: Mapping[str, sympy.Symbol]) -> str:
+    def _print_program(
+        self, name: str, program: Assignments, targets: Mapping[str, sympy.Symbol]
+    ) -> str:
         return function(self._head(name), program, targets, self._arguments.places)
 
-    def _with_changes(
+    def _print_changes(
         self,
         name: str,
         program: Assignments,
@@ -146,13 +150,13 @@ class Functions:
         *,
         held: bool = False,
     ) -> str:
-        whole = {**program, **changes_along(seeds, program)}
-        whole = self.jumps.held(whole) if held else whole
-        return function(self._head(name), whole, targets, self._with_seeds.places)
+        extended_program = {**program, **derive_changes(seeds, program)}
+        extended_program = self.jumps.hold_signs(extended_program) if held else extended_program
+        return function(self._head(name), extended_program, targets, self._seeded_arguments.places)
 
     def _print_evaluation(self, name: str, array: str, expressions: Iterable[sympy.Expr]) -> str:
-        program = {sympy.Dummy(): e for e in expressions}
-        return self._written(name, program, _array(array, program))
+        program = {sympy.Dummy(): expression for expression in expressions}
+        return self._print_program(name, program, _array(array, program))
 
     @property
     def _reading_targets(self) -> dict[str, sympy.Symbol]:
@@ -169,39 +173,41 @@ class Functions:
 
     def read(self) -> str:
         """Write state derivatives dx, outputs y and remembered values r."""
-        own = self.jumps.held(readings(self.component))
-        return self._written("read", own, self._derivative_targets | self._reading_targets)
+        program = self.jumps.hold_signs(readings(self.component))
+        return self._print_program(
+            "read", program, self._derivative_targets | self._reading_targets
+        )
 
     def solved_derivatives(self) -> str:
         """Write state derivatives dx without held signs, as in `attempt`."""
-        own = derivatives(self.component.memory)
-        return self._written("solved_derivatives", own, self._derivative_targets)
+        program = derivatives(self.component.memory)
+        return self._print_program("solved_derivatives", program, self._derivative_targets)
 
     @cached_property
     def _flow(self) -> Assignments:
         # Terms of the step's length, such as means over a step, take their limit without steps.
-        own = readings(event_free(self.component))
-        return {symbol: expression.xreplace({DT: _ZERO}) for symbol, expression in own.items()}
+        program = readings(remove_events(self.component))
+        return {symbol: expression.xreplace({DT: _ZERO}) for symbol, expression in program.items()}
 
     def flow(self) -> str:
         """Write state derivatives dx and outputs y of the event-free form."""
-        return self._written(
+        return self._print_program(
             "flow", self._flow, self._derivative_targets | _array("y", self._outputs)
         )
 
     def flow_tangent(self) -> str:
         """Write their changes along dk, du and tx."""
-        return self._with_changes("flow_tangent", self._flow, self._tangent_targets, self._seeds)
+        return self._print_changes("flow_tangent", self._flow, self._tangent_targets, self._seeds)
 
     def start(self) -> str:
         """Write y and r before the first step, and the previous values p for it."""
-        own = first_readings(self.component)
+        program = first_readings(self.component)
         starts = self.component.starts
         targets = self._reading_targets | _array("p", starts)
         places = {s: place for s, place in self._arguments.places.items() if s not in starts}
-        return function(self._head("start"), self.jumps.held(own), targets, places)
+        return function(self._head("start"), self.jumps.hold_signs(program), targets, places)
 
-    def refused(self) -> str:
+    def print_refusal(self) -> str:
         """Return the index in u of an invalid parameter, or -1."""
         places = {symbol: f"u[{i}]" for i, symbol in enumerate(self._inputs)}
         names = [quantity.name for quantity in self.gathers]
@@ -209,10 +215,10 @@ class Functions:
         for requirement in self.component.requirements:
             place = names.index(requirement.name)
             unit = self.gathers[place].unit
-            shown = "" if unit == "1" else f" {unit}"
+            unit_text = "" if unit == "1" else f" {unit}"
             lines += [
-                f"if (!({in_c(requirement.condition, places)})) {{",
-                f'    *needed = "{shown}; it must {requirement.text}.";',
+                f"if (!({expression_to_c(requirement.condition, places)})) {{",
+                f'    *needed = "{unit_text}; it must {requirement.text}.";',
                 f"    return {place};",
                 "}",
             ]
@@ -221,7 +227,7 @@ class Functions:
 
     @property
     def _moved(self) -> tuple[sympy.Symbol, ...]:
-        return tuple(map(moved, self.component.memory))
+        return tuple(map(moved_symbol, self.component.memory))
 
     @property
     def _step_targets(self) -> dict[str, sympy.Symbol]:
@@ -229,8 +235,10 @@ class Functions:
 
     @cached_property
     def _invariants(self) -> Invariants:
-        program = self.jumps.held(sampled(self.component))
-        return Invariants.of(program, self._step_targets.values(), {*self._parameters, DT, EULER})
+        program = self.jumps.hold_signs(build_step(self.component))
+        return Invariants.from_program(
+            program, self._step_targets.values(), {*self._parameters, DT, EULER}
+        )
 
     @property
     def invariant(self) -> tuple[sympy.Symbol, ...]:
@@ -239,45 +247,57 @@ class Functions:
 
     def invariants(self) -> str:
         """Write into c the terms of a step that depend only on parameters and its length."""
-        own = self._invariants
-        targets = _array("c", own.kept)
-        return printed(self._head("invariants"), own.once, {}, targets, self._arguments.places)
+        invariants = self._invariants
+        targets = _array("c", invariants.kept)
+        return print_function(
+            self._head("invariants"), invariants.once, {}, targets, self._arguments.places
+        )
 
     def step(self) -> str:
         """Advance the states x by dt and write the readings at its end; c is from `invariants`."""
-        own = self._invariants
-        places = self._arguments.plus(own.kept, "c").places
-        return printed(self._head("step"), own.moving, own.names, self._step_targets, places)
+        invariants = self._invariants
+        places = self._arguments.add_array(invariants.kept, "c").places
+        return print_function(
+            self._head("step"), invariants.moving, invariants.names, self._step_targets, places
+        )
 
     def lanes(self) -> str:
         """Do as `step` for LANES instances with the same parameters, computing signs.
 
         The C function returns whether all angles are small enough for the branch-free sine.
         """
-        places = Arguments().plus(self._parameters, "k").plus(self.invariant, "c")
-        places = places.plus(self._inputs, "u", "[l]").plus(self._states, "x", "[l]")
-        return self._in_lanes("lanes", places)
+        places = Arguments().add_array(self._parameters, "k").add_array(self.invariant, "c")
+        places = places.add_array(self._inputs, "u", "[l]").add_array(self._states, "x", "[l]")
+        return self._print_lanes("lanes", places)
 
     def together(self) -> str:
         """Do as `lanes` for the joints of an FMU with variables v, by the indices of `header`."""
-        own = (("k", "v", self._parameters), ("c", "c", self.invariant), ("x", "v", self._states))
+        argument_arrays = (
+            ("k", "v", self._parameters),
+            ("c", "c", self.invariant),
+            ("x", "v", self._states),
+        )
         places = {
             symbol: (f"{name}_{i}", f"{array}[{name}_at[l] + {i}]")
-            for name, array, symbols in own
+            for name, array, symbols in argument_arrays
             for i, symbol in enumerate(symbols)
         }
         places |= {s: (f"u_{i}", f"v[u_at[{i}][l]]") for i, s in enumerate(self._inputs)}
-        return self._in_lanes("together", Arguments(places))
+        return self._print_lanes("together", Arguments(places))
 
-    def _in_lanes(self, name: str, places: Arguments) -> str:
-        own = self._invariants
-        places = places.single(DT, "dt").single(EULER, "euler")
-        used = set().union(*(e.free_symbols for e in own.moving.values()))
+    def _print_lanes(self, name: str, places: Arguments) -> str:
+        invariants = self._invariants
+        places = places.add_scalar(DT, "dt").add_scalar(EULER, "euler")
+        used_symbols = set().union(
+            *(expression.free_symbols for expression in invariants.moving.values())
+        )
         pairs = zip(self.jumps.signs, self.jumps.expressions, strict=True)
-        lines = {s: sgn(e) for s, e in pairs if s in used} | dict(own.moving)
+        lines = {s: sgn(expression) for s, expression in pairs if s in used_symbols} | dict(
+            invariants.moving
+        )
         targets = _array("x", self._moved) | _array("y", self._outputs)
         targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
-        return printed(self._head(name), lines, own.names, targets, places.places)
+        return print_function(self._head(name), lines, invariants.names, targets, places.places)
 
     def rates(self) -> str:
         """Write the rate of each relaxation, 0 for other states."""
@@ -291,24 +311,28 @@ class Functions:
     def begin(self) -> str:
         """Move the states x from their start values to their initial values."""
         targets = _array("x", map(initial_symbol, self.component.memory))
-        return self._written("begin", beginning(self.component), targets)
+        return self._print_program("begin", build_initial_states(self.component), targets)
 
     def begin_tangent(self) -> str:
         """Propagate the change tx of the start values x to the initial values, along dk and du."""
         targets = _array(
-            "tx", (change_of(initial_symbol(element)) for element in self.component.memory)
+            "tx", (change_symbol(initial_symbol(element)) for element in self.component.memory)
         )
-        return self._with_changes("begin_tangent", beginning(self.component), targets, self._seeds)
+        return self._print_changes(
+            "begin_tangent", build_initial_states(self.component), targets, self._seeds
+        )
 
     def tangent(self) -> str:
         """Write the changes of dx and y along dk, du and tx."""
-        own = self.jumps.held(readings(self.component))
-        return self._with_changes("tangent", own, self._tangent_targets, self._seeds, held=True)
+        program = self.jumps.hold_signs(readings(self.component))
+        return self._print_changes(
+            "tangent", program, self._tangent_targets, self._seeds, held=True
+        )
 
     @property
     def _tangent_targets(self) -> dict[str, sympy.Symbol]:
-        targets = {f"t{to}": change_of(s) for to, s in self._derivative_targets.items()}
-        return targets | _array("ty", map(change_of, self._outputs))
+        targets = {f"t{to}": change_symbol(s) for to, s in self._derivative_targets.items()}
+        return targets | _array("ty", map(change_symbol, self._outputs))
 
     @property
     def _input_seeds(self) -> dict[sympy.Symbol, sympy.Symbol]:
@@ -316,46 +340,58 @@ class Functions:
 
     def follow(self) -> str:
         """Write the change tx of the states over a step along du, from constant states x."""
-        own = self.jumps.held(step(self.component.memory))
-        targets = _array("moved", map(change_of, self._moved))
-        return self._with_changes("follow", own, targets, self._input_seeds, held=True)
+        program = self.jumps.hold_signs(step(self.component.memory))
+        targets = _array("moved", map(change_symbol, self._moved))
+        return self._print_changes("follow", program, targets, self._input_seeds, held=True)
 
     def attempt(self) -> str:
         """Write states and outputs after a step from x, and the change of y; no sign is held."""
         targets = _array("moved", self._moved) | _array("y", self._outputs)
-        targets |= _array("slope", map(change_of, self._outputs))
-        return self._with_changes("attempt", sampled(self.component), targets, self._input_seeds)
+        targets |= _array("slope", map(change_symbol, self._outputs))
+        return self._print_changes(
+            "attempt", build_step(self.component), targets, self._input_seeds
+        )
 
     @cached_property
-    def _attempted(self) -> Invariants:
-        program = sampled(self.component)
+    def _attempt_invariants(self) -> Invariants:
+        program = build_step(self.component)
         seeds = dict(zip(self._inputs[:2], (sympy.Integer(1), DT), strict=True))
-        whole = {**program, **changes_along(seeds, program)}
-        found = (*self._moved, *self._outputs)
+        extended_program = {**program, **derive_changes(seeds, program)}
+        targets = (*self._moved, *self._outputs)
         fixed = {*self._parameters, *self._inputs[len(self.component.inputs) :]}
-        return Invariants.of(whole, (*found, *map(change_of, found)), fixed)
+        return Invariants.from_program(
+            extended_program, (*targets, *map(change_symbol, targets)), fixed
+        )
 
     @property
     def prepared(self) -> tuple[sympy.Symbol, ...]:
         """Terms of `attempts` that depend only on parameters."""
-        return (*self._attempted.kept, *self._parameters)
+        return (*self._attempt_invariants.kept, *self._parameters)
 
     def prepare(self) -> str:
         """Write the prepared terms into c."""
-        once = self._attempted.once
+        once = self._attempt_invariants.once
         targets = _array("c", self.prepared)
-        return printed(self._head("prepare"), once, {}, targets, self._arguments.places)
+        return print_function(self._head("prepare"), once, {}, targets, self._arguments.places)
 
     def attempts(self) -> str:
         """Do as `attempt` for LANES instances, along their velocity, which moves their position.
 
         The values c are from `prepare`; `rise` is the change of `moved`.
         """
-        own = self._attempted
-        places = Arguments().plus(self.prepared, "c", "[l]").plus(self._inputs, "u", "[l]")
-        places = places.plus(self._states, "x", "[l]").single(DT, "dt").single(EULER, "euler")
+        invariants = self._attempt_invariants
+        places = (
+            Arguments().add_array(self.prepared, "c", "[l]").add_array(self._inputs, "u", "[l]")
+        )
+        places = (
+            places.add_array(self._states, "x", "[l]")
+            .add_scalar(DT, "dt")
+            .add_scalar(EULER, "euler")
+        )
         targets = _array("moved", self._moved) | _array("y", self._outputs)
-        targets |= _array("rise", map(change_of, self._moved))
-        targets |= _array("slope", map(change_of, self._outputs))
+        targets |= _array("rise", map(change_symbol, self._moved))
+        targets |= _array("slope", map(change_symbol, self._outputs))
         targets = {f"{place}[l]": symbol for place, symbol in targets.items()}
-        return printed(self._head("attempts"), own.moving, own.names, targets, places.places)
+        return print_function(
+            self._head("attempts"), invariants.moving, invariants.names, targets, places.places
+        )

@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 
 from fmu_src.equations.c_functions import SIGNATURES, Functions
-from fmu_src.equations.c_printer import declared
+from fmu_src.equations.c_printer import declare_arguments
 from fmu_src.export.cache import software
 from fmu_src.export.interface import Interface, literal
 from hesr_model.equations.component import Component
 from hesr_model.friction.band import LOWER
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support.cache import kept
+from hesr_model.support.cache import compute_once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,19 +53,21 @@ SOLVER_OF_ALL = ("attempts", "prepare", "attempt", "begin", "begin_tangent", "fl
 """Functions called by a solver for all joints."""
 
 
-def own_size(joints: Sequence[Joint]) -> int:
+def memory_size(joints: Sequence[Joint]) -> int:
     """Return the number of doubles in the own memory of equations.c."""
     sizes = _sizes(joints)
-    of_joint = ("INPUTS", "STATES", "REMEMBERED", "REMEMBERED", "INVARIANTS")
-    own = sum(sizes[f"MAX_{name}"] for name in of_joint)
+    array_names = ("INPUTS", "STATES", "REMEMBERED", "REMEMBERED", "INVARIANTS")
+    joint_size = sum(sizes[f"MAX_{name}"] for name in array_names)
     signs = sum(len(Functions(joint.component, "").jumps.expressions) for joint in joints)
-    return sizes["OWN_FIXED"] + len(joints) * own + signs
+    return sizes["OWN_FIXED"] + len(joints) * joint_size + signs
 
 
 def prepared_size(joints: Sequence[Joint]) -> tuple[int, int]:
     """Return the shape of a solver's memory for arguments of laws, in whole vectors of 2 or 4."""
-    most = max(1, *(_count(joint.component, joint.gathered, "prepared") for joint in joints))
-    return most, _lanes(len(joints))
+    prepared_count = max(
+        1, *(_count(joint.component, joint.gathered, "prepared") for joint in joints)
+    )
+    return prepared_count, _lanes(len(joints))
 
 
 def _lanes(joints: int) -> int:
@@ -75,10 +77,10 @@ def _lanes(joints: int) -> int:
 
 def indicators(joints: Sequence[Joint]) -> int:
     """Return the total number of signs that are held between events."""
-    return sum(_held(Functions(joint.component, "")) for joint in joints)
+    return sum(_count_indicators(Functions(joint.component, "")) for joint in joints)
 
 
-def _held(functions: Functions) -> int:
+def _count_indicators(functions: Functions) -> int:
     return len(functions.jumps.expressions) if functions.component.events else 0
 
 
@@ -87,13 +89,13 @@ def equations_header(
     interface: Interface,
     places: Mapping[str, str],
     *,
-    wanted: Sequence[str] = FRICTION,
+    calls: Sequence[str] = FRICTION,
     coupling: Coupling | None = None,
     steps_together: bool = True,
 ) -> str:
     """Return equations.h, with each distinct component written once.
 
-    `places` has the variables of further C constants, `wanted` the functions that a C file calls. A
+    `places` has the variables of further C constants, `calls` the functions that a C file calls. A
     coupling maps the joints to the coordinates of the equations. `steps_together` is whether the C
     file steps equal joints at once.
     """
@@ -108,20 +110,20 @@ def equations_header(
         )
         for i, component in enumerate(distinct, start=1)
     }
-    texts, names = _written(functions.values(), wanted)
+    texts, names = _print_functions(functions.values(), calls)
     arrays = []
     rows = []
     before = 0
     for i, joint in enumerate(joints, start=1):
-        own = functions[joint.component]
+        printer = functions[joint.component]
         rows.append(
-            f"    {{{', '.join(_row(joint, i, own, interface, before, names[own.name]))}}},"
+            f"    {{{', '.join(_row(joint, i, printer, interface, before, names[printer.name]))}}},"
         )
-        arrays += _arrays(joint, i, own, interface)
-        before += len(own.jumps.expressions)
+        arrays += _arrays(joint, i, printer, interface)
+        before += len(printer.jumps.expressions)
     together = ""
-    if steps_together and wanted == FRICTION and coupling is None:
-        together = _together(joints, interface, functions[joints[0].component], texts)
+    if steps_together and calls == FRICTION and coupling is None:
+        together = _print_joint_lanes(joints, interface, functions[joints[0].component], texts)
     sample_time = joints[0].component.sample_time
     constants = _sizes(joints) | {
         "DISCRETISATION": -1,
@@ -139,49 +141,54 @@ def equations_header(
         ),
         **{name: interface.places[variable] for name, variable in places.items()},
     }
-    if wanted[0] == "attempts":
+    if calls[0] == "attempts":
         constants["PREPARED"], constants["LANES"] = prepared_size(joints)
-        constants["ALIKE"] = int(len({found[1] for found in names.values()}) == 1)
+        constants["ALIKE"] = int(len({law_functions[1] for law_functions in names.values()}) == 1)
     if together:
         constants["LANES"] = _lanes(len(joints))
     return _HEADER.format(
-        widths='#include "wide.h"\n' if together or "attempts" in wanted else "",
+        widths='#include "wide.h"\n' if together or "attempts" in calls else "",
         constants=",\n".join(f"    {name} = {value}" for name, value in constants.items()),
-        members="\n".join(map(_member, wanted)),
+        members="\n".join(map(_member, calls)),
         functions="\n".join(texts),
         names="\n".join(
-            _signs(f) + (f.refused() if _wanted("refused", f) else "") for f in functions.values()
+            _signs(f) + (f.print_refusal() if _has_function("refused", f) else "")
+            for f in functions.values()
         ),
         arrays="\n".join(arrays),
         rows="\n".join(rows),
         coupling=_coupling(coupling, len(joints)),
         together=together,
-        each=_each(joints, interface, functions, names, wanted, coupled=coupling is not None),
+        each=_print_joint_macro(
+            joints, interface, functions, names, calls, coupled=coupling is not None
+        ),
     )
 
 
-def _each(
+def _print_joint_macro(
     joints: Sequence[Joint],
     interface: Interface,
     functions: Mapping[Component, Functions],
     names: Mapping[str, Sequence[str]],
-    wanted: Sequence[str],
+    calls: Sequence[str],
     *,
     coupled: bool,
 ) -> str:
     """Return the macro that repeats code for each joint, with its functions and its inputs."""
     lines = []
     for i, joint in enumerate(joints):
-        own = functions[joint.component]
-        called = [names[own.name][1 + wanted.index(n)] for n in ("step", "switches") if n in wanted]
-        places = (interface.places[joint.names[quantity.name]] for quantity in own.gathers)
+        printer = functions[joint.component]
+        c_names = [
+            names[printer.name][1 + calls.index(n)] for n in ("step", "switches") if n in calls
+        ]
+        places = (interface.places[joint.names[quantity.name]] for quantity in printer.gathers)
         reads = (f"input_of(v, {i}, {j})" if coupled else f"v[{k}]" for j, k in enumerate(places))
         gather = ", ".join(f"u[{j}] = {read}" for j, read in enumerate(reads))
-        lines.append(f"    DO({', '.join((str(i), *called))}, ({gather}))")
+        lines.append(f"    DO({', '.join((str(i), *c_names))}, ({gather}))")
     return " \\\n".join(["#define EACH_JOINT(DO)", *lines])
 
 
-def _together(
+def _print_joint_lanes(
     joints: Sequence[Joint], interface: Interface, functions: Functions, texts: Sequence[str]
 ) -> str:
     """Return the step of three or more joints with short equal equations, and indices of its lanes.
@@ -227,36 +234,40 @@ _BRACES = str.maketrans("[]", "{}")
 
 def _member(function: str) -> str:
     kind = "bool" if "LANES(" in SIGNATURES[function] else "void"
-    return f"    {kind} (*{function})({declared(SIGNATURES[function])});"
+    return f"    {kind} (*{function})({declare_arguments(SIGNATURES[function])});"
 
 
-def _written(
-    components: Iterable[Functions], wanted: Sequence[str]
+def _print_functions(
+    components: Iterable[Functions], calls: Sequence[str]
 ) -> tuple[list[str], dict[str, list[str]]]:
     texts: dict[str, str] = {}
     by_body: dict[str, str] = {}
     names: dict[str, list[str]] = {}
     for functions in components:
-        found = _texts(functions, wanted)
-        for function, text in found.items():
+        c_functions = _texts(functions, calls)
+        for function, text in c_functions.items():
             name = f"{functions.name}_{function}"
-            found[function] = by_body.setdefault(text.replace(name, "", 1), name)
-            if found[function] == name:
+            c_functions[function] = by_body.setdefault(text.replace(name, "", 1), name)
+            if c_functions[function] == name:
                 texts[name] = text
-        refused = f"{functions.name}_refused" if _wanted("refused", functions) else "NULL"
-        names[functions.name] = [refused, *(found.get(n, "NULL") for n in wanted)]
+        refused = f"{functions.name}_refused" if _has_function("refused", functions) else "NULL"
+        names[functions.name] = [refused, *(c_functions.get(n, "NULL") for n in calls)]
     return list(texts.values()), names
 
 
 def _texts(functions: Functions, needed: Sequence[str]) -> dict[str, str]:
-    wanted = [name for name in needed if _wanted(name, functions)]
-    about = (functions.name, f"{functions.tunable} {functions.gathered}", repr(functions.component))
-    made = kept(
-        "functions",
-        (software(), *wanted, *about),
-        lambda: json.dumps([getattr(functions, name)() for name in wanted]).encode(),
+    calls = [name for name in needed if _has_function(name, functions)]
+    component_key = (
+        functions.name,
+        f"{functions.tunable} {functions.gathered}",
+        repr(functions.component),
     )
-    return dict(zip(wanted, json.loads(made), strict=True))
+    encoded_texts = compute_once(
+        "functions",
+        (software(), *calls, *component_key),
+        lambda: json.dumps([getattr(functions, name)() for name in calls]).encode(),
+    )
+    return dict(zip(calls, json.loads(encoded_texts), strict=True))
 
 
 def _coupling(coupling: Coupling | None, joints: int) -> str:
@@ -269,27 +280,27 @@ def _coupling(coupling: Coupling | None, joints: int) -> str:
 
 
 def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
-    def most(count: Callable[[Component], int]) -> int:
+    def find_maximum(count: Callable[[Component], int]) -> int:
         return max([1, *(count(joint.component) for joint in joints)])
 
     return {
         "JOINTS": len(joints),
         "OWN_FIXED": 5,
         "MAX_INPUTS": max(1, *(_count_inputs(joint) for joint in joints)),
-        "MAX_STATES": most(lambda c: len(c.memory)),
-        "MAX_OUTPUTS": most(lambda c: len(c.outputs)),
+        "MAX_STATES": find_maximum(lambda c: len(c.memory)),
+        "MAX_OUTPUTS": find_maximum(lambda c: len(c.outputs)),
         "MAX_REMEMBERED": max(len(joint.component.remembered) for joint in joints),
         "MAX_INVARIANTS": max(
             _count(joint.component, joint.gathered, "invariant") for joint in joints
         ),
-        "MAX_SWITCHES": most(lambda c: len(Functions(c, "").jumps.expressions)),
-        "MAX_PARAMETERS": most(lambda c: len(c.parameters)),
+        "MAX_SWITCHES": find_maximum(lambda c: len(Functions(c, "").jumps.expressions)),
+        "MAX_PARAMETERS": find_maximum(lambda c: len(c.parameters)),
     }
 
 
 @cache
 def _count(component: Component, gathered: bool, name: str) -> int:
-    count = kept(
+    count = compute_once(
         "functions",
         (software(), name, str(gathered), repr(component)),
         lambda: str(len(getattr(Functions(component, "", gathered=gathered), name))).encode(),
@@ -326,12 +337,17 @@ def _row(
         f"constants_{i}" if joint.constants else "NULL",
         len(component.remembered),
         interface.places[joint.slope] if joint.slope else -1,
-        *(len(functions.jumps.expressions), _held(functions), before, f"{functions.name}_names"),
+        *(
+            len(functions.jumps.expressions),
+            _count_indicators(functions),
+            before,
+            f"{functions.name}_names",
+        ),
     )
     return [*map(str, row), *names]
 
 
-def _wanted(function: str, functions: Functions) -> bool:
+def _has_function(function: str, functions: Functions) -> bool:
     if function in ("rates", "follow", "tangent"):
         return not functions.component.sampled_memory
     if function == "start":

@@ -9,12 +9,12 @@ from functools import cache
 from pathlib import Path
 
 from hesr_model.support import plugins
-from hesr_model.support.cache import found, kept
+from hesr_model.support.cache import compute_once, find_result
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import read_text
 
 _ROOT = Path(__file__).parents[2]
-_OURS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "hesr/extras"))
+_HASHED_FOLDERS = tuple(_ROOT / folder for folder in ("fmu_src", "hesr_model", "hesr/extras"))
 
 
 @cache
@@ -25,7 +25,7 @@ def software() -> str:
     # Folders of metadata have the versions in their names.
     packages = sorted({name for name in installed if name.endswith((".dist-info", ".egg-info"))})
     key = hashlib.sha256("\n".join([sys.version, *packages]).encode())
-    for home in _OURS:
+    for home in _HASHED_FOLDERS:
         for folder, folders_inside, names in os.walk(home):
             folders_inside.sort()
             for file in (Path(folder, name) for name in sorted(names) if name[-4:] != ".pyc"):
@@ -46,10 +46,10 @@ def _inputs(model: Path, options: Mapping[str, object], output: Path) -> tuple[s
     return text, json.dumps(options, sort_keys=True), output.suffix, date, software()
 
 
-def copied(model: Path, options: Mapping[str, object], output: Path) -> bool:
+def copy_from_cache(model: Path, options: Mapping[str, object], output: Path) -> bool:
     """Copy an FMU that was exported with the same options, if there is one."""
     inputs = _inputs(model, options, output)
-    data = found("fmus", inputs) if inputs else None
+    data = find_result("fmus", inputs) if inputs else None
     if data is None:
         return False
     with written_whole(output) as temporary:
@@ -57,7 +57,7 @@ def copied(model: Path, options: Mapping[str, object], output: Path) -> bool:
     return True
 
 
-def exported(
+def export_with_cache(
     model: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
 ) -> None:
     """Write an FMU to `output`, or copy it from the cache; `options` are all other settings."""
@@ -70,6 +70,6 @@ def exported(
         write()
         return output.read_bytes()
 
-    data = kept("fmus", inputs, make)
+    data = compute_once("fmus", inputs, make)
     with written_whole(output) as temporary:
         temporary.write_bytes(data)

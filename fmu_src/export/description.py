@@ -49,13 +49,13 @@ QUANTITIES: Mapping[str, str] = {
 
 DISPLAY: Mapping[str, str] = {"rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2"}
 
-RELEASED = "2026-11-22T00:00:00Z"
+RELEASE_DATE = "2026-11-22T00:00:00Z"
 """Date of this version, and of FMUs without newer content; the same as in CITATION.cff."""
 
 OFFSETS: Mapping[str, float] = {"degC": 273.15}  # offset of a unit in SI, if not zero
 
 DEGREES = 180.0 / math.pi
-_EXPERIMENT = 1000
+_EXPERIMENT_STEPS = 1000
 
 _KINDS: Mapping[str, dict[str, str]] = {
     "ModelExchange": {"completedIntegratorStepNotNeeded": "false"},
@@ -67,8 +67,8 @@ _KINDS: Mapping[str, dict[str, str]] = {
     },
 }
 
-RUNNING: tuple[Role, ...] = ("input", "state")
-STARTING: tuple[Role, ...] = ("input", "fixed", "tunable")
+RUNNING_ROLES: tuple[Role, ...] = ("input", "state")
+STARTING_ROLES: tuple[Role, ...] = ("input", "fixed", "tunable")
 """Roles of the knowns of unknowns, during simulation and at initialisation."""
 
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?[0-9]+)?")
@@ -102,14 +102,14 @@ class Description:
     @property
     def experiment(self) -> dict[str, str]:
         """Start and stop time of the default experiment [s]: a thousand preferred steps."""
-        times = {"stopTime": _EXPERIMENT * self.step, "stepSize": self.step}
+        times = {"stopTime": _EXPERIMENT_STEPS * self.step, "stepSize": self.step}
         return {"startTime": "0"} | {name: f"{value:.12g}" for name, value in times.items()}
 
 
 def unit_attributes(unit: str) -> dict[str, str]:
     """Return the attributes for the quantity and the display unit of a unit."""
-    found = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
-    return {name: text for name, text in found.items() if text}
+    attributes = {"quantity": QUANTITIES.get(unit), "displayUnit": DISPLAY.get(unit)}
+    return {name: text for name, text in attributes.items() if text}
 
 
 def si_exponents(unit: str) -> dict[str, int]:
@@ -145,9 +145,9 @@ def to_xml(interface: Interface, about: Description, guid: str) -> bytes:
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": str(interface.directional_derivatives).lower(),
     }
-    for name, own in _KINDS.items():
+    for name, kind_attributes in _KINDS.items():
         if name == "CoSimulation" or interface.model_exchange:
-            kind = ET.SubElement(root, name, common | own)
+            kind = ET.SubElement(root, name, common | kind_attributes)
             files = ET.SubElement(kind, "SourceFiles") if about.sources else kind
             for source in about.sources:
                 ET.SubElement(files, "File", name=source)
@@ -159,17 +159,17 @@ def to_xml(interface: Interface, about: Description, guid: str) -> bytes:
         variables.append(_scalar(variable, i, interface))
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [v for v in interface.variables if v.role in ("output", "on_demand")]
-    _unknowns(structure, "Outputs", outputs, interface, RUNNING)
-    _unknowns(structure, "Derivatives", interface.derivatives, interface, RUNNING)
+    _unknowns(structure, "Outputs", outputs, interface, RUNNING_ROLES)
+    _unknowns(structure, "Derivatives", interface.derivatives, interface, RUNNING_ROLES)
     initial = [
         v for v in interface.variables if v in outputs or v.derivative_of or v.role == "state"
     ]
-    _unknowns(structure, "InitialUnknowns", initial, interface, STARTING, initially=True)
+    _unknowns(structure, "InitialUnknowns", initial, interface, STARTING_ROLES, initially=True)
     return to_bytes(root)
 
 
 def root_element(
-    about: Description, version: str, token: Mapping[str, str], **more: str
+    about: Description, version: str, token: Mapping[str, str], **extra_attributes: str
 ) -> ET.Element:
     """Return the root of a description: FMI version, GUID and attributes of the FMU."""
     attributes = {
@@ -181,7 +181,7 @@ def root_element(
         "generationTool": f"HESR {about.version}",
         "generationDateAndTime": about.created,
         "variableNamingConvention": "structured",
-        **more,
+        **extra_attributes,
         **about.owner.known,
     }
     return ET.Element("fmiModelDescription", attributes)
@@ -233,9 +233,9 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
         # Tools display the choices here, and `fmu_src.run.variables` reads them.
         names = (f"{i} = {name}" for i, (name, _) in enumerate(variable.enumeration.items, 1))
         text = f"{text}: {', '.join(names)}"
-    found = {"name": name, "valueReference": str(place), "description": text}
-    found |= {"causality": causality, "variability": variability}
-    return found | ({"initial": initial} if initial else {})
+    attributes = {"name": name, "valueReference": str(place), "description": text}
+    attributes |= {"causality": causality, "variability": variability}
+    return attributes | ({"initial": initial} if initial else {})
 
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
@@ -244,13 +244,15 @@ def values(elements: Sequence[Variable]) -> dict[str, str]:
     if first.enumeration:
         count = len(first.enumeration.items)
         return {"min": "1", "max": str(count), "start": str(int(first.start))}
-    found = {}
+    attributes = {}
     if not (first.computed or first.role == "state"):
-        found["start"] = " ".join(_value_text(variable, variable.start) for variable in elements)
-    least = [variable.least for variable in elements if variable.least is not None]
-    greatest = [variable.greatest for variable in elements if variable.greatest is not None]
-    found |= {"min": _value_text(first, max(least))} if least else {}
-    return found | ({"max": _value_text(first, min(greatest))} if greatest else {})
+        attributes["start"] = " ".join(
+            _value_text(variable, variable.start) for variable in elements
+        )
+    lower_limits = [variable.least for variable in elements if variable.least is not None]
+    upper_limits = [variable.greatest for variable in elements if variable.greatest is not None]
+    attributes |= {"min": _value_text(first, max(lower_limits))} if lower_limits else {}
+    return attributes | ({"max": _value_text(first, min(upper_limits))} if upper_limits else {})
 
 
 def _value_text(variable: Variable, value: float) -> str:
@@ -285,13 +287,13 @@ def _unknowns(
     kind: str,
     unknowns: Sequence[Variable],
     interface: Interface,
-    known: Sequence[Role],
+    roles: Sequence[Role],
     *,
     initially: bool = False,
 ) -> None:
     parent = ET.SubElement(structure, kind) if unknowns else structure
     for variable in unknowns:
-        names = interface.made_of(variable, known, initially=initially)
+        names = interface.find_dependencies(variable, roles, initially=initially)
         numbers = " ".join(map(str, sorted({interface.places[name] + 1 for name in names})))
         ET.SubElement(
             parent, "Unknown", index=str(interface.places[variable.name] + 1), dependencies=numbers

@@ -6,8 +6,8 @@ from typing import Literal
 from xml.etree import ElementTree as ET
 
 from fmu_src.export.description import (
-    RUNNING,
-    STARTING,
+    RUNNING_ROLES,
+    STARTING_ROLES,
     Description,
     add_run,
     add_units,
@@ -53,11 +53,11 @@ def to_xml3(interface: Interface, about: Description, token: str) -> bytes:
     add_units(root, interface)
     # fmi-sim reads units and nominal values from types only.
     types = ET.SubElement(root, "TypeDefinitions")
-    for of, nominal in dict.fromkeys(
+    for unit, nominal in dict.fromkeys(
         (variable.unit, variable.nominal) for variable in interface.variables if variable.unit
     ):
-        element = ET.SubElement(types, "Float64Type", name=_type_of(of, nominal), unit=of)
-        element.attrib.update(unit_attributes(of))
+        element = ET.SubElement(types, "Float64Type", name=_name_type(unit, nominal), unit=unit)
+        element.attrib.update(unit_attributes(unit))
         if nominal != 1.0:
             element.set("nominal", repr(nominal))
     add_run(root, about)
@@ -77,7 +77,7 @@ def to_xml3(interface: Interface, about: Description, token: str) -> bytes:
     return to_bytes(root)
 
 
-def _type_of(unit: str, nominal: float) -> str:
+def _name_type(unit: str, nominal: float) -> str:
     name = "number" if unit == "1" else f"number in {unit}"
     return name if nominal == 1.0 else f"{name} of about {nominal:g}"
 
@@ -93,7 +93,7 @@ def _variable(array: ArrayVariable, interface: Interface) -> ET.Element:
         kind = "Boolean"
     else:
         kind = "Float64"
-        attributes["declaredType"] = _type_of(first.unit or "1", first.nominal)
+        attributes["declaredType"] = _name_type(first.unit or "1", first.nominal)
     if first.derivative_of:
         attributes["derivative"] = str(interface.part_of[first.derivative_of].place)
     element = ET.Element(kind, attributes)
@@ -116,8 +116,8 @@ def _column_text(words: Sequence[str]) -> str:
     """Return one word, or a list of different words with the punctuation of the last one."""
     if len(set(words)) == 1:
         return words[0]
-    bare = [word.rstrip(":,") for word in words]
-    return ", ".join(bare) + words[-1][len(bare[-1]) :]
+    stripped_words = [word.rstrip(":,") for word in words]
+    return ", ".join(stripped_words) + words[-1][len(stripped_words[-1]) :]
 
 
 def _structure(root: ET.Element, interface: Interface) -> None:
@@ -133,10 +133,10 @@ def _structure(root: ET.Element, interface: Interface) -> None:
         if derivatives
         else []
     )
-    _unknowns(structure, "Output", outputs, interface, RUNNING)
-    _unknowns(structure, "ContinuousStateDerivative", rates, interface, RUNNING)
+    _unknowns(structure, "Output", outputs, interface, RUNNING_ROLES)
+    _unknowns(structure, "ContinuousStateDerivative", rates, interface, RUNNING_ROLES)
     initial = dict.fromkeys((*outputs, *states, *rates))
-    _unknowns(structure, "InitialUnknown", initial, interface, STARTING, initially=True)
+    _unknowns(structure, "InitialUnknown", initial, interface, STARTING_ROLES, initially=True)
     if interface.indicators and interface.model_exchange:
         ET.SubElement(structure, "EventIndicator", valueReference=str(len(interface.variables) + 1))
 
@@ -146,7 +146,7 @@ def _unknowns(
     kind: str,
     unknowns: Iterable[ArrayVariable],
     interface: Interface,
-    known: tuple[Role, ...],
+    roles: tuple[Role, ...],
     *,
     initially: bool = False,
 ) -> None:
@@ -154,10 +154,10 @@ def _unknowns(
         places = {
             interface.part_of[name].place
             for variable in array.elements
-            for name in interface.made_of(variable, known, initially=initially)
+            for name in interface.find_dependencies(variable, roles, initially=initially)
         }
-        about = {"valueReference": str(array.place)}
-        ET.SubElement(structure, kind, about, dependencies=" ".join(map(str, sorted(places))))
+        attributes = {"valueReference": str(array.place)}
+        ET.SubElement(structure, kind, attributes, dependencies=" ".join(map(str, sorted(places))))
 
 
 def build_description(about: Description) -> bytes:
@@ -213,8 +213,12 @@ def to_terminals(
 
 
 def _add(parent: ET.Element, terminal: Terminal, index: str) -> None:
-    about = {"name": terminal.name + index, "matchingRule": "plug", "terminalKind": terminal.kind}
-    element = ET.SubElement(parent, "Terminal", about, description=terminal.description)
+    attributes = {
+        "name": terminal.name + index,
+        "matchingRule": "plug",
+        "terminalKind": terminal.kind,
+    }
+    element = ET.SubElement(parent, "Terminal", attributes, description=terminal.description)
     for member, (variable, kind) in terminal.members.items():
-        about = {"variableName": variable + index, "memberName": member, "variableKind": kind}
-        ET.SubElement(element, "TerminalMemberVariable", about)
+        attributes = {"variableName": variable + index, "memberName": member, "variableKind": kind}
+        ET.SubElement(element, "TerminalMemberVariable", attributes)

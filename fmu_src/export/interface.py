@@ -89,9 +89,9 @@ class Variable:
 class Interface:
     """All scalar variables of an FMU in index order.
 
-    `own` is the number of doubles in the component's own memory. A component with `inner_steps`
-    follows input slopes itself. Arrays in `connected` remain scalars in FMI 3.0, as members of
-    terminals. Raises ExportError if a name is duplicate or invalid in FMI.
+    `own` is the number of doubles in the component's own memory. A component with
+    `count_inner_steps` follows input slopes itself. Arrays in `connected` remain scalars in FMI
+    3.0, as members of terminals. Raises ExportError if a name is duplicate or invalid in FMI.
     """
 
     variables: tuple[Variable, ...]
@@ -103,22 +103,22 @@ class Interface:
     connected: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        seen: set[str] = set()
+        names: set[str] = set()
         for variable in self.variables:
-            twice = variable.name in seen
-            if twice or not NAME.fullmatch(variable.name):
-                odd = "used twice" if twice else "not a structured name of FMI"
+            is_repeated = variable.name in names
+            if is_repeated or not NAME.fullmatch(variable.name):
+                odd = "used twice" if is_repeated else "not a structured name of FMI"
                 raise ExportError(
                     f"variable name '{variable.name}' is {odd}; expected distinct names of "
                     "letters, digits and underscores."
                 )
-            seen.add(variable.name)
+            names.add(variable.name)
 
     @cached_property
     def places(self) -> dict[str, int]:
         """Index of each variable, its value reference in FMI 2.0, and first index of each array."""
-        found = {array.name: array.place for array in self.arrays}
-        return found | {variable.name: i for i, variable in enumerate(self.variables)}
+        indices = {array.name: array.place for array in self.arrays}
+        return indices | {variable.name: i for i, variable in enumerate(self.variables)}
 
     @cached_property
     def arrays(self) -> tuple["ArrayVariable", ...]:
@@ -127,18 +127,20 @@ class Interface:
         Elements of an array are consecutive, from `[1]` or `[1,1]` with the last index running
         first, and have one role and one unit.
         """
-        found: list[ArrayVariable] = []
+        arrays: list[ArrayVariable] = []
         counts = Counter(_split(variable.name)[0] for variable in self.variables)
-        for (name, _), group in groupby(enumerate(self.variables), lambda pair: _alike(pair[1])):
+        for (name, _), group in groupby(
+            enumerate(self.variables), lambda pair: _array_key(pair[1])
+        ):
             places, elements = zip(*group, strict=True)
             indices = [_split(variable.name)[1] for variable in elements]
             shape = indices[-1]
-            whole = list(product(*(range(1, size + 1) for size in shape)))
-            if name and indices == whole and len(whole) == counts[name]:
-                found.append(ArrayVariable(name, shape, places[0], elements))
+            full_indices = list(product(*(range(1, size + 1) for size in shape)))
+            if name and indices == full_indices and len(full_indices) == counts[name]:
+                arrays.append(ArrayVariable(name, shape, places[0], elements))
             else:
-                found += _scalars(places[0], elements)
-        return tuple(found)
+                arrays += _scalars(places[0], elements)
+        return tuple(arrays)
 
     @cached_property
     def parts(self) -> tuple["ArrayVariable", ...]:
@@ -165,13 +167,15 @@ class Interface:
 
     def initially(self, variable: Variable) -> tuple[str, ...]:
         """Return the names, without states, that determine a variable at the start."""
-        found = dict.fromkeys((*variable.dependencies, *variable.initial_dependencies))
-        ahead = list(found)
+        names = dict.fromkeys((*variable.dependencies, *variable.initial_dependencies))
+        ahead = list(names)
         for name in ahead:  # grows by what determines states
-            more = self._states[name].initial_dependencies if name in self._states else ()
-            ahead += [own for own in more if own not in found]
-            found |= dict.fromkeys(more)
-        return tuple(name for name in found if name not in self._states)
+            initial_sources = (
+                self._states[name].initial_dependencies if name in self._states else ()
+            )
+            ahead += [source for source in initial_sources if source not in names]
+            names |= dict.fromkeys(initial_sources)
+        return tuple(name for name in names if name not in self._states)
 
     @cached_property
     def _states(self) -> dict[str, Variable]:
@@ -182,15 +186,15 @@ class Interface:
             if variable.role == "state" or variable.name in names
         }
 
-    def made_of(
+    def find_dependencies(
         self, variable: Variable, roles: Sequence[Role], *, initially: bool = False
     ) -> list[str]:
         """Return the names in `dependencies`, or in `initially`, of variables with some roles."""
         names = self.initially(variable) if initially else variable.dependencies
-        of = {
+        role_by_name = {
             n: "state" if n in self._states else self.variables[self.places[n]].role for n in names
         }
-        return [name for name in names if of[name] in roles]
+        return [name for name in names if role_by_name[name] in roles]
 
     def first(self, names: Sequence[str]) -> int:
         """Index of the first of `names`, which must be consecutive."""
@@ -227,7 +231,7 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
     return array, tuple(map(int, indices.split(",")))
 
 
-def _alike(variable: Variable) -> tuple[str, object]:
+def _array_key(variable: Variable) -> tuple[str, object]:
     array, indices = _split(variable.name)
     kind = (variable.unit, variable.enumeration, variable.integer, variable.boolean)
     return array, (len(indices), variable.role, *kind)
@@ -237,7 +241,7 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
     """Return interface.h: GUID, preferred step [s] and the table of variables for the C side."""
     variables = interface.variables
     places = interface.places
-    used = {
+    used_names = {
         name
         for variable in variables
         if variable.computed or variable.role == "state"
@@ -251,7 +255,7 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
     for i, variable in enumerate(variables):
         bounds = _bounds(variable)
         numbers.append(f"    {{{literal(variable.start)}, {bounds}}},")
-        counts = int(variable.role != "input" or variable.name in used)
+        counts = int(variable.role != "input" or variable.name in used_names)
         own_derivative = variable.derivative_of and variable.role == "local"
         role = "DERIVATIVE" if own_derivative else variable.role.upper()
         kind = _c_type(variable)
@@ -263,10 +267,10 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
             watched.append(i)
     for (role, kind, counts, _, free), group in groupby(kinds, lambda pair: pair[0]):
         names = [name for _, name in group]
-        left = (n if free else 0 for n in range(len(names), 0, -1))
+        remaining_counts = (n if free else 0 for n in range(len(names), 0, -1))
         rows += (
             f'    {{"{name}", {role}, {kind}, {counts}, {n}}},'
-            for name, n in zip(names, left, strict=True)
+            for name, n in zip(names, remaining_counts, strict=True)
         )
     states = [places[variable.derivative_of or ""] for variable in interface.derivatives]
     derivatives = [places[variable.name] for variable in interface.derivatives]
@@ -309,8 +313,11 @@ def _bounds(variable: Variable) -> str:
         return f"{literal(lowest)}, {literal(highest)}"
     limits = (variable.least, variable.greatest) if variable.limited else (None, None)
     free = ("-INFINITY", "INFINITY")
-    low, high = (x if at is None else literal(at) for at, x in zip(limits, free, strict=True))
-    return f"{low}, {high}"
+    lower, upper = (
+        fallback if limit is None else literal(limit)
+        for limit, fallback in zip(limits, free, strict=True)
+    )
+    return f"{lower}, {upper}"
 
 
 def _list(items: Sequence[object]) -> str:
@@ -365,7 +372,7 @@ NUMBERS = b"hesr numbers 01\0"
 """Bytes before the table of numbers in a binary."""
 
 
-def without_numbers(text: str) -> tuple[str, bytes]:
+def extract_numbers(text: str) -> tuple[str, bytes]:
     """Return an interface.h with zeros for its numbers and GUID, and the bytes of its table."""
     table = _TABLE.search(text)
     guid = _GUID.search(text)

@@ -20,9 +20,9 @@ from fmu_src.export.toolchain import HOST, Target, build, targets
 from fmu_src.run.reference_results import Stimuli, result_files
 from fmu_src.run.trust import remember
 from hesr_model.errors import ExportError
-from hesr_model.support.cache import kept
+from hesr_model.support.cache import compute_once
 from hesr_model.support.files import scratch_folder, written_whole
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 
 Version = Literal[2, 3]
 
@@ -81,20 +81,20 @@ class Content:
     terminals: Sequence[description3.Terminal] = ()
 
 
-def own_source(name: str) -> str:
+def read_c_source(name: str) -> str:
     """Return the text of a C file of the package."""
     folder = _C if (_C / name).is_file() else _EQUATIONS
     return (folder / name).read_text(encoding="utf-8")
 
 
-def with_headers(sources: Mapping[str, str]) -> dict[str, str]:
+def add_headers(sources: Mapping[str, str]) -> dict[str, str]:
     """Return C files with the headers of the package that they include, directly or not."""
     complete = dict(sources)
     waiting = list(sources.values())
     while waiting:
         for name in re.findall(r'^#include "([\w.]+)"', waiting.pop(), re.MULTILINE):
             if name not in complete:
-                complete[name] = own_source(name)
+                complete[name] = read_c_source(name)
                 waiting.append(complete[name])
     return complete
 
@@ -102,7 +102,7 @@ def with_headers(sources: Mapping[str, str]) -> dict[str, str]:
 def equation_sources(header: str) -> dict[str, str]:
     """Return the C files of a component made of equations, with the given equations.h."""
     names = ("coupling.h", "equations.c", "law_math.h", "wide.h")
-    return {name: own_source(name) for name in names} | {"equations.h": header}
+    return {name: read_c_source(name) for name in names} | {"equations.h": header}
 
 
 def write_fmu(
@@ -118,8 +118,12 @@ def write_fmu(
     Platforms are names of `toolchain.TARGETS`, or "all". Raises ExportError if a binary cannot be
     built or the FMU is invalid.
     """
-    wanted = check_request(path, platforms)
-    missing = [t.folder for t in wanted if content.libraries and t.folder not in content.libraries]
+    requested_targets = check_request(path, platforms)
+    missing = [
+        t.folder
+        for t in requested_targets
+        if content.libraries and t.folder not in content.libraries
+    ]
     if missing:
         raise ExportError(
             f"platform '{missing[0]}': this FMU needs a library, which is given for "
@@ -132,7 +136,7 @@ def write_fmu(
         "modelDescription.xml": (description3.to_xml3 if fmi == 3 else to_xml)(
             interface, about, guid
         ),
-        **own_licence(),
+        **read_licence(),
         **content.members,
     }
     members |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
@@ -150,13 +154,15 @@ def write_fmu(
     with scratch_folder() as home:
         for name, text in sources.items():
             (home / name).write_text(text, encoding="utf-8")
-        for target in counted(wanted, progress, lambda one: one.folder):
-            own = content.libraries.get(target.folder)
-            library = _built(home / "all.c", about.identifier, target, own)
+        for target in report_progress(
+            requested_targets, progress, lambda requested: requested.folder
+        ):
+            binary = content.libraries.get(target.folder)
+            library = _build_library(home / "all.c", about.identifier, target, binary)
             for folder in folders.get(target.folder, (target.folder,)):
                 members[f"binaries/{folder}/{about.identifier}{target.suffix}"] = library
-                if own:
-                    members[f"binaries/{folder}/{own.name}"] = own.content
+                if binary:
+                    members[f"binaries/{folder}/{binary.name}"] = binary.content
     if content.stimuli:
         members |= result_files(members, content.stimuli)
     write_archive(members, path, about.created)
@@ -164,7 +170,7 @@ def write_fmu(
     return path
 
 
-def own_licence() -> dict[str, bytes]:
+def read_licence() -> dict[str, bytes]:
     """Return the licence of generated code and documentation as a member of an FMU."""
     text = (_HERE / "pages" / "templates" / "license.txt").read_bytes()
     return {"documentation/licenses/license.txt": text}
@@ -174,12 +180,12 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
     """Return the GUID of an FMU and its C files by name; all.c includes the others."""
     interface = content.table
     about = content.about
-    own = content.sources
+    component_sources = content.sources
     patterns = (*_GLUE, "fmi3*.[ch]") if fmi == 3 else _GLUE
     glue = [file.name for pattern in patterns for file in sorted(_C.glob(pattern))]
-    text = "".join(own.values())
-    sources = {n: own_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text}
-    sources |= own
+    text = "".join(component_sources.values())
+    sources = {n: read_c_source(n) for n in glue if n not in _OPTIONAL or f'"{n}"' in text}
+    sources |= component_sources
     includes = "".join(f'#include "{name}"\n' for name in sources if name.endswith(".c"))
     sources["all.c"] = (_INSIDE if fmi == 3 else "") + _ALL_C + includes
     if fmi == 3:
@@ -193,9 +199,9 @@ def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> Non
     with written_whole(path) as temporary:
         zip_members(temporary, members, created)
         texts = [c for name, c in members.items() if name.endswith(".xml")]
-        described = [_VALUES.sub(rb'\1=""', text) for text in texts]
-        about: list[str | bytes] = [f"fmpy {version('fmpy')}", *members, *described]
-        kept("valid", about, lambda: _require_valid(temporary, path))
+        descriptions = [_VALUES.sub(rb'\1=""', text) for text in texts]
+        cache_key: list[str | bytes] = [f"fmpy {version('fmpy')}", *members, *descriptions]
+        compute_once("valid", cache_key, lambda: _require_valid(temporary, path))
 
 
 def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
@@ -205,15 +211,15 @@ def check_request(path: Path, platforms: Sequence[str]) -> tuple[Target, ...]:
     return targets(platforms)
 
 
-def _built(source: Path, identifier: str, target: Target, own: Binary | None) -> bytes:
-    if own is None:
+def _build_library(source: Path, identifier: str, target: Target, binary: Binary | None) -> bytes:
+    if binary is None:
         return build(source, identifier, target)
-    flags = own.flags
-    if own.link:
-        file = source.parent / target.folder / Path(own.name).name
+    flags = binary.flags
+    if binary.link:
+        file = source.parent / target.folder / Path(binary.name).name
         file.parent.mkdir()
-        file.write_bytes(own.content)
-        flags += (str(file), *own.link)
+        file.write_bytes(binary.content)
+        flags += (str(file), *binary.link)
     return build(source, identifier, target, flags)
 
 
@@ -226,7 +232,7 @@ def _guid(interface: Interface, about: Description, sources: Mapping[str, str]) 
     return f"{{{UUID(bytes=content.digest()[:16])}}}"
 
 
-_LARGE = 1 << 20  # [B]
+_HIGH_COMPRESSION_LIMIT = 1 << 20  # [B]
 
 
 def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
@@ -239,7 +245,9 @@ def zip_members(path: Path, members: Mapping[str, bytes], created: str) -> None:
             entry.create_system = 3  # Unix on every host
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             # Higher levels take three times as long for 0.4 %.
-            archive.writestr(entry, content, compresslevel=9 if len(content) < _LARGE else 6)
+            archive.writestr(
+                entry, content, compresslevel=9 if len(content) < _HIGH_COMPRESSION_LIMIT else 6
+            )
 
 
 _VALUES = re.compile(rb'(?<!<Dimension )\b(start|guid|instantiationToken)="[^"]*"')
@@ -252,10 +260,12 @@ def _require_valid(temporary: Path, path: Path) -> bytes:
     from fmpy.validation import validate_fmu
 
     with suppress(ValidationError), zipfile.ZipFile(temporary) as archive:
-        found = read_model_description(str(temporary), validate_model_structure=True)
+        model_description = read_model_description(str(temporary), validate_model_structure=True)
         # FMPy's grammar takes a millisecond per name.
-        plain = all(NAME.fullmatch(v.name) for v in found.modelVariables)
-        if plain and not any("\\" in name for name in archive.namelist()):
+        has_plain_names = all(
+            NAME.fullmatch(variable.name) for variable in model_description.modelVariables
+        )
+        if has_plain_names and not any("\\" in name for name in archive.namelist()):
             return b"valid"
     problems = validate_fmu(str(temporary))
     if problems:

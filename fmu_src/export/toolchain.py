@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from fmu_src.export.interface import NUMBERS, without_numbers
+from fmu_src.export.interface import NUMBERS, extract_numbers
 from hesr_model.errors import ExportError
 from hesr_model.support.compiler import compile_c
 from hesr_model.support.files import scratch_folder
@@ -115,18 +115,22 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
             output = folder / triple / library
             output.parent.mkdir()
             last = [*(flag.replace("{library}", library) for flag in target.flags), *flags]
-            parts.append(_compiled(source, ("-target", triple, *CFLAGS, *_LINK), output, last))
-    return parts[0] if len(parts) == 1 else universal(parts)
+            parts.append(
+                _compile_library(source, ("-target", triple, *CFLAGS, *_LINK), output, last)
+            )
+    return parts[0] if len(parts) == 1 else join_universal_binary(parts)
 
 
-def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
+def _compile_library(
+    source: Path, flags: Sequence[str], output: Path, last: Sequence[str]
+) -> bytes:
     """Compile without the numbers of an interface.h, so that others compile nothing; add them."""
     header = source.with_name("interface.h")
     if not header.is_file():
         compile_c(source, flags, output, last)
         return output.read_bytes()
     text = header.read_text(encoding="utf-8")
-    blank, content = without_numbers(text)
+    blank, content = extract_numbers(text)
     header.write_text(blank, encoding="utf-8")
     compile_c(source, flags, output, last)
     header.write_text(text, encoding="utf-8")
@@ -159,9 +163,9 @@ def _sign_again(binary: bytearray) -> None:
                 continue
             step = 1 << binary[begin + 39]
             for page in range(pages):
-                own = hashlib.sha256(binary[page * step : min((page + 1) * step, end)]).digest()
-                to = begin + hashes + page * len(own)
-                binary[to : to + len(own)] = own
+                digest = hashlib.sha256(binary[page * step : min((page + 1) * step, end)]).digest()
+                digest_start = begin + hashes + page * len(digest)
+                binary[digest_start : digest_start + len(digest)] = digest
 
 
 # A small module without imports, embedded in a page. Building the compiler's own C library takes 15
@@ -184,7 +188,7 @@ def build_wasm(source: Path, *, powers: bool) -> bytes:
     """Compile one translation unit, which may call pow(), to WebAssembly and return its bytes."""
     with scratch_folder() as folder:
         output = folder / f"{source.stem}.wasm"
-        return _compiled(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))
+        return _compile_library(source, _WASM, output, (*(_POW if powers else ()), *_WASM_LAST))
 
 
 def get_ready() -> None:
@@ -199,7 +203,7 @@ _FAT_MAGIC = 0xCAFEBABE
 _PAGE_BITS = 14  # slices start at 16 KiB pages, the larger page size of the two architectures
 
 
-def universal(parts: Sequence[bytes]) -> bytes:
+def join_universal_binary(parts: Sequence[bytes]) -> bytes:
     """Join 64-bit Mach-O files of different architectures into one universal file."""
     page = 1 << _PAGE_BITS
     header = struct.pack(">II", _FAT_MAGIC, len(parts))

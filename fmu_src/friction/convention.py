@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.friction.reference import (
     CONTINUOUS,
     SETTINGS,
@@ -65,7 +65,7 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
 
 def judge(fmu: Path) -> FrictionModel:
     """Return the model in a friction FMU; raise SimulationError unless it can be measured."""
-    model = embedded_model(fmu)
+    model = read_embedded_model(fmu)
     if model is None:
         raise SimulationError(f"{fmu}: contains no friction model to compare with.")
     try:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmu_src.equations.header import Joint, equations_header, indicators, own_size
+from fmu_src.equations.header import Joint, equations_header, indicators, memory_size
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface, Variable
 from fmu_src.export.package import Content
@@ -34,9 +34,9 @@ def discrete_equations(
     factors = friction_component.scales(model) if components[0].shared else ()
     signals = (*_signals(model, joints, switches), friction_component.start_mode(), *factors)
     interface = Interface(
-        variables=(*signals, *_own(model, components, joints)),
+        variables=(*signals, *_joint_variables(model, components, joints)),
         indicators=indicators(joints),
-        own=own_size(joints),
+        own=memory_size(joints),
         model_exchange=False,
         directional_derivatives=False,
     )
@@ -61,7 +61,7 @@ THERMAL_TORQUE = (
 )
 
 
-def documented(
+def add_documentation(
     bare: Content, model: FrictionModel, lines: Sequence[str], notes: Sequence[str]
 ) -> Content:
     """Add a page with further equations and notes, and stimuli for reference results."""
@@ -75,7 +75,7 @@ def documented(
     return replace(bare, members=members, stimuli=_stimuli(model, bare.table, bare.about))
 
 
-_WARMTH = 10.0  # amplitude of temperatures in the reference results [K]
+_TEMPERATURE_AMPLITUDE = 10.0  # amplitude of temperatures in the reference results [K]
 _UNEXPLAINED = 2.0  # peak of the measured friction beyond the law, in standard deviations
 
 
@@ -100,10 +100,12 @@ def _stimuli(model: FrictionModel, interface: Interface, about: Description) -> 
         inputs |= joint_columns("tau_rigid", motion.tau_load)
         inputs |= joint_columns("tau_meas", motion.tau_load + friction)
     for i, thermal in enumerate(model.thermal, start=1):
-        inputs |= waves({f"{TEMPERATURE.name}[{i}]": _WARMTH}, middle=thermal.reference)
+        inputs |= waves(
+            {f"{TEMPERATURE.name}[{i}]": _TEMPERATURE_AMPLITUDE}, middle=thermal.reference
+        )
     names = {variable.name for variable in interface.variables if variable.role == "input"}
-    known = {name: round_stimulus(rows) for name, rows in inputs.items() if name in names}
-    return Stimuli(step=step, inputs=known)
+    stimulus_inputs = {name: round_stimulus(rows) for name, rows in inputs.items() if name in names}
+    return Stimuli(step=step, inputs=stimulus_inputs)
 
 
 _PHASE = 0.35  # lead of each joint over the one before it [rad]
@@ -112,7 +114,7 @@ _PHASE = 0.35  # lead of each joint over the one before it [rad]
 def _joint(
     model: FrictionModel, i: int, component: Component, switches: Sequence[Quantity]
 ) -> Joint:
-    at = friction_component.place(model.laws[i - 1], i)
+    place = friction_component.place(model.laws[i - 1], i)
     slow = tuple(element.name for element in component.memory if isinstance(element, Slow))
     names = {
         quantity.name: f"{quantity.name}[{i}]"
@@ -124,9 +126,9 @@ def _joint(
     return Joint(
         component=replace(component, parameters=bare),
         names=names | {switch.name: switch.name for switch in switches},
-        states=(*(f"{n}[{i}]" for n in slow), *at.states),
-        derivatives=(*(f"der({n}[{i}])" for n in slow), *at.derivatives),
-        starts=(*(f"{n}_start[{i}]" for n in slow), *at.starts),
+        states=(*(f"{n}[{i}]" for n in slow), *place.states),
+        derivatives=(*(f"der({n}[{i}])" for n in slow), *place.derivatives),
+        starts=(*(f"{n}_start[{i}]" for n in slow), *place.starts),
         parameters=tuple(f"joint[{i}].{p.name}" for p in component.parameters),
     )
 
@@ -146,25 +148,25 @@ def _signals(
         for i, _ in enumerate(joints, start=1):
             # The factors of temperature are 1 at the reference.
             start = model.thermal[i - 1].reference if quantity == TEMPERATURE else 0.0
-            yield friction_component.of_joint(model, quantity, i, "input", start=start)
+            yield friction_component.build_joint_variable(model, quantity, i, "input", start=start)
     for quantity in component.outputs:
         for i, joint in enumerate(joints, start=1):
             # Later it changes with steps only, not with inputs set between them.
             at_start = friction_component.dependencies(joint, quantity.symbol, starting=True)
-            yield friction_component.of_joint(
+            yield friction_component.build_joint_variable(
                 model, quantity, i, "output", initial_dependencies=at_start
             )
 
 
-def _own(
+def _joint_variables(
     model: FrictionModel, components: Sequence[Component], joints: list[Joint]
 ) -> Iterator[Variable]:
     rows = zip(model.laws, components, joints, model.slides, strict=True)
     for i, (law, component, joint, slides) in enumerate(rows, start=1):
         count = len(law.values)
-        known = replace(joint, parameters=joint.parameters[:count])
+        law_joint = replace(joint, parameters=joint.parameters[:count])
         elements = dict(zip(joint.derivatives, component.memory, strict=True))
-        for variable in friction_component.law_variables(law, i, known):
+        for variable in friction_component.law_variables(law, i, law_joint):
             element = elements.get(variable.name)
             if element is not None:
                 at_start = friction_component.dependencies(joint, element.derivative, starting=True)

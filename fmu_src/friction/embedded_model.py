@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from fmu_src.run.archive import MOST_TEXT, Archive
+from fmu_src.run.archive import MAX_TEXT_BYTES, Archive
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.text import parse_json
@@ -12,17 +12,17 @@ EMBEDDED_MODEL = "resources/friction_model.json"
 """Name of the model in the archive; the FMU itself does not read it."""
 
 
-def embedding(model: FrictionModel) -> dict[str, bytes]:
+def embed_model(model: FrictionModel) -> dict[str, bytes]:
     """Return the archive member that contains the model, by its name."""
     return {EMBEDDED_MODEL: (json.dumps(model.to_json(), indent=2) + "\n").encode()}
 
 
-def embedded_model(fmu: Path) -> FrictionModel | None:
+def read_embedded_model(fmu: Path) -> FrictionModel | None:
     """Return the friction model in an FMU, or None; ArtifactError if it is damaged."""
     with Archive(fmu) as archive:
         if EMBEDDED_MODEL not in archive.names:
             return None
-        text = archive.read(EMBEDDED_MODEL, MOST_TEXT)
+        text = archive.read(EMBEDDED_MODEL, MAX_TEXT_BYTES)
     try:
         data = parse_json(text)
     except ValueError as error:

@@ -6,14 +6,14 @@ from functools import cached_property
 
 from numpy.typing import ArrayLike
 
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.trust import remember
 from fmu_src.run.variables import model_description
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 
 
@@ -77,7 +77,7 @@ class Fmu:
     """
 
     def __init__(self, path: PathArg, trust: bool = False) -> None:
-        self.path = path_of(path, "an FMU")
+        self.path = to_path(path, "an FMU")
         about = model_description(self.path)
         self._fmi: str = about.fmiVersion
         self.variables: Mapping[str, FmuVariable] = {
@@ -117,7 +117,7 @@ class Fmu:
         ArtifactError
             If the FMU cannot be read, or its model is damaged.
         """
-        return embedded_model(self.path)
+        return read_embedded_model(self.path)
 
     def replay(
         self,

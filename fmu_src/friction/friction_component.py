@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import sympy
 
-from fmu_src.equations.header import Joint, equations_header, indicators, own_size
+from fmu_src.equations.header import Joint, equations_header, indicators, memory_size
 from fmu_src.export.interface import Enumeration, Interface, Role, Variable
-from fmu_src.friction.validity import discretisation_of
-from hesr_model.audit.certificate import scale_limits
+from fmu_src.friction.validity import find_discretisation
+from hesr_model.audit.certificate import find_scale_limits
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.memory import Element, Relaxation
-from hesr_model.equations.program import event_free, initial_state, initial_symbol, sources
+from hesr_model.equations.program import find_sources, initial_state, initial_symbol, remove_events
 from hesr_model.friction.band import (
     COVERAGE,
-    GREATEST,
-    LEAST,
     LOWER,
+    MAX_COVERAGE,
+    MIN_COVERAGE,
     NUMBERS,
     UPPER,
     band_equations,
@@ -28,7 +28,7 @@ from hesr_model.friction.band import (
 from hesr_model.friction.inputs import DQ, INPUTS, MOVING, QUANTITIES, TAU_LOAD, TORQUE
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.scales import SCALES, VISCOUS, has_viscous, scaled
+from hesr_model.friction.scales import SCALES, VISCOUS, add_scales, has_viscous
 from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
@@ -40,7 +40,9 @@ DISCRETISATION = Enumeration(
     ),
 )
 
-_NONE = 1e-12  # round-off of the inverse of a coupling; smaller coefficients count as zero
+_MIN_COEFFICIENT = (
+    1e-12  # round-off of the inverse of a coupling; smaller coefficients count as zero
+)
 _STEADY = (
     "in the steady state of the first inputs, faded in from the start values at rest up to "
     f"a speed of {MOVING:g} in SI units"
@@ -52,7 +54,7 @@ GIVEN = 2.0
 
 START_MODE = "start_mode"  # name of the parameter that selects the initial state
 
-_CRAWL = 0.1  # speed of the steady state that defines the nominal value of a state [rad/s]
+_NOMINAL_SPEED = 0.1  # speed of the steady state that defines the nominal value of a state [rad/s]
 
 _EFFORT = {False: "torque", True: "force"}
 
@@ -85,7 +87,7 @@ class Place:
     parameters: tuple[str, ...]
 
 
-def exposed(law: FrictionLaw) -> bool:
+def is_exposed(law: FrictionLaw) -> bool:
     """Whether the coefficients of a law are parameters of the FMU."""
     return len(law.values) <= MAX_PARAMETERS
 
@@ -96,18 +98,20 @@ def place(law: FrictionLaw, joint: int) -> Place:
         states=tuple(f"{element.name}[{joint}]" for element in law.form.memory),
         derivatives=tuple(f"der({element.name}[{joint}])" for element in law.form.memory),
         starts=tuple(f"{element.name}_start[{joint}]" for element in law.form.memory),
-        parameters=tuple(f"joint[{joint}].{name}" for name in law.values) if exposed(law) else (),
+        parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
+        if is_exposed(law)
+        else (),
     )
 
 
-def scales_of(joint: int) -> tuple[str, ...]:
+def scale_names(joint: int) -> tuple[str, ...]:
     """Return the names of a joint's factors on Coulomb and viscous friction."""
     return tuple(f"{scale.name}[{joint}]" for scale in SCALES)
 
 
 def component(
     law: FrictionLaw,
-    more: Iterable[Equation] = (),
+    extra_outputs: Iterable[Equation] = (),
     *,
     band: bool = False,
     coupled: bool = False,
@@ -118,21 +122,21 @@ def component(
     Reversals are solver events if `events`, else jumps become steep. Joints that are `coupled` add
     squares of their bands.
     """
-    form = scaled(law.form)
+    form = add_scales(law.form)
     shared: tuple[Quantity, ...] = SCALES
-    equations = (*form.component.equations, *more)
+    equations = (*form.component.equations, *extra_outputs)
     if band:
         shared = (*shared, *NUMBERS, COVERAGE)
         equations = (*equations, *band_equations(form.memory, form.output, squares=coupled))
     component = replace(
         form.component, parameters=law.form.coefficients, shared=shared, equations=equations
     )
-    return component if events else event_free(component)
+    return component if events else remove_events(component)
 
 
 def friction_equations(
     model: FrictionModel,
-    more: tuple[Equation, ...] = (),
+    extra_outputs: tuple[Equation, ...] = (),
     *,
     band: bool = False,
     events: bool = True,
@@ -141,15 +145,15 @@ def friction_equations(
     """Return the variables of a friction FMU, and its equations.h.
 
     The connectors `dq[i]`, `q[i]`, `tau_load[i]` -> `tau[i]` are those of every friction FMU;
-    `more` are outputs such as `POWER`, and `band` adds its limits; for `events` see `component`,
-    for `steps_together` see `equations_header`.
-    Raises ExportError for names that FMI forbids, or different discretisations.
+    `extra_outputs` are outputs such as `POWER`, and `band` adds its limits; for `events` see
+    `component`, for `steps_together` see `equations_header`. Raises ExportError for names that FMI
+    forbids, or different discretisations.
     """
-    joints = joints_of(model, more, band=band, events=events)
+    joints = build_joints(model, extra_outputs, band=band, events=events)
     interface = Interface(
         variables=tuple(_variables(model, joints, band=band)),
         indicators=indicators(joints),
-        own=own_size(joints),
+        own=memory_size(joints),
     )
     places = {"DISCRETISATION": "discretisation", "START_MODE": START_MODE}
     header = equations_header(
@@ -165,16 +169,18 @@ def _variables(
     for quantity in QUANTITIES:
         for i in numbers:
             size = _trained_size(model, quantity, i)
-            yield of_joint(model, quantity, i, "input", nominal=size)
+            yield build_joint_variable(model, quantity, i, "input", nominal=size)
     outputs = joints[0].component.outputs
     for equation in outputs:
         for i in numbers:
             size = _trained_size(model, equation, i)
-            made_of = _output_dependencies(model, joints, i, equation)
-            yield of_joint(model, equation, i, "output", nominal=size, dependencies=made_of)
+            source_names = _output_dependencies(model, joints, i, equation)
+            yield build_joint_variable(
+                model, equation, i, "output", nominal=size, dependencies=source_names
+            )
     for i in numbers:
-        made_of = _output_dependencies(model, joints, i, outputs[0])
-        yield of_joint(model, SLOPE, i, "on_demand", dependencies=made_of)
+        source_names = _output_dependencies(model, joints, i, outputs[0])
+        yield build_joint_variable(model, SLOPE, i, "on_demand", dependencies=source_names)
     yield discretisation(
         model,
         "how co-simulation integrates the states over a step; without meaning in model exchange, "
@@ -185,43 +191,51 @@ def _variables(
     if band:
         yield from band_numbers(model)
     for i, law in enumerate(model.laws, start=1):
-        yield from law_variables(law, i, joints[i - 1], _mixed_inputs(model.coupling, i))
+        yield from law_variables(law, i, joints[i - 1], _find_joint_inputs(model.coupling, i))
 
 
-def mixed(name: str, coordinate: int, coupling: Coupling | None) -> tuple[str, ...]:
+def find_joint_signals(name: str, coordinate: int, coupling: Coupling | None) -> tuple[str, ...]:
     """Return the variables of joints that a signal of a friction coordinate depends on."""
     if coupling is None:
         return (f"{name}[{coordinate}]",)
     matrix = coupling.backward if name == TAU_LOAD.name else coupling.forward
-    return tuple(f"{name}[{m + 1}]" for m in np.flatnonzero(np.abs(matrix[coordinate - 1]) > _NONE))
+    return tuple(
+        f"{name}[{m + 1}]"
+        for m in np.flatnonzero(np.abs(matrix[coordinate - 1]) > _MIN_COEFFICIENT)
+    )
 
 
-def adding(joint: int, coupling: Coupling | None) -> tuple[int, ...]:
+def find_added_coordinates(joint: int, coupling: Coupling | None) -> tuple[int, ...]:
     """Return the friction coordinates whose torques add to that of a joint."""
     if coupling is None:
         return (joint,)
     return tuple(int(i) + 1 for i in np.flatnonzero(coupling.forward[:, joint - 1]))
 
 
-def _mixed_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple[str, ...]]:
-    return {quantity.name: mixed(quantity.name, coordinate, coupling) for quantity in QUANTITIES}
+def _find_joint_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple[str, ...]]:
+    return {
+        quantity.name: find_joint_signals(quantity.name, coordinate, coupling)
+        for quantity in QUANTITIES
+    }
 
 
 def _output_dependencies(
     model: FrictionModel, joints: tuple[Joint, ...], joint: int, output: Equation
 ) -> tuple[str, ...]:
     added = output.name in (TORQUE, LOWER, UPPER)
-    coordinates = adding(joint, model.coupling) if added else (joint,)
-    found = [
+    coordinates = find_added_coordinates(joint, model.coupling) if added else (joint,)
+    names = [
         name
         for i in coordinates
-        for name in dependencies(joints[i - 1], output.symbol, _mixed_inputs(model.coupling, i))
+        for name in dependencies(
+            joints[i - 1], output.symbol, _find_joint_inputs(model.coupling, i)
+        )
     ]
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(names))
 
 
-def of_joint(
-    model: FrictionModel, quantity: Quantity, joint: int, role: Role, **more: Any
+def build_joint_variable(
+    model: FrictionModel, quantity: Quantity, joint: int, role: Role, **attributes: Any
 ) -> Variable:
     """Return a variable that every joint has, for the joint with this number from 1."""
     slides = model.slides[joint - 1]
@@ -229,7 +243,7 @@ def of_joint(
         joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
     )
     name = f"{quantity.name}[{joint}]"
-    return replace(typed_variable(quantity, name, role, text, slides=slides), **more)
+    return replace(typed_variable(quantity, name, role, text, slides=slides), **attributes)
 
 
 def typed_variable(
@@ -242,23 +256,23 @@ def typed_variable(
     if quantity.logical:
         return Variable(name, role, text, boolean=True)
     if not quantity.values:
-        unit = unit_of_joint(quantity.unit, slides=slides)
+        unit = unit_of_joint(quantity.unit, is_prismatic=slides)
         return Variable(name, role, text, unit=unit)
     meanings = ", ".join(f"{number} = {meaning}" for number, meaning in quantity.values)
     numbers = [number for number, _ in quantity.values]
-    least = min(numbers)
-    greatest = max(numbers)
-    return Variable(name, role, f"{text}: {meanings}", integer=True, least=least, greatest=greatest)
+    lower = min(numbers)
+    upper = max(numbers)
+    return Variable(name, role, f"{text}: {meanings}", integer=True, least=lower, greatest=upper)
 
 
 def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float:
     trained_range = model.trained[joint - 1] if model.trained else None
-    return _usual(max(map(abs, getattr(trained_range, quantity.name, (0.0,)))))
+    return _round_nominal(max(map(abs, getattr(trained_range, quantity.name, (0.0,)))))
 
 
 def discretisation(model: FrictionModel, description: str) -> Variable:
     """Return the parameter that selects the integration of the states."""
-    start = 1.0 + ("exact", "euler").index(discretisation_of(model))
+    start = 1.0 + ("exact", "euler").index(find_discretisation(model))
     return Variable("discretisation", "fixed", description, enumeration=DISCRETISATION, start=start)
 
 
@@ -269,12 +283,14 @@ def start_mode() -> Variable:
 
 def scales(model: FrictionModel) -> Iterator[Variable]:
     """Yield the factors on Coulomb and viscous friction of every joint, limited by the proof."""
-    limits = list(map(scale_limits, model.laws))
+    limits = list(map(find_scale_limits, model.laws))
     for k, scale in enumerate(SCALES):
         for i, law in enumerate(model.laws, start=1):
-            least, greatest = limits[i - 1][k]
-            limits_of_own = {"least": least, "greatest": greatest, "limited": True}
-            variable = of_joint(model, scale, i, "tunable", start=1.0, **limits_of_own)
+            lower, upper = limits[i - 1][k]
+            limit_attributes = {"least": lower, "greatest": upper, "limited": True}
+            variable = build_joint_variable(
+                model, scale, i, "tunable", start=1.0, **limit_attributes
+            )
             if scale == VISCOUS and not has_viscous(law.form):
                 variable = replace(
                     variable, description=f"{variable.description}; its law has no such term"
@@ -285,42 +301,49 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
 def band_numbers(model: FrictionModel) -> Iterator[Variable]:
     """Yield the parameters of a band: coverage, and the numbers of every joint."""
     coverage = Variable(COVERAGE.name, "tunable", COVERAGE.description, unit=COVERAGE.unit)
-    yield replace(coverage, start=COVERAGE.start, least=LEAST, greatest=GREATEST)
+    yield replace(coverage, start=COVERAGE.start, least=MIN_COVERAGE, greatest=MAX_COVERAGE)
     for number in NUMBERS:
         for i, law in enumerate(model.laws, start=1):
             start = law.band.values[number.name] if law.band else 0.0
-            least = None if number.logical else 0.0
-            yield of_joint(model, number, i, "tunable", start=start, least=least)
+            lower = None if number.logical else 0.0
+            yield build_joint_variable(model, number, i, "tunable", start=start, least=lower)
 
 
-def joints_of(
+def build_joints(
     model: FrictionModel,
-    more: tuple[Equation, ...] = (),
+    extra_outputs: tuple[Equation, ...] = (),
     names: dict[str, str] | None = None,
     *,
     band: bool = False,
     events: bool = True,
 ) -> tuple[Joint, ...]:
     """Return each joint with the names of its variables; `names` has stems that differ."""
-    found = []
+    joints = []
     # C has no units, the only difference between revolute and prismatic forms.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
     for joint, law in enumerate(laws, start=1):
-        own = component(law, more, band=band, coupled=model.coupling is not None, events=events)
+        joint_component = component(
+            law, extra_outputs, band=band, coupled=model.coupling is not None, events=events
+        )
         stems = {
-            quantity.name: quantity.name for quantity in (*own.inputs, *own.shared, *own.outputs)
+            quantity.name: quantity.name
+            for quantity in (
+                *joint_component.inputs,
+                *joint_component.shared,
+                *joint_component.outputs,
+            )
         } | (names or {})
-        own_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
-        found.append(
+        joint_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
+        joints.append(
             Joint(
-                component=own,
-                names=own_names | ({COVERAGE.name: COVERAGE.name} if band else {}),
+                component=joint_component,
+                names=joint_names | ({COVERAGE.name: COVERAGE.name} if band else {}),
                 **vars(place(law, joint)),
-                constants=() if exposed(law) else tuple(law.values.values()),
+                constants=() if is_exposed(law) else tuple(law.values.values()),
                 slope="" if names else f"{SLOPE.name}[{joint}]",
             )
         )
-    return tuple(found)
+    return tuple(joints)
 
 
 def dependencies(
@@ -337,39 +360,45 @@ def dependencies(
     """
     component = joint.component
     beginnings = initial_state(component.memory, component.settling)
-    used = (
-        sources(beginnings, symbol)
+    used_symbols = (
+        find_sources(beginnings, symbol)
         if symbol in beginnings
-        else component.sources(symbol, starting=starting)
+        else component.find_sources(symbol, starting=starting)
     )
-    found: list[str] = []
+    variable_names: list[str] = []
     for quantity in (*component.inputs, *component.shared):
-        if quantity.symbol in used:
-            found += (inputs or {}).get(quantity.name, (joint.names[quantity.name],))
+        if quantity.symbol in used_symbols:
+            variable_names += (inputs or {}).get(quantity.name, (joint.names[quantity.name],))
     states = zip(
         component.memory, joint.starts if symbol in beginnings else joint.states, strict=True
     )
-    found += [name for element, name in states if element.state in used]
+    variable_names += [name for element, name in states if element.state in used_symbols]
     parameters = zip(component.parameters, joint.parameters, strict=False)
-    found += [name for quantity, name in parameters if quantity.symbol in used]
-    return tuple(found)
+    variable_names += [name for quantity, name in parameters if quantity.symbol in used_symbols]
+    return tuple(variable_names)
 
 
 def law_variables(
-    law: FrictionLaw, joint: int, own: Joint, inputs: Mapping[str, tuple[str, ...]] | None = None
+    law: FrictionLaw,
+    joint: int,
+    joint_equations: Joint,
+    inputs: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Iterator[Variable]:
     """Yield the states of a joint's law, their derivatives and its parameters."""
-    known = {m.name: m for m in law.form.memory}
-    memory = [known.get(m.name, m) for m in own.component.memory]
-    elements = list(zip(memory, own.states, own.derivatives, strict=True))
+    law_elements = {m.name: m for m in law.form.memory}
+    memory = [law_elements.get(m.name, m) for m in joint_equations.component.memory]
+    elements = list(zip(memory, joint_equations.states, joint_equations.derivatives, strict=True))
     for element, state, _ in elements:
         yield Variable(
             state,
             "state",
             f"friction state {element.name} of joint {joint}",
             unit=element.unit,
-            nominal=nominal(law, element) if element.name in known else 1.0,
-            initial_dependencies=(START_MODE, *dependencies(own, initial_symbol(element), inputs)),
+            nominal=nominal(law, element) if element.name in law_elements else 1.0,
+            initial_dependencies=(
+                START_MODE,
+                *dependencies(joint_equations, initial_symbol(element), inputs),
+            ),
         )
     for element, state, derivative in elements:
         yield Variable(
@@ -378,15 +407,17 @@ def law_variables(
             f"time derivative of {state}",
             unit=_per_second(element.unit),
             derivative_of=state,
-            dependencies=dependencies(own, element.derivative, inputs),
+            dependencies=dependencies(joint_equations, element.derivative, inputs),
         )
     first = (*(0.0,) * (len(memory) - len(law.start)), *law.start)
-    for (element, state, _), name, start in zip(elements, own.starts, first, strict=True):
+    for (element, state, _), name, start in zip(
+        elements, joint_equations.starts, first, strict=True
+    ):
         text = f"start value of {state}; if the start is steady, that of a start at rest"
         yield Variable(name, "fixed", text, unit=element.unit, start=start)
-    if not exposed(law):
+    if not is_exposed(law):
         return
-    for name, quantity in zip(own.parameters, law.form.coefficients, strict=True):
+    for name, quantity in zip(joint_equations.parameters, law.form.coefficients, strict=True):
         yield Variable(
             name,
             "tunable",
@@ -398,35 +429,39 @@ def law_variables(
 
 def nominal(law: FrictionLaw, element: Element) -> float:
     """Size of a state in slow sliding, drive / rate or the bound of a stop; 1 if unusable."""
-    at = {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
-    at |= dict.fromkeys(INPUTS, 0.0) | {DQ: _CRAWL} | {m.state: 0.0 for m in law.form.memory}
-    numbers = {symbol: sympy.Float(value) for symbol, value in at.items()}
+    operating_point = {
+        quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients
+    }
+    operating_point |= (
+        dict.fromkeys(INPUTS, 0.0) | {DQ: _NOMINAL_SPEED} | {m.state: 0.0 for m in law.form.memory}
+    )
+    numbers = {symbol: sympy.Float(value) for symbol, value in operating_point.items()}
     first, second = (float(e.xreplace(numbers)) for e in element.parts)
     if isinstance(element, Relaxation):
-        return _usual(abs(first / second) if second else 0.0)
-    return _usual(second)
+        return _round_nominal(abs(first / second) if second else 0.0)
+    return _round_nominal(second)
 
 
-def _usual(size: float) -> float:
+def _round_nominal(size: float) -> float:
     return float(f"{size:.2g}") if 0.0 < size < inf else 1.0
 
 
 def _per_second(unit: str) -> str:
-    above, slash, below = unit.partition("/")
-    return f"{above}/({below}.s)" if slash else f"{above}/s"
+    numerator, slash, denominator = unit.partition("/")
+    return f"{numerator}/({denominator}.s)" if slash else f"{numerator}/s"
 
 
-def sliding(variable: Variable, words: Mapping[str, str]) -> Variable:
+def to_sliding(variable: Variable, words: Mapping[str, str]) -> Variable:
     """Return a variable of a turning joint as that of a sliding one, with other words and unit."""
     text = variable.description
     for turning, other in words.items():
         text = re.sub(rf"\b{turning}\b", other, text)
-    unit = variable.unit and unit_of_joint(variable.unit, slides=True)
+    unit = variable.unit and unit_of_joint(variable.unit, is_prismatic=True)
     return replace(variable, unit=unit, description=text)
 
 
-def of_the_last_step(variable: Variable, inputs: Collection[str]) -> Variable:
+def make_inputs_initial(variable: Variable, inputs: Collection[str]) -> Variable:
     """Return a variable that depends on inputs only until initialisation ends."""
-    at_once = tuple(name for name in variable.dependencies if name in inputs)
-    others = tuple(name for name in variable.dependencies if name not in inputs)
-    return replace(variable, dependencies=others, initial_dependencies=at_once)
+    initial_names = tuple(name for name in variable.dependencies if name in inputs)
+    running_names = tuple(name for name in variable.dependencies if name not in inputs)
+    return replace(variable, dependencies=running_names, initial_dependencies=initial_names)

@@ -11,16 +11,16 @@ from math import inf
 from pathlib import Path
 
 from fmu_src.export import package
-from fmu_src.export.description import RELEASED, Description
+from fmu_src.export.description import RELEASE_DATE, Description
 from fmu_src.export.interface import Interface
 from fmu_src.export.toolchain import HOST
 from fmu_src.friction.discrete_fmu import (
     THERMAL_LINES,
     THERMAL_TORQUE,
+    add_documentation,
     discrete_equations,
-    documented,
 )
-from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.embedded_model import embed_model
 from fmu_src.friction.friction_component import POWER, friction_equations
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.validity import require_numbers
@@ -66,7 +66,7 @@ def export_fmu(
     the FMU. With `no_events`, model exchange has no event indicators, and jumps are steep, see
     `STEEP`. With `no_documentation` there is neither page, picture nor reference results.
 
-    The same model gives the same bytes. For the date see `date_of`. Raises ExportError if C or FMI
+    The same model gives the same bytes. For the date see `fmu_date`. Raises ExportError if C or FMI
     cannot express the model or a thermal model gets options; SimulationError if it has no band.
     """
     package.check_request(path, platforms)
@@ -88,20 +88,20 @@ def export_fmu(
             no_events=no_events,
         )
         if not no_documentation:
-            content = _documented(content, _as_run(model, low_pass), properties, audit)
+            content = _add_documentation(content, _add_low_pass(model, low_pass), properties, audit)
     return package.write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def _thermal_content(model: FrictionModel, *, bare: bool) -> package.Content:
     """Return the FMU of a thermal model before compilation."""
-    about = about_model(model, "friction", "from their motion and temperature")
+    about = describe_friction_fmu(model, "friction", "from their motion and temperature")
     components = tuple(map(thermal_component, model.laws, model.thermal))
     equations = discrete_equations(model, components)
     require_numbers(model)
-    content = bare_content(model, about, *equations)
+    content = build_bare_content(model, about, *equations)
     if bare:
         return content
-    return documented(content, model, (*THERMAL_LINES, THERMAL_TORQUE), _THERMAL_NOTES)
+    return add_documentation(content, model, (*THERMAL_LINES, THERMAL_TORQUE), _THERMAL_NOTES)
 
 
 _THERMAL_NOTES = (
@@ -116,7 +116,7 @@ export_bare = partial(export_fmu, no_documentation=True)
 """Write the same FMU as `export_fmu` without its documentation."""
 
 
-def _documented(
+def _add_documentation(
     bare: package.Content,
     model: FrictionModel,
     properties: Properties | None,
@@ -143,7 +143,7 @@ def _documented(
 
 def _component(
     model: FrictionModel,
-    more: tuple[Equation, ...] = (),
+    extra_outputs: tuple[Equation, ...] = (),
     *,
     band: bool = False,
     low_pass: float | None = None,
@@ -152,12 +152,14 @@ def _component(
     require_numbers(model)
     if band:
         model.require_band()
-    about = about_model(model, "friction", "from their motion")
-    equations = friction_equations(_as_run(model, low_pass), more, band=band, events=not no_events)
-    return bare_content(model, about, *equations)
+    about = describe_friction_fmu(model, "friction", "from their motion")
+    equations = friction_equations(
+        _add_low_pass(model, low_pass), extra_outputs, band=band, events=not no_events
+    )
+    return build_bare_content(model, about, *equations)
 
 
-def _as_run(model: FrictionModel, low_pass: float | None) -> FrictionModel:
+def _add_low_pass(model: FrictionModel, low_pass: float | None) -> FrictionModel:
     if low_pass is None:
         return model
     if not 0.0 < low_pass < inf:
@@ -168,7 +170,7 @@ def _as_run(model: FrictionModel, low_pass: float | None) -> FrictionModel:
     return model.behind_low_pass(low_pass)
 
 
-def bare_content(
+def build_bare_content(
     model: FrictionModel, about: Description, interface: Interface, header: str
 ) -> package.Content:
     """Return the FMU of a model without pages, with the model itself."""
@@ -176,16 +178,16 @@ def bare_content(
         table=interface,
         about=about,
         sources=package.equation_sources(header),
-        members=embedding(model),
+        members=embed_model(model),
     )
 
 
 _TITLES = {"friction": "Friction", "adaptive": "Adaptive friction"}
 
 
-def about_model(model: FrictionModel, kind: str, text: str) -> Description:
+def describe_friction_fmu(model: FrictionModel, kind: str, text: str) -> Description:
     """Return the model description of a friction FMU of some kind."""
-    return description_of(
+    return describe_fmu(
         model,
         name=f"{_TITLES[kind]} of {model.robot} by {model_title(model)}",
         identifier=f"{kind}_{model.law}",
@@ -194,7 +196,7 @@ def about_model(model: FrictionModel, kind: str, text: str) -> Description:
     )
 
 
-def description_of(
+def describe_fmu(
     model: FrictionModel, *, name: str, identifier: str, text: str, step: float
 ) -> Description:
     """Return the model description of an FMU, with the model's date and owner."""
@@ -202,24 +204,24 @@ def description_of(
         name=name,
         identifier=re.sub(r"\W", "_", identifier, flags=re.ASCII),
         text=" ".join([text, *statements(model.provenance, "guessed")]),
-        created=date_of(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        created=fmu_date(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
         step=step,
-        owner=Owner.of(model.provenance),
+        owner=Owner.from_provenance(model.provenance),
     )
 
 
-def date_of(model: FrictionModel) -> datetime:
+def fmu_date(model: FrictionModel) -> datetime:
     """Return the date in an FMU: SOURCE_DATE_EPOCH, that of the provenance, or of this release."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     created = model.provenance.get("created")
-    date = datetime.fromisoformat(RELEASED)
+    date = datetime.fromisoformat(RELEASE_DATE)
     try:
         if epoch is not None:
             date = datetime.fromtimestamp(int(epoch), tz=UTC)
         elif created is not None:
             date = datetime.fromisoformat(str(created))
     except (ValueError, OverflowError, OSError) as error:
-        found = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
-        raise ExportError(f"{found}; it must be a date.") from error
+        observation = f"SOURCE_DATE_EPOCH is '{epoch}'" if epoch else f"'created' is '{created}'"
+        raise ExportError(f"{observation}; it must be a date.") from error
     date = date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
     return min(max(date, _FIRST_DATE), _LAST_DATE)

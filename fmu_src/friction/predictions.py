@@ -9,7 +9,7 @@ import numpy as np
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import first_states, record_start
-from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.rigid_body.residual import FrictionRecord, transform_records
 from hesr_model.support.arrays import Array
 
 Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
@@ -29,7 +29,8 @@ def predict_model(
             f"has {', '.join(joints)}."
         )
     torques = [
-        model.predict(log, measured_start=measured_start) for log in zip(*records, strict=True)
+        model.predict(log_records, measured_start=measured_start)
+        for log_records in zip(*records, strict=True)
     ]
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
 
@@ -39,26 +40,36 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
 
     With `measured_start` the model inside the FMU estimates the initial state.
     """
-    from fmu_src.friction.embedded_model import embedded_model
+    from fmu_src.friction.embedded_model import read_embedded_model
     from fmu_src.friction.friction_component import GIVEN, START_MODE, place
     from fmu_src.friction.replay import replay
 
-    model = embedded_model(fmu) if measured_start else None
+    model = read_embedded_model(fmu) if measured_start else None
     torques = []
-    for log in zip(*records, strict=True):
+    for log_records in zip(*records, strict=True):
         start: dict[str, float] = {}
-        if model is not None and len(model.laws) == len(log):
-            rubbing = at_friction([replace(r, coupling=model.coupling) for r in log])
+        if model is not None and len(model.laws) == len(log_records):
+            friction_records = transform_records(
+                [replace(r, coupling=model.coupling) for r in log_records]
+            )
             start[START_MODE] = GIVEN
-            for i, (law, record) in enumerate(zip(model.laws, rubbing, strict=True), start=1):
-                first = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
+            for i, (law, record) in enumerate(
+                zip(model.laws, friction_records, strict=True), start=1
+            ):
+                initial_inputs = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
                 estimated = law.start_samples > 0
-                values = record_start(law, record) if estimated else first_states(law, *first)
+                values = (
+                    record_start(law, record) if estimated else first_states(law, *initial_inputs)
+                )
                 start |= dict(zip(place(law, i).starts, values, strict=True))
         dq, q, tau_load = (
-            np.column_stack([getattr(r, u) for r in log]) for u in ("dq", "q", "tau_load")
+            np.column_stack([getattr(r, u) for r in log_records]) for u in ("dq", "q", "tau_load")
         )
-        warm = [r.temperature for r in log if r.temperature is not None]
-        temperature = np.column_stack(warm) if len(warm) == len(log) else None
-        torques.append(replay(fmu, log[0].t, dq, q, tau_load, start=start, temperature=temperature))
+        temperatures = [r.temperature for r in log_records if r.temperature is not None]
+        temperature = (
+            np.column_stack(temperatures) if len(temperatures) == len(log_records) else None
+        )
+        torques.append(
+            replay(fmu, log_records[0].t, dq, q, tau_load, start=start, temperature=temperature)
+        )
     return [[torque[:, joint] for torque in torques] for joint in range(len(records))]

@@ -44,10 +44,10 @@ UNKNOWN_SPEED = 1.2  # velocity amplitude [rad/s] if the trained range is unknow
 _ROWS = 100
 _PHASE = 0.35
 _DECIMALS = {"dq": 5, "q": 5, "tau_load": 3}
-_HALVINGS = 12
+_MAX_HALVINGS = 12
 _SUBSTEPS = 200
-_SAME = 1e-12
-_CLOSE = 1e-6
+_ROUNDING_TOLERANCE = 1e-12
+_INTEGRATION_TOLERANCE = 1e-6
 """RelTol of the files: round-off for co-simulation, integration error for model exchange."""
 
 _README = """\
@@ -72,7 +72,7 @@ model_exchange/{name}_in.csv, _ref.csv, _ref.opt
     size control. The motion is under way at the start, so no row lies on a reversal. Importers
     that hold inputs while their solver steps, as CVode of FMPy 0.3.32 does, exceed it by far.
 """
-_NONE = """\
+_MISSING_TEXT = """\
 Reference results are missing: the torque of this law is not finite on the reference motion.
 """
 
@@ -91,7 +91,7 @@ class ReferenceMotion:
     q: Array
     tau_load: Array
 
-    def by_joint(self) -> Iterator[tuple[Array, Array, Array]]:
+    def iterate_joints(self) -> Iterator[tuple[Array, Array, Array]]:
         """Yield (dq, q, tau_load) of each joint, each (N,) [rad/s, rad, N.m]."""
         return zip(self.dq.T, self.q.T, self.tau_load.T, strict=True)
 
@@ -103,7 +103,7 @@ class ReferenceMotion:
             for name, column in joint_columns(symbol.name, getattr(self, symbol.name)).items()
         }
 
-    def at_friction(self, coupling: Coupling | None) -> "ReferenceMotion":
+    def to_friction(self, coupling: Coupling | None) -> "ReferenceMotion":
         """Return the motion of the friction coordinates."""
         if coupling is None:
             return self
@@ -131,38 +131,38 @@ def torques(
     `substeps` divide the rows for `CONTINUOUS`. Raises SimulationError if the laws' discretisation
     is unstable at the steps.
     """
-    own = motion.at_friction(model.coupling)
+    friction_motion = motion.to_friction(model.coupling)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked by the callers
         columns = [
-            _torque(law, own.t, inputs, setting, substeps)
-            for law, inputs in zip(model.laws, own.by_joint(), strict=True)
+            _torque(law, friction_motion.t, inputs, setting, substeps)
+            for law, inputs in zip(model.laws, friction_motion.iterate_joints(), strict=True)
         ]
         torque = np.column_stack(columns)
-        return torque if model.coupling is None else model.coupling.at_joints(torque)
+        return torque if model.coupling is None else model.coupling.to_joints(torque)
 
 
 def errors(motion: "ReferenceMotion", torque: Array, truth: Array) -> tuple[Error, ...]:
     """Return the torque error of each joint against the truth, both (N, n) [N.m]."""
-    found = []
+    joint_errors = []
     for dq, difference in zip(motion.dq.T, (torque - truth).T, strict=True):
-        near = near_reversals(motion.t, dq)
-        found.append(
+        is_near = near_reversals(motion.t, dq)
+        joint_errors.append(
             Error(
                 rmse=rmse(difference),
-                rmse_reversal=rmse(difference[near]) if np.any(near) else None,
+                rmse_reversal=rmse(difference[is_near]) if np.any(is_near) else None,
             )
         )
-    return tuple(found)
+    return tuple(joint_errors)
 
 
 def _torque(
     law: FrictionLaw, t: Array, inputs: Sequence[Array], setting: str, substeps: int
 ) -> Array:
     if setting == "direct":
-        return _predicted(law, t, inputs)
+        return _predict_law(law, t, inputs)
     if setting in ("hold", SHOWN):
-        held = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
-        return _predicted(law, t, held, inputs if setting == SHOWN else None)
+        held_inputs = [np.concatenate([u[:1], u[:-1]]) for u in inputs]
+        return _predict_law(law, t, held_inputs, inputs if setting == SHOWN else None)
     if setting == "linear":
         return _read_at_rows(law, t, inputs, 1)
     return _read_at_rows(replace(law, discretisation="exact"), t, inputs, substeps)
@@ -171,15 +171,17 @@ def _torque(
 def _read_at_rows(law: FrictionLaw, t: Array, inputs: Sequence[Array], substeps: int) -> Array:
     ends = np.arange(1, substeps + 1) / substeps
 
-    def between(row: Array, share: Array) -> Array:
+    def interpolate(row: Array, share: Array) -> Array:
         inner = row[:-1, None] * (1.0 - share) + row[1:, None] * share
         return np.concatenate([row[:1], inner.ravel()])
 
-    held, shown = ([between(u, share) for u in inputs] for share in (ends - 0.5 / substeps, ends))
-    return _predicted(law, between(t, ends), held, shown)[::substeps]
+    middle_inputs, end_inputs = (
+        [interpolate(u, share) for u in inputs] for share in (ends - 0.5 / substeps, ends)
+    )
+    return _predict_law(law, interpolate(t, ends), middle_inputs, end_inputs)[::substeps]
 
 
-def _predicted(
+def _predict_law(
     law: FrictionLaw, t: Array, inputs: Sequence[Array], shown: Sequence[Array] | None = None
 ) -> Array:
     dq, q, tau_load = inputs
@@ -207,24 +209,24 @@ def reference_motion(
     step = model.sample_time if rows is None else periods / (frequency * rows)
     t = np.round(step * np.arange(count), 12)
     columns = [
-        _of_joint(t, trained_range, 2.0 * np.pi * frequency, i * phase, lead_in)
+        _build_joint_motion(t, trained_range, 2.0 * np.pi * frequency, i * phase, lead_in)
         for i, trained_range in enumerate(model.trained or (None,) * len(model.joints), start=1)
     ]
     dq, q, load = (np.column_stack(part) for part in zip(*columns, strict=True))
     return ReferenceMotion(t=t, dq=dq, q=q, tau_load=load)
 
 
-def _of_joint(
+def _build_joint_motion(
     t: Array, trained_range: TrainedRange | None, rate: float, angle: float, lead_in: float
 ) -> tuple[Array, Array, Array]:
     """Return (dq, q, tau_load) of one joint; `rate` is in rad/s, `angle` at t = 0 in rad."""
-    grown = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
-    dq = trained_speed(trained_range) * grown * np.sin(rate * t + angle)
+    envelope = 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / lead_in, 1.0)) if lead_in else 1.0
+    dq = trained_speed(trained_range) * envelope * np.sin(rate * t + angle)
     q = _integral(dq, t)
     q += (trained_range.middle if trained_range else 0.0) - 0.5 * (q.min() + q.max())
-    low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
+    lowest, highest = trained_range.tau_load if trained_range else (0.0, 0.0)
     # Slightly within the range, because of round-off.
-    load = 0.5 * (low + high) + 0.49 * (high - low) * np.cos(rate * t + angle)
+    load = 0.5 * (lowest + highest) + 0.49 * (highest - lowest) * np.cos(rate * t + angle)
     return dq, q, load
 
 
@@ -252,10 +254,10 @@ def trained_speed(trained_range: TrainedRange | None) -> float:
 
 def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     """Return the members of an FMU's folder `extra/`, by their paths in the archive."""
-    found = _co_simulation(model)
-    if found is None:
-        return {"extra/README.txt": _NONE.encode()}
-    step, motion, torque = found
+    reference_run = _co_simulation(model)
+    if reference_run is None:
+        return {"extra/README.txt": _MISSING_TEXT.encode()}
+    step, motion, torque = reference_run
     shown = torques(model, motion, SHOWN)
     # In motion from the start: no row coincides with a reversal, where laws may jump.
     smooth = _motion(model, step)
@@ -263,39 +265,53 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     text = _README.format(
         name=identifier,
         step=f"{step:.9g}",
-        same=_SAME,
-        close=_CLOSE,
+        same=_ROUNDING_TOLERANCE,
+        close=_INTEGRATION_TOLERANCE,
         substeps=_SUBSTEPS,
         units=_units(model.sliding),
     )
-    held = ExperimentFiles(
-        runs=RUNS, t=motion.t, step=step, tolerance=_SAME, stem=f"extra/co_simulation/{identifier}"
+    co_simulation_files = ExperimentFiles(
+        runs=RUNS,
+        t=motion.t,
+        step=step,
+        tolerance=_ROUNDING_TOLERANCE,
+        stem=f"extra/co_simulation/{identifier}",
     )
-    solved = ExperimentFiles(
+    exchange_files = ExperimentFiles(
         runs=[("continuous", "model exchange: inputs linear between the rows", "ref")],
         t=smooth.t,
         step=0.0,
-        tolerance=_CLOSE,
+        tolerance=_INTEGRATION_TOLERANCE,
         stem=f"extra/model_exchange/{identifier}",
     )
     members = {
         "extra/README.txt": text.encode(),
         **experiment_files(
-            held, motion.columns(), [joint_columns("tau", tau) for tau in (torque, shown)]
+            co_simulation_files,
+            motion.columns(),
+            [joint_columns("tau", tau) for tau in (torque, shown)],
         ),
-        **experiment_files(solved, smooth.columns(), [joint_columns("tau", fine)], digits=8),
+        **experiment_files(
+            exchange_files, smooth.columns(), [joint_columns("tau", fine)], digits=8
+        ),
     }
-    return members | manifest_files([held, solved], members)
+    return members | manifest_files([co_simulation_files, exchange_files], members)
 
 
 def _units(sliding: Sequence[bool]) -> str:
-    turning, slid = (
-        ", ".join(["s", *(unit_of_joint(unit, slides=slides) for unit in ("rad", "rad/s", "N.m"))])
+    turning_units, sliding_units = (
+        ", ".join(
+            ["s", *(unit_of_joint(unit, is_prismatic=slides) for unit in ("rad", "rad/s", "N.m"))]
+        )
         for slides in (False, True)
     )
     if not any(sliding):
-        return turning
-    return slid if all(sliding) else f"{turning}; {slid} of a joint that slides"
+        return turning_units
+    return (
+        sliding_units
+        if all(sliding)
+        else f"{turning_units}; {sliding_units} of a joint that slides"
+    )
 
 
 def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> ReferenceMotion:
@@ -312,7 +328,7 @@ def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> Referenc
 
 def _co_simulation(model: FrictionModel) -> tuple[float, ReferenceMotion, Array] | None:
     """Return step [s], motion and torque, with a shorter step if Euler is unstable otherwise."""
-    for halved in range(_HALVINGS):
+    for halved in range(_MAX_HALVINGS):
         step = model.sample_time / 2**halved
         motion = _motion(model, step, lead_in=0.25 * _ROWS * step)
         try:

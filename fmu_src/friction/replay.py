@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, TORQUE, Q
 from hesr_model.friction.thermal import TEMPERATURE, THERMOMETER
@@ -63,7 +63,7 @@ def replay(
     inputs.values[:] = rows[0]
     instance.initialise(time=float(time[0]), start=start, inputs=inputs)
     torque[0] = outputs.read()
-    torque[1:] = through(instance, inputs, outputs, time[:-1], np.diff(time), rows[1:])
+    torque[1:] = step_rows(instance, inputs, outputs, time[:-1], np.diff(time), rows[1:])
     require_finite(instance.fmu, time, torque)
     return torque
 

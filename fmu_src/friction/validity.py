@@ -6,7 +6,7 @@ from hesr_model.errors import ExportError
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
-_LONGEST = 60
+_MAX_EXPRESSION_LENGTH = 60
 
 
 def require_numbers(model: FrictionModel) -> None:
@@ -15,16 +15,16 @@ def require_numbers(model: FrictionModel) -> None:
     Only causes in the coefficients are found, such as a division by one that is 0.
     """
     for law, joint in zip(model.laws, model.joints, strict=True):
-        part = _undefined(law)
+        part = _find_undefined_part(law)
         if part is not None:
-            at = ", ".join(
+            coefficient_texts = ", ".join(
                 f"{quantity.name} = {law.values[quantity.name]:g}"
                 for quantity in law.form.coefficients
                 if quantity.symbol in part.free_symbols
             )
             raise ExportError(
-                f"law '{model.law}' of joint '{joint}' cannot be run: {shown(part)} in it is not "
-                f"finite with {at}."
+                f"law '{model.law}' of joint '{joint}' cannot be run: {to_text(part)} in it is not "
+                f"finite with {coefficient_texts}."
             )
 
 
@@ -48,46 +48,50 @@ def require_exportable(
     require_numbers(model)
 
 
-def discretisation_of(model: FrictionModel) -> str:
+def find_discretisation(model: FrictionModel) -> str:
     """Return the integration of the states of all joints, "exact" or "euler"; it must be one."""
-    found = {law.discretisation for law in model.laws if law.form.relaxations}
-    if len(found) > 1:
+    discretisations = {law.discretisation for law in model.laws if law.form.relaxations}
+    if len(discretisations) > 1:
         raise ExportError(
             f"friction model '{model.law}': its joints use both exact and Euler integration; "
             "expected one for all joints."
         )
-    return found.pop() if found else "exact"
+    return discretisations.pop() if discretisations else "exact"
 
 
-def shown(expression: sympy.Expr) -> str:
+def to_text(expression: sympy.Expr) -> str:
     """Return a readable expression, truncated if long."""
     text = str(sympy.sstr(expression)).replace("absolute(", "abs(")
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    return text if len(text) <= _MAX_EXPRESSION_LENGTH else f"{text[:_MAX_EXPRESSION_LENGTH]}..."
 
 
-def _undefined(law: FrictionLaw) -> sympy.Expr | None:
+def _find_undefined_part(law: FrictionLaw) -> sympy.Expr | None:
     values = {
         quantity.symbol: sympy.Float(law.values[quantity.name])
         for quantity in law.form.coefficients
     }
-    known: dict[sympy.Basic, sympy.Basic] = {}
+    replacements: dict[sympy.Basic, sympy.Basic] = {}
     # Functions of undefined values get one arbitrary value each.
     opaque: dict[tuple[sympy.Basic, ...], sympy.Basic] = {}
     form = law.form
-    for whole in (*(part for element in form.memory for part in element.parts), form.output):
+    for expression in (*(part for element in form.memory for part in element.parts), form.output):
         # Parts before the expressions that contain them.
-        for part in sympy.postorder_traversal(whole):
-            if part not in known:
-                arguments = tuple(known[argument] for argument in part.args)
+        for part in sympy.postorder_traversal(expression):
+            if part not in replacements:
+                arguments = tuple(replacements[argument] for argument in part.args)
                 if isinstance(part, sympy.Function) and not all(a.is_number for a in arguments):
-                    known[part] = opaque.setdefault((part.func, *arguments), sympy.Dummy(real=True))
+                    replacements[part] = opaque.setdefault(
+                        (part.func, *arguments), sympy.Dummy(real=True)
+                    )
                 else:
-                    known[part] = part.func(*arguments) if part.args else values.get(part, part)
-                if isinstance(part, sympy.Expr) and _no_number(known[part]):
+                    replacements[part] = (
+                        part.func(*arguments) if part.args else values.get(part, part)
+                    )
+                if isinstance(part, sympy.Expr) and _is_undefined(replacements[part]):
                     return part
     return None
 
 
-def _no_number(value: sympy.Basic) -> bool:
+def _is_undefined(value: sympy.Basic) -> bool:
     infinite = value.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
     return bool(infinite or (value.is_number and value.is_real is False))

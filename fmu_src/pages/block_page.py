@@ -9,7 +9,7 @@ from sympy.printing.str import StrPrinter
 
 from fmu_src.export.description import Description
 from fmu_src.export.interface import ArrayVariable, Interface, Role, Variable
-from fmu_src.pages.html import rendered
+from fmu_src.pages.html import render_template
 from hesr_model.equations.component import Choice, Component
 
 _INDICES = "ik"  # of joints, then of harmonics
@@ -43,7 +43,7 @@ class BlockPage:
 
 def block_html(page: BlockPage, interface: Interface, about: Description) -> str:
     """Return the page as one self-contained file."""
-    return rendered(
+    return render_template(
         "block.html.j2",
         about=about,
         page=page,
@@ -66,14 +66,14 @@ def component_page(component: Component, notes: Sequence[str] = ()) -> BlockPage
 
 def equation_lines(component: Component) -> list[str]:
     """Return the equations of one joint as text, then the values before the first sample."""
-    shown = _Printer([quantity for quantity in component.shared if isinstance(quantity, Choice)])
+    printer = _Printer([quantity for quantity in component.shared if isinstance(quantity, Choice)])
     lines = [
         line
         for equation in component.equations
-        for line in shown.lines(equation.name, equation.expression)
+        for line in printer.lines(equation.name, equation.expression)
     ]
     starts = component.starts.items()
-    return lines + [f"{name} = {shown.doprint(start)} at the start" for name, start in starts]
+    return lines + [f"{name} = {printer.doprint(start)} at the start" for name, start in starts]
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # SymPy is not typed
@@ -89,9 +89,9 @@ class _Printer(StrPrinter):  # type: ignore[misc] # SymPy is not typed
             yield f"{name} = {self.doprint(expression)}"
             return
         for k, (value, condition) in enumerate(expression.args):
-            left = f"{name} = " if k == 0 else " " * len(f"{name} = ")
+            prefix = f"{name} = " if k == 0 else " " * len(f"{name} = ")
             end = "otherwise" if condition == sympy.true else f"if {self.doprint(condition)}"
-            yield f"{left}{self.doprint(value)}, {end}"
+            yield f"{prefix}{self.doprint(value)}, {end}"
 
     def _print_Piecewise(self, expr: sympy.Piecewise) -> str:
         *cases, (last, condition) = expr.args

@@ -15,9 +15,9 @@ from fmu_src.friction.reference import (
     reference_motion,
     torques,
 )
-from hesr_model.audit.audit import ENCODER, REACH, Audit, audit
+from hesr_model.audit.audit import ENCODER_NOISE, REACH, Audit, audit
 from hesr_model.audit.certificate import Certificate, certify
-from hesr_model.equations.functions import lowered
+from hesr_model.equations.functions import to_numpy_function
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
@@ -30,7 +30,7 @@ from hesr_model.units import unit_of_joint, unit_of_joints
 RK4 = 2.785
 EULER = 2.0  # largest stable rate * step of fourth-order Runge-Kutta and forward Euler
 
-_ALMOST_PASSIVE = 1e-6  # [J]; less is round-off
+_MAX_ROUNDING_ENERGY = 1e-6  # [J]; less is round-off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +41,13 @@ class ModelAudit:
     audits: tuple[Audit, ...]
 
     @classmethod
-    def of(cls, model: FrictionModel, seen: Sequence[TrainedRange]) -> "ModelAudit":
+    def from_model(
+        cls, model: FrictionModel, trained_ranges: Sequence[TrainedRange]
+    ) -> "ModelAudit":
         """Examine each joint's law with cycles within its range."""
-        return cls(certificates=certificates(model, seen), audits=audits(model, seen))
+        return cls(
+            certificates=certificates(model, trained_ranges), audits=audits(model, trained_ranges)
+        )
 
 
 def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange, ...]:
@@ -63,14 +67,15 @@ def ranges(model: FrictionModel, motion: ReferenceMotion) -> tuple[TrainedRange,
     )
 
 
-def audits(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Audit, ...]:
+def audits(model: FrictionModel, trained_ranges: Sequence[TrainedRange]) -> tuple[Audit, ...]:
     """Return the audit of each joint's law in a range."""
     return tuple(
-        audit(law, trained_range) for law, trained_range in zip(model.laws, seen, strict=True)
+        audit(law, trained_range)
+        for law, trained_range in zip(model.laws, trained_ranges, strict=True)
     )
 
 
-def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
+def audit_laws(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
     """Return the audit of each joint's law, or none and the reason."""
     try:
         return audits(model, ranges(model, reference_motion(model))), ""
@@ -78,33 +83,40 @@ def audited(model: FrictionModel) -> tuple[tuple[Audit, ...], str]:
         return (), str(error)
 
 
-def certificates(model: FrictionModel, seen: Sequence[TrainedRange]) -> tuple[Certificate, ...]:
+def certificates(
+    model: FrictionModel, trained_ranges: Sequence[TrainedRange]
+) -> tuple[Certificate, ...]:
     """Return the passivity of each joint's law, with cycles within its range."""
     return tuple(
-        certify(law, trained_range) for law, trained_range in zip(model.laws, seen, strict=True)
+        certify(law, trained_range)
+        for law, trained_range in zip(model.laws, trained_ranges, strict=True)
     )
 
 
-def certified(found: Certificate, *, slides: bool = False) -> str:
+def describe_certificate(certificate: Certificate, *, slides: bool = False) -> str:
     """Return the certificate of one joint in words."""
-    if found.verdict == "proven":
-        if found.largest_step is None:
+    if certificate.verdict == "proven":
+        if certificate.largest_step is None:
             reach = "in continuous time"
-        elif found.largest_step == np.inf:
+        elif certificate.largest_step == np.inf:
             reach = "at any step"
         else:
-            reach = f"up to steps of {1e3 * found.largest_step:.3g} ms"
-        said = f"passive, proven {reach}: {found.storage}; " + "; ".join(found.rests_on)
-    elif found.cycle is not None:
-        said = f"not passive, refuted by a cycle: {found.cycle.text}"
+            reach = f"up to steps of {1e3 * certificate.largest_step:.3g} ms"
+        sentence = f"passive, proven {reach}: {certificate.storage}; " + "; ".join(
+            certificate.rests_on
+        )
+    elif certificate.cycle is not None:
+        sentence = f"not passive, refuted by a cycle: {certificate.cycle.text}"
     else:
-        said = f"{found.label} without energy gain; no proof: {found.rests_on[0]}"
+        sentence = f"{certificate.label} without energy gain; no proof: {certificate.rests_on[0]}"
     for unit in ("N.m.s/rad", "N.m", "rad/s"):
-        said = said.replace(unit, unit_of_joint(unit, slides=slides)) if slides else said
-    return f"{said}."
+        sentence = (
+            sentence.replace(unit, unit_of_joint(unit, is_prismatic=slides)) if slides else sentence
+        )
+    return f"{sentence}."
 
 
-def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
+def audit_rows(joint_audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str, list[str]]:
     """Return the figures of audits as text: labels, and a cell per joint."""
     speed, torque, slope, angle = (
         unit_of_joints(unit, sliding) for unit in ("rad/s", "N.m", "N.m.s/rad", "µrad")
@@ -117,11 +129,11 @@ def audit_rows(found: Sequence[Audit], sliding: Sequence[bool] = ()) -> dict[str
         f"Jump of the torque at rest [{torque}]",
         f"Slope dtau/ddq at rest [{slope}]",
         f"The same, held over one sample [{slope}]",
-        f"Chatter at rest, encoder noise {1e6 * ENCODER:.0f} {angle} [{torque}]",
+        f"Chatter at rest, encoder noise {1e6 * ENCODER_NOISE:.0f} {angle} [{torque}]",
         f"Largest |tau| within the range [{torque}]",
         f"Largest |tau| up to {REACH:g} times outside [{torque}]",
     )
-    columns = list(map(_audit_cells, found))
+    columns = list(map(_audit_cells, joint_audits))
     return {label: [cells[i] for cells in columns] for i, label in enumerate(labels)}
 
 
@@ -141,25 +153,25 @@ def _audit_cells(a: Audit) -> tuple[str, ...]:
     )
 
 
-def verdict(found: Audit, *, known: bool, slides: bool = False) -> str:
-    """Return the conclusions of an audit in words; `known` if its range is that of the training."""
-    speed = unit_of_joint("rad/s", slides=slides)
-    cycle = found.generating
-    if cycle is None or found.generated < _ALMOST_PASSIVE:
-        said = "None of the tested closed cycles generates energy."
+def verdict(audit: Audit, *, is_trained: bool, slides: bool = False) -> str:
+    """Return the conclusions of an audit in words; `is_trained` if its range is the trained one."""
+    speed = unit_of_joint("rad/s", is_prismatic=slides)
+    cycle = audit.generating
+    if cycle is None or audit.generated < _MAX_ROUNDING_ENERGY:
+        sentence = "None of the tested closed cycles generates energy."
     else:
-        said = (
+        sentence = (
             f"It is not passive: over a closed cycle of {figure(cycle.amplitude, 2)} {speed} at "
-            f"{figure(cycle.frequency, 2)} Hz it generates {figure(found.generated, 3)} J."
+            f"{figure(cycle.frequency, 2)} Hz it generates {figure(audit.generated, 3)} J."
         )
-    if found.driving_both_ways:
-        said += (
-            f" Steady sliding drives at speeds of {_ranges(found.driving_both_ways)} {speed}, so "
+    if audit.driving_both_ways:
+        sentence += (
+            f" Steady sliding drives at speeds of {_ranges(audit.driving_both_ways)} {speed}, so "
             "do not use it as the friction of a simulated plant."
         )
-    if known and found.explodes:
-        said += " Just outside the trained range its torque explodes."
-    return said
+    if is_trained and audit.explodes:
+        sentence += " Just outside the trained range its torque explodes."
+    return sentence
 
 
 def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, tuple[Error, ...]]]:
@@ -168,32 +180,35 @@ def costs(model: FrictionModel, motion: ReferenceMotion) -> dict[str, dict[str, 
     The truths are the law in the direct convention, and in continuous time with linear inputs
     between rows. Raises SimulationError if a torque is unstable or not finite.
     """
-    found = {way: torques(model, motion, way) for way in SETTINGS}
+    torque_by_setting = {setting: torques(model, motion, setting) for setting in SETTINGS}
     fine = torques(model, motion, CONTINUOUS)
-    if not np.all(np.isfinite([fine, *found.values()])):
+    if not np.all(np.isfinite([fine, *torque_by_setting.values()])):
         raise SimulationError("the torque is not finite on this motion.")
-    truths = {"the log's convention": found["direct"], "the law in continuous time": fine}
+    truths = {
+        "the log's convention": torque_by_setting["direct"],
+        "the law in continuous time": fine,
+    }
     return {
-        name: {way: errors(motion, tau, truth) for way, tau in found.items()}
+        name: {setting: errors(motion, tau, truth) for setting, tau in torque_by_setting.items()}
         for name, truth in truths.items()
     }
 
 
-def fastest(law: FrictionLaw, trained_range: TrainedRange) -> dict[str, float]:
+def find_fastest_rates(law: FrictionLaw, trained_range: TrainedRange) -> dict[str, float]:
     """Return the largest rate [1/s] of each state within a range."""
     speeds = np.unique(
         [*np.linspace(*trained_range.dq, 401), *np.clip([-1e-3, 0.0, 1e-3], *trained_range.dq)]
     )
-    places = np.linspace(*trained_range.q, 33)
+    positions = np.linspace(*trained_range.q, 33)
     loads = np.unique([*trained_range.tau_load, np.clip(0.0, *trained_range.tau_load)])
-    grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, places, loads)]
+    grid: list[Array] = [u.ravel() for u in np.meshgrid(speeds, positions, loads)]
     symbols = tuple(quantity.symbol for quantity in law.form.coefficients)
     at_rest = dict.fromkeys((element.state for element in law.form.memory), 0)
-    own = law.form.relaxations
-    rates = lowered((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in own])
+    relaxations = law.form.relaxations
+    rates = to_numpy_function((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in relaxations])
     with np.errstate(all="ignore"):  # results that are not finite are reported as such
         values = rates(*numbers(law), *grid)
-    return {r.name: float(np.max(value)) for r, value in zip(own, values, strict=True)}
+    return {r.name: float(np.max(value)) for r, value in zip(relaxations, values, strict=True)}
 
 
 def figure(value: float | None, digits: int = 4) -> str:
@@ -212,5 +227,5 @@ def spell_interval(range_: Range, digits: int = 3) -> str:
     return " to ".join(figure(value, digits) for value in range_)
 
 
-def _ranges(found: Sequence[Range]) -> str:
-    return ", ".join(spell_interval(one, 2) for one in found) or "none"
+def _ranges(intervals: Sequence[Range]) -> str:
+    return ", ".join(spell_interval(interval, 2) for interval in intervals) or "none"

@@ -11,18 +11,18 @@ import sympy
 
 from fmu_src.export.description import Description
 from fmu_src.export.interface import Interface
-from fmu_src.friction.friction_component import DISCRETISATION, exposed
+from fmu_src.friction.friction_component import DISCRETISATION, is_exposed
 from fmu_src.friction.reference import SETTINGS, Error, reference_motion
 from fmu_src.pages import datasheet
 from fmu_src.pages.block_page import variable_groups
 from fmu_src.pages.datasheet import ModelAudit, figure, spell_interval
-from fmu_src.pages.html import rendered
+from fmu_src.pages.html import render_template
 from fmu_src.pages.mathml import equations, symbol
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.errors import ArtifactError, HesrError
 from hesr_model.fitting.estimator import estimator
-from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
 from hesr_model.friction.inputs import INPUT_UNITS, INPUTS, TAU_LOAD
 from hesr_model.friction.law import FrictionLaw, form_lines
 from hesr_model.friction.law import equations as equations_with_numbers
@@ -33,10 +33,10 @@ from hesr_model.robots.description import statements
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joints
 
-_CRAWL = 1e-9
-_LONG = 1e12
+_CRAWL_SPEED = 1e-9
+_CRAWL_DURATION = 1e12
 """Speed [rad/s] and duration [s] of the crawling motion that reveals the torque held at rest."""
-_HOLDS = 0.01  # [N.m]; less counts as zero
+_MIN_HOLDING_TORQUE = 0.01  # [N.m]; less counts as zero
 
 
 def drive_html(
@@ -45,7 +45,7 @@ def drive_html(
     """Return the page as one self-contained file."""
     joints, refused = law_entries(model)
     pairs = zip(model.joints, model.laws, strict=True)
-    return rendered(
+    return render_template(
         template,
         about=about,
         model=model,
@@ -63,15 +63,15 @@ def drive_html(
 
 def law_entries(model: FrictionModel) -> tuple[list[dict[str, Any]], str]:
     """Return a page's entry for each joint's law, and the reason for a missing audit or ""."""
-    audits, refused = datasheet.audited(model)
-    verdicts = [datasheet.verdict(a, known=bool(model.trained)) for a in audits]
+    audits, refused = datasheet.audit_laws(model)
+    verdicts = [datasheet.verdict(a, is_trained=bool(model.trained)) for a in audits]
     verdicts = verdicts or [""] * len(model.laws)
     rows = zip(model.joints, model.laws, model.slides, verdicts, strict=True)
     joints: list[dict[str, Any]] = [
         {
             "name": name,
             "equations": equations(law),
-            "rest": _rest(law, slides=slides),
+            "rest": _describe_standstill(law, slides=slides),
             "verdict": verdict,
         }
         for name, law, slides, verdict in rows
@@ -85,32 +85,34 @@ def holding_torque(law: FrictionLaw) -> float:
     It is half the change of torque between steady crawling in both directions, and 0 for a law that
     forgets at rest.
     """
-    return float(_sliding(law, np.array([_CRAWL]))[0])
+    return float(_predict_sliding(law, np.array([_CRAWL_SPEED]))[0])
 
 
 def stopping_torque(law: FrictionLaw) -> float:
     """Return the least friction torque [N.m] over all speeds, below which no motion lasts."""
-    return float(np.min(_sliding(law, np.geomspace(_CRAWL, 1.0, 200))))
+    return float(np.min(_predict_sliding(law, np.geomspace(_CRAWL_SPEED, 1.0, 200))))
 
 
-def _sliding(law: FrictionLaw, speeds: Array) -> Array:
+def _predict_sliding(law: FrictionLaw, speeds: Array) -> Array:
     """Return the friction torque in steady sliding at speeds [rad/s], without offset."""
-    settled = replace(law, discretisation="exact")
+    exact_law = replace(law, discretisation="exact")
     # The first row has no previous step.
-    both = np.concatenate([[0.0], speeds, -speeds])
-    tau = predict(settled, t=_LONG * np.arange(len(both)), dq=both)[1:]
+    signed_speeds = np.concatenate([[0.0], speeds, -speeds])
+    tau = predict(exact_law, t=_CRAWL_DURATION * np.arange(len(signed_speeds)), dq=signed_speeds)[
+        1:
+    ]
     return np.asarray(0.5 * (tau[: len(speeds)] - tau[len(speeds) :]))
 
 
-def _rest(law: FrictionLaw, *, slides: bool) -> str:
+def _describe_standstill(law: FrictionLaw, *, slides: bool) -> str:
     effort, unit = ("force", "N") if slides else ("torque", "N.m")
     with np.errstate(all="ignore"):  # non-finite values hold nothing
-        held = holding_torque(law)
-        stopped = stopping_torque(law)
-    if held > _HOLDS:
+        holding = holding_torque(law)
+        stopping = stopping_torque(law)
+    if holding > _MIN_HOLDING_TORQUE:
         return (
-            f"At rest this law holds up to {figure(held, 3)} {unit} without load; a {effort} "
-            f"below {figure(max(stopped, 0.0), 3)} {unit} lets no motion last."
+            f"At rest this law holds up to {figure(holding, 3)} {unit} without load; a {effort} "
+            f"below {figure(max(stopping, 0.0), 3)} {unit} lets no motion last."
         )
     return (
         "At rest this law holds nothing: it forgets where it came to rest, and the joint creeps "
@@ -137,11 +139,11 @@ def to_html(
     It needs only `model.png` next to its folder. The audit is computed by default.
     """
     units = {name: unit_of_joints(unit, model.sliding) for name, unit in _UNITS.items()}
-    used = {symbol for law in model.laws for symbol in law.form.inputs}
+    used_symbols = {symbol for law in model.laws for symbol in law.form.inputs}
     titles = list(dict.fromkeys(title(law) for law in model.laws))
     start = interface.variables[interface.places["discretisation"]].start
     errors = [f"{error:.3g}" for error in model.training_rmse]
-    return rendered(
+    return render_template(
         "index.html.j2",
         about=about,
         model=model,
@@ -149,7 +151,7 @@ def to_html(
         properties=properties,
         groups=variable_groups(interface),
         titles=titles,
-        unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used],
+        unused=[f"{symbol.name}[i]" for symbol in INPUTS if symbol not in used_symbols],
         discretisation=DISCRETISATION.items[int(start) - 1][0],
         joints=list(map(_joint, count(1), model.joints, model.laws)),
         events=bool(interface.indicators),
@@ -159,7 +161,7 @@ def to_html(
         trained_rows=_trained_rows(model.trained, units),
         training_rmse={f"RMSE on the training logs [{units['tau']}]": errors} if errors else {},
         band_rows=_band_rows(model, units),
-        **_measured(model, audit),
+        **_collect_audit(model, audit),
     )
 
 
@@ -191,7 +193,7 @@ def _explain_intervals(law: FrictionLaw) -> str:
             "Single coefficients have no interval, because the data also chose the terms of the "
             "law. Their covariance is in resources/friction_model.json."
         )
-    if len(law.values) > MOST_COEFFICIENTS:
+    if len(law.values) > MAX_COEFFICIENTS:
         return (
             "Single coefficients have no interval: those of a network have no meaning of their own."
         )
@@ -229,9 +231,9 @@ def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
         "equations": equations(law),
         "text": form_lines(law.form),
         # Equations of networks with numbers are not readable.
-        "numbers": equations_with_numbers(law) if exposed(law) else [],
+        "numbers": equations_with_numbers(law) if is_exposed(law) else [],
         "rows": _rows(law, joint),
-        "exposed": exposed(law),
+        "exposed": is_exposed(law),
         "intervals": bool(law.standard_errors),
         "uncertainty": _explain_intervals(law),
         "states": [element.name for element in law.form.memory],
@@ -250,13 +252,13 @@ def _half_jump(law: FrictionLaw, z: sympy.Expr) -> float:
     numbers = dict.fromkeys(output.free_symbols, 0.0)
     numbers |= {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
     ahead, back = (
-        float(output.xreplace({sgn(z): sympy.Integer(way)}).subs(numbers)) for way in (1, -1)
+        float(output.xreplace({sgn(z): sympy.Integer(sign)}).subs(numbers)) for sign in (1, -1)
     )
     return abs(ahead - back) / 2.0
 
 
 def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
-    prefix = f"joint[{joint}]." if exposed(law) else ""
+    prefix = f"joint[{joint}]." if is_exposed(law) else ""
     errors = law.standard_errors
     return [
         {
@@ -276,8 +278,8 @@ def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
 
 def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return the provenance of the model, with file names but without folders."""
-    found = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
-    files = [(str(f.get("name", "")), str(f.get("sha256", ""))) for f in found]
+    file_records = [f for f in provenance.get("files") or () if isinstance(f, Mapping)]
+    files = [(str(f.get("name", "")), str(f.get("sha256", ""))) for f in file_records]
     versions = provenance.get("versions") or {}
     return {
         "remarks": [
@@ -294,51 +296,57 @@ def training(provenance: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _trained_rows(
-    trained: Sequence[TrainedRange], units: Mapping[str, str]
+    trained_ranges: Sequence[TrainedRange], units: Mapping[str, str]
 ) -> dict[str, list[str]]:
-    if not trained:
+    if not trained_ranges:
         return {}
     rows = {
         f"{name} [{units[name]}]": [
-            spell_interval(getattr(trained_range, name)) for trained_range in trained
+            spell_interval(getattr(trained_range, name)) for trained_range in trained_ranges
         ]
         for name in _RANGES
     }
     return rows | {
-        "sample time [s]": [figure(trained_range.sample_time) for trained_range in trained]
+        "sample time [s]": [figure(trained_range.sample_time) for trained_range in trained_ranges]
     }
 
 
-def _measured(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
-    found: dict[str, Any] = dict.fromkeys(("rates", "certified", "verdicts", "costs"), ())
-    found |= {"audit": {}, "refused": "", "costs_refused": ""}
+def _collect_audit(model: FrictionModel, audit: ModelAudit | None) -> dict[str, Any]:
+    template_values: dict[str, Any] = dict.fromkeys(("rates", "certified", "verdicts", "costs"), ())
+    template_values |= {"audit": {}, "refused": "", "costs_refused": ""}
     motion = reference_motion(model)
     slides = model.slides
-    known = bool(model.trained)
+    is_trained = bool(model.trained)
     try:
-        seen = datasheet.ranges(model, motion)
-        found["rates"] = list(map(_rate_rows, model.laws, seen))
-        proofs = audit.certificates if audit else datasheet.certificates(model, seen)
+        trained_ranges = datasheet.ranges(model, motion)
+        template_values["rates"] = list(map(_rate_rows, model.laws, trained_ranges))
+        proofs = audit.certificates if audit else datasheet.certificates(model, trained_ranges)
         pairs = zip(proofs, slides, strict=True)
-        found["certified"] = [datasheet.certified(c, slides=s) for c, s in pairs]
-        audits = audit.audits if audit else datasheet.audits(model, seen)
-        found["audit"] = datasheet.audit_rows(audits, model.sliding)
+        template_values["certified"] = [
+            datasheet.describe_certificate(c, slides=s) for c, s in pairs
+        ]
+        audits = audit.audits if audit else datasheet.audits(model, trained_ranges)
+        template_values["audit"] = datasheet.audit_rows(audits, model.sliding)
         rows = zip(audits, slides, strict=True)
-        found["verdicts"] = [datasheet.verdict(a, known=known, slides=s) for a, s in rows]
+        template_values["verdicts"] = [
+            datasheet.verdict(a, is_trained=is_trained, slides=s) for a, s in rows
+        ]
     except HesrError as error:
-        found["refused"] = str(error)
+        template_values["refused"] = str(error)
     try:
         costs = datasheet.costs(model, motion)
-        found["costs"] = {truth: _cost_rows(rows) for truth, rows in costs.items()}
+        template_values["costs"] = {truth: _cost_rows(rows) for truth, rows in costs.items()}
     except HesrError as error:
-        found["costs_refused"] = str(error)
-    return found
+        template_values["costs_refused"] = str(error)
+    return template_values
 
 
 def _cost_rows(costs: Mapping[str, Sequence[Error]]) -> dict[str, list[tuple[str, str]]]:
     return {
-        f"{way}: {SETTINGS[way]}": [(_torque(e.rmse), _torque(e.rmse_reversal)) for e in found]
-        for way, found in costs.items()
+        f"{setting}: {SETTINGS[setting]}": [
+            (_torque(e.rmse), _torque(e.rmse_reversal)) for e in joint_errors
+        ]
+        for setting, joint_errors in costs.items()
     }
 
 
@@ -348,7 +356,7 @@ def _torque(value: float | None) -> str:
 
 def _rate_rows(law: FrictionLaw, trained_range: TrainedRange) -> list[dict[str, str]]:
     rows = []
-    for name, rate in datasheet.fastest(law, trained_range).items():
+    for name, rate in datasheet.find_fastest_rates(law, trained_range).items():
         limits = {"rk4": datasheet.RK4, "euler": datasheet.EULER}
         steps = {k: f"{1e3 * x / rate:.3g} ms" if rate > 0.0 else "any" for k, x in limits.items()}
         rows.append({"name": name, "rate": figure(rate, 3), **steps})

@@ -15,7 +15,7 @@ _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def rendered(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values: Any) -> str:
+def render_template(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values: Any) -> str:
     """Return HTML from a template; values are escaped unless markup, missing names are errors.
 
     Whole pages run only their own scripts and those in `injected`, and load nothing.
@@ -25,7 +25,7 @@ def rendered(template: str, /, folders: Sequence[Path] = (TEMPLATES,), **values:
         return text
     scripts = [*_SCRIPT.findall(text), *values.get("injected", ())]
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
-    allowed = " ".join(f"'sha256-{one}'" for one in hashes)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
     return text.replace(_POLICY, f"script-src 'wasm-unsafe-eval' {allowed}")
 
 

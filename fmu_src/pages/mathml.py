@@ -14,7 +14,7 @@ from hesr_model.equations.memory import Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import FrictionLaw, LawForm
 
-MOST_TERMS = 12  # longer sums, such as those of networks, show their first terms and the last one
+MAX_TERMS = 12  # longer sums, such as those of networks, show their first terms and the last one
 
 _DIGITS = 4
 
@@ -28,7 +28,7 @@ _FIRST_MINUS = "<mo>−</mo>"
 _EXP = sympy.Function("exp")
 _FUNCTIONS = {"positive": "max", "larger": "max", "cardinal_sine": "sinc"}
 """Displayed names of HESR's own functions, if they differ."""
-_BETTER = {
+_REPLACEMENTS = {
     "<mo>&InvisibleTimes;</mo>": _TIMES,
     "<mo>-</mo>": "<mo>−</mo>",
     "<mn>-": "<mo>−</mo><mn>",
@@ -43,13 +43,13 @@ def equations(law: FrictionLaw, *, numbers: bool = False) -> list[str]:
         state = _name(element.name)
         rate = printer.text(element.parts[1])
         if isinstance(element, Stop):
-            lines.append([f"{_dotted(state)}{_EQUALS}", *printer.terms(element.parts[0])])
+            lines.append([f"{_add_dot(state)}{_EQUALS}", *printer.terms(element.parts[0])])
             lines.append([f"<mo>|</mo>{state}<mo>|</mo><mo>≤</mo>{rate}"])
             continue
         if isinstance(element.rate, sympy.Add):
             rate = f"<mrow><mo>(</mo>{rate}<mo>)</mo></mrow>"
         terms = (*printer.terms(element.drive), f"{_MINUS}{rate}{_TIMES}{state}")
-        lines.append([f"{_dotted(state)}{_EQUALS}", *terms])
+        lines.append([f"{_add_dot(state)}{_EQUALS}", *terms])
     return [" ".join(f'<math displaystyle="true">{part}</math>' for part in line) for line in lines]
 
 
@@ -63,32 +63,34 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
 
     def __init__(self, form: LawForm, values: Mapping[str, float]) -> None:
         super().__init__()
-        own = form.coefficients
+        coefficients = form.coefficients
         numbers = {
-            quantity.symbol: values[quantity.name] for quantity in own if quantity.name in values
+            quantity.symbol: values[quantity.name]
+            for quantity in coefficients
+            if quantity.name in values
         }
         self._values = {s: sympy.Float(f"{x:.{_DIGITS}g}") for s, x in numbers.items()}
-        written = {quantity.symbol: _name(quantity.name) for quantity in own}
+        markup = {quantity.symbol: _name(quantity.name) for quantity in coefficients}
         for element in form.memory:
-            written |= {
-                element.derivative: _dotted(_name(element.name)),
+            markup |= {
+                element.derivative: _add_dot(_name(element.name)),
                 element.state: _name(element.name),
             }
-        written |= {Q: _name("q"), DQ: _name("dq"), TAU_LOAD: _name("tau_load")}
-        self._replaced = {old: sympy.Symbol(f"{i:04d}", real=True) for i, old in enumerate(written)}
-        self._written = dict(zip(self._replaced.values(), written.values(), strict=True))
+        markup |= {Q: _name("q"), DQ: _name("dq"), TAU_LOAD: _name("tau_load")}
+        self._replaced = {old: sympy.Symbol(f"{i:04d}", real=True) for i, old in enumerate(markup)}
+        self._written = dict(zip(self._replaced.values(), markup.values(), strict=True))
 
     def terms(self, expression: sympy.Expr) -> list[str]:
         """Return the terms of a sum with their signs; a leading plus is omitted."""
-        whole = self._readable(expression)
-        terms = self._as_ordered_terms(whole) if isinstance(whole, sympy.Add) else [whole]
+        readable = self._readable(expression)
+        terms = self._as_ordered_terms(readable) if isinstance(readable, sympy.Add) else [readable]
         parts = []
         for i, term in enumerate(terms):
             minus = term.could_extract_minus_sign()
             sign = _FIRST_MINUS if minus and not i else _MINUS if minus else _PLUS if i else ""
             parts.append(sign + self._text(-term if minus else term))
-        if len(parts) > MOST_TERMS:
-            parts = [*parts[: MOST_TERMS // 2], f"{_PLUS}<mo>⋯</mo>", parts[-1]]
+        if len(parts) > MAX_TERMS:
+            parts = [*parts[: MAX_TERMS // 2], f"{_PLUS}<mo>⋯</mo>", parts[-1]]
         return parts
 
     def text(self, expression: sympy.Expr) -> str:
@@ -98,13 +100,13 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return expression.xreplace(self._values).xreplace(self._replaced).replace(sympy.exp, _EXP)
 
     def _text(self, expression: sympy.Expr) -> str:
-        written: str = self._print(expression).toxml()
+        markup: str = self._print(expression).toxml()
         # The printer keeps symbols as placeholders without XML escapes.
         for stand_in, text in self._written.items():
-            written = written.replace(f"<mi>{stand_in.name}</mi>", text)
-        for found, better in _BETTER.items():
-            written = written.replace(found, better)
-        return written
+            markup = markup.replace(f"<mi>{stand_in.name}</mi>", text)
+        for original, replacement in _REPLACEMENTS.items():
+            markup = markup.replace(original, replacement)
+        return markup
 
     def _print_Symbol(self, sym: sympy.Symbol, style: str = "plain") -> Any:
         del style
@@ -124,21 +126,21 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc] # SymPy is not 
         return self._row(self._element("mn", mantissa), self._element("mo", "×"), power)
 
     def _print_positive(self, expr: sympy.Expr) -> Any:
-        return self._applied(expr, sympy.Integer(0))
+        return self._write_application(expr, sympy.Integer(0))
 
     def _print_absolute(self, expr: sympy.Expr) -> Any:
         bars = (self._element("mo", "|") for _ in range(2))
         return self._row(next(bars), self._print(expr.args[0]), next(bars))
 
-    def _applied(self, expr: sympy.Expr, *more: sympy.Expr) -> Any:
+    def _write_application(self, expr: sympy.Expr, *extra_arguments: sympy.Expr) -> Any:
         name = expr.func.__name__
         inner = []
-        for argument in (*expr.args, *more):
+        for argument in (*expr.args, *extra_arguments):
             inner += [self._element("mo", ","), self._print(argument)]
         brackets = (self._element("mo", "("), *inner[1:], self._element("mo", ")"))
         return self._row(self._element("mi", _FUNCTIONS.get(name, name)), self._row(*brackets))
 
-    _print_sgn = _print_larger = _print_cardinal_sine = _print_clip = _applied
+    _print_sgn = _print_larger = _print_cardinal_sine = _print_clip = _write_application
 
     def _row(self, *children: Any) -> Any:
         row = self.dom.createElement("mrow")
@@ -156,18 +158,18 @@ def _name(name: str) -> str:
     """Return a name with Greek letters and subscripts: `theta1_dq` is theta, index 1 and dq/dt."""
     first, *parts = name.split("_")
     letters = first.rstrip("0123456789")
-    below = [_part(part) for part in (first[len(letters) :], *parts) if part]
-    if not below:
+    subscripts = [_part(part) for part in (first[len(letters) :], *parts) if part]
+    if not subscripts:
         return _part(letters)
-    return f"<msub>{_part(letters)}<mrow>{'<mo>,</mo>'.join(below)}</mrow></msub>"
+    return f"<msub>{_part(letters)}<mrow>{'<mo>,</mo>'.join(subscripts)}</mrow></msub>"
 
 
 def _part(text: str) -> str:
     if text in _DERIVATIVES:
-        return _dotted(_part(_DERIVATIVES[text]))
+        return _add_dot(_part(_DERIVATIVES[text]))
     tag = "mn" if text.isdigit() else "mi"
     return f"<{tag}>{_GREEK.get(text, escape(text))}</{tag}>"
 
 
-def _dotted(written: str) -> str:
+def _add_dot(written: str) -> str:
     return f'<mover>{written}<mo class="dot">˙</mo></mover>'

@@ -18,11 +18,13 @@ from hesr_model.robots.model_file import JointFrame
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-_EXACT = 5e-12  # deviation of a direction cosine from 0 or 1 that is the rounding of an angle
+_ROUNDING_TOLERANCE = (
+    5e-12  # deviation of a direction cosine from 0 or 1 that is the rounding of an angle
+)
 _TENSOR = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])  # of xx, xy, yy, xz, yz, zz
 _ENTRIES = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # rows and columns of these
 _MASS = 0
-_FIRST = slice(1, 4)
+_FIRST_MOMENTS = slice(1, 4)
 _INERTIA = slice(4, 10)
 
 
@@ -42,14 +44,14 @@ def _align_links(tree: Sequence[JointFrame]) -> tuple[list[_Link], list[Array]]:
     links = []
     for joint, turn in zip(tree, turns, strict=True):
         before = np.eye(3) if joint.parent < 0 else turns[joint.parent]
-        rotation = _rounded(before.T @ joint.rotation @ turn)
+        rotation = _round_exact(before.T @ joint.rotation @ turn)
         links.append(_Link(joint.parent, joint.prismatic, rotation, before.T @ joint.translation))
     return links, turns
 
 
 def _to_axis(axis: Array) -> Array:
     """Return a rotation whose third column is the axis, of zeros and ones where possible."""
-    z = _rounded(axis / np.linalg.norm(axis))
+    z = _round_exact(axis / np.linalg.norm(axis))
     x = np.zeros(3)
     x[int(np.argmin(np.abs(z)))] = 1.0
     x -= (x @ z) * z
@@ -57,16 +59,16 @@ def _to_axis(axis: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _rounded(matrix: Array) -> Array:
-    whole = np.round(matrix)
-    return np.where(np.abs(matrix - whole) < _EXACT, whole, matrix)
+def _round_exact(matrix: Array) -> Array:
+    nearest = np.round(matrix)
+    return np.where(np.abs(matrix - nearest) < _ROUNDING_TOLERANCE, nearest, matrix)
 
 
-def moved(parameters: Array, rotation: Array, translation: Array) -> Array:
+def transform_parameters(parameters: Array, rotation: Array, translation: Array) -> Array:
     """Return a body's ten parameters in another frame, given the pose of its own there."""
     m = parameters[_MASS]
     t = translation
-    h = rotation @ parameters[_FIRST]
+    h = rotation @ parameters[_FIRST_MOMENTS]
     inertia = rotation @ parameters[_INERTIA][_TENSOR] @ rotation.T
     inertia = inertia + (2.0 * h @ t + m * t @ t) * np.eye(3)
     inertia -= np.outer(h, t) + np.outer(t, h) + m * np.outer(t, t)
@@ -87,21 +89,21 @@ def table(robot: Robot) -> Array:
     """Return the map (10 L, 10 L) from the parameters of the links to those of dynamics.h."""
     links, turns = _align_links(robot.tree)
     count = len(links)
-    whole = np.zeros((10 * count, 10 * count))
-    own = [slice(10 * i, 10 * i + 10) for i in range(count)]
+    regrouping = np.zeros((10 * count, 10 * count))
+    blocks = [slice(10 * i, 10 * i + 10) for i in range(count)]
     unit = np.eye(10)
     for i, turn in enumerate(turns):
-        columns = [moved(one, turn.T, np.zeros(3)) for one in unit]
-        whole[own[i], own[i]] = np.column_stack(columns)
+        columns = [transform_parameters(basis, turn.T, np.zeros(3)) for basis in unit]
+        regrouping[blocks[i], blocks[i]] = np.column_stack(columns)
     for i in reversed(range(count)):
         link = links[i]
         part = _map_to_parent(links[i])
         pose = link.rotation, link.translation
         if link.parent >= 0:
-            to_parent = np.column_stack([moved(one, *pose) for one in unit])
-            whole[own[link.parent]] += to_parent @ part @ whole[own[i]]
-        whole[own[i]] -= part @ whole[own[i]]
-    return np.where(np.abs(whole) < 1e-15, 0.0, whole)
+            to_parent = np.column_stack([transform_parameters(basis, *pose) for basis in unit])
+            regrouping[blocks[link.parent]] += to_parent @ part @ regrouping[blocks[i]]
+        regrouping[blocks[i]] -= part @ regrouping[blocks[i]]
+    return np.where(np.abs(regrouping) < 1e-15, 0.0, regrouping)
 
 
 Vector = NDArray[np.object_]  # of expressions
@@ -127,12 +129,12 @@ def _gyro(inertia: Vector, w: Vector, turn: Vector) -> Vector:
     """Return inertia turn + w x (inertia w), with the products of `_spin`."""
     (x, y, z), (p, q, r), (xx, xy, yy, xz, yz, zz) = w, turn, inertia
     (_, s01, s02), (s10, _, s12), (s20, s21, _) = _spin(w, turn)
-    whole = (
+    moment = (
         xx * p + (zz - yy) * (y * z) - xy * s20 + xz * s10 + yz * (y * y - z * z),
         yy * q + (xx - zz) * (x * z) + xy * s21 - yz * s01 + xz * (z * z - x * x),
         zz * r + (yy - xx) * (x * y) - xz * s12 + yz * s02 + xy * (x * x - y * y),
     )
-    return np.array(whole)
+    return np.array(moment)
 
 
 class _Joint:
@@ -140,15 +142,15 @@ class _Joint:
 
     def __init__(self, link: _Link, number: int, graph: Expressions, q: Expression) -> None:
         self.link = link
-        one = graph.constant(1.0)
+        unity = graph.constant(1.0)
         zero = graph.constant(0.0)
-        self.cosine = one if link.prismatic else graph.name(f"cosine[{number}]")
+        self.cosine = unity if link.prismatic else graph.name(f"cosine[{number}]")
         self.sine = zero if link.prismatic else graph.name(f"sine[{number}]")
         self.arm = np.array([graph.constant(float(x)) for x in link.translation])
         if link.prismatic:
             self.arm = self.arm + link.rotation @ np.array([zero, zero, q])
 
-    def up(self, a: Vector) -> Vector:
+    def to_parent(self, a: Vector) -> Vector:
         """Turn a vector to the parent's frame."""
         c = self.cosine
         s = self.sine
@@ -156,7 +158,7 @@ class _Joint:
         turned: Vector = self.link.rotation @ np.array([c * x - s * y, s * x + c * y, z])
         return turned
 
-    def down(self, a: Vector) -> Vector:
+    def from_parent(self, a: Vector) -> Vector:
         """Turn a vector from the parent's frame."""
         c = self.cosine
         s = self.sine
@@ -172,8 +174,8 @@ class _Joint:
         turned = [x2, c * s * (xx - yy) + (c * c - s * s) * xy, xx + yy - x2]
         turned += [c * xz - s * yz, s * xz + c * yz, zz]
         half = np.array(turned)[_TENSOR] @ self.link.rotation.T
-        whole: Vector = half.T @ self.link.rotation.T
-        return whole[_ENTRIES]
+        tensor: Vector = half.T @ self.link.rotation.T
+        return tensor[_ENTRIES]
 
 
 class _Arm:
@@ -187,32 +189,35 @@ class _Arm:
         coupling = None if of_joints else robot.description.coupling
         self.mixing = np.eye(robot.n) if coupling is None else np.linalg.inv(coupling.forward)
         self.slopes = slopes @ self.mixing
-        used = np.any(table(robot) != 0.0, axis=1)
+        used_rows = np.any(table(robot) != 0.0, axis=1)
         zero = self.graph.constant(0.0)
-        own = [self.graph.name(f"p[{k}]") if some else zero for k, some in enumerate(used)]
-        self.parameters = np.array(own).reshape(-1, 10)
+        parameters = [
+            self.graph.name(f"p[{k}]") if is_used else zero for k, is_used in enumerate(used_rows)
+        ]
+        self.parameters = np.array(parameters).reshape(-1, 10)
         self.joints = [
-            _Joint(link, i, self.graph, self.followed("q", i)) for i, link in enumerate(self.links)
+            _Joint(link, i, self.graph, self.express_motion("q", i))
+            for i, link in enumerate(self.links)
         ]
 
-    def followed(self, motion: str, link: int) -> Expression:
+    def express_motion(self, motion: str, link: int) -> Expression:
         """Return the position or speed of a link's joint."""
         names = (self.graph.name(f"{motion}[{j}]") for j in range(self.robot.n))
         terms = (x * float(f) for x, f in zip(names, self.slopes[link], strict=True))
         return _sum(self.graph, terms) + (float(self.offsets[link]) if motion == "q" else 0.0)
 
-    def along(self, stores: Mapping[str, Expression]) -> str:
+    def print_changes(self, stores: Mapping[str, Expression]) -> str:
         """Return C statements that store changes of expressions along tq, tdq, tp and so on."""
         moving = ("q[", "dq[", "p[", "rotor[", "spring[", "gravity[")
         names = {n.name for n in self.graph.nodes if n.name.startswith(moving)}
         seeds = {name: self.graph.name(f"t{name}") for name in sorted(names)}
         for i, joint in enumerate(self.joints):
-            turn = self.followed("tq", i)
+            turn = self.express_motion("tq", i)
             seeds |= {f"cosine[{i}]": -joint.sine * turn, f"sine[{i}]": joint.cosine * turn}
-        found = self.graph.changes(seeds)
-        return self.graph.to_c({place: found[e.index] for place, e in stores.items()})
+        changes = self.graph.changes(seeds)
+        return self.graph.to_c({place: changes[e.index] for place, e in stores.items()})
 
-    def on_joints(self, links: Sequence[Expression], column: int) -> Expression:
+    def project_torque(self, links: Sequence[Expression], column: int) -> Expression:
         """Return a torque of all links' joints on a coordinate."""
         pairs = zip(links, self.slopes[:, column], strict=True)
         return _sum(self.graph, (x * float(f) for x, f in pairs))
@@ -229,9 +234,13 @@ class _Arm:
         for i, joint in enumerate(self.joints):
             w, turn, a = states[joint.link.parent] if joint.link.parent >= 0 else base
             carried = _spin(w, turn) @ joint.arm
-            w, turn, a = joint.down(w), joint.down(turn), joint.down(a + carried)
-            dq = self.followed("dq", i)
-            ddq = np.array([zero, zero, self.followed("ddq", i) if accelerated else zero])
+            w, turn, a = (
+                joint.from_parent(w),
+                joint.from_parent(turn),
+                joint.from_parent(a + carried),
+            )
+            dq = self.express_motion("dq", i)
+            ddq = np.array([zero, zero, self.express_motion("ddq", i) if accelerated else zero])
             across = np.array([w[1] * dq, -(w[0] * dq), zero])  # w x z dq
             if joint.link.prismatic:
                 a = a + across * 2.0 + ddq
@@ -242,10 +251,10 @@ class _Arm:
             m, h, inertia = self._body(i)
             forces.append(a * m + _spin(w, turn) @ h)
             moments.append(_gyro(inertia, w, turn) + np.cross(h, a))
-        links = self._collected(forces, moments) + self.spring_torques()
-        return [self.on_joints(links, j) for j in range(self.robot.n)]
+        links = self._collect_torques(forces, moments) + self.spring_torques()
+        return [self.project_torque(links, j) for j in range(self.robot.n)]
 
-    def _collected(self, forces: list[Vector], moments: list[Vector]) -> Vector:
+    def _collect_torques(self, forces: list[Vector], moments: list[Vector]) -> Vector:
         torques = []
         for joint in reversed(self.joints):
             force = forces.pop()
@@ -253,62 +262,68 @@ class _Arm:
             torques.append(force[2] if joint.link.prismatic else moment[2])
             parent = joint.link.parent
             if parent >= 0:
-                up = joint.up(force)
-                forces[parent] = forces[parent] + up
-                moments[parent] = moments[parent] + (joint.up(moment) + np.cross(joint.arm, up))
+                parent_force = joint.to_parent(force)
+                forces[parent] = forces[parent] + parent_force
+                moments[parent] = moments[parent] + (
+                    joint.to_parent(moment) + np.cross(joint.arm, parent_force)
+                )
         return np.array(torques[::-1])
 
     def spring_torques(self) -> Vector:
         """Return the torques of springs and balancers on all links' joints."""
         names = [joint.name for joint in self.robot.tree]
-        found = np.full(len(names), self.graph.constant(0.0))
+        torques = np.full(len(names), self.graph.constant(0.0))
         for number, term in enumerate(self.robot.springs):
             link = names.index(self.robot.joints[term.joint])
             c = self.joints[link].cosine
             s = self.joints[link].sine
-            one = self.graph.constant(1.0)
+            unity = self.graph.constant(1.0)
             zero = self.graph.constant(0.0)
-            over = ((one, zero), (c, s), (c * c - s * s, 2.0 * (s * c)))[term.harmonic]
-            shape = self.followed("q", link) if term.linear else over[term.sine]
-            found[link] = found[link] + self.graph.name(f"spring[{number}]") * shape
-        return found
+            shapes = ((unity, zero), (c, s), (c * c - s * s, 2.0 * (s * c)))[term.harmonic]
+            shape = self.express_motion("q", link) if term.linear else shapes[term.sine]
+            torques[link] = torques[link] + self.graph.name(f"spring[{number}]") * shape
+        return torques
 
     def _body(self, link: int) -> tuple[Expression, Vector, Vector]:
-        own = self.parameters[link]
-        return own[_MASS], own[_FIRST], own[_INERTIA]
+        parameters = self.parameters[link]
+        return parameters[_MASS], parameters[_FIRST_MOMENTS], parameters[_INERTIA]
 
     def mass_matrix(self) -> list[list[Expression]]:
         """Return the mass matrix of all links' joints, by composite bodies."""
         zero = self.graph.constant(0.0)
         count = len(self.links)
         bodies = [self._body(i) for i in range(count)]
-        whole = [[zero] * count for _ in range(count)]
+        matrix = [[zero] * count for _ in range(count)]
         for i in reversed(range(count)):
             m, h, inertia = bodies[i]
             link = self.links[i]
             force = np.array([zero, zero, m] if link.prismatic else [-h[1], h[0], zero])
             moment = np.array([h[1], -h[0], zero]) if link.prismatic else inertia[3:]
-            at = i
-            while at >= 0:
-                value = force[2] if self.links[at].prismatic else moment[2]
-                whole[i][at] = whole[at][i] = value
-                joint = self.joints[at]
-                force = joint.up(force)
-                moment = joint.up(moment) + np.cross(joint.arm, force)
-                at = self.links[at].parent
+            ancestor = i
+            while ancestor >= 0:
+                value = force[2] if self.links[ancestor].prismatic else moment[2]
+                matrix[i][ancestor] = matrix[ancestor][i] = value
+                joint = self.joints[ancestor]
+                force = joint.to_parent(force)
+                moment = joint.to_parent(moment) + np.cross(joint.arm, force)
+                ancestor = self.links[ancestor].parent
             if link.parent >= 0:
-                bodies[link.parent] = self._joined(bodies[link.parent], bodies[i], self.joints[i])
-        return whole
+                bodies[link.parent] = self._join_bodies(
+                    bodies[link.parent], bodies[i], self.joints[i]
+                )
+        return matrix
 
-    def _joined(self, body: Any, child: Any, joint: _Joint) -> tuple[Expression, Vector, Vector]:
-        (m, h, inertia), (own, first, tensor) = body, child
-        t, first = joint.arm, joint.up(first)
-        half = first + t * (own * 0.5)  # of both terms with t
+    def _join_bodies(
+        self, body: Any, child: Any, joint: _Joint
+    ) -> tuple[Expression, Vector, Vector]:
+        (m, h, inertia), (child_mass, first, tensor) = body, child
+        t, first = joint.arm, joint.to_parent(first)
+        half = first + t * (child_mass * 0.5)  # of both terms with t
         inner = 2.0 * (half @ t)
         pairs = zip(*_ENTRIES, strict=True)
         shift = [(inner if i == j else 0.0) - (half[i] * t[j] + t[i] * half[j]) for i, j in pairs]
         moved_up = joint.tensor_to_parent(tensor) + shift
-        return m + own, h + (first + t * own), inertia + moved_up
+        return m + child_mass, h + (first + t * child_mass), inertia + moved_up
 
 
 def change_header(robot: Robot) -> str:
@@ -316,10 +331,13 @@ def change_header(robot: Robot) -> str:
     arm = _Arm(robot, of_joints=False)
     ddq = [arm.graph.name(f"ddq[{j}]") for j in range(robot.n)]
     stores = {
-        f"change[{i}]": one + _sum(arm.graph, (_rotors(arm, i, j) * a for j, a in enumerate(ddq)))
-        for i, one in enumerate(arm.torques(accelerated=True))
+        f"change[{i}]": torque
+        + _sum(arm.graph, (_rotors(arm, i, j) * a for j, a in enumerate(ddq)))
+        for i, torque in enumerate(arm.torques(accelerated=True))
     }
-    return _file("CHANGE", _CHANGE.format(angles=_angles(arm), statements=arm.along(stores)))
+    return _file(
+        "CHANGE", _CHANGE.format(angles=_angles(arm), statements=arm.print_changes(stores))
+    )
 
 
 def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOINTS") -> str:
@@ -332,18 +350,18 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOIN
     n = range(robot.n)
     torques = arm.torques()
     mass = arm.mass_matrix()
-    half = [[arm.on_joints(row, j) for j in n] for row in mass]  # M G
-    stores = {f"bias[{i}]": one for i, one in enumerate(torques)}
+    half = [[arm.project_torque(row, j) for j in n] for row in mass]  # M G
+    stores = {f"bias[{i}]": torque for i, torque in enumerate(torques)}
     for i in n:
         for j in range(i + 1):
-            links = arm.on_joints([row[j] for row in half], i)
+            links = arm.project_torque([row[j] for row in half], i)
             stores[f"mass[{i}][{j}]"] = stores[f"mass[{j}][{i}]"] = links + _rotors(arm, i, j)
     entries = table(robot)
     rows, columns = np.nonzero(entries)
     return _HEADER.format(
         links=len(arm.links),
         width=width,
-        last=_last(robot),
+        last=_find_last_link(robot),
         angles=_angles(arm),
         statements=arm.graph.to_c(stores),
         entries="\n".join(
@@ -353,14 +371,14 @@ def dynamics_header(robot: Robot, *, of_joints: bool = False, width: str = "JOIN
     )
 
 
-def _last(robot: Robot) -> int:
+def _find_last_link(robot: Robot) -> int:
     """Return the link that the last joint moves."""
     return [joint.name for joint in robot.tree].index(robot.joints[-1])
 
 
 def _angles(arm: _Arm) -> str:
     turning = [i for i, link in enumerate(arm.links) if not link.prismatic]
-    angles = {f"angle[{i}]": arm.followed("q", i) for i in turning}
+    angles = {f"angle[{i}]": arm.express_motion("q", i) for i in turning}
     return _ANGLES.format(arm.graph.to_c(angles))
 
 
@@ -386,24 +404,27 @@ def jacobian_header(robot: Robot) -> str:
     """
     arm = _Arm(robot, of_joints=True)
     zero = arm.graph.constant(0.0)
-    one = arm.graph.constant(1.0)
+    unity = arm.graph.constant(1.0)
     columns = [[zero] * 6 for _ in arm.links]
-    at = _last(robot)
+    link = _find_last_link(robot)
     tip = np.full(3, zero)  # in the frame of link `at`
-    while at >= 0:
-        joint = arm.joints[at]
-        axis = np.array([zero, zero, one])
+    while link >= 0:
+        joint = arm.joints[link]
+        axis = np.array([zero, zero, unity])
         slides = joint.link.prismatic
         linear = axis if slides else np.array([-tip[1], tip[0], zero])
         angular = np.full(3, zero) if slides else axis
-        tip, above = joint.arm + joint.up(tip), at
-        while above >= 0:
-            linear, angular = arm.joints[above].up(linear), arm.joints[above].up(angular)
-            above = arm.links[above].parent
-        columns[at] = [*linear, *angular]
-        at = joint.link.parent
+        tip, ancestor = joint.arm + joint.to_parent(tip), link
+        while ancestor >= 0:
+            linear, angular = (
+                arm.joints[ancestor].to_parent(linear),
+                arm.joints[ancestor].to_parent(angular),
+            )
+            ancestor = arm.links[ancestor].parent
+        columns[link] = [*linear, *angular]
+        link = joint.link.parent
     stores = {
-        f"jacobian[{k}][{j}]": arm.on_joints([column[k] for column in columns], j)
+        f"jacobian[{k}][{j}]": arm.project_torque([column[k] for column in columns], j)
         for k in range(6)
         for j in range(robot.n)
     }
@@ -423,18 +444,18 @@ def tool_header(robot: Robot, place: int | None) -> str:
         return _file("TOOL", _TOOL.format(angles="", statements=none, changes=changes))
     arm = _Arm(robot, of_joints=False)
     zero = arm.graph.constant(0.0)
-    at = _last(robot)
+    link = _find_last_link(robot)
     origin = np.full(3, zero)
-    turn = _align_links(robot.tree)[1][at]
+    turn = _align_links(robot.tree)[1][link]
     axes = [np.array([arm.graph.constant(x) for x in row]) for row in turn.tolist()]
-    while at >= 0:
-        joint = arm.joints[at]
-        origin, axes = joint.arm + joint.up(origin), [joint.up(axis) for axis in axes]
-        at = joint.link.parent
+    while link >= 0:
+        joint = arm.joints[link]
+        origin, axes = joint.arm + joint.to_parent(origin), [joint.to_parent(axis) for axis in axes]
+        link = joint.link.parent
     pose = enumerate([*origin, *(axes[c][r] for r in range(3) for c in range(3))], place)
     stores = {f"v[{k}]": value for k, value in pose}
-    found = {"statements": arm.graph.to_c(stores), "changes": arm.along(stores)}
-    return _file("TOOL", _TOOL.format(angles=_angles(arm), **found))
+    code = {"statements": arm.graph.to_c(stores), "changes": arm.print_changes(stores)}
+    return _file("TOOL", _TOOL.format(angles=_angles(arm), **code))
 
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
@@ -442,7 +463,7 @@ def _rotors(arm: _Arm, i: int, j: int) -> Expression:
     motors = arm.robot.description.motors
     turns = (np.eye(arm.robot.n) if motors is None else motors.forward) @ arm.mixing
     inertia = (arm.graph.name(f"rotor[{k}]") for k in range(arm.robot.n))
-    pairs = zip(inertia, _rounded(turns[:, i] * turns[:, j]), strict=True)
+    pairs = zip(inertia, _round_exact(turns[:, i] * turns[:, j]), strict=True)
     return _sum(arm.graph, (x * float(f) for x, f in pairs))
 
 

@@ -39,33 +39,33 @@ class Expressions:
 
     def add(self, a: int, b: int) -> "Expression":
         """Return the sum of two nodes."""
-        one = self.nodes[a]
-        two = self.nodes[b]
-        if one.kind == two.kind == "const":
-            return self.constant(one.value + two.value)
-        if one.kind == "const" and one.value == 0.0:
+        first = self.nodes[a]
+        second = self.nodes[b]
+        if first.kind == second.kind == "const":
+            return self.constant(first.value + second.value)
+        if first.kind == "const" and first.value == 0.0:
             return Expression(self, b)
-        if two.kind == "const" and two.value == 0.0:
+        if second.kind == "const" and second.value == 0.0:
             return Expression(self, a)
         if self._factor(a)[1] == self._factor(b)[1]:
-            whole = self._factor(a)[0] + self._factor(b)[0]
-            return self.multiply(self.constant(whole).index, self._factor(a)[1])
+            factor_sum = self._factor(a)[0] + self._factor(b)[0]
+            return self.multiply(self.constant(factor_sum).index, self._factor(a)[1])
         return self._node(Operation("add", min(a, b), max(a, b)))
 
     def multiply(self, a: int, b: int) -> "Expression":
         """Return the product of two nodes; a constant factor comes first."""
-        (f, one), (g, two) = self._factor(a), self._factor(b)
+        (f, first), (g, second) = self._factor(a), self._factor(b)
         factor = f * g
-        kinds = self.nodes[one].kind, self.nodes[two].kind
+        kinds = self.nodes[first].kind, self.nodes[second].kind
         if factor == 0.0 or kinds == ("const", "const"):
             return self.constant(factor)
         if "const" in kinds:
-            rest = two if kinds[0] == "const" else one
+            product = second if kinds[0] == "const" else first
         else:
-            rest = self._node(Operation("mul", min(one, two), max(one, two))).index
+            product = self._node(Operation("mul", min(first, second), max(first, second))).index
         if factor == 1.0:
-            return Expression(self, rest)
-        return self._node(Operation("mul", self.constant(factor).index, rest))
+            return Expression(self, product)
+        return self._node(Operation("mul", self.constant(factor).index, product))
 
     def _factor(self, index: int) -> tuple[float, int]:
         """Return the constant factor of a node and the node without it."""
@@ -78,32 +78,34 @@ class Expressions:
 
     def changes(self, seeds: Mapping[str, "Expression"]) -> list["Expression"]:
         """Return the change of every node along changes of names, by the rule of products."""
-        found: list[Expression] = []
+        changes: list[Expression] = []
         for node in tuple(self.nodes):
-            left, right = (Expression(self, i) for i in (node.left, node.right))
+            left_operand, right_operand = (Expression(self, i) for i in (node.left, node.right))
             if node.kind == "add":
-                found.append(found[node.left] + found[node.right])
+                changes.append(changes[node.left] + changes[node.right])
             elif node.kind == "mul":
-                found.append(found[node.left] * right + left * found[node.right])
+                changes.append(
+                    changes[node.left] * right_operand + left_operand * changes[node.right]
+                )
             else:
-                found.append(seeds.get(node.name, self.constant(0.0)))
-        return found
+                changes.append(seeds.get(node.name, self.constant(0.0)))
+        return changes
 
     def to_c(self, stores: Mapping[str, "Expression"]) -> str:
         """Return the C statements of a function that store expressions."""
-        needed = sorted(self._needed(e.index for e in stores.values()))
+        needed = sorted(self._find_dependencies(e.index for e in stores.values()))
         moving = [i for i in needed if self.nodes[i].kind != "const"]
         lines = [f"    const double t{i} = {self._text(i)};" for i in moving]
         lines += [f"    {place} = {self._operand(e.index)};" for place, e in stores.items()]
         return "\n".join(lines)
 
-    def _needed(self, roots: Iterable[int]) -> set[int]:
-        found = set(roots)
+    def _find_dependencies(self, roots: Iterable[int]) -> set[int]:
+        indices = set(roots)
         for index in reversed(range(len(self.nodes))):  # operands come first
             node = self.nodes[index]
-            if index in found and node.kind in ("add", "mul"):
-                found |= {node.left, node.right}
-        return found
+            if index in indices and node.kind in ("add", "mul"):
+                indices |= {node.left, node.right}
+        return indices
 
     def _operand(self, index: int) -> str:
         node = self.nodes[index]
@@ -128,8 +130,8 @@ class Expression:
         self.index = index
 
     def _index(self, other: "Expression | float") -> int:
-        one = other if isinstance(other, Expression) else self.graph.constant(float(other))
-        return one.index
+        expression = other if isinstance(other, Expression) else self.graph.constant(float(other))
+        return expression.index
 
     def __add__(self, other: "Expression | float") -> "Expression":
         return self.graph.add(self.index, self._index(other))

@@ -14,22 +14,22 @@ from fmu_src.blocks.block import places, vector
 from fmu_src.equations.header import SOLVER_OF_ALL, Joint, equations_header, prepared_size
 from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
-from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.export.package import Content, Version, check_request, read_c_source, write_fmu
 from fmu_src.export.toolchain import HOST
-from fmu_src.friction.embedded_model import embedding
+from fmu_src.friction.embedded_model import embed_model
 from fmu_src.friction.friction_component import (
-    adding,
+    build_joints,
     dependencies,
     discretisation,
-    joints_of,
+    find_added_coordinates,
+    find_joint_signals,
     law_variables,
-    mixed,
-    of_the_last_step,
+    make_inputs_initial,
     scales,
-    sliding,
     start_mode,
+    to_sliding,
 )
-from fmu_src.friction.friction_fmu import description_of
+from fmu_src.friction.friction_fmu import describe_fmu
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.plant.dynamics import change_header, dynamics_header, tool_header
@@ -70,7 +70,7 @@ class PlantBody:
     parameters: Array
 
     @classmethod
-    def of(cls, robot: Robot, body: RigidBody | None = None) -> "PlantBody":
+    def from_robot(cls, robot: Robot, body: RigidBody | None = None) -> "PlantBody":
         """Return a robot with identified parameters, by default those of its model file.
 
         Raises RobotError if the body belongs to another robot, ExportError if a mass matrix is not
@@ -85,22 +85,22 @@ class PlantBody:
 
     def require_inertia(self, source: str) -> None:
         """Raise ExportError if the mass matrix is not positive definite at random postures."""
-        low, high, _ = self.robot.reach
-        q = np.random.default_rng(0).uniform(low, high, (_POSTURES, self.robot.n))
+        lower, upper, _ = self.robot.reach
+        q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, self.robot.n))
         mass, _ = self.robot.dynamics(self.parameters, q, np.zeros_like(q))
-        least = np.linalg.eigvalsh(mass)[:, 0]
-        if not np.all(least > 0.0):
+        lowest = np.linalg.eigvalsh(mass)[:, 0]
+        if not np.all(lowest > 0.0):
             raise ExportError(
                 f"{source} gives the mass matrix of '{self.robot.name}' the eigenvalue "
-                f"{np.min(least):.2g} kg.m2, where a plant needs positive ones; use a model file "
+                f"{np.min(lowest):.2g} kg.m2, where a plant needs positive ones; use a model file "
                 "with inertias, or identify with --physical."
             )
 
     @cached_property
     def rotors(self) -> Array:
         """Rotor inertias (n,)."""
-        several = self.parameters[10 * self.robot.links : self.robot.inertial]
-        return several if len(several) else self.robot.rotor_nominal
+        identified = self.parameters[10 * self.robot.links : self.robot.inertial]
+        return identified if len(identified) else self.robot.rotor_nominal
 
     @property
     def key(self) -> dict[str, object]:
@@ -112,14 +112,14 @@ class PlantBody:
 
 def find_possible_body(robot: Robot, body: RigidBody | None) -> PlantBody:
     """Return a robot for a plant; of base parameters, the closest that bodies can have."""
-    from hesr_model.rigid_body.physical import is_possible, nearest  # slow to import
+    from hesr_model.rigid_body.physical import find_nearest, is_possible  # slow to import
 
     if body is None:
-        return PlantBody.of(robot)
+        return PlantBody.from_robot(robot)
     identified = body.parameters_for(robot)
     if is_possible(robot, identified):
-        return PlantBody.of(robot, body)
-    parameters, error, largest = nearest(robot, identified)
+        return PlantBody.from_robot(robot, body)
+    parameters, error, largest = find_nearest(robot, identified)
     worst = int(np.argmax(error / np.maximum(largest, _NO_TORQUE)))
     _log.warning(
         "The rigid body has base parameters; the plant has the closest ones that bodies can have. "
@@ -141,8 +141,8 @@ _OUTPUTS = (
     (TAU_LOAD.name, "N.m", "torque that the rigid bodies need"),
     ("tau_stop", "N.m", "torque of the stops at the limits of the joint"),
 )
-_OF_SERVO = (("tau_motor", "N.m", "torque of the motor: servo, compensated gravity, and tau"),)
-_OF_TOOL = (
+_SERVO_OUTPUTS = (("tau_motor", "N.m", "torque of the motor: servo, compensated gravity, and tau"),)
+_TOOL_OUTPUTS = (
     (
         "tool_position",
         "m",
@@ -164,8 +164,8 @@ def _inputs(servo: "ServoGains | None") -> dict[str, tuple[str, str]]:
     tau = {"tau": ("N.m", "torque of the motor" + (" in addition to the servo's" if servo else ""))}
     if servo is None:
         return tau
-    more = {"q_cmd": ("rad", "position command of the servo")} if servo.kp else {}
-    return tau | {"dq_cmd": ("rad/s", "speed command of the servo")} | more
+    position_command = {"q_cmd": ("rad", "position command of the servo")} if servo.kp else {}
+    return tau | {"dq_cmd": ("rad/s", "speed command of the servo")} | position_command
 
 
 def _memory(laws: Sequence[Joint], links: int, servo: "ServoGains | None") -> int:
@@ -178,20 +178,20 @@ def _memory(laws: Sequence[Joint], links: int, servo: "ServoGains | None") -> in
 
 def _parameters(plant_body: PlantBody) -> Iterator[Variable]:
     robot = plant_body.robot
-    low, high, _ = robot.limits
-    bounded = np.isfinite(high - low)
-    low, high = np.where(bounded, low, -_UNLIMITED), np.where(bounded, high, _UNLIMITED)
-    inside = (low <= 0.0) & (high >= 0.0)
-    each = np.ones(robot.n)
+    lower, upper, _ = robot.limits
+    bounded = np.isfinite(upper - lower)
+    lower, upper = np.where(bounded, lower, -_UNLIMITED), np.where(bounded, upper, _UNLIMITED)
+    inside = (lower <= 0.0) & (upper >= 0.0)
+    ones = np.ones(robot.n)
     yield from vector(
-        "q_start", "fixed", "rad", "initial position", np.where(inside, 0.0, 0.5 * (low + high))
+        "q_start", "fixed", "rad", "initial position", np.where(inside, 0.0, 0.5 * (lower + upper))
     )
-    yield from vector("dq_start", "fixed", "rad/s", "initial speed", 0.0 * each)
-    yield from vector("q_min", "fixed", "rad", "position of the lower stop", low)
-    yield from vector("q_max", "fixed", "rad", "position of the upper stop", high)
+    yield from vector("dq_start", "fixed", "rad/s", "initial speed", 0.0 * ones)
+    yield from vector("q_min", "fixed", "rad", "position of the lower stop", lower)
+    yield from vector("q_max", "fixed", "rad", "position of the upper stop", upper)
     text = "of the stops"
-    yield from vector("stop_stiffness", "fixed", "N.m/rad", f"stiffness {text}", STIFFNESS * each)
-    yield from vector("stop_damping", "fixed", "N.m.s/rad", f"damping {text}", DAMPING * each)
+    yield from vector("stop_stiffness", "fixed", "N.m/rad", f"stiffness {text}", STIFFNESS * ones)
+    yield from vector("stop_damping", "fixed", "N.m.s/rad", f"damping {text}", DAMPING * ones)
 
 
 def inertial_parameters(plant_body: PlantBody) -> Iterator[Variable]:
@@ -207,7 +207,7 @@ def inertial_parameters(plant_body: PlantBody) -> Iterator[Variable]:
     springs = plant_body.parameters[plant_body.robot.inertial :]
     for term, value in zip(plant_body.robot.springs, springs, strict=True):
         number = term.joint + 1
-        unit = unit_of_joint(term.unit, slides=plant_body.robot.slides[term.joint])
+        unit = unit_of_joint(term.unit, is_prismatic=plant_body.robot.slides[term.joint])
         text = f"{term.name} of the spring or balancer of joint {number}"
         name = f"spring[{number}].{term.name}"
         yield Variable(name, "tunable", text, unit=unit, start=float(value))
@@ -260,29 +260,29 @@ class ServoGains:
 
     def parameters(self) -> Iterator[Variable]:
         """Yield the parameters."""
-        each = np.ones(len(self.kv))
+        ones = np.ones(len(self.kv))
         text = "gain of the servo"
         yield from vector("servo_kv", "tunable", "N.m.s/rad", f"proportional {text}", self.kv)
         yield from vector("servo_ki", "tunable", "N.m/rad", f"integral {text}", self.ki)
         yield from vector("servo_kp", "tunable", "1/s", "gain of the position", self.kp)
         text = "limit of the servo's torque"
-        yield from vector("torque_limit", "tunable", "N.m", text, _UNLIMITED * each)
+        yield from vector("torque_limit", "tunable", "N.m", text, _UNLIMITED * ones)
         text = "share of gravity and springs that the servo compensates"
-        yield from vector("gravity_share", "tunable", "1", text, each)
+        yield from vector("gravity_share", "tunable", "1", text, ones)
         text = f"delay of the commands, at most {COMMANDS} steps"
         yield Variable("latency", "fixed", text, unit="s")
 
 
 _PLACES_OF_SERVO = {"KV": "servo_kv[1]", "KI": "servo_ki[1]", "LATENCY": "latency"}
-_OTHERS = ("dq_cmd", "tau_motor", "torque_limit", "gravity_share")
-_PLACES_OF_SERVO |= {name.upper(): f"{name}[1]" for name in _OTHERS}
+_SERVO_VECTORS = ("dq_cmd", "tau_motor", "torque_limit", "gravity_share")
+_PLACES_OF_SERVO |= {name.upper(): f"{name}[1]" for name in _SERVO_VECTORS}
 _PLACES_OF_POSITION = {"Q_CMD": "q_cmd[1]", "KP": "servo_kp[1]"}
 
 
 def _interface(
     model: FrictionModel, plant_body: PlantBody, servo: ServoGains | None, *, tool: bool
 ) -> Interface:
-    laws = joints_of(model, names={TORQUE: "tau_friction"})
+    laws = build_joints(model, names={TORQUE: "tau_friction"})
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
     starts = list(_parameters(plant_body))
@@ -296,44 +296,46 @@ def _interface(
     torque = sympy.Symbol(TORQUE, real=True)
 
     def sources(i: int) -> dict[str, tuple[str, ...]]:
-        moving = {n: mixed(n, i, model.coupling) for n in ("dq", "q")}
+        moving = {n: find_joint_signals(n, i, model.coupling) for n in ("dq", "q")}
         return {**moving, TAU_LOAD.name: load}
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
     of_friction = (n for one in friction for n in one)
-    everything = (*load, *(variable.name for variable in own_servo), *of_friction)
+    all_sources = (*load, *(variable.name for variable in own_servo), *of_friction)
     at_start = {"q_cmd": [variable.start for variable in starts[: len(laws)]]}
-    found = [
+    variables = [
         variable
         for name, (unit, text) in _inputs(servo).items()
         for variable in vector(name, "input", unit, text, at_start.get(name, zeros))
     ]
-    for name, unit, text in (*_OUTPUTS, *(_OF_SERVO if servo else ())):
+    for name, unit, text in (*_OUTPUTS, *(_SERVO_OUTPUTS if servo else ())):
         for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
-            of_joint = (n for k in adding(i, model.coupling) for n in friction[k - 1])
-            special = {"q": (one.name,), "dq": (one.name,), "tau_friction": of_joint}
+            joint_sources = (
+                n for k in find_added_coordinates(i, model.coupling) for n in friction[k - 1]
+            )
+            special = {"q": (one.name,), "dq": (one.name,), "tau_friction": joint_sources}
             special["tau_stop"] = (*motion, *stops)
-            known = tuple(dict.fromkeys(special.get(name, everything)))
-            starts_at = (f"{name}_start[{i}]",) if f"{name}_start" in _START else ()
-            of = f"{_INTEGRAL_OF[name]}[{i}]" if name in _INTEGRAL_OF else None
-            output = replace(one, dependencies=known, derivative_of=of)
-            found.append(replace(output, initial_dependencies=starts_at))
-    for name, unit, text, elements in _OF_TOOL if tool else ():
+            output_sources = tuple(dict.fromkeys(special.get(name, all_sources)))
+            start_names = (f"{name}_start[{i}]",) if f"{name}_start" in _START else ()
+            state_name = f"{_INTEGRAL_OF[name]}[{i}]" if name in _INTEGRAL_OF else None
+            output = replace(one, dependencies=output_sources, derivative_of=state_name)
+            variables.append(replace(output, initial_dependencies=start_names))
+    for name, unit, text, elements in _TOOL_OUTPUTS if tool else ():
         for k, element in enumerate(elements, start=1):
-            about = f"{text}, {element}"
-            pose = Variable(f"{name}[{k}]", "output", about, unit=unit)
-            found.append(replace(pose, dependencies=motion[: len(laws)]))
-    found += starts + own_servo
-    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
-    how = "how the states of the friction are relaxed over an inner step"
-    found += [discretisation(model, how), start_mode(), *own_parameters, *scales(model)]
+            description = f"{text}, {element}"
+            pose = Variable(f"{name}[{k}]", "output", description, unit=unit)
+            variables.append(replace(pose, dependencies=motion[: len(laws)]))
+    variables += starts + own_servo
+    variables.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
+    meaning = "how the states of the friction are relaxed over an inner step"
+    variables += [discretisation(model, meaning), start_mode(), *own_parameters, *scales(model)]
     for i, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1):
         of_load = {TAU_LOAD.name: (*load, *friction[i - 1])}
-        found += law_variables(law, i, joint, sources(i) | of_load)
-    found = [at_joint(variable, model.slides) for variable in found]
+        variables += law_variables(law, i, joint, sources(i) | of_load)
+    variables = [adapt_to_joint(variable, model.slides) for variable in variables]
     return Interface(
         variables=tuple(
-            of_the_last_step(variable, commands) if servo else variable for variable in found
+            make_inputs_initial(variable, commands) if servo else variable for variable in variables
         ),
         own=_memory(laws, plant_body.robot.links, servo),
         model_exchange=servo is None,
@@ -343,17 +345,17 @@ def _interface(
 
 
 _WORDS = {"torque": "force", "inertia": "mass"}
-_OF_JOINTS = re.compile(
+_JOINT_VARIABLE = re.compile(
     r"(tau|q|dq|ddq|tau_\w+|q_\w+|dq_\w+|stop_\w+|servo_\w+|torque_limit|rotor)\[(\d+)\]"
 )
 
 
-def at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+def adapt_to_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
     """Return a variable of a turning joint, as that of a sliding one if it slides."""
-    joint = _OF_JOINTS.fullmatch(variable.name)
+    joint = _JOINT_VARIABLE.fullmatch(variable.name)
     if joint is None or not slides[int(joint[2]) - 1]:
         return variable
-    return sliding(variable, _WORDS)
+    return to_sliding(variable, _WORDS)
 
 
 _VECTORS = ("tau", *(name for name, *_ in _OUTPUTS), *_START, "q_min", "q_max")
@@ -429,41 +431,41 @@ def content(
     bare: bool = False,
 ) -> Content:
     """Return the FMU of a plant before compilation."""
-    joints = joints_of(model, names={TORQUE: "tau_friction"})
+    joints = build_joints(model, names={TORQUE: "tau_friction"})
     interface = _interface(model, plant_body, servo, tool=tool)
     springs = next((n for n in interface.places if n.startswith("spring[")), "gravity[1]")
     header = equations_header(
         joints,
         interface,
         _PLACES | {"SPRINGS": springs},
-        wanted=SOLVER_OF_ALL,
+        calls=SOLVER_OF_ALL,
         coupling=model.coupling,
     )
-    about = description_of(
+    about = describe_fmu(
         model,
         name=f"Plant of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"plant_{model.law}",
         text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
         step=SUBSTEP,
     )
-    own = ("plant.c", "plant_flow.h", "plant_servo.h", "plant_solver.h")
-    others = ("balance.h", "coupling.h", "law_math.h", "regroup.h", "root.h", "wide.h")
-    sources = {name: own_source(name) for name in (*own, *others)}
+    plant_sources = ("plant.c", "plant_flow.h", "plant_servo.h", "plant_solver.h")
+    shared_sources = ("balance.h", "coupling.h", "law_math.h", "regroup.h", "root.h", "wide.h")
+    sources = {name: read_c_source(name) for name in (*plant_sources, *shared_sources)}
     position = servo is not None and bool(servo.kp)
-    found = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
-    found |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
+    servo_places = dict.fromkeys(_PLACES_OF_SERVO | _PLACES_OF_POSITION, "tau[1]")
+    servo_places |= (_PLACES_OF_SERVO if servo else {}) | (_PLACES_OF_POSITION if position else {})
     kinds = {"SERVO": int(servo is not None), "POSITION": int(position)}
     sources |= {
         "dynamics.h": dynamics_header(plant_body.robot, width="LANES"),
         "equations.h": header,
     }
     sources |= {"change.h": change_header(plant_body.robot)}
-    sources |= {"servo.h": places(interface, "SERVO_H", found, **kinds)}
+    sources |= {"servo.h": places(interface, "SERVO_H", servo_places, **kinds)}
     sources |= {"tool.h": tool_header(plant_body.robot, interface.places.get("tool_position[1]"))}
     members = {}
     if not bare:
         page = drive_html(model, interface, about, template="plant.html.j2").encode()
-        members = {"documentation/index.html": page, **embedding(model)}
+        members = {"documentation/index.html": page, **embed_model(model)}
     inputs = waves(
         {f"{name}[{i}]": 1.0 for name in _inputs(servo) for i in range(1, len(joints) + 1)}
     )

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import IO, Self
 
 from hesr_model.errors import ArtifactError
-from hesr_model.support.text import plain, quoted
+from hesr_model.support.text import quote, sanitise
 
-MOST_ENTRIES = 20_000
-MOST_BYTES = 512 << 20  # of an entry, unpacked
-MOST_BYTES_IN_ALL = 1 << 30
-MOST_DIRECTORY = 16 << 20  # of the table of contents, which is held in memory
-MOST_RATIO = 200  # compression of a large entry; text has 5 to 20, a zip bomb 1000
-MOST_TEXT = 32 << 20  # of XML and JSON; a parser needs twenty times as much memory
-_LARGE = 10 << 20
+MAX_ENTRIES = 20_000
+MAX_ENTRY_BYTES = 512 << 20  # of an entry, unpacked
+MAX_TOTAL_BYTES = 1 << 30
+MAX_DIRECTORY_BYTES = 16 << 20  # of the table of contents, which is held in memory
+MAX_COMPRESSION_RATIO = 200  # compression of a large entry; text has 5 to 20, a zip bomb 1000
+MAX_TEXT_BYTES = 32 << 20  # of XML and JSON; a parser needs twenty times as much memory
+_MIN_SUSPECT_BYTES = 10 << 20
 _CHUNK = 1 << 20
 _DRIVE = re.compile(r"[A-Za-z]:")
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
@@ -50,13 +50,13 @@ class _Bounded:
         self.seekable = file.seekable
 
     def read(self, size: int = -1) -> bytes:
-        wanted = self._size - self._file.tell() if size < 0 else size
-        if wanted > MOST_DIRECTORY:
-            raise zipfile.BadZipFile(f"its table of contents has {wanted} bytes")
-        return self._file.read(wanted)
+        byte_count = self._size - self._file.tell() if size < 0 else size
+        if byte_count > MAX_DIRECTORY_BYTES:
+            raise zipfile.BadZipFile(f"its table of contents has {byte_count} bytes")
+        return self._file.read(byte_count)
 
 
-def opened(path: Path) -> BufferedReader:
+def open_file(path: Path) -> BufferedReader:
     """Open a file for reading; raise ArtifactError if it is missing or cannot be opened."""
     try:
         # Checked first, because opening a pipe blocks.
@@ -69,7 +69,7 @@ def opened(path: Path) -> BufferedReader:
         raise ArtifactError(f"{path}: cannot be opened ({error.strerror}).") from error
 
 
-def entries(file: BufferedReader) -> zipfile.ZipFile:
+def open_archive(file: BufferedReader) -> zipfile.ZipFile:
     """Open the archive in a file; raise one of `DAMAGED` if it is damaged."""
     return zipfile.ZipFile(_Bounded(file, file.seek(0, 2)))
 
@@ -84,27 +84,31 @@ class Archive:
 
     def __enter__(self) -> Self:
         with ExitStack() as cleanup:
-            self._file = cleanup.enter_context(opened(self.path))
+            self._file = cleanup.enter_context(open_file(self.path))
             try:
-                self._archive = cleanup.enter_context(entries(self._file))
-                found = self._archive.infolist()
+                self._archive = cleanup.enter_context(open_archive(self._file))
+                zip_entries = self._archive.infolist()
             except DAMAGED as error:
-                raise self._refusal(said(error)) from error
-            if len(found) > MOST_ENTRIES:
-                raise self._refusal(f"it has {len(found)} entries; at most {MOST_ENTRIES} are read")
-            for entry in found:
+                raise self._refusal(format_error(error)) from error
+            if len(zip_entries) > MAX_ENTRIES:
+                raise self._refusal(
+                    f"it has {len(zip_entries)} entries; at most {MAX_ENTRIES} are read"
+                )
+            for entry in zip_entries:
                 for text in hazards(entry):
                     raise self._refusal(text)
-            size = sum(entry.file_size for entry in found)
-            if size > MOST_BYTES_IN_ALL:
+            size = sum(entry.file_size for entry in zip_entries)
+            if size > MAX_TOTAL_BYTES:
                 raise self._refusal(
-                    f"it claims {size} bytes unpacked; at most {MOST_BYTES_IN_ALL} are read"
+                    f"it claims {size} bytes unpacked; at most {MAX_TOTAL_BYTES} are read"
                 )
-            twice = Counter(entry.filename.casefold() for entry in found if not is_folder(entry))
-            for name, count in twice.items():
+            name_counts = Counter(
+                entry.filename.casefold() for entry in zip_entries if not is_folder(entry)
+            )
+            for name, count in name_counts.items():
                 if count > 1:
-                    raise self._refusal(f"it has {count} entries named {quoted(name)}")
-            self._entries = {entry.filename: entry for entry in found if not is_folder(entry)}
+                    raise self._refusal(f"it has {count} entries named {quote(name)}")
+            self._entries = {entry.filename: entry for entry in zip_entries if not is_folder(entry)}
             self._cleanup = cleanup.pop_all()
         return self
 
@@ -121,24 +125,24 @@ class Archive:
         self._file.seek(0)
         return hashlib.file_digest(self._file, "sha256").hexdigest()
 
-    def read(self, name: str, most: int = MOST_BYTES) -> bytes:
-        """Return the content of a file with at most `most` bytes."""
+    def read(self, name: str, max_bytes: int = MAX_ENTRY_BYTES) -> bytes:
+        """Return the content of a file with at most `max_bytes` bytes."""
         entry = self._entries.get(name)
         if entry is None:
-            raise self._refusal(f"its {plain(name)} is missing")
-        if entry.file_size > most:
+            raise self._refusal(f"its {sanitise(name)} is missing")
+        if entry.file_size > max_bytes:
             raise self._refusal(
-                f"its {plain(name)} has {entry.file_size} bytes; at most {most} are read"
+                f"its {sanitise(name)} has {entry.file_size} bytes; at most {max_bytes} are read"
             )
         try:
             return b"".join(_pieces(self._archive, entry))
         except DAMAGED as error:
             raise self._describe_damage(entry, error) from error
 
-    def unpack(self, folder: Path, wanted: Callable[[str], bool] = lambda _: True) -> None:
+    def unpack(self, folder: Path, is_wanted: Callable[[str], bool] = lambda _: True) -> None:
         """Write the wanted files into a folder."""
         for name, entry in self._entries.items():
-            if not wanted(name):
+            if not is_wanted(name):
                 continue
             try:
                 target = folder / name
@@ -148,10 +152,12 @@ class Archive:
                 raise self._describe_damage(entry, error) from error
 
     def _describe_damage(self, entry: zipfile.ZipInfo, error: BaseException) -> ArtifactError:
-        return self._refusal(f"its {plain(entry.filename)} cannot be read: {said(error)}")
+        return self._refusal(
+            f"its {sanitise(entry.filename)} cannot be read: {format_error(error)}"
+        )
 
-    def _refusal(self, why: str) -> ArtifactError:
-        return ArtifactError(f"{self.path}: not a readable {self._kind} ({why.rstrip('.')}).")
+    def _refusal(self, reason: str) -> ArtifactError:
+        return ArtifactError(f"{self.path}: not a readable {self._kind} ({reason.rstrip('.')}).")
 
 
 def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
@@ -162,14 +168,14 @@ def copy_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -
 
 
 def _pieces(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
-    found = 0
+    byte_count = 0
     source: IO[bytes]
     with archive.open(entry) as source:
         while piece := source.read(_CHUNK):
-            found += len(piece)
+            byte_count += len(piece)
             yield piece
-    if found != entry.file_size:
-        raise EOFError(f"it claims {entry.file_size} bytes and has {found}")
+    if byte_count != entry.file_size:
+        raise EOFError(f"it claims {entry.file_size} bytes and has {byte_count}")
 
 
 def is_folder(entry: zipfile.ZipInfo) -> bool:
@@ -180,39 +186,39 @@ def is_folder(entry: zipfile.ZipInfo) -> bool:
 def hazards(entry: zipfile.ZipInfo) -> Iterator[str]:
     """Yield a sentence for each reason why an entry is unsafe to unpack."""
     name = entry.filename
-    shown = quoted(entry.filename)
+    label = quote(entry.filename)
     parts = name.replace("\\", "/").split("/")
     if not name:
         yield "an entry has no name."
     elif parts[0] == "" or _DRIVE.match(name) or ".." in parts:
         yield (
-            f"the entry {shown} leads out of the archive; expected a relative name without '..'."
+            f"the entry {label} leads out of the archive; expected a relative name without '..'."
         )
     if not name.isprintable() or entry.orig_filename.rstrip("\0") != name:
-        yield f"the entry {quoted(entry.orig_filename)} has control characters in its name."
-    reason = unreadable(entry)
+        yield f"the entry {quote(entry.orig_filename)} has control characters in its name."
+    reason = explain_unreadable(entry)
     if reason:
-        yield f"the entry {shown} {reason}"
+        yield f"the entry {label} {reason}"
 
 
-def unreadable(entry: zipfile.ZipInfo) -> str | None:
+def explain_unreadable(entry: zipfile.ZipInfo) -> str | None:
     """Return why an entry is not read, or None."""
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        what = "a symbolic link" if kind == stat.S_IFLNK else "a special file"
-        return f"is {what}; an FMU holds ordinary files only."
+        kind_text = "a symbolic link" if kind == stat.S_IFLNK else "a special file"
+        return f"is {kind_text}; an FMU holds ordinary files only."
     if entry.flag_bits & 0x1:
         return "is encrypted, so that no importer can read it."
     if entry.compress_type not in _METHODS:
         return f"is compressed by method {entry.compress_type}; FMI uses 8 (deflate) or 0 (none)."
-    return oversize(entry)
+    return explain_oversize(entry)
 
 
-def oversize(entry: zipfile.ZipInfo) -> str | None:
+def explain_oversize(entry: zipfile.ZipInfo) -> str | None:
     """Return why an entry is too large to be read, or None."""
-    if entry.file_size > MOST_BYTES:
-        return f"claims {entry.file_size} bytes; more than {MOST_BYTES} are not read."
-    if entry.file_size > max(_LARGE, MOST_RATIO * entry.compress_size):
+    if entry.file_size > MAX_ENTRY_BYTES:
+        return f"claims {entry.file_size} bytes; more than {MAX_ENTRY_BYTES} are not read."
+    if entry.file_size > max(_MIN_SUSPECT_BYTES, MAX_COMPRESSION_RATIO * entry.compress_size):
         return (
             f"claims to unpack {entry.compress_size} bytes to {entry.file_size}, as in a zip bomb;"
             " it is not read."
@@ -220,6 +226,6 @@ def oversize(entry: zipfile.ZipInfo) -> str | None:
     return None
 
 
-def said(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """Return the text of an error without full stop, safe to print."""
-    return plain(str(error).rstrip(".") or type(error).__name__)
+    return sanitise(str(error).rstrip(".") or type(error).__name__)

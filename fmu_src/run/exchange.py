@@ -14,8 +14,8 @@ from fmpy.sundials import CVodeSolver
 
 from fmu_src.run.instance import CallError, Failure, Instance, LocalBuffer, Tell, UnpackedFmu
 
-_LONGEST_STEP = 0.02  # of the solver, as a fraction of the run; that of FMPy
-_MOST_EVENTS = 10_000  # per step; a model with more chatters
+_MAX_STEP_SHARE = 0.02  # of the solver, as a fraction of the run; that of FMPy
+_MAX_EVENTS = 10_000  # per step; a model with more chatters
 
 
 class _Solver(CVodeSolver):  # type: ignore[misc]  # FMPy has no types
@@ -24,10 +24,10 @@ class _Solver(CVodeSolver):  # type: ignore[misc]  # FMPy has no types
     failure: Exception | None = None
 
     def f(self, time: float, *arguments: Any) -> int:
-        def slopes(*rest: Any) -> int:
+        def slopes(*solver_arguments: Any) -> int:
             # CVode's own steps are longer than those between rows: inputs must follow their slopes.
             self.input.apply(time)
-            return int(CVodeSolver.f(self, time, *rest))
+            return int(CVodeSolver.f(self, time, *solver_arguments))
 
         return self._guard(slopes, *arguments)
 
@@ -120,13 +120,13 @@ class ExchangeInstance(Instance):
         end = time + size
         self._is_integrating = True
         try:
-            for _ in range(_MOST_EVENTS):
+            for _ in range(_MAX_EVENTS):
                 if time >= end or isclose(time, end):
                     return
                 time = self._integrate(time, end)
         finally:
             self._is_integrating = False
-        raise self._failure(CallError(f"it has more than {_MOST_EVENTS} events in a step"))
+        raise self._failure(CallError(f"it has more than {_MAX_EVENTS} events in a step"))
 
     def _integrate(self, time: float, end: float) -> float:
         """Integrate to the next event or the end [s], handle the event, and return the time."""
@@ -171,7 +171,7 @@ class ExchangeInstance(Instance):
 
     def _update_discrete_states(self, time: float) -> None:
         """Iterate the discrete states at a time [s] and enter continuous-time mode."""
-        for _ in range(_MOST_EVENTS):
+        for _ in range(_MAX_EVENTS):
             needs_more, ends, _, _, is_defined, next_event = self.ask(self._update)
             if ends:
                 raise self._failure(CallError(f"{self._update} requested termination"))
@@ -187,15 +187,15 @@ class ExchangeInstance(Instance):
 
     def _new_solver(self) -> _Solver:
         begin, stop = self._experiment
-        about = self._about
-        longest = float("inf") if stop is None else _LONGEST_STEP * (stop - begin)
+        fmu = self._about
+        max_step = float("inf") if stop is None else _MAX_STEP_SHARE * (stop - begin)
 
         def get_nominals(values: Any, count: int) -> None:
             self.slave.getNominalsOfContinuousStates(values, count)
 
         return _Solver(
-            nx=about.states,
-            nz=about.indicators,
+            nx=fmu.states,
+            nz=fmu.indicators,
             get_x=self.slave.getContinuousStates,
             set_x=self.slave.setContinuousStates,
             get_dx=getattr(self.slave, self._derivatives),
@@ -204,6 +204,6 @@ class ExchangeInstance(Instance):
             set_time=self.slave.setTime,
             input=self,
             startTime=begin,
-            maxStep=longest,
-            relativeTolerance=about.tolerance,
+            maxStep=max_step,
+            relativeTolerance=fmu.tolerance,
         )

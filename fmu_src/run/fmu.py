@@ -21,7 +21,12 @@ from fmu_src.run.instance import (
 )
 from fmu_src.run.loader import load_instance
 from fmu_src.run.trust import is_known
-from fmu_src.run.variables import Declared, Variables, description_of, read_packed_description
+from fmu_src.run.variables import (
+    Declared,
+    Variables,
+    read_packed_description,
+    read_unpacked_description,
+)
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
@@ -74,11 +79,11 @@ class FmuInstance:
             sandbox = None
             if self._unpacked:
                 folder = self._unpacked
-                self.description, self.declared = description_of(folder, self.fmu)
+                self.description, self.declared = read_unpacked_description(folder, self.fmu)
             else:
                 folder, sandbox = self._unpack(cleanup)
             self.variables = Variables(self.fmu, self.description, self.declared)
-            self._instance = self._loaded(folder, sandbox)
+            self._instance = self._load_instance(folder, sandbox)
             cleanup.push(self._free)
             self._cleanup = cleanup.pop_all()
         return self
@@ -87,8 +92,8 @@ class FmuInstance:
         self._cleanup.__exit__(*ended)
 
     def _unpack(self, cleanup: ExitStack) -> "tuple[Path, Sandbox | None]":
-        own = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
-        place = sandbox = None
+        needed_folders = (*(fmi.folder for fmi in VERSIONS.values()), "resources/")
+        sandbox_folder = sandbox = None
         try:
             with Archive(self.fmu) as archive:
                 self.trusted = is_known(archive.digest())
@@ -96,23 +101,25 @@ class FmuInstance:
                     from fmu_src.run.sandbox import SystemSandbox  # slow to import
 
                     system = self._system or cleanup.enter_context(SystemSandbox(self._seconds))
-                    place = system.folder
+                    sandbox_folder = system.folder
                     sandbox = system.sandbox  # starts meanwhile
-                folder = cleanup.enter_context(scratch_folder(place))
+                folder = cleanup.enter_context(scratch_folder(sandbox_folder))
                 self.description, self.declared = read_packed_description(archive)
-                archive.unpack(folder, lambda name: name.startswith(own))
+                archive.unpack(folder, lambda name: name.startswith(needed_folders))
                 return folder, sandbox
         except ArtifactError as error:
             raise SimulationError(f"{error}") from error
         except DiedError as error:
             raise self._failure(error) from error
 
-    def _loaded(self, folder: Path, sandbox: "Sandbox | None") -> "Instance | SandboxedInstance":
-        about = self.description
-        fmi = {"2.0": 2, "3.0": 3}.get(about.fmiVersion)
-        kind = about.coSimulation
+    def _load_instance(
+        self, folder: Path, sandbox: "Sandbox | None"
+    ) -> "Instance | SandboxedInstance":
+        model_description = self.description
+        fmi = {"2.0": 2, "3.0": 3}.get(model_description.fmiVersion)
+        kind = model_description.coSimulation
         if kind is None and self._exchange:
-            kind = about.modelExchange
+            kind = model_description.modelExchange
         if fmi is None or kind is None:
             raise SimulationError(f"{self.fmu}: not an FMU of FMI 2.0 or 3.0 for co-simulation.")
         identifier = kind.modelIdentifier
@@ -123,12 +130,14 @@ class FmuInstance:
             )
         unpacked = UnpackedFmu(
             folder=str(folder),
-            guid=about.guid,
+            guid=model_description.guid,
             identifier=identifier,
             name=self.name,
             fmi=fmi,
             variables=self.declared,
-            **(_solver_options(about) if about.coSimulation is None else {}),
+            **(
+                _solver_options(model_description) if model_description.coSimulation is None else {}
+            ),
         )
         try:
             if sandbox is None:
@@ -236,14 +245,14 @@ class FmuInstance:
         return set_slopes
 
 
-def _solver_options(about: ModelDescription) -> dict[str, Any]:
+def _solver_options(model_description: ModelDescription) -> dict[str, Any]:
     """Return the fields of `UnpackedFmu` that the solver of a model needs."""
-    exchange = about.modelExchange
-    experiment = about.defaultExperiment
+    exchange = model_description.modelExchange
+    experiment = model_description.defaultExperiment
     options: dict[str, Any] = {
         "exchange": True,
-        "states": int(about.numberOfContinuousStates or 0),
-        "indicators": int(about.numberOfEventIndicators or 0),
+        "states": int(model_description.numberOfContinuousStates or 0),
+        "indicators": int(model_description.numberOfEventIndicators or 0),
         "completes_steps": bool(exchange.needsCompletedIntegratorStep),
     }
     if experiment is not None and experiment.tolerance is not None:
@@ -254,19 +263,19 @@ def _solver_options(about: ModelDescription) -> dict[str, Any]:
 _TEXTS: list[str] = []
 
 
-def text_number(text: str) -> float:
+def number_from_text(text: str) -> float:
     """Return the number of a text in a `MixedBuffer`."""
     if text not in _TEXTS:
         _TEXTS.append(text)
     return float(_TEXTS.index(text))
 
 
-def numbered_text(number: float) -> str:
+def text_from_number(number: float) -> str:
     """Return the text of a number."""
     return _TEXTS[int(number)]
 
 
-def mixed_buffer(
+def build_mixed_buffer(
     instance: FmuInstance, names: Sequence[str], values: Array | None = None
 ) -> Buffer:
     """Return a buffer of variables of any type; see `MixedBuffer`."""
@@ -292,47 +301,47 @@ def _require_exact(instance: FmuInstance, names: Sequence[str], values: Iterable
 
 
 _LARGEST_EXACT = 2**53
-_FROM_NUMBER: Mapping[str, Callable[[Any], Any]] = {"String": numbered_text, "Float32": float}
+_FROM_NUMBER: Mapping[str, Callable[[Any], Any]] = {"String": text_from_number, "Float32": float}
 """Value of a number in a `MixedBuffer`, by type; others are integers."""
 
 
 class MixedBuffer:
     """Values (n,) of variables of any type as numbers; texts are numbered."""
 
-    def __init__(self, slave: FmuInstance, names: Sequence[str], values: Array) -> None:
+    def __init__(self, instance: FmuInstance, names: Sequence[str], values: Array) -> None:
         self.values = values
-        self._slave = slave
-        self._instance = slave._instance
+        self._slave = instance
+        self._instance = instance._instance
         self._names = list(names)
         self._groups = []
-        kinds = [slave.variables[name].type for name in names]
+        kinds = [instance.variables[name].type for name in names]
         for kind in dict.fromkeys(kinds):
-            places = [i for i, own in enumerate(kinds) if own == kind]
-            chosen = [names[i] for i in places]
-            real = slave.buffer(chosen) if kind == "Real" else None
-            references = slave.variables.references(chosen, kind)
-            self._groups.append((places, _setter(kind), references, real))
+            indices = [i for i, variable_kind in enumerate(kinds) if variable_kind == kind]
+            chosen = [names[i] for i in indices]
+            real = instance.buffer(chosen) if kind == "Real" else None
+            references = instance.variables.references(chosen, kind)
+            self._groups.append((indices, _setter(kind), references, real))
 
     def write(self) -> None:
         """Set the variables."""
-        for places, kind, references, real in self._groups:
-            given = self.values[places]
+        for indices, kind, references, real in self._groups:
+            numbers = self.values[indices]
             if real:
-                real.values[:] = given
+                real.values[:] = numbers
                 real.write()
             else:
                 to_value = _FROM_NUMBER.get(kind, int)
-                self._instance.set(kind, references, [to_value(value) for value in given])
+                self._instance.set(kind, references, [to_value(value) for value in numbers])
 
     def read(self) -> Array:
         """Read and return the variables."""
-        for places, kind, references, real in self._groups:
-            found = real.read() if real else self._instance.get(kind, references)
+        for indices, kind, references, real in self._groups:
+            read_values = real.read() if real else self._instance.get(kind, references)
             if kind == "String":
-                found = list(map(text_number, found))
+                read_values = list(map(number_from_text, read_values))
             elif kind == "Integer":
-                _require_exact(self._slave, [self._names[i] for i in places], found)
-            self.values[places] = found
+                _require_exact(self._slave, [self._names[i] for i in indices], read_values)
+            self.values[indices] = read_values
         return self.values
 
 
@@ -342,8 +351,8 @@ _Key = tuple[Path, int, int, int, str]  # identity of a file and name of the ins
 class FmuPool:
     """Instances kept for their next use, because loading is slow."""
 
-    def __init__(self, most: int = 48) -> None:
-        self._most = most
+    def __init__(self, max_idle: int = 48) -> None:
+        self._most = max_idle
         self._idle: dict[_Key, FmuInstance] = {}
 
     @contextmanager
@@ -360,7 +369,12 @@ class FmuPool:
         except BaseException as error:
             instance.__exit__(type(error), error, error.__traceback__)
             raise
-        if key and key not in self._idle and (instance.trusted or not system) and _ready(instance):
+        if (
+            key
+            and key not in self._idle
+            and (instance.trusted or not system)
+            and _make_ready(instance)
+        ):
             self._idle[key] = instance
             while len(self._idle) > self._most:
                 self._idle.pop(next(iter(self._idle))).__exit__(None, None, None)
@@ -378,13 +392,13 @@ POOL = FmuPool()
 
 def _key(fmu: Path, name: str) -> _Key | None:
     try:
-        about = fmu.stat()
+        file_status = fmu.stat()
     except OSError:  # reported when the FMU is loaded
         return None
-    return fmu.resolve(), about.st_ino, about.st_size, about.st_mtime_ns, name
+    return fmu.resolve(), file_status.st_ino, file_status.st_size, file_status.st_mtime_ns, name
 
 
-def _ready(instance: FmuInstance) -> bool:
+def _make_ready(instance: FmuInstance) -> bool:
     if instance.failed:
         return False
     try:

@@ -12,7 +12,7 @@ import numpy as np
 from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 
-from fmu_src.run.variables import Declared, element_of
+from fmu_src.run.variables import Declared, split_reference
 from hesr_model.support.arrays import Array
 
 PLATFORM: str = fmpy.platform  # in FMI 2.0
@@ -176,13 +176,13 @@ class _Fmi3(_Fmi2):
         """Do nothing."""
 
     def enter(self, call: Call, time: float, stop: float | None) -> None:
-        more = (c_bool(False), 0.0, time, c_bool(stop is not None), stop or 0.0)
-        call(self.functions["enter_initialisation"], *more)
+        experiment = (c_bool(False), 0.0, time, c_bool(stop is not None), stop or 0.0)
+        call(self.functions["enter_initialisation"], *experiment)
 
     def kind(self, kind: str, declared: str | None) -> tuple[str, Any]:
         default = {"Integer": "Int32"}.get(kind, kind)
-        own = {None: default, "Enumeration": "Int64"}.get(declared, declared)
-        return str(own), getattr(fmi3, f"fmi3{own}")
+        type_name = {None: default, "Enumeration": "Int64"}.get(declared, declared)
+        return str(type_name), getattr(fmi3, f"fmi3{type_name}")
 
     def values(self, pointer: Any, count: int) -> tuple[Any, ...]:
         return pointer, count
@@ -263,8 +263,8 @@ class Instance:
         self._usable = status in _STATUSES and status != _FATAL
         error = CallError(function, status)
         if function == "fmi2DoStep" and status == _DISCARD:
-            ended = self.fmi.explain_discard(self.slave)
-            error = CallError(ended) if ended else error
+            reason = self.fmi.explain_discard(self.slave)
+            error = CallError(reason) if reason else error
         raise self._failure(error)
 
     def setup(self, time: float, stop: float | None) -> None:
@@ -288,46 +288,48 @@ class Instance:
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
         """Set variables of any type but Real, whose elements are "Float64"."""
         for reference, value in zip(references, values, strict=True):
-            array, position = element_of(reference)
+            array, position = split_reference(reference)
             held = self.held.get(array, [value])
             held[position] = value
-            name, own = self.fmi.kind(kind, self._types.get(array))
-            shown = [_TO_C.get(kind, int)(v) for v in held]
+            name, c_type = self.fmi.kind(kind, self._types.get(array))
+            c_values = [_TO_C.get(kind, int)(v) for v in held]
             function = self.fmi.functions["set"] + name
-            pointer = (own * len(held))(*shown)
-            if kind not in _TO_C and list(pointer) != shown:
+            pointer = (c_type * len(held))(*c_values)
+            if kind not in _TO_C and list(pointer) != c_values:
                 raise self._failure(CallError(f"{value} does not fit the type {name}"))
             self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(held)))
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Return variables of any type but Real."""
-        found = []
+        read_values = []
         for reference in references:
-            array, position = element_of(reference)
-            name, own = self.fmi.kind(kind, self._types.get(array))
-            pointer = (own * len(self.held.get(array, (0,))))()
+            array, position = split_reference(reference)
+            name, c_type = self.fmi.kind(kind, self._types.get(array))
+            pointer = (c_type * len(self.held.get(array, (0,))))()
             function = self.fmi.functions["get"] + name
             self.call(function, (c_uint * 1)(array), 1, *self.fmi.values(pointer, len(pointer)))
             value = pointer[position]
-            found.append((value or b"").decode(errors="replace") if kind == "String" else value)
-        return found
+            read_values.append(
+                (value or b"").decode(errors="replace") if kind == "String" else value
+            )
+        return read_values
 
     def set_slopes(self, references: Sequence[int], slopes: Sequence[float]) -> None:
         """Set the slopes of Real inputs [unit/s] for the next step."""
-        why = self.fmi.set_slopes(self.call, list(references), list(slopes))
-        if why:
-            raise self._failure(CallError(why))
+        reason = self.fmi.set_slopes(self.call, list(references), list(slopes))
+        if reason:
+            raise self._failure(CallError(reason))
 
     def step(self, time: float, size: float) -> None:
         """Step from a time [s] by a size [s]."""
-        why = self.fmi.step(self.call, time, size)
-        if why:
-            raise self._failure(CallError(why))
+        reason = self.fmi.step(self.call, time, size)
+        if reason:
+            raise self._failure(CallError(reason))
 
     def buffer(self, references: Sequence[int], values: Array | None = None) -> "LocalBuffer":
         """Return a buffer of Real variables in `values` (n,), contiguous and new by default."""
-        own = np.zeros(len(references)) if values is None else values
-        return LocalBuffer(self, references, own)
+        buffer_values = np.zeros(len(references)) if values is None else values
+        return LocalBuffer(self, references, buffer_values)
 
     def close(self, *, stepping: bool) -> None:
         """Terminate and free the instance, and unload the binary."""
@@ -360,7 +362,7 @@ class LocalBuffer:
     def __init__(self, instance: Instance, references: Sequence[int], values: Array) -> None:
         self.values = values
         self.instance = instance
-        elements = [element_of(reference) for reference in references]
+        elements = [split_reference(reference) for reference in references]
         sizes = {array: len(instance.held.get(array, (0.0,))) for array, _ in elements}
         self._has_arrays = any(size != 1 for size in sizes.values())
         if self._has_arrays:
@@ -393,11 +395,11 @@ class LocalBuffer:
             self._whole[self._places] = self.values
         self.instance.call(self._write, *self._arguments)
         if self._has_arrays:
-            at = 0
+            offset = 0
             for array in self._arrays:
                 size = len(held[array])
-                held[array][:] = self._whole[at : at + size].tolist()
-                at += size
+                held[array][:] = self._whole[offset : offset + size].tolist()
+                offset += size
 
     def read(self) -> Array:
         """Read and return the variables."""

@@ -75,10 +75,10 @@ class Station:
         """Return the start [s] of its step that ends with communication step k."""
         return self.begin + (k + 1 - self.every) * step
 
-    def reached(self, steps: int, step: float) -> float:
+    def compute_time(self, steps: int, step: float) -> float:
         """Return its time [s] after a number of communication steps."""
-        own = steps - steps % self.every
-        return self.start(own - 1, step) + self.every * step if own else self.begin
+        done_steps = steps - steps % self.every
+        return self.start(done_steps - 1, step) + self.every * step if done_steps else self.begin
 
     def read_outputs(self) -> None:
         """Read the outputs."""
@@ -131,9 +131,9 @@ class Layout:
             else:
                 self.values[link.place] = link.buffer.read()[0]
                 if not np.isfinite(self.values[link.place]):
-                    raise self.not_finite(link.place, time)
+                    raise self.non_finite_error(link.place, time)
 
-    def not_finite(self, place: int, time: float) -> SimulationError:
+    def non_finite_error(self, place: int, time: float) -> SimulationError:
         """Return the error for a value that is not finite at a time [s]."""
         name = ".".join(self.names[place])
         return SimulationError(f"at t = {time:.9g} s {name} is not a finite number.")
@@ -160,9 +160,9 @@ class PythonStepper:
         self._step = self._gauss_seidel if layout.scheme.order == "gauss_seidel" else self._jacobi
         self.begin(np.empty((0, len(layout.rows))))
 
-    def begin(self, kept: Array) -> None:
+    def begin(self, recorded_rows: Array) -> None:
         """Begin a run that is recorded in an array (steps + 1, n)."""
-        self._kept = kept
+        self._kept = recorded_rows
         self.done = 0
 
     def advance(self, stop: int) -> None:
@@ -175,7 +175,7 @@ class PythonStepper:
             if k > 0:
                 self._step(k - 1)
             time = layout.time(k)
-            shown = self._shown(time)
+            shown = self._refresh_outputs(time)
             if shown.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
                 layout.values[:] = shown
                 break
@@ -184,7 +184,7 @@ class PythonStepper:
             if layout.limited.size:
                 layout.require_limits(shown, time)
 
-    def _shown(self, time: float) -> Array:
+    def _refresh_outputs(self, time: float) -> Array:
         """Return the values at a communication point [s], with outputs refreshed if required."""
         layout = self._layout
         values = self._layout.values

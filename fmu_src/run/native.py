@@ -75,11 +75,13 @@ def native_stepper(
     if layout.scheme.refreshed != "none" or layout.begin or converting or uneven:
         return None
     buffers = [b for station in layout.stations for b in (station.inputs, station.outputs)]
-    own = [buffer for buffer in buffers if _is_native(buffer)]
-    library = (library or _library()) if len(own) == len(buffers) else None
+    local_buffers = [buffer for buffer in buffers if _is_native(buffer)]
+    library = (library or _library()) if len(local_buffers) == len(buffers) else None
     if library is None:
         return None
-    return NativeStepper(layout, own[::2], own[1::2], library, progress or StepRecord())
+    return NativeStepper(
+        layout, local_buffers[::2], local_buffers[1::2], library, progress or StepRecord()
+    )
 
 
 def _is_native(buffer: Buffer) -> TypeGuard[LocalBuffer]:
@@ -105,12 +107,14 @@ class NativeStepper:
         self._progress = progress
         stations = (_Station * len(inputs))()
         self._held: list[Any] = [stations]  # keeps alive what C points to
-        for at, into, out, station in zip(stations, inputs, outputs, layout.stations, strict=True):
-            self._held += _connect(at, into, out)
-            at.every = station.every
-            at.sources = self._address(station.sources.astype(np.int64))
-            at.input_values = self._address(into.values)
-            at.output_values = self._address(out.values)
+        for c_station, input_buffer, output_buffer, station in zip(
+            stations, inputs, outputs, layout.stations, strict=True
+        ):
+            self._held += _connect(c_station, input_buffer, output_buffer)
+            c_station.every = station.every
+            c_station.sources = self._address(station.sources.astype(np.int64))
+            c_station.input_values = self._address(input_buffer.values)
+            c_station.output_values = self._address(output_buffer.values)
         self._system = _System(
             stations=ctypes.cast(stations, ctypes.POINTER(_Station)),
             count=len(stations),
@@ -136,10 +140,10 @@ class NativeStepper:
         """Number of recorded rows."""
         return int(self._progress.done)
 
-    def begin(self, kept: Array) -> None:
+    def begin(self, recorded_rows: Array) -> None:
         """See `PythonStepper`."""
-        self._kept = kept
-        self._system.kept = kept.ctypes.data
+        self._kept = recorded_rows
+        self._system.kept = recorded_rows.ctypes.data
         self._progress.done = 0
 
     def advance(self, stop: int) -> None:
@@ -159,31 +163,33 @@ def set_times(layout: Layout, done: int, end: End, failing: int) -> None:
     """Set the times reached by the components, after `done` recorded rows."""
     for i, station in enumerate(layout.stations):
         steps = max(done - 1, 0) + (end is End.NOT_FINITE)
-        station.slave.time = station.reached(steps, layout.step)
+        station.slave.time = station.compute_time(steps, layout.step)
         if i == failing and end is End.STEP_FAILED:
             station.slave.time = station.start(done - 1, layout.step)
         elif i == failing and end is End.GET_FAILED:
-            station.slave.time = station.reached(done, layout.step)
+            station.slave.time = station.compute_time(done, layout.step)
 
 
-def _connect(at: _Station, into: LocalBuffer, out: LocalBuffer) -> tuple[LocalBuffer, LocalBuffer]:
-    slave = into.instance.slave
-    at.component = slave.component
-    at.set, at.get, at.step = (
+def _connect(
+    c_station: _Station, input_buffer: LocalBuffer, output_buffer: LocalBuffer
+) -> tuple[LocalBuffer, LocalBuffer]:
+    slave = input_buffer.instance.slave
+    c_station.component = slave.component
+    c_station.set, c_station.get, c_station.step = (
         ctypes.cast(slave.dll[name], ctypes.c_void_p).value
         for name in ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep")
     )
-    at.inputs = into.values.size
-    at.outputs = out.values.size
-    at.input_references = into.references.ctypes.data
-    at.output_references = out.references.ctypes.data
-    return into, out
+    c_station.inputs = input_buffer.values.size
+    c_station.outputs = output_buffer.values.size
+    c_station.input_references = input_buffer.references.ctypes.data
+    c_station.output_references = output_buffer.references.ctypes.data
+    return input_buffer, output_buffer
 
 
-_AT_ONCE = 1 << 16  # rows between which Python handles signals
+_ROWS_PER_CALL = 1 << 16  # rows between which Python handles signals
 
 
-def through(
+def step_rows(
     component: Slave,
     inputs: Buffer,
     outputs: Buffer,
@@ -195,30 +201,30 @@ def through(
 
     FMUs in this process run in C, with the same results. Raises SimulationError if the FMU fails.
     """
-    found = np.empty((len(rows), outputs.values.size))
+    output_rows = np.empty((len(rows), outputs.values.size))
     if _is_native(inputs) and _is_native(outputs) and (library := _library()):
-        at = _Station()
+        c_station = _Station()
         done = ctypes.c_int64(0)
         status = ctypes.c_int(0)
-        _connect(at, inputs, outputs)
+        _connect(c_station, inputs, outputs)
         arrays = [np.ascontiguousarray(part, dtype=float) for part in (times, sizes, rows)]
-        places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, found)]
+        places = [ctypes.c_void_p(part.ctypes.data) for part in (*arrays, output_rows)]
         while done.value < len(rows):
-            stop = ctypes.c_int64(min(done.value + _AT_ONCE, len(rows)))
+            stop = ctypes.c_int64(min(done.value + _ROWS_PER_CALL, len(rows)))
             results = ctypes.byref(done), ctypes.byref(status)
-            end = End(library["through"](ctypes.byref(at), *places, stop, *results))
+            end = End(library["through"](ctypes.byref(c_station), *places, stop, *results))
             k = done.value - (end is End.DONE)
             over = end in (End.DONE, End.GET_FAILED)
             component.time = float(times[k] + sizes[k]) if over else float(times[k])
             if end is not End.DONE:
                 inputs.instance.fail(FUNCTIONS[end], status.value)
-        return found
+        return output_rows
     for k, (time, size) in enumerate(zip(times.tolist(), sizes.tolist(), strict=True)):
         inputs.values[:] = rows[k]
         inputs.write()
         component.step(time, size)
-        found[k] = outputs.read()
-    return found
+        output_rows[k] = outputs.read()
+    return output_rows
 
 
 @cache

@@ -14,11 +14,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from fmu_src.run.archive import MOST_TEXT, Archive
+from fmu_src.run.archive import MAX_TEXT_BYTES, Archive
 from hesr_model.errors import HesrError, SimulationError
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.text import plain
+from hesr_model.support.text import sanitise
 from hesr_model.support.xml_files import to_bytes
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 EXPERIMENTS = f"{FOLDER}/experiments.xml"
 
 _LAYER = "http://fmi-standard.org/fmi-ls-manifest"
-_ABOUT = {
+_MANIFEST_ATTRIBUTES = {
     "fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
     "fmi-ls-version": "1.0.0-alpha.1",
     "fmi-ls-description": (
@@ -49,8 +49,8 @@ RUNS = (("hold", ORDERS["hold"], "ref"), ("shown", ORDERS["shown"], "shown"))
 """Names, orders and ends of the file names of our runs for co-simulation."""
 
 TOLERANCE = 1e-9  # relative to the largest value: differences between platforms
-_TOLERANCE = 1e-3  # of results that name none
-_MOST_ROWS = 100_000
+_DEFAULT_TOLERANCE = 1e-3  # of results that name none
+_MAX_ROWS = 100_000
 _DECIMALS = 6  # of stimuli
 _PHASE = 0.35  # [rad] lead of each input over the one before it
 
@@ -122,13 +122,13 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     kind = root.find("CoSimulation")
     assert kind is not None, "no FMU for co-simulation"
     name = kind.get("modelIdentifier", "")
-    own = VERSIONS[3 if root.get("fmiVersion") == "3.0" else 2].folder
-    if f"{own}{name}{SUFFIX}" not in members:
+    binary_folder = VERSIONS[3 if root.get("fmiVersion") == "3.0" else 2].folder
+    if f"{binary_folder}{name}{SUFFIX}" not in members:
         return {}
-    found: dict[str, dict[str, Array]] = {}
+    outputs_by_order: dict[str, dict[str, Array]] = {}
     with scratch_folder() as home:
         for member, content in members.items():
-            if member.startswith((own, "resources/", "modelDescription.xml")):
+            if member.startswith((binary_folder, "resources/", "modelDescription.xml")):
                 file = home / member
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(content)
@@ -137,21 +137,21 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
                 with FmuInstance(Path(name), unpacked=home) as instance:
                     # Those of FMI 2.0 must be continuous.
                     outputs = [
-                        v.name
-                        for v in instance.description.modelVariables
-                        if v.causality == "output"
-                        and v.type == "Real"
-                        and (instance.declared or v.variability != "discrete")
+                        variable.name
+                        for variable in instance.description.modelVariables
+                        if variable.causality == "output"
+                        and variable.type == "Real"
+                        and (instance.declared or variable.variability != "discrete")
                     ]
                     rows = play(instance, order, outputs, stimuli.t, **vars(stimuli))
             except SimulationError:
                 return {}
             if not np.all(np.isfinite(rows)):
                 return {}
-            found[order] = dict(zip(outputs, rows.T, strict=True))
+            outputs_by_order[order] = dict(zip(outputs, rows.T, strict=True))
     stem = f"extra/co_simulation/{name}"
     text = _README.format(name=name, platform=PLATFORM, step=stimuli.step, tolerance=TOLERANCE)
-    written = ExperimentFiles(
+    experiment = ExperimentFiles(
         runs=RUNS,
         t=stimuli.t,
         step=stimuli.step,
@@ -161,27 +161,27 @@ def result_files(members: Mapping[str, bytes], stimuli: Stimuli) -> dict[str, by
     )
     files = {
         "extra/README.txt": text.encode(),
-        **experiment_files(written, stimuli.inputs, found.values()),
+        **experiment_files(experiment, stimuli.inputs, outputs_by_order.values()),
     }
     if stimuli.parameters:
         row = {parameter: np.array([value]) for parameter, value in stimuli.parameters.items()}
         files[f"{stem}_parameters.csv"] = table(row, 17)
-    return files | manifest_files([written], files)
+    return files | manifest_files([experiment], files)
 
 
 def experiment_files(
-    own: ExperimentFiles,
+    experiment: ExperimentFiles,
     inputs: Mapping[str, Array],
     outputs: Iterable[Mapping[str, Array]],
     digits: int = 14,
 ) -> dict[str, bytes]:
     """Return the files of inputs (N,) and of the outputs (N,) of each run, and the .opt file."""
     files = {
-        f"{own.stem}_in.csv": table({"time": own.t, **inputs}, 12),
-        f"{own.stem}_ref.opt": _options(own),
+        f"{experiment.stem}_in.csv": table({"time": experiment.t, **inputs}, 12),
+        f"{experiment.stem}_ref.opt": _options(experiment),
     }
-    for (*_, end), columns in zip(own.runs, outputs, strict=True):
-        files[f"{own.stem}_{end}.csv"] = table({"time": own.t, **columns}, digits)
+    for (*_, end), columns in zip(experiment.runs, outputs, strict=True):
+        files[f"{experiment.stem}_{end}.csv"] = table({"time": experiment.t, **columns}, digits)
     return dict(sorted(files.items()))
 
 
@@ -194,12 +194,16 @@ def table(columns: Mapping[str, Array], digits: int) -> bytes:
     return "".join(f"{line}\n" for line in (header, *lines)).encode()
 
 
-def _options(own: ExperimentFiles) -> bytes:
+def _options(experiment: ExperimentFiles) -> bytes:
     """Return the .opt file of the FMI cross-check."""
-    values = {"StartTime": own.t[0], "StopTime": own.t[-1], "StepSize": own.step}
-    if not own.step:
-        values["OutputIntervalLength"] = own.t[1]
-    values["RelTol"] = own.tolerance
+    values = {
+        "StartTime": experiment.t[0],
+        "StopTime": experiment.t[-1],
+        "StepSize": experiment.step,
+    }
+    if not experiment.step:
+        values["OutputIntervalLength"] = experiment.t[1]
+    values["RelTol"] = experiment.tolerance
     return "".join(f"{name}, {value:.12g}\n" for name, value in values.items()).encode()
 
 
@@ -208,32 +212,41 @@ def manifest_files(
 ) -> dict[str, bytes]:
     """Return the manifest and the experiments file of the `members` of `extra/`."""
     root = ET.Element("Experiments")
-    for own in experiments:
-        numbers = {"startTime": own.t[0], "stopTime": own.t[-1], "tolerance": own.tolerance}
-        numbers |= {"stepSize": own.step} if own.step else {}
+    for experiment in experiments:
+        numbers = {
+            "startTime": experiment.t[0],
+            "stopTime": experiment.t[-1],
+            "tolerance": experiment.tolerance,
+        }
+        numbers |= {"stepSize": experiment.step} if experiment.step else {}
         texts = {name: f"{value:.12g}" for name, value in numbers.items()}
-        files = {"Stimuli": "in"} | ({"Parameters": "parameters"} if own.parameters else {})
-        for name, description, results in own.runs:
-            about = {"name": name, "description": description} | texts
-            element = ET.SubElement(root, "Experiment", about)
+        files = {"Stimuli": "in"} | ({"Parameters": "parameters"} if experiment.parameters else {})
+        for name, description, results in experiment.runs:
+            attributes = {"name": name, "description": description} | texts
+            element = ET.SubElement(root, "Experiment", attributes)
             for kind, end in (files | {"References": results}).items():
-                source = posixpath.relpath(f"{own.stem}_{end}.csv", FOLDER)
+                source = posixpath.relpath(f"{experiment.stem}_{end}.csv", FOLDER)
                 ET.SubElement(element, kind, source=source, type="text/csv")
-    played = {f"{own.stem}_in.csv": "stimuli" for own in experiments}
-    played |= {f"{own.stem}_parameters.csv": "parameters of the experiments" for own in experiments}
+    stimulus_texts = {f"{experiment.stem}_in.csv": "stimuli" for experiment in experiments}
+    stimulus_texts |= {
+        f"{experiment.stem}_parameters.csv": "parameters of the experiments"
+        for experiment in experiments
+    }
     related = [("experiment/smoke-test", EXPERIMENTS, "application/xml", "how the stimuli are run")]
     for name in members:
         if not name.endswith(".csv"):
             related.append(("document", name, "text/plain", "how to use these files"))
-        elif name in played:
-            related.append(("testcase", name, "text/csv", played[name]))
+        elif name in stimulus_texts:
+            related.append(("testcase", name, "text/csv", stimulus_texts[name]))
         else:
             related.append(("result", name, "text/csv", "reference results"))
     ET.register_namespace("fmi-ls", _LAYER)
-    manifest = ET.Element("fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _ABOUT.items()})
+    manifest = ET.Element(
+        "fmiReferences", {f"{{{_LAYER}}}{k}": text for k, text in _MANIFEST_ATTRIBUTES.items()}
+    )
     for role, name, kind, text in related:
-        about = {"type": kind, "source": posixpath.relpath(name, FOLDER), "role": role}
-        ET.SubElement(manifest, "Related", about, description=text)
+        attributes = {"type": kind, "source": posixpath.relpath(name, FOLDER), "role": role}
+        ET.SubElement(manifest, "Related", attributes, description=text)
     return {MANIFEST: to_bytes(manifest), EXPERIMENTS: to_bytes(root)}
 
 
@@ -262,17 +275,24 @@ def verify(fmu: Path) -> Verified:
     """Run the experiments in an FMU and compare with its reference results."""
     from fmu_src.run.fmu import FmuInstance
 
-    found = Verified()
+    verification = Verified()
     with Archive(fmu) as archive:
-        stored = experiments(archive, found)
-    for own in stored:
+        stored = experiments(archive, verification)
+    for experiment in stored:
 
-        def played(order: str, own: ReferenceExperiment = own) -> Array:
+        def replay(order: str, experiment: ReferenceExperiment = experiment) -> Array:
             with FmuInstance(fmu) as instance:
-                return play(instance, order, own.outputs, own.t, own.inputs, own.parameters)
+                return play(
+                    instance,
+                    order,
+                    experiment.outputs,
+                    experiment.t,
+                    experiment.inputs,
+                    experiment.parameters,
+                )
 
-        judged(own, ORDERS, played, found)
-    return found
+        judge_experiment(experiment, ORDERS, replay, verification)
+    return verification
 
 
 def play(
@@ -290,51 +310,51 @@ def play(
     SimulationError if the FMU fails.
     """
     rows = np.column_stack([*inputs.values(), t])[:, :-1]
-    into = instance.buffer(list(inputs))
-    out = instance.buffer(list(outputs))
-    follow = instance.slopes(list(inputs))
-    found = np.empty((len(t), out.values.size))
+    input_buffer = instance.buffer(list(inputs))
+    output_buffer = instance.buffer(list(outputs))
+    set_slopes = instance.slopes(list(inputs))
+    output_rows = np.empty((len(t), output_buffer.values.size))
 
     def set_row(k: int) -> None:
-        into.values[:] = rows[k]
-        into.write()
+        input_buffer.values[:] = rows[k]
+        input_buffer.write()
 
-    into.values[:] = rows[0]
-    instance.initialise(time=float(t[0]), start=parameters, inputs=into)
-    found[0] = out.read()
+    input_buffer.values[:] = rows[0]
+    instance.initialise(time=float(t[0]), start=parameters, inputs=input_buffer)
+    output_rows[0] = output_buffer.read()
     for k in range(1, len(t)):
         set_row(k if order == "direct" else k - 1)
         if order == "linear":
-            follow((rows[k] - rows[k - 1]) / (t[k] - t[k - 1]))
+            set_slopes((rows[k] - rows[k - 1]) / (t[k] - t[k - 1]))
         instance.step(float(t[k - 1]), step or float(t[k] - t[k - 1]))
         if order == "shown":
             set_row(k)
-        found[k] = out.read()
-    return found
+        output_rows[k] = output_buffer.read()
+    return output_rows
 
 
-def judged(
+def judge_experiment(
     experiment: ReferenceExperiment,
     orders: Iterable[str],
-    played: Callable[[str], Array],
-    found: Verified,
+    replay: Callable[[str], Array],
+    verification: Verified,
 ) -> None:
-    """Note whether `played` (N, outputs) gives the results in one order, or the one of its name."""
-    own = experiment.name
+    """Note whether `replay` (N, outputs) gives the results in one order, or the one of its name."""
+    name = experiment.name
     worst: list[tuple[float, str]] = []
-    for order in [own] if own in orders else orders:
+    for order in [name] if name in orders else orders:
         try:
-            rows = played(order)
+            rows = replay(order)
         except HesrError as error:
-            found.problems.append(f"experiment '{own}': {_one_line(error)}.")
+            verification.problems.append(f"experiment '{name}': {_one_line(error)}.")
             return
-        off, text = _difference(experiment, rows)
-        if off <= experiment.tolerance:
-            found.passed[own] = order
+        deviation, text = _difference(experiment, rows)
+        if deviation <= experiment.tolerance:
+            verification.passed[name] = order
             return
-        worst.append((off, text))
-    found.problems.append(
-        f"experiment '{own}': {min(worst)[1]}, more than its tolerance of "
+        worst.append((deviation, text))
+    verification.problems.append(
+        f"experiment '{name}': {min(worst)[1]}, more than its tolerance of "
         f"{experiment.tolerance:g} of the largest value."
     )
 
@@ -342,59 +362,63 @@ def judged(
 def _difference(experiment: ReferenceExperiment, rows: Array) -> tuple[float, str]:
     expected = np.column_stack(list(experiment.outputs.values()))
     size = np.maximum(np.abs(expected).max(axis=0), np.finfo(float).tiny)
-    off = np.nan_to_num(np.abs(rows - expected) / size, nan=np.inf)
-    k, j = np.unravel_index(int(np.argmax(off)), off.shape)
-    name = plain(list(experiment.outputs)[j])
+    deviations = np.nan_to_num(np.abs(rows - expected) / size, nan=np.inf)
+    k, j = np.unravel_index(int(np.argmax(deviations)), deviations.shape)
+    name = sanitise(list(experiment.outputs)[j])
     text = f"{name} is {rows[k, j]:g} in place of {expected[k, j]:g} at {experiment.t[k]:g} s"
-    return float(off[k, j]), text
+    return float(deviations[k, j]), text
 
 
-def experiments(archive: Archive, found: Verified) -> list[ReferenceExperiment]:
+def experiments(archive: Archive, verification: Verified) -> list[ReferenceExperiment]:
     """Return the experiments for co-simulation in an archive; note problems."""
     if MANIFEST not in archive.names:
-        found.skipped.append(f"Reference results: {MANIFEST} is missing.")
+        verification.skipped.append(f"Reference results: {MANIFEST} is missing.")
         return []
     try:
-        return list(_experiments(archive, found))
+        return list(_experiments(archive, verification))
     except (ValueError, LookupError, csv.Error, ET.ParseError, HesrError) as error:
-        found.problems.append(f"its reference results cannot be read: {_one_line(error)}.")
+        verification.problems.append(f"its reference results cannot be read: {_one_line(error)}.")
         return []
 
 
-def _experiments(archive: Archive, found: Verified) -> Iterator[ReferenceExperiment]:
+def _experiments(archive: Archive, verification: Verified) -> Iterator[ReferenceExperiment]:
     for related in _xml(archive, MANIFEST).iter("Related"):
-        place = _resolved(FOLDER, related.get("source", ""))
+        place = _resolve_path(FOLDER, related.get("source", ""))
         if place not in archive.names:
-            found.problems.append(f"{MANIFEST} names '{plain(place)}', which is missing.")
+            verification.problems.append(f"{MANIFEST} names '{sanitise(place)}', which is missing.")
             continue
         if related.get("role", "").partition("/")[0] == "experiment":
             for element in _xml(archive, place).iter("Experiment"):
-                yield from _experiment(archive, element, posixpath.dirname(place), found)
+                yield from _experiment(archive, element, posixpath.dirname(place), verification)
 
 
 def _experiment(
-    archive: Archive, element: ET.Element, folder: str, found: Verified
+    archive: Archive, element: ET.Element, folder: str, verification: Verified
 ) -> Iterator[ReferenceExperiment]:
-    name = plain(element.get("name", ""))
-    parts = {part.tag: _resolved(folder, part.get("source", "")) for part in element}
+    name = sanitise(element.get("name", ""))
+    parts = {part.tag: _resolve_path(folder, part.get("source", "")) for part in element}
     if not {"Stimuli", "References"} <= parts.keys():
-        found.skipped.append(f"Experiment '{name}': it has no stimuli with references.")
+        verification.skipped.append(f"Experiment '{name}': it has no stimuli with references.")
         return
     if element.get("stepSize") is None:
-        found.skipped.append(f"Experiment '{name}': it has no step size, so it is for a solver.")
+        verification.skipped.append(
+            f"Experiment '{name}': it has no step size, so it is for a solver."
+        )
         return
     stimuli, references = (
         _table(archive, parts[kind], needed="time") for kind in ("Stimuli", "References")
     )
     t = stimuli.pop("time")
-    same = references.pop("time")
-    if t.shape != same.shape or np.any(np.abs(t - same) > 1e-9 * max(1.0, abs(t[-1]))):
-        found.skipped.append(f"Experiment '{name}': its results are at other times.")
+    result_times = references.pop("time")
+    if t.shape != result_times.shape or np.any(
+        np.abs(t - result_times) > 1e-9 * max(1.0, abs(t[-1]))
+    ):
+        verification.skipped.append(f"Experiment '{name}': its results are at other times.")
         return
     row = _table(archive, parts["Parameters"]) if "Parameters" in parts else {}
     yield ReferenceExperiment(
         name=name,
-        tolerance=float(element.get("tolerance", _TOLERANCE)),
+        tolerance=float(element.get("tolerance", _DEFAULT_TOLERANCE)),
         t=t,
         inputs=stimuli,
         outputs=references,
@@ -403,21 +427,21 @@ def _experiment(
 
 
 def _xml(archive: Archive, name: str) -> ET.Element:
-    return ET.fromstring(archive.read(name, MOST_TEXT))
+    return ET.fromstring(archive.read(name, MAX_TEXT_BYTES))
 
 
 def _table(archive: Archive, name: str, needed: str | None = None) -> dict[str, Array]:
-    lines = archive.read(name, MOST_TEXT).decode("utf-8").splitlines()
-    head, *rows = csv.reader(lines[: _MOST_ROWS + 1], skipinitialspace=True)
+    lines = archive.read(name, MAX_TEXT_BYTES).decode("utf-8").splitlines()
+    head, *rows = csv.reader(lines[: _MAX_ROWS + 1], skipinitialspace=True)
     columns = np.array([[float(cell) for cell in row] for row in rows]).T
     if columns.shape[:1] != (len(head),) or needed not in (None, *head):
         raise ValueError(f"'{name}' is not a table over 'time'")
     return dict(zip(head, columns, strict=True))
 
 
-def _resolved(folder: str, source: str) -> str:
+def _resolve_path(folder: str, source: str) -> str:
     return posixpath.normpath(posixpath.join(folder, source))
 
 
 def _one_line(error: Exception) -> str:
-    return plain(" ".join(str(error).split()).rstrip("."), 400)
+    return sanitise(" ".join(str(error).split()).rstrip("."), 400)

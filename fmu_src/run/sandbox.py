@@ -33,15 +33,15 @@ from fmu_src.run.sandbox_rights import warn
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import ChildProcess, FailedError, describe_end
-from hesr_model.support.text import plain
+from hesr_model.support.text import sanitise
 
-TOTAL = 3600.0  # [s] of a run
-_FAREWELL = 5.0  # [s] to free an instance
-_POLL = 0.1  # [s] between checks of the process
-_PIECE = 1 << 16  # bytes received at once
-_MOST_PREFETCHED = 8  # buffers
-_MOST_RESULT = 64 << 20  # bytes
-NONSENSE = "gave an invalid answer and was ended"
+RUN_TIMEOUT = 3600.0  # [s] of a run
+_FREE_TIMEOUT = 5.0  # [s] to free an instance
+_POLL_PERIOD = 0.1  # [s] between checks of the process
+_RECEIVE_SIZE = 1 << 16  # bytes received at once
+_MAX_PREFETCHED = 8  # buffers
+_MAX_RESULT_BYTES = 64 << 20  # bytes
+INVALID_ANSWER = "gave an invalid answer and was ended"
 
 
 class Sandbox:
@@ -55,7 +55,12 @@ class Sandbox:
     """
 
     def __init__(
-        self, folder: Path, seconds: float, readable: Path, *modules: str, total: float = TOTAL
+        self,
+        folder: Path,
+        seconds: float,
+        readable: Path,
+        *modules: str,
+        total: float = RUN_TIMEOUT,
     ) -> None:
         warn()
         self.seconds = seconds
@@ -70,7 +75,7 @@ class Sandbox:
         self._shared = (folder / sandbox_child.SHARED).open("w+b", buffering=0)
         self.share(b"", 0)
         self._socket, theirs = socket.socketpair()
-        self._socket.settimeout(_POLL)
+        self._socket.settimeout(_POLL_PERIOD)
         theirs.set_inheritable(True)
         # -P: modules in the current folder are not imported.
         child = ("-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()), readable.resolve())
@@ -104,7 +109,7 @@ class Sandbox:
         if self._shared.seek(0, 2) < self._size:
             self._shared.truncate(self._size)
 
-    def shared(self, begin: int, size: int) -> bytes:
+    def read_shared(self, begin: int, size: int) -> bytes:
         """Return bytes of the shared file, fewer if the FMU has shortened it."""
         if self._ended:
             return self._left[begin : begin + size]
@@ -112,34 +117,36 @@ class Sandbox:
         return self._shared.read(size)
 
     def ask(
-        self, request: Any, most: int = sandbox_child.LONGEST_TEXT, *, stepping: bool = False
+        self, request: Any, limit: int = sandbox_child.MAX_ANSWER_BYTES, *, stepping: bool = False
     ) -> Any:
-        """Return the answer to a request, at most `most` bytes; `stepping` has `seconds` a row."""
+        """Return the answer to a request, at most `limit` bytes; `stepping` has `seconds` a row."""
         data = json.dumps(request).encode()
         self._end, self._stepping = time.monotonic() + self.seconds, stepping
         try:
             self._send(sandbox_child.LENGTH.pack(len(data)) + data)
-            return json.loads(self._receive(most))
+            return json.loads(self._receive(limit))
         except OSError as error:  # a closed connection included
-            raise self.died(self._describe_end()) from error
+            raise self.end_process(self._describe_end()) from error
         except (ValueError, RecursionError) as error:
-            raise self.died(NONSENSE) from error
+            raise self.end_process(INVALID_ANSWER) from error
 
     def run(self, function: str, *arguments: Any) -> Any:
         """Return the result of "module:function", called in the process with JSON data."""
-        answer = self.ask({"run": [function, *arguments]}, _MOST_RESULT)
+        answer = self.ask({"run": [function, *arguments]}, _MAX_RESULT_BYTES)
         try:
             if "raised" in answer:
-                raise self.died(f"failed with '{plain(str(answer['raised']), 400).rstrip('.')}'")
+                raise self.end_process(
+                    f"failed with '{sanitise(str(answer['raised']), 400).rstrip('.')}'"
+                )
             return answer["result"]
         except (TypeError, KeyError) as error:
-            raise self.died(NONSENSE) from error
+            raise self.end_process(INVALID_ANSWER) from error
 
-    def died(self, how: str) -> DiedError:
+    def end_process(self, reason: str) -> DiedError:
         """End the process and return the error; keep the rows that it has shared."""
-        self._left = self.shared(0, self._size)
+        self._left = self.read_shared(0, self._size)
         self.kill()
-        return DiedError(how)
+        return DiedError(reason)
 
     def kill(self) -> None:
         """End the process and its descendants."""
@@ -154,23 +161,23 @@ class Sandbox:
 
     def progress(self) -> tuple[int, int, int]:
         """Return rows, station and call; the FMU may have written anything there."""
-        head = self.shared(0, sandbox_child.HEAD)
+        head = self.read_shared(0, sandbox_child.HEAD)
         return struct.unpack("=3q", head.ljust(sandbox_child.HEAD, b"\0"))
 
     def _send(self, data: bytes) -> None:
-        left = memoryview(data)
-        while left:
+        unsent = memoryview(data)
+        while unsent:
             with suppress(TimeoutError):
-                left = left[self._socket.send(left) :]
+                unsent = unsent[self._socket.send(unsent) :]
             self._require_time()
 
-    def _receive(self, most: int) -> bytes:
+    def _receive(self, limit: int) -> bytes:
         data = bytearray()
-        size = sandbox_child.LENGTH.size + most
+        size = sandbox_child.LENGTH.size + limit
         before = self.progress() if self._stepping else None
         while len(data) < size:
             try:
-                piece = self._socket.recv(_PIECE)
+                piece = self._socket.recv(_RECEIVE_SIZE)
             except TimeoutError:
                 # Descendants may keep the connection open.
                 if self._started.process.poll() is not None:
@@ -186,8 +193,8 @@ class Sandbox:
                 self._require_time()
                 continue
             size = sandbox_child.LENGTH.size + sandbox_child.LENGTH.unpack_from(data)[0]
-            if size > sandbox_child.LENGTH.size + most or len(data) > size:
-                raise self.died(NONSENSE)
+            if size > sandbox_child.LENGTH.size + limit or len(data) > size:
+                raise self.end_process(INVALID_ANSWER)
             if len(data) < size:
                 self._require_time()
         return bytes(data[sandbox_child.LENGTH.size :])
@@ -195,9 +202,9 @@ class Sandbox:
     def _require_time(self) -> None:
         now = time.monotonic()
         if now > self._end:
-            raise self.died(f"gave no answer within {self.seconds:g} s and was ended")
+            raise self.end_process(f"gave no answer within {self.seconds:g} s and was ended")
         if now > self._last:
-            raise self.died(f"ran for more than {self._total:g} s and was ended")
+            raise self.end_process(f"ran for more than {self._total:g} s and was ended")
 
     def _describe_end(self) -> str:
         try:
@@ -208,8 +215,8 @@ class Sandbox:
 
 def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float) -> Any:
     """Do `Sandbox.run` in a new sandbox, which may read the path in the first argument."""
-    with TemporaryDirectory(dir=folder) as own:
-        sandbox = Sandbox(Path(own), seconds, Path(arguments[0]))
+    with TemporaryDirectory(dir=folder) as process_folder:
+        sandbox = Sandbox(Path(process_folder), seconds, Path(arguments[0]))
         try:
             return sandbox.run(function, *arguments)
         finally:
@@ -219,7 +226,7 @@ def run_in_sandbox(function: str, *arguments: Any, folder: Path, seconds: float)
 class SystemSandbox(ExitStack):
     """Folder and process of the untrusted FMUs of a system, made when the first one is loaded."""
 
-    def __init__(self, seconds: float, total: float = TOTAL) -> None:
+    def __init__(self, seconds: float, total: float = RUN_TIMEOUT) -> None:
         super().__init__()
         self._seconds = seconds
         self._total = total
@@ -232,9 +239,11 @@ class SystemSandbox(ExitStack):
     @cached_property
     def sandbox(self) -> Sandbox:
         """The process, which writes in a folder within."""
-        own = self.folder / "process"
-        own.mkdir()
-        sandbox = Sandbox(own, self._seconds, self.folder, "fmu_src.run.native", total=self._total)
+        process_folder = self.folder / "process"
+        process_folder.mkdir()
+        sandbox = Sandbox(
+            process_folder, self._seconds, self.folder, "fmu_src.run.native", total=self._total
+        )
         self.callback(sandbox.kill)
         return sandbox
 
@@ -258,7 +267,7 @@ class SandboxedInstance:
 
     def step(self, time: float, size: float) -> None:
         """Step from a time [s] by a size [s]."""
-        ahead = list(self._asked)[:_MOST_PREFETCHED]
+        ahead = list(self._asked)[:_MAX_PREFETCHED]
         self._asked.clear()
         self._call(self._functions["step"], "step", time, size, ahead=ahead)
 
@@ -270,8 +279,8 @@ class SandboxedInstance:
             self._numbers[key] = self.sandbox.buffers
             self._sizes[self.sandbox.buffers] = 8 * len(key)
             self.sandbox.buffers += 1
-        own = np.zeros(len(key)) if values is None else values
-        return _SandboxedBuffer(self, self._numbers[key], key, own)
+        buffer_values = np.zeros(len(key)) if values is None else values
+        return _SandboxedBuffer(self, self._numbers[key], key, buffer_values)
 
     def write(self, buffer: "_SandboxedBuffer") -> None:
         """Set the variables of a buffer with the next message."""
@@ -288,7 +297,7 @@ class SandboxedInstance:
 
     def close(self, *, stepping: bool) -> None:
         """Terminate and free the instance."""
-        self.sandbox.seconds = min(self.sandbox.seconds, _FAREWELL)
+        self.sandbox.seconds = min(self.sandbox.seconds, _FREE_TIMEOUT)
         self._failure = lambda error: error
         with suppress(DiedError, CallError):
             self._call(self._functions["free"], "close", stepping)
@@ -299,13 +308,15 @@ class SandboxedInstance:
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Return variables of any type but Real."""
-        found: list[Any] = list(self._do("get", kind, references) or ())
+        read_values: list[Any] = list(self._do("get", kind, references) or ())
         kinds: dict[str, set[type]] = {"String": {str}, "Float32": {float}}
-        if {type(value) for value in found} - kinds.get(kind, {int, bool}) or len(found) != len(
-            references
-        ):
-            raise self.failure(self.sandbox.died(NONSENSE), self._functions["get"] + kind)
-        return found
+        if {type(value) for value in read_values} - kinds.get(kind, {int, bool}) or len(
+            read_values
+        ) != len(references):
+            raise self.failure(
+                self.sandbox.end_process(INVALID_ANSWER), self._functions["get"] + kind
+            )
+        return read_values
 
     def _do(self, method: str, *arguments: Any) -> Any:
         if method == "setup":
@@ -337,22 +348,22 @@ class SandboxedInstance:
         calls, self._written = [*(call for _, call in self._written), (method, *arguments)], []
         self._known.clear()
         request = {"who": self.number, "calls": calls, "ahead": ahead}
-        most = sandbox_child.LONGEST_TEXT + 2 * sum(self._sizes.values())
-        answer = self.sandbox.ask(request, most, stepping=stepping)
+        limit = sandbox_child.MAX_ANSWER_BYTES + 2 * sum(self._sizes.values())
+        answer = self.sandbox.ask(request, limit, stepping=stepping)
         try:
             unloadable, failed = (answer.get(key) for key in ("unloadable", "failed"))
-            for who, status, text in answer["messages"]:
-                self.sandbox.tells[who](int(status), str(text))
+            for instance_number, status, text in answer["messages"]:
+                self.sandbox.tells[instance_number](int(status), str(text))
             self._know(ahead, answer["ahead"])
             result = None if unloadable or failed else answer["results"][len(calls) - 1]
             if method == "read" and not failed:
                 self._know(arguments, [result])
         except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
-            raise self.sandbox.died(NONSENSE) from error
+            raise self.sandbox.end_process(INVALID_ANSWER) from error
         if unloadable is not None:
-            raise LoadError(plain(str(unloadable)))
+            raise LoadError(sanitise(str(unloadable)))
         if failed is not None:
-            raise CallError(plain(str(failed)))
+            raise CallError(sanitise(str(failed)))
         return result
 
     def _know(self, numbers: Sequence[int], texts: Sequence[Any]) -> None:
@@ -384,17 +395,25 @@ class _SandboxedBuffer:
 
 def sandbox_stepper(layout: Layout) -> "SandboxStepper | None":
     """Return the steps of a system whose FMUs share a process; None for others."""
-    own = [
+    sandboxed_buffers = [
         buffer
         for station in layout.stations
         for buffer in (station.inputs, station.outputs)
         if isinstance(buffer, _SandboxedBuffer) and not station.conversions
     ]
     uneven = layout.times is not None
-    if layout.scheme.refreshed != "none" or uneven or len(own) != 2 * len(layout.stations):
+    if (
+        layout.scheme.refreshed != "none"
+        or uneven
+        or len(sandboxed_buffers) != 2 * len(layout.stations)
+    ):
         return None
-    alone = len({id(buffer.instance.sandbox) for buffer in own}) == 1
-    return SandboxStepper(layout, own[::2], own[1::2]) if alone else None
+    is_one_process = len({id(buffer.instance.sandbox) for buffer in sandboxed_buffers}) == 1
+    return (
+        SandboxStepper(layout, sandboxed_buffers[::2], sandboxed_buffers[1::2])
+        if is_one_process
+        else None
+    )
 
 
 class SandboxStepper:
@@ -413,9 +432,9 @@ class SandboxStepper:
         self._library = write_library(self._sandbox.readable)
         self.begin(np.empty((0, len(layout.rows))))
 
-    def begin(self, kept: Array) -> None:
+    def begin(self, recorded_rows: Array) -> None:
         """See `PythonStepper`."""
-        self._kept = kept
+        self._kept = recorded_rows
         self.done = 0
         self._is_prepared = False
 
@@ -444,7 +463,7 @@ class SandboxStepper:
             if self.done:
                 layout.require_limits(layout.values, layout.begin + (self.done - 1) * layout.step)
             if self.done < stop:
-                error = self._sandbox.died(NONSENSE)
+                error = self._sandbox.end_process(INVALID_ANSWER)
         if error:
             instance = self._inputs[failing].instance
             raise instance.failure(error, FUNCTIONS[end] if end else "steps") from error
@@ -453,13 +472,25 @@ class SandboxStepper:
         layout = self._layout
         self._sandbox.share(layout.values.tobytes(), self._kept.nbytes)
         stations = [
-            (into.instance.number, at.every, into.references, at.sources.tolist(), out.references)
-            for at, into, out in zip(layout.stations, self._inputs, self._outputs, strict=True)
+            (
+                input_buffer.instance.number,
+                station.every,
+                input_buffer.references,
+                station.sources.tolist(),
+                output_buffer.references,
+            )
+            for station, input_buffer, output_buffer in zip(
+                layout.stations, self._inputs, self._outputs, strict=True
+            )
         ]
-        about = {name: np.asarray(getattr(layout, name)).tolist() for name in sandbox_child.ABOUT}
-        about["order"] = layout.scheme.order
+        layout_fields = {
+            name: np.asarray(getattr(layout, name)).tolist() for name in sandbox_child.LAYOUT_FIELDS
+        }
+        layout_fields["order"] = layout.scheme.order
         size = (len(layout.values), *self._kept.shape)
-        self._inputs[0].instance.request("system", stations, size, about, str(self._library or ""))
+        self._inputs[0].instance.request(
+            "system", stations, size, layout_fields, str(self._library or "")
+        )
         self._is_prepared = True
 
     def _take(self, done: int) -> None:
@@ -468,7 +499,7 @@ class SandboxStepper:
         width = self._kept.shape[1]
         first = sandbox_child.HEAD + values.nbytes + 8 * width * self.done
         for array, begin in ((values, sandbox_child.HEAD), (self._kept[self.done : done], first)):
-            data = self._sandbox.shared(begin, array.nbytes)
+            data = self._sandbox.read_shared(begin, array.nbytes)
             if len(data) < array.nbytes:
                 return
             array[:] = np.frombuffer(data).reshape(array.shape)

@@ -31,19 +31,21 @@ if TYPE_CHECKING:
     from fmu_src.run.instance import Instance, LocalBuffer
     from fmu_src.run.native import StepRecord
 
-MOST_MEMORY = 4 << 30
-MOST_IN_A_FILE = 1 << 30
-MOST_FILES = 256  # limits of the process [bytes, bytes, open at a time]
-MOST_MESSAGES = 100
-LONGEST_MESSAGE = 2000
+MAX_MEMORY_BYTES = 4 << 30
+MAX_FILE_BYTES = 1 << 30
+MAX_OPEN_FILES = 256  # limits of the process [bytes, bytes, open at a time]
+MAX_MESSAGES = 100
+MAX_MESSAGE_LENGTH = 2000
 """Number and size [characters] of the last messages of an FMU that are forwarded."""
 
-LONGEST_TEXT = 4 * MOST_MESSAGES * LONGEST_MESSAGE  # largest text of an answer of an FMU [bytes]
+MAX_ANSWER_BYTES = (
+    4 * MAX_MESSAGES * MAX_MESSAGE_LENGTH
+)  # largest text of an answer of an FMU [bytes]
 SHARED = "shared"
 HEAD = 24  # bytes of `StepRecord`
 LENGTH = struct.Struct("!I")
-ABOUT: dict[str, Any] = dict.fromkeys(("begin", "step", "low", "high"), float)
-ABOUT |= {"rows": "intp", "limited": "intp"}  # parts of a layout, and types
+LAYOUT_FIELDS: dict[str, Any] = dict.fromkeys(("begin", "step", "low", "high"), float)
+LAYOUT_FIELDS |= {"rows": "intp", "limited": "intp"}  # parts of a layout, and types
 
 
 @dataclass
@@ -77,15 +79,15 @@ class _Host:
         requests = self._connection.makefile("rb")
         while header := requests.read(LENGTH.size):
             request = json.loads(requests.read(*LENGTH.unpack(header)))
-            found = _run(*request["run"]) if "run" in request else self._answer_calls(**request)
+            reply = _run(*request["run"]) if "run" in request else self._answer_calls(**request)
             if os.getpid() != self._process:  # the FMU has forked: one process answers
                 os._exit(0)
-            answer = json.dumps(found).encode()
+            answer = json.dumps(reply).encode()
             self._connection.sendall(LENGTH.pack(len(answer)) + answer)
 
-    def _tell(self, who: int, status: int, text: str) -> None:
-        self._messages.append((who, status, text[:LONGEST_MESSAGE]))
-        del self._messages[:-MOST_MESSAGES]
+    def _tell(self, instance_number: int, status: int, text: str) -> None:
+        self._messages.append((instance_number, status, text[:MAX_MESSAGE_LENGTH]))
+        del self._messages[:-MAX_MESSAGES]
 
     def _answer_calls(
         self, who: int, calls: Sequence[Sequence[Any]], ahead: Sequence[int]
@@ -101,20 +103,20 @@ class _Host:
                 call = getattr(self, f"_{method}", None) or getattr(self._instances[who], method)
                 answer["results"].append(call(*arguments))
         except LoadError as error:
-            answer["unloadable"] = str(error)[:LONGEST_MESSAGE]
+            answer["unloadable"] = str(error)[:MAX_MESSAGE_LENGTH]
             ahead = ()
         except CallError as error:
-            answer["failed"] = str(error)[:LONGEST_MESSAGE]
+            answer["failed"] = str(error)[:MAX_MESSAGE_LENGTH]
             ahead = ()
-        told, self._messages = self._messages, []
+        messages, self._messages = self._messages, []
         with suppress(CallError):  # it will be read again if needed
             for position, number in enumerate(ahead, start=len(calls)):
                 self._note(position)
                 answer["ahead"].append(self._read(number))
-                told += self._messages
+                messages += self._messages
                 self._messages = []
         self._messages = []
-        return answer | {"messages": told}
+        return answer | {"messages": messages}
 
     def _note(self, position: int) -> None:
         struct.pack_into("=q", self._shared, HEAD - 8, position)
@@ -140,7 +142,11 @@ class _Host:
         self._instances[self._who].close(stepping=stepping)
 
     def _system(
-        self, stations: Sequence[Any], size: Sequence[int], about: Mapping[str, Any], library: str
+        self,
+        stations: Sequence[Any],
+        size: Sequence[int],
+        layout_fields: Mapping[str, Any],
+        library: str,
     ) -> None:
         """Prepare the steps of a system, whose values and rows are in the shared file."""
         import numpy as np
@@ -152,36 +158,38 @@ class _Host:
         self._shared = mmap.mmap(self._file.fileno(), 0)
         self._progress = StepRecord.from_buffer(self._shared)
         shared = np.frombuffer(self._shared, dtype=float, offset=HEAD)
-        own = shared[:values]
-        kept = shared[values : values + rows * width].reshape(rows, width)
-        made = []
+        signal_values = shared[:values]
+        recorded_rows = shared[values : values + rows * width].reshape(rows, width)
+        system_stations = []
         first = 0
-        for i, (who, every, inputs, sources, outputs) in enumerate(stations):
-            instance = self._instances[who]
-            part = own[first : first + len(outputs)]
+        for i, (instance_number, every, inputs, sources, outputs) in enumerate(stations):
+            instance = self._instances[instance_number]
+            part = signal_values[first : first + len(outputs)]
             first += len(outputs)
-            made.append(
+            system_stations.append(
                 Station(
                     slave=_Slave(instance, i, self._progress),
                     every=every,
                     inputs=instance.buffer(inputs),
                     sources=np.array(sources, dtype=np.intp),
                     outputs=instance.buffer(outputs, part),
-                    begin=about["begin"],
+                    begin=layout_fields["begin"],
                 )
             )
-        arrays: dict[str, Any] = {n: np.array(about[n], kind)[()] for n, kind in ABOUT.items()}
+        arrays: dict[str, Any] = {
+            n: np.array(layout_fields[n], kind)[()] for n, kind in LAYOUT_FIELDS.items()
+        }
         layout = Layout(
-            stations=tuple(made),
+            stations=tuple(system_stations),
             links=(),
-            scheme=ExchangeScheme(order=about["order"]),
-            values=own,
+            scheme=ExchangeScheme(order=layout_fields["order"]),
+            values=signal_values,
             names=(("", ""),) * values,
             **arrays,
         )
         compiled = native_stepper(layout, ctypes.CDLL(library), self._progress) if library else None
         self._stepper = compiled or PythonStepper(layout)
-        self._stepper.begin(kept)
+        self._stepper.begin(recorded_rows)
 
     def _advance(self, stop: int) -> None:
         """Step until `stop` rows are recorded, a value is not finite or outside its limits."""
@@ -199,23 +207,23 @@ def _run(function: str, *arguments: Any) -> dict[str, Any]:
     try:
         return {"result": getattr(importlib.import_module(module), name)(*arguments)}
     except Exception as error:
-        return {"raised": f"{type(error).__name__}: {error}"[:LONGEST_MESSAGE]}
+        return {"raised": f"{type(error).__name__}: {error}"[:MAX_MESSAGE_LENGTH]}
 
 
 def _limit() -> None:
     with suppress(ImportError):  # Windows has no such limits
         import resource
 
-        for kind, most in (
-            (resource.RLIMIT_AS, MOST_MEMORY),
-            (resource.RLIMIT_FSIZE, MOST_IN_A_FILE),
-            (resource.RLIMIT_NOFILE, MOST_FILES),
+        for kind, limit in (
+            (resource.RLIMIT_AS, MAX_MEMORY_BYTES),
+            (resource.RLIMIT_FSIZE, MAX_FILE_BYTES),
+            (resource.RLIMIT_NOFILE, MAX_OPEN_FILES),
             (resource.RLIMIT_CORE, 0),
         ):
             # A lower limit may be set already.
             hard = resource.getrlimit(kind)[1]
-            least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-            resource.setrlimit(kind, (least, least))
+            effective_limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+            resource.setrlimit(kind, (effective_limit, effective_limit))
 
 
 def _end_with_parent() -> None:

@@ -137,9 +137,9 @@ def _has_seccomp() -> bool:
 def _python() -> Iterator[Path]:
     """Yield folders of modules and libraries, but none that contains the user's home."""
     home = Path(os.path.expanduser("~"))  # noqa: PTH111  # never fails
-    named = [*sys.path, sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()]
-    named += os.environ.get("LD_LIBRARY_PATH", "").split(":")
-    for path in {Path(name) for name in named if name}:
+    folder_names = [*sys.path, sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()]
+    folder_names += os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    for path in {Path(name) for name in folder_names if name}:
         if not home.is_relative_to(path):
             yield path
 
@@ -186,18 +186,18 @@ def _restrict_calls() -> None:
         steps += [(_EQUAL, number, 0, 1), (_RETURN, _REFUSE)]
     steps += [(_EQUAL, clone, 0, 4), (_LOAD, _FIRST), (_ANY, _THREAD, 1, 0), (_RETURN, _REFUSE),
               (_RETURN, _ALLOW)]  # fmt: skip
-    own = os.getpid()
-    for number, place, allowed in (
-        (limits, _FIRST, (0, own)),
-        *((number, _FIRST, (own, -own & 0xFFFFFFFF)) for number in signals),
+    process_id = os.getpid()
+    for number, offset, allowed in (
+        (limits, _FIRST, (0, process_id)),
+        *((number, _FIRST, (process_id, -process_id & 0xFFFFFFFF)) for number in signals),
     ):
         first, second = allowed
-        steps += [(_EQUAL, number, 0, 5), (_LOAD, place), (_EQUAL, first, 2, 0),
+        steps += [(_EQUAL, number, 0, 5), (_LOAD, offset), (_EQUAL, first, 2, 0),
                   (_EQUAL, second, 1, 0), (_RETURN, _REFUSE), (_RETURN, _ALLOW)]  # fmt: skip
     steps += [(_EQUAL, fcntl, 0, len(_OWNERS) + 3), (_LOAD, _SECOND)]
     steps += [(_EQUAL, command, len(_OWNERS) - k, 0) for k, command in enumerate(_OWNERS)]
     steps += [(_RETURN, _ALLOW), (_RETURN, _REFUSE), (_RETURN, _ALLOW)]
     code = b"".join(struct.pack("<HBBI", step[0], *(step[2:] or (0, 0)), step[1]) for step in steps)
-    kept = ctypes.create_string_buffer(code, len(code))
-    program = struct.pack("<HxxxxxxQ", len(steps), ctypes.addressof(kept))
+    code_buffer = ctypes.create_string_buffer(code, len(code))
+    program = struct.pack("<HxxxxxxQ", len(steps), ctypes.addressof(code_buffer))
     _control(_SECCOMP, _FILTER, program)

@@ -10,7 +10,7 @@ from pathlib import Path
 from hesr_model.support import cache
 from hesr_model.support.files import sha256
 
-_MOST_HASHES = 20_000
+_MAX_HASHES = 20_000
 _log = logging.getLogger(__name__)
 
 
@@ -22,10 +22,10 @@ def hash_folder() -> Path:
 def remember(fmu: Path) -> None:
     """Trust an FMU, if the cache folder can be written."""
     try:
-        place = hash_folder()
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        (place / _mark(sha256(fmu))).touch(mode=0o600)
-        _forget_some(place)
+        folder = hash_folder()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (folder / _mark(sha256(fmu))).touch(mode=0o600)
+        _forget_oldest(folder)
     except OSError as error:
         _log.info("%s: will be run in a process of its own (%s).", fmu, error)
 
@@ -42,15 +42,15 @@ def _mark(digest: str) -> str:
     return cache.key_with_secret("exported", digest.encode()).hex()
 
 
-def is_ours(fmu: Path) -> bool:
+def is_trusted(fmu: Path) -> bool:
     """Whether an FMU is trusted."""
     return is_known(sha256(fmu))
 
 
-def _forget_some(place: Path) -> None:
-    known = list(place.iterdir())
-    if len(known) <= _MOST_HASHES:
+def _forget_oldest(folder: Path) -> None:
+    hash_files = list(folder.iterdir())
+    if len(hash_files) <= _MAX_HASHES:
         return
-    for file in sorted(known, key=lambda file: file.stat().st_mtime)[: _MOST_HASHES // 2]:
+    for file in sorted(hash_files, key=lambda file: file.stat().st_mtime)[: _MAX_HASHES // 2]:
         with suppress(FileNotFoundError):  # another process was faster
             file.unlink()

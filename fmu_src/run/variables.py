@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from fmpy.model_description import ModelDescription, read_model_description
 
-from fmu_src.run.archive import MOST_TEXT, Archive
+from fmu_src.run.archive import MAX_TEXT_BYTES, Archive
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.text import plain, quoted
+from hesr_model.support.text import quote, sanitise
 
 DESCRIPTION = "modelDescription.xml"
 
@@ -36,10 +36,10 @@ _IDENTIFIER = re.compile(r"[A-Za-z_][0-9A-Za-z_]{0,199}")
 _INDEX = re.compile(r"\[\d+(,\d+)*\]$")
 _CHOICE = re.compile(r"\b(\d+) = (\w+)")
 
-_LONGEST_VALUE = 40  # characters of a value in a message
-_CLOSE = 0.6  # similarity of names that are suggested
+_MAX_VALUE_LENGTH = 40  # characters of a value in a message
+_MIN_SIMILARITY = 0.6  # similarity of names that are suggested
 _POSITION = 32  # lowest bit of an element's position in a reference
-_MOST_ELEMENTS = 100_000
+_MAX_ELEMENTS = 100_000
 _BITS = (8, 16, 32, 64)
 _RANGES: dict[str, tuple[int, int]] = {
     **{f"Int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in _BITS},
@@ -47,7 +47,7 @@ _RANGES: dict[str, tuple[int, int]] = {
 }
 """Lowest and highest value by integer type of FMI 3.0; Integer of FMI 2.0 is Int32."""
 _TYPES = {"Float64": "Real", "Enumeration": "Integer"} | dict.fromkeys(_RANGES, "Integer")
-_LARGEST = {"Real": sys.float_info.max, "Float32": float(np.finfo(np.float32).max)}
+_LARGEST_VALUES = {"Real": sys.float_info.max, "Float32": float(np.finfo(np.float32).max)}
 _BOOLEANS = {"true": 1, "false": 0}
 
 
@@ -65,46 +65,57 @@ def read_packed_description(archive: Archive) -> tuple[ModelDescription, list[De
 
     Raises ArtifactError if it is missing or damaged, SimulationError if it is not readable.
     """
-    text = archive.read(DESCRIPTION, MOST_TEXT)
+    text = archive.read(DESCRIPTION, MAX_TEXT_BYTES)
     with scratch_folder() as folder:
         Path(folder, DESCRIPTION).write_bytes(text)
-        return description_of(Path(folder), archive.path)
+        return read_unpacked_description(Path(folder), archive.path)
 
 
-def description_of(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Declared]]:
+def read_unpacked_description(folder: Path, fmu: Path) -> tuple[ModelDescription, list[Declared]]:
     """Read the description in the folder of an unpacked FMU; see `read_packed_description`."""
     try:
-        about = read_model_description(str(folder), validate=False)
+        model_description = read_model_description(str(folder), validate=False)
         declared = list[Declared]()
-        if about.fmiVersion.startswith("3."):
-            about, declared = _with_scalars(about)
+        if model_description.fmiVersion.startswith("3."):
+            model_description, declared = _expand_arrays(model_description)
     except Exception as error:  # FMPy raises bare exceptions
-        raise SimulationError(f"{fmu}: not a readable FMU ({plain(str(error))}).") from error
-    for kind in (about.coSimulation, about.modelExchange):
+        raise SimulationError(f"{fmu}: not a readable FMU ({sanitise(str(error))}).") from error
+    for kind in (model_description.coSimulation, model_description.modelExchange):
         if kind is not None and not _IDENTIFIER.fullmatch(kind.modelIdentifier or ""):
             raise SimulationError(
-                f"{fmu}: its modelIdentifier is {quoted(str(kind.modelIdentifier))}; expected an "
+                f"{fmu}: its modelIdentifier is {quote(str(kind.modelIdentifier))}; expected an "
                 "identifier of C with at most 200 characters."
             )
-    return about, declared
+    return model_description, declared
 
 
-def element_of(reference: int) -> tuple[int, int]:
+def split_reference(reference: int) -> tuple[int, int]:
     """Return the value reference of an array and the position of an element."""
     return reference & (1 << _POSITION) - 1, reference >> _POSITION
 
 
-def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
-    _require_sizes(about.modelVariables)
-    elements = {id(v): _elements(v) for v in about.modelVariables}
-    declared = [(v.valueReference, v.name, v.type, _starts(v)) for v in about.modelVariables]
+def _expand_arrays(model_description: Any) -> tuple[Any, list[Declared]]:
+    _require_sizes(model_description.modelVariables)
+    elements = {
+        id(declared_variable): _elements(declared_variable)
+        for declared_variable in model_description.modelVariables
+    }
+    declared = [
+        (
+            declared_variable.valueReference,
+            declared_variable.name,
+            declared_variable.type,
+            _starts(declared_variable),
+        )
+        for declared_variable in model_description.modelVariables
+    ]
 
     def all_elements(variables: Sequence[Any]) -> list[Any]:
-        return [e for v in variables for e in elements[id(v)]]
+        return [e for declared_variable in variables for e in elements[id(declared_variable)]]
 
     def scalars(unknowns: Sequence[Any]) -> list[Any]:
         return [
-            _changed(
+            _replace_fields(
                 unknown,
                 variable=variable,
                 dependencies=unknown.dependencies and all_elements(unknown.dependencies),
@@ -113,43 +124,45 @@ def _with_scalars(about: Any) -> tuple[Any, list[Declared]]:
             for variable in elements[id(unknown.variable)]
         ]
 
-    found = _changed(
-        about,
-        modelVariables=all_elements(about.modelVariables),
-        outputs=scalars(about.outputs),
-        derivatives=scalars(about.derivatives),
-        initialUnknowns=scalars(about.initialUnknowns),
+    expanded = _replace_fields(
+        model_description,
+        modelVariables=all_elements(model_description.modelVariables),
+        outputs=scalars(model_description.outputs),
+        derivatives=scalars(model_description.derivatives),
+        initialUnknowns=scalars(model_description.initialUnknowns),
     )
-    return found, declared
+    return expanded, declared
 
 
-def _changed(one: Any, **values: Any) -> Any:
-    other = copy(one)
+def _replace_fields(original: Any, **values: Any) -> Any:
+    duplicate = copy(original)
     for name, value in values.items():
-        setattr(other, name, value)
-    return other
+        setattr(duplicate, name, value)
+    return duplicate
 
 
 def _require_sizes(variables: Sequence[Any]) -> None:
-    for v in variables:
-        if not 0 <= v.valueReference < 1 << _POSITION:
-            raise ValueError(f"the value reference of '{v.name}' is {v.valueReference}")
-        if any(size < 0 for size in v.shape):
-            raise ValueError(f"a dimension of '{v.name}' is {min(v.shape)}")
-    count = sum(prod(v.shape) for v in variables)
-    if count > _MOST_ELEMENTS:
+    for variable in variables:
+        if not 0 <= variable.valueReference < 1 << _POSITION:
+            raise ValueError(
+                f"the value reference of '{variable.name}' is {variable.valueReference}"
+            )
+        if any(size < 0 for size in variable.shape):
+            raise ValueError(f"a dimension of '{variable.name}' is {min(variable.shape)}")
+    count = sum(prod(variable.shape) for variable in variables)
+    if count > _MAX_ELEMENTS:
         raise ValueError(
-            f"its variables have {count} elements; at most {_MOST_ELEMENTS} can be read"
+            f"its variables have {count} elements; at most {_MAX_ELEMENTS} can be read"
         )
 
 
 def _elements(variable: Any) -> list[Any]:
     kind = _TYPES.get(variable.type, variable.type)
     if not variable.dimensions:
-        return [_changed(variable, type=kind)]
+        return [_replace_fields(variable, type=kind)]
     starts = (variable.start or "").split()
     return [
-        _changed(
+        _replace_fields(
             variable,
             name=f"{variable.name}[{','.join(str(i + 1) for i in index)}]",
             type=kind,
@@ -166,22 +179,24 @@ def _starts(variable: Any) -> list[Any]:
     if variable.type in ("String", "Binary", "Clock"):
         return [variable.start or ""]
     size = prod(variable.shape or (1,))
-    given = [_number(text) for text in str(variable.start or "").split()]
-    return given if len(given) == size else (given or [0.0])[:1] * size
+    start_values = [_number(text) for text in str(variable.start or "").split()]
+    return start_values if len(start_values) == size else (start_values or [0.0])[:1] * size
 
 
 def _number(text: str) -> float:
     return float(text == "true") if text in ("true", "false") else float(text)
 
 
-def suggestion(name: str, known: Iterable[str], most: int) -> str:
+def suggestion(name: str, candidates: Iterable[str], max_count: int) -> str:
     """Return "did you mean a, b or c?" with the closest names first, or ""."""
-    shares = {other: SequenceMatcher(None, other, name).ratio() for other in known}
-    near = sorted((o for o, s in shares.items() if s >= _CLOSE), key=lambda o: -shares[o])[:most]
-    if not near:
+    shares = {other: SequenceMatcher(None, other, name).ratio() for other in candidates}
+    closest = sorted(
+        (o for o, s in shares.items() if s >= _MIN_SIMILARITY), key=lambda o: -shares[o]
+    )[:max_count]
+    if not closest:
         return ""
-    *others, last = near
-    return f"did you mean {', '.join(others)} or {last}?" if others else f"did you mean {last}?"
+    *earlier, last = closest
+    return f"did you mean {', '.join(earlier)} or {last}?" if earlier else f"did you mean {last}?"
 
 
 def _items(variable: Any) -> dict[str, int]:
@@ -200,15 +215,17 @@ class Variables:
         self._fmu = fmu
         self._description = description
         self._types = {reference: kind for reference, _, kind, _ in declared}
-        self._by_name = {v.name: v for v in description.modelVariables}
+        self._by_name = {variable.name: variable for variable in description.modelVariables}
         self._units = {unit.name: unit.baseUnit for unit in description.unitDefinitions or ()}
 
     def __getitem__(self, name: str) -> Any:
         try:
             return self._by_name[name]
         except KeyError:
-            known = dict.fromkeys([*(_INDEX.sub("", n) for n in self._by_name), *self._by_name])
-            hint = suggestion(name, known, 3)
+            candidates = dict.fromkeys(
+                [*(_INDEX.sub("", n) for n in self._by_name), *self._by_name]
+            )
+            hint = suggestion(name, candidates, 3)
             end = f"; {hint}" if hint else "."
             raise SimulationError(f"{self._fmu}: there is no variable '{name}'{end}") from None
 
@@ -236,18 +253,18 @@ class Variables:
     @property
     def inputs(self) -> list[str]:
         """Names of all inputs."""
-        return [n for n, v in self._by_name.items() if v.causality == "input"]
+        return [n for n, variable in self._by_name.items() if variable.causality == "input"]
 
     def relative(self, name: str) -> bool:
         """Return whether a variable is a difference, which the offset of a unit does not affect."""
-        about = self[name]
-        kind = about.declaredType if about.relativeQuantity is None else None
-        return bool(kind.relativeQuantity if kind else about.relativeQuantity)
+        variable = self[name]
+        kind = variable.declaredType if variable.relativeQuantity is None else None
+        return bool(kind.relativeQuantity if kind else variable.relativeQuantity)
 
     @property
     def feedthrough(self) -> dict[str, list[str]]:
         """Inputs with direct feedthrough to each output; all inputs if none are declared."""
-        return {u.variable.name: self._needed(u) for u in self._description.outputs}
+        return {u.variable.name: self._find_inputs(u) for u in self._description.outputs}
 
     @property
     def declares_feedthrough(self) -> bool:
@@ -257,21 +274,21 @@ class Variables:
     @property
     def needed(self) -> list[str]:
         """Inputs that affect outputs or states; in FMUs for co-simulation alone all inputs."""
-        about = self._description
-        if about.modelExchange is None:
+        description = self._description
+        if description.modelExchange is None:
             return self.inputs
-        unknowns = (*about.outputs, *about.derivatives)
-        used = {name for unknown in unknowns for name in self._needed(unknown)}
-        return [name for name in self.inputs if name in used]
+        unknowns = (*description.outputs, *description.derivatives)
+        used_inputs = {name for unknown in unknowns for name in self._find_inputs(unknown)}
+        return [name for name in self.inputs if name in used_inputs]
 
-    def _needed(self, unknown: Any) -> list[str]:
+    def _find_inputs(self, unknown: Any) -> list[str]:
         if unknown.dependencies is None:
             return self.inputs
-        return [v.name for v in unknown.dependencies if v.causality == "input"]
+        return [variable.name for variable in unknown.dependencies if variable.causality == "input"]
 
-    def expanded(self, values: Mapping[str, Value]) -> dict[str, float | str]:
+    def expand_values(self, values: Mapping[str, Value]) -> dict[str, float | str]:
         """Return values by variable from numbers, lists for vectors, and names of choices."""
-        found: dict[str, float | str] = {}
+        expanded: dict[str, float | str] = {}
         for name, value in values.items():
             elements = self.elements(name)
             parts: list[float | str] = (
@@ -282,10 +299,10 @@ class Variables:
                     f"{self._fmu}: '{name}' has {len(elements)} element{'s'[: len(elements) > 1]}; "
                     f"{len(parts)} values are given."
                 )
-            found |= {e: self._checked(e, p) for e, p in zip(elements, parts, strict=True)}
-        return found
+            expanded |= {e: self._check_value(e, p) for e, p in zip(elements, parts, strict=True)}
+        return expanded
 
-    def _checked(self, name: str, value: Any) -> float | str:
+    def _check_value(self, name: str, value: Any) -> float | str:
         """Return the value of a variable; raise SimulationError unless it has it exactly."""
         variable = self[name]
         kind = variable.type
@@ -303,8 +320,8 @@ class Variables:
             return bool(value)
         if isinstance(value, bool | np.bool_):
             raise self._misfit(name, value)
-        if kind in _LARGEST:
-            largest = _LARGEST[kind]
+        if kind in _LARGEST_VALUES:
+            largest = _LARGEST_VALUES[kind]
             if not -largest <= value <= largest:  # a NaN included
                 raise self._misfit(name, value, f"a finite number up to {largest:.4g} in magnitude")
             return float(value)
@@ -326,13 +343,13 @@ class Variables:
 
     def _declared_type(self, variable: Any) -> str:
         """Return the type of a variable in its description, such as UInt8."""
-        array, _ = element_of(variable.valueReference)
+        array, _ = split_reference(variable.valueReference)
         return self._types.get(array, str(variable.type))
 
     def _misfit(self, name: str, value: Any, expected: str = "") -> SimulationError:
         variable = self[name]
         kind = self._declared_type(variable)
-        shown = plain(repr(value), _LONGEST_VALUE)
+        shown = sanitise(repr(value), _MAX_VALUE_LENGTH)
         end = f"; it must be {expected}." if expected else "."
         return SimulationError(
             f"{self._fmu}: '{name}' is of type {kind}; it cannot be {shown}{end}"
@@ -345,6 +362,6 @@ class Variables:
         if variable.type == "Integer" and not items:
             items = {m[2]: int(m[1]) for m in _CHOICE.finditer(variable.description or "")}
         if value not in items:
-            known = f"it must be one of {', '.join(items)}" if items else "it has no choices"
-            raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {known}.")
+            constraint = f"it must be one of {', '.join(items)}" if items else "it has no choices"
+            raise SimulationError(f"{self._fmu}: '{name}' cannot be '{value}'; {constraint}.")
         return items[value]

@@ -4,7 +4,7 @@ import sys
 from typing import NoReturn
 
 from hesr.cli.app import app
-from hesr.cli.console import accept_any_text, ended_by_signals, errors_said, provide_home
+from hesr.cli.console import accept_any_text, interrupt_on_signals, provide_home, report_errors
 from hesr_model.support.lazy import collect_seldom
 
 __all__ = ["app", "main"]
@@ -15,6 +15,6 @@ def main() -> NoReturn:
     collect_seldom()
     accept_any_text()
     provide_home()
-    with ended_by_signals(), errors_said():
+    with interrupt_on_signals(), report_errors():
         app()
     sys.exit(0)

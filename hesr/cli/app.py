@@ -45,19 +45,19 @@ class _Verbs(click.Group):
         return [*_VERBS, *plugins.names("hesr.commands")]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in console.MOVED:
-            console.refuse(console.MOVED[cmd_name])
+        if cmd_name in console.MOVED_VERBS:
+            console.refuse(console.MOVED_VERBS[cmd_name])
         if cmd_name not in _VERBS and cmd_name not in self.list_commands(ctx):
             return None
-        function = workflow(cmd_name)
+        function = find_workflow(cmd_name)
         return command(cmd_name, function, _invoke, help_sections(function))
 
 
-def workflow(verb: str) -> Function:
+def find_workflow(verb: str) -> Function:
     """Return the workflow function of a verb."""
     if verb in _VERBS:
-        found: Function = getattr(import_module(f"cosim.workflow.{verb}"), verb)
-        return found
+        function: Function = getattr(import_module(f"cosim.workflow.{verb}"), verb)
+        return function
     plugin: Function = plugins.load("hesr.commands")[verb].load()
     return plugin
 
@@ -95,10 +95,10 @@ def _invoke(function: Function, arguments: dict[str, Any]) -> None:
     """Call the function of a verb, print and write its answer, and exit."""
     console.require_environment()
     common = _CommonOptions.take_from(arguments)
-    with console.command_output(
+    with console.direct_output(
         quiet=common.quiet, verbose=common.verbose, json_file=common.json_file
     ) as output:
-        with console.answer_file(common.json_file, output) as json_file:
+        with console.provide_answer_file(common.json_file, output) as json_file:
             if common.listing:
                 answer = _list_choices(function)
             else:
@@ -124,9 +124,9 @@ def _print(answer: "Answer", *, verbose: bool) -> None:
 def _exit_code(answer: "Answer", fail_on: str) -> int:
     if not answer.findings:
         return 0
-    from hesr_model.findings import reaching  # slow to import
+    from hesr_model.findings import select_by_severity  # slow to import
 
-    return 1 if reaching(answer.findings, fail_on) else 0
+    return 1 if select_by_severity(answer.findings, fail_on) else 0
 
 
 def _module(function: Function) -> dict[str, Any]:
@@ -143,7 +143,7 @@ def _call(function: Function, arguments: dict[str, Any], *, hidden: bool) -> "An
     """Return the answer of a verb; an error names options instead of parameters."""
     from cosim.workflow.answer import Answer
 
-    with console.shown_progress(hidden=hidden) as progress:
+    with console.show_progress(is_hidden=hidden) as progress:
         if "progress" in inspect.signature(function).parameters:
             arguments["progress"] = progress
         try:
@@ -159,7 +159,7 @@ def _call(function: Function, arguments: dict[str, Any], *, hidden: bool) -> "An
 def _name_options(error: ArgumentError) -> ConfigError:
     parameters = click.get_current_context().command.params
     options = {parameter.name: parameter.opts[-1] for parameter in parameters if parameter.name}
-    return ConfigError(error.on_command_line(options))
+    return ConfigError(error.format_for_command_line(options))
 
 
 app = _Verbs(

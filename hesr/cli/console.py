@@ -19,7 +19,7 @@ import click
 from hesr_model.errors import ConfigError, HesrError
 from hesr_model.support.files import scratch_folder, written_whole
 from hesr_model.support.progress import Interrupted, Stages, listed_in
-from hesr_model.support.text import plain
+from hesr_model.support.text import sanitise
 
 _NEW_FORMS = {
     "laws": "hesr fit --list",
@@ -37,23 +37,23 @@ _NEW_FORMS = {
     "view": "hesr report RESULT --view, or -o arm.mp4 for a video",
     "interop": "make interop, in a checkout of HESR",
 }
-MOVED = {verb: f"'hesr {verb}' is now: {form}." for verb, form in _NEW_FORMS.items()}
+MOVED_VERBS = {verb: f"'hesr {verb}' is now: {form}." for verb, form in _NEW_FORMS.items()}
 """New form of each verb of earlier versions."""
 
-_REFUSED = 2
-_UNREAD = 1  # exit code after the reader of the output has closed it, as Click's
-_LONGEST = 4000  # characters of a sentence: file names may be of any length
+_REFUSED_EXIT_CODE = 2
+_CLOSED_OUTPUT_EXIT_CODE = 1  # exit code after the reader of the output has closed it, as Click's
+_MAX_SENTENCE_LENGTH = 4000  # characters of a sentence: file names may be of any length
 
-_LEAST_MEMORY = 1 << 30
-_LEAST_FILES = 64  # limits that libraries need [bytes, open at a time]
-_LAST_DATE = 253402300799  # [s] of SOURCE_DATE_EPOCH
+_MIN_MEMORY = 1 << 30
+_MIN_OPEN_FILES = 64  # limits that libraries need [bytes, open at a time]
+_MAX_SOURCE_DATE = 253402300799  # [s] of SOURCE_DATE_EPOCH
 
-_PLAIN = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
+_ASCII_REPLACEMENTS = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
 """Replacements, of the same width, for characters that the output cannot encode."""
 
 
 @contextmanager
-def errors_said() -> Iterator[None]:
+def report_errors() -> Iterator[None]:
     """Print every error as one sentence and exit with 2; bugs keep their traceback.
 
     These include errors that readers do not report, such as a full disk.
@@ -66,13 +66,13 @@ def errors_said() -> Iterator[None]:
     except HesrError as error:
         refuse(str(error))
     except BrokenPipeError:
-        _give_up_output()
-        sys.exit(_UNREAD)
+        _discard_output()
+        sys.exit(_CLOSED_OUTPUT_EXIT_CODE)
     except OSError as error:
-        where = f"{plain(error.filename)}: " if isinstance(error.filename, str) else ""
+        file_prefix = f"{sanitise(error.filename)}: " if isinstance(error.filename, str) else ""
         reason = " ".join((error.strerror or str(error)).split()).rstrip(".")
-        _give_up_output()
-        refuse(f"{where}the system reports an error ({reason}).")
+        _discard_output()
+        refuse(f"{file_prefix}the system reports an error ({reason}).")
     except MemoryError:
         refuse("not enough memory; give less data at once.")
     except RecursionError:
@@ -82,31 +82,31 @@ def errors_said() -> Iterator[None]:
 def require_environment() -> None:
     """Refuse limits and dates that make libraries crash, hang or raise SIGINT."""
     date = os.environ.get("SOURCE_DATE_EPOCH", "0")
-    if not (date.isascii() and date.isdigit() and int(date) <= _LAST_DATE):
+    if not (date.isascii() and date.isdigit() and int(date) <= _MAX_SOURCE_DATE):
         raise ConfigError(f"SOURCE_DATE_EPOCH is '{date}'; expected whole seconds since 1970.")
     with suppress(ImportError):  # Windows has no such limits
         import resource
 
-        for kind, least, name, unit, option in (
-            (resource.RLIMIT_AS, _LEAST_MEMORY, "memory", " MB", "v"),
-            (resource.RLIMIT_NOFILE, _LEAST_FILES, "open files", "", "n"),
+        for kind, minimum, name, unit, option in (
+            (resource.RLIMIT_AS, _MIN_MEMORY, "memory", " MB", "v"),
+            (resource.RLIMIT_NOFILE, _MIN_OPEN_FILES, "open files", "", "n"),
         ):
             limit = resource.getrlimit(kind)[0]
-            if limit != resource.RLIM_INFINITY and limit < least:
+            if limit != resource.RLIM_INFINITY and limit < minimum:
                 scale = 10**6 if unit else 1
                 raise ConfigError(
                     f"the limit of {name} is {limit // scale}{unit}; at least "
-                    f"{least // scale}{unit} are needed (ulimit -{option})."
+                    f"{minimum // scale}{unit} are needed (ulimit -{option})."
                 )
 
 
 def refuse(sentence: str) -> NoReturn:
     """Print a sentence and exit with the code of bad input."""
-    click.echo(f"hesr: {plain(sentence, _LONGEST)}", err=True)
-    sys.exit(_REFUSED)
+    click.echo(f"hesr: {sanitise(sentence, _MAX_SENTENCE_LENGTH)}", err=True)
+    sys.exit(_REFUSED_EXIT_CODE)
 
 
-def _give_up_output() -> None:
+def _discard_output() -> None:
     """Discard unwritten output, which Python would try to write again when it ends."""
     with suppress(OSError, ValueError):
         sys.stdout.flush()
@@ -126,24 +126,26 @@ def provide_home() -> None:
 
 def accept_any_text() -> None:
     """Let standard output and error accept any text; outputs without UTF-8 get ASCII."""
-    codecs.register_error("hesr.plain", _plainly)
+    codecs.register_error("hesr.plain", _replace_unencodable)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure:
             reconfigure(errors="hesr.plain")
 
 
-def _plainly(error: UnicodeError) -> tuple[str, int]:
+def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    text = unicodedata.normalize("NFKD", error.object[error.start : error.end]).translate(_PLAIN)
+    text = unicodedata.normalize("NFKD", error.object[error.start : error.end]).translate(
+        _ASCII_REPLACEMENTS
+    )
     return "".join(c if c.isascii() else "?" for c in text), error.end
 
 
 INTERRUPTED = 130  # exit codes after signals: 128 and the number of the signal
 _STANDARD_OUTPUT = Path("-")
-_AGAIN = 2.0  # [s] within this time a second Ctrl-C does not disturb the clean-up
-_LATER = 0.05  # [s] delay before an interrupt that Python dropped is raised again
+_MIN_INTERRUPT_INTERVAL = 2.0  # [s] within this time a second Ctrl-C does not disturb the clean-up
+_REPEAT_DELAY = 0.05  # [s] delay before an interrupt that Python dropped is raised again
 _PACKAGES = ("hesr_model", "fmu_src", "cosim", "hesr")
 _log = logging.getLogger(__name__)
 
@@ -153,9 +155,7 @@ class _Ended(KeyboardInterrupt):
 
 
 @contextmanager
-def command_output(
-    *, quiet: bool, verbose: bool, json_file: Path | None
-) -> Iterator[TextIO | None]:
+def direct_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iterator[TextIO | None]:
     """Run a block at the requested verbosity: errors only, or everything on standard error.
 
     Yield the standard output for an answer in JSON, None for errors only.
@@ -164,7 +164,7 @@ def command_output(
         raise ConfigError("--quiet and --verbose are contradictory; give one of them.")
     with ExitStack() as cleanup:
         answer = None if quiet else sys.stdout
-        cleanup.enter_context(_logging(quiet=quiet, verbose=verbose))
+        cleanup.enter_context(_configure_logging(quiet=quiet, verbose=verbose))
         if quiet or json_file == _STANDARD_OUTPUT:
             nowhere = cleanup.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
             cleanup.enter_context(redirect_stdout(nowhere))
@@ -174,16 +174,16 @@ def command_output(
             _log.debug("Origin of the error:", exc_info=True)
             raise
         except KeyboardInterrupt as interrupt:
-            kept = ""
+            saved_note = ""
             cause = interrupt
             if isinstance(interrupt, Interrupted):
-                kept = f", and {interrupt.kept}"
+                saved_note = f", and {interrupt.kept}"
                 cause = interrupt.interrupt
-            ended = isinstance(cause, _Ended)
-            who = "ended by another program" if ended else "interrupted"
-            click.echo(f"hesr: {who}; no file is half-written{kept}.", err=True)
+            is_terminated = isinstance(cause, _Ended)
+            ending = "ended by another program" if is_terminated else "interrupted"
+            click.echo(f"hesr: {ending}; no file is half-written{saved_note}.", err=True)
             raise click.exceptions.Exit(
-                128 + signal.SIGTERM if ended else INTERRUPTED
+                128 + signal.SIGTERM if is_terminated else INTERRUPTED
             ) from interrupt
 
 
@@ -196,9 +196,9 @@ class _LogHandler(logging.StreamHandler[TextIO]):
 
 
 @contextmanager
-def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
+def _configure_logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
     handler = _LogHandler()
-    before = {name: logging.getLogger(name).level for name in _PACKAGES}
+    previous_levels = {name: logging.getLogger(name).level for name in _PACKAGES}
     if verbose:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     else:
@@ -211,52 +211,52 @@ def _logging(*, quiet: bool, verbose: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        for name, level in before.items():
+        for name, level in previous_levels.items():
             logging.getLogger(name).removeHandler(handler)
             logging.getLogger(name).setLevel(level)
 
 
 @contextmanager
-def ended_by_signals() -> Iterator[None]:
+def interrupt_on_signals() -> Iterator[None]:
     """Raise KeyboardInterrupt on Ctrl-C and SIGTERM, so that temporary files are removed."""
-    wanted = [signal.SIGINT, signal.SIGTERM]
+    signal_numbers = [signal.SIGINT, signal.SIGTERM]
     if threading.current_thread() is not threading.main_thread():
-        wanted = []
-    last = -_AGAIN
+        signal_numbers = []
+    last = -_MIN_INTERRUPT_INTERVAL
 
     def end(number: int, _frame: object) -> None:
         nonlocal last
         now = time.monotonic()
-        if now - last >= _AGAIN:
+        if now - last >= _MIN_INTERRUPT_INTERVAL:
             last = now
             raise KeyboardInterrupt if number == signal.SIGINT else _Ended
 
-    def dropped(what: "sys.UnraisableHookArgs") -> None:
+    def repeat_interrupt(unraisable: "sys.UnraisableHookArgs") -> None:
         # Python drops an exception raised during a deallocation: raise it once more.
         nonlocal last
-        if not isinstance(what.exc_value, KeyboardInterrupt):
-            show(what)
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            show(unraisable)
             return
-        last = -_AGAIN
-        number = signal.SIGTERM if isinstance(what.exc_value, _Ended) else signal.SIGINT
-        again.append(threading.Timer(_LATER, _raise_in_main_thread, (number,)))
-        again[-1].start()
+        last = -_MIN_INTERRUPT_INTERVAL
+        number = signal.SIGTERM if isinstance(unraisable.exc_value, _Ended) else signal.SIGINT
+        timers.append(threading.Timer(_REPEAT_DELAY, _raise_in_main_thread, (number,)))
+        timers[-1].start()
 
     # A script that starts a command in the background may make it ignore Ctrl-C.
-    heeded = [s for s in wanted if signal.getsignal(s) is not signal.SIG_IGN]
-    before = {s: signal.signal(s, end) for s in heeded}
-    again: list[threading.Timer] = []
+    heeded_signals = [s for s in signal_numbers if signal.getsignal(s) is not signal.SIG_IGN]
+    previous_handlers = {s: signal.signal(s, end) for s in heeded_signals}
+    timers: list[threading.Timer] = []
     show = sys.unraisablehook
-    if heeded:
-        sys.unraisablehook = dropped
+    if heeded_signals:
+        sys.unraisablehook = repeat_interrupt
     try:
         yield
     finally:
-        if heeded:
+        if heeded_signals:
             sys.unraisablehook = show
-        for timer in again:
+        for timer in timers:
             timer.cancel()
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 
 
@@ -268,18 +268,18 @@ def _raise_in_main_thread(number: int) -> None:
 
 
 @contextmanager
-def shown_progress(*, hidden: bool) -> Iterator[Stages]:
+def show_progress(*, is_hidden: bool) -> Iterator[Stages]:
     """Show progress, times and current work on a terminal, from the first report on."""
-    hidden = hidden or not sys.stderr.isatty()
-    with ExitStack() as shown:
+    is_hidden = is_hidden or not sys.stderr.isatty()
+    with ExitStack() as cleanup:
         bars: list[Stages] = []
 
-        def tell(what: str, done: int, total: int) -> None:
-            _log.info("%s: %d of %d", what, done, total)
-            if not (hidden or bars):
-                bars.append(shown.enter_context(_progress_bar()))
+        def tell(stage: str, done: int, total: int) -> None:
+            _log.info("%s: %d of %d", stage, done, total)
+            if not (is_hidden or bars):
+                bars.append(cleanup.enter_context(_progress_bar()))
             for bar in bars:
-                bar(what, done, total)
+                bar(stage, done, total)
 
         yield tell
 
@@ -313,20 +313,20 @@ def _progress_bar() -> Iterator[Stages]:
         console=console,
         transient=True,
     )
-    with listed_in(names), block as shown:
+    with listed_in(names), block as bar:
 
-        def tell(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                for task in shown.tasks:
-                    shown.update(task.id, visible=not task.finished)
-                tasks[what] = shown.add_task(what, total=total)
-            shown.update(tasks[what], completed=done)
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                for task in bar.tasks:
+                    bar.update(task.id, visible=not task.finished)
+                tasks[stage] = bar.add_task(stage, total=total)
+            bar.update(tasks[stage], completed=done)
 
         yield tell
 
 
 @contextmanager
-def answer_file(json_file: Path | None, output: TextIO | None) -> Iterator[Path | None]:
+def provide_answer_file(json_file: Path | None, output: TextIO | None) -> Iterator[Path | None]:
     """Yield the file for the JSON answer, if one is requested; `output` is that of ``-``."""
     if json_file is None:
         yield None

@@ -35,7 +35,9 @@ _ITEMS = {
 }
 """Annotations of one item, by those of several (`cosim.workflow.arguments`)."""
 
-_WIDTH = 75  # width of an example in the help, which is indented by 2 and may end with a backslash
+_EXAMPLE_WIDTH = (
+    75  # width of an example in the help, which is indented by 2 and may end with a backslash
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,23 +117,25 @@ class Docstring:
     examples: list[str] = field(default_factory=list)
 
     @classmethod
-    def of(cls, function: Function) -> "Docstring":
+    def from_function(cls, function: Function) -> "Docstring":
         """Parse the docstring of a function."""
         text = inspect.getdoc(function) or ""
-        head, *rest = re.split(r"(?m)\n*^(\w[\w ]*)\n-{3,}\n", text)
-        sections = dict(zip(rest[::2], rest[1::2], strict=True))
-        listed = "\n".join(sections.get(s, "") for s in ("Parameters", "Other Parameters"))
-        entries = re.findall(r"^(\w+)(?: :.*)?\n((?: {4}.*\n?|\n)+)", f"{listed}\n", re.MULTILINE)
+        head, *titles_and_texts = re.split(r"(?m)\n*^(\w[\w ]*)\n-{3,}\n", text)
+        sections = dict(zip(titles_and_texts[::2], titles_and_texts[1::2], strict=True))
+        parameter_text = "\n".join(sections.get(s, "") for s in ("Parameters", "Other Parameters"))
+        entries = re.findall(
+            r"^(\w+)(?: :.*)?\n((?: {4}.*\n?|\n)+)", f"{parameter_text}\n", re.MULTILINE
+        )
         examples = re.sub(r" \\\n\s*", " ", sections.get("Examples", ""))
         return cls(
             summary=head.partition("\n")[0],
-            text=_plain(head),
-            parameters={name: _plain(" ".join(text.split())) for name, text in entries},
+            text=_replace_backticks(head),
+            parameters={name: _replace_backticks(" ".join(text.split())) for name, text in entries},
             examples=re.findall(r"^ *\$ (hesr .*)$", examples, re.MULTILINE),
         )
 
 
-def _plain(text: str) -> str:
+def _replace_backticks(text: str) -> str:
     return re.sub(r"`+", "'", text).strip()
 
 
@@ -142,9 +146,9 @@ def command(
 
     It also has the options of the sections, which the help shows there.
     """
-    docstring = Docstring.of(function)
+    docstring = Docstring.from_function(function)
     parameters = [
-        _parameter(name, parameter, docstring.parameters.get(parameter.name, ""), function)
+        _build_parameter(name, parameter, docstring.parameters.get(parameter.name, ""), function)
         for parameter in inspect.signature(function).parameters.values()
         if parameter.kind is not parameter.VAR_KEYWORD and parameter.name != "progress"
     ]
@@ -165,10 +169,10 @@ def command(
         sections=sections,
         section_options=section_options,
         callback=lambda **arguments: invoke(function, _clean(arguments)),
-        params=[*parameters, *distinct.values(), *_common()],
+        params=[*parameters, *distinct.values(), *_common_options()],
         help=docstring.text,
         short_help=docstring.summary,
-        epilog=_lines(docstring.examples),
+        epilog=_format_examples(docstring.examples),
         context_settings={"max_content_width": 80},
     )
 
@@ -184,7 +188,7 @@ def _section_options(
             default=None,
             annotation=option.annotation,
         )
-        options.append(_parameter(verb, parameter, option.description, function))
+        options.append(_build_parameter(verb, parameter, option.description, function))
     return options
 
 
@@ -237,7 +241,7 @@ def _write_section(
 def _clean(arguments: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments that are set; several tables become one."""
     return {
-        name: _merged(value) if _is_tables(value) else value
+        name: _merge_tables(value) if _is_tables(value) else value
         for name, value in arguments.items()
         if value not in (None, ())
     }
@@ -247,53 +251,59 @@ def _is_tables(value: object) -> bool:
     return isinstance(value, tuple) and all(isinstance(item, dict) for item in value)
 
 
-def _merged(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _merge_tables(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return one table of several; the last of several plain values counts."""
     merged: dict[str, Any] = {}
     for key, value in (pair for table in tables for pair in table.items()):
-        both = [merged.get(key), value]
-        merged[key] = _merged(both) if all(isinstance(part, dict) for part in both) else value
+        entries = [merged.get(key), value]
+        merged[key] = (
+            _merge_tables(entries) if all(isinstance(part, dict) for part in entries) else value
+        )
     return merged
 
 
-def _parameter(verb: str, one: inspect.Parameter, text: str, function: Function) -> click.Parameter:
-    form = _FORMS.get(f"{verb}.{one.name}") or _FORMS.get(one.name) or Form()
-    annotation = str(one.annotation).removesuffix(" | None")
-    several = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
+def _build_parameter(
+    verb: str, parameter: inspect.Parameter, text: str, function: Function
+) -> click.Parameter:
+    form = _FORMS.get(f"{verb}.{parameter.name}") or _FORMS.get(parameter.name) or Form()
+    annotation = str(parameter.annotation).removesuffix(" | None")
+    item_match = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
     inner = _ITEMS.get(annotation, annotation)
-    if several:
-        inner = several[1] or several[2]
-    many = inner != annotation
-    required = one.default is one.empty
-    if one.kind is one.POSITIONAL_OR_KEYWORD and not form.option:
-        metavar = form.metavar or one.name.upper()
+    if item_match:
+        inner = item_match[1] or item_match[2]
+    is_repeated = inner != annotation
+    required = parameter.default is parameter.empty
+    if parameter.kind is parameter.POSITIONAL_OR_KEYWORD and not form.option:
+        metavar = form.metavar or parameter.name.upper()
         return click.Argument(
-            [one.name],
-            nargs=-1 if many else 1,
+            [parameter.name],
+            nargs=-1 if is_repeated else 1,
             required=required,
-            metavar=(metavar if required else f"[{metavar}]") + "..." * many,
+            metavar=(metavar if required else f"[{metavar}]") + "..." * is_repeated,
             help=text,
         )
     if inner == "bool":
-        return click.Option([f"--{one.name.replace('_', '-')}", one.name], is_flag=True, help=text)
-    kind = _kind(inner, function, form)
+        return click.Option(
+            [f"--{parameter.name.replace('_', '-')}", parameter.name], is_flag=True, help=text
+        )
+    kind = _choose_kind(inner, function, form)
     return click.Option(
-        [*(form.names or (f"--{one.name.replace('_', '-')}",)), one.name],
+        [*(form.names or (f"--{parameter.name.replace('_', '-')}",)), parameter.name],
         type=kind,
-        multiple=many or isinstance(kind, _Pair),
+        multiple=is_repeated or isinstance(kind, _Pair),
         required=required,
-        metavar=form.metavar or _metavar(inner, kind),
+        metavar=form.metavar or _choose_metavar(inner, kind),
         help=text,
-        shell_complete=_completion(form.complete) if form.complete else None,
+        shell_complete=_build_completion(form.complete) if form.complete else None,
     )
 
 
-def _kind(annotation: str, function: Function, form: Form) -> Kind:
+def _choose_kind(annotation: str, function: Function, form: Form) -> Kind:
     if annotation.startswith("Literal["):
         return click.Choice(ast.literal_eval(f"({annotation[len('Literal[') : -1]},)"))
-    named = vars(sys.modules[function.__module__]).get(annotation)
-    if get_origin(named) is Literal:
-        return click.Choice(get_args(named))
+    annotated_type = vars(sys.modules[function.__module__]).get(annotation)
+    if get_origin(annotated_type) is Literal:
+        return click.Choice(get_args(annotated_type))
     if annotation.startswith("Mapping"):
         return _Pair()
     kinds: dict[str, Kind] = {
@@ -305,27 +315,27 @@ def _kind(annotation: str, function: Function, form: Form) -> Kind:
     return kinds.get(annotation, click.STRING)
 
 
-def _metavar(annotation: str, kind: Kind) -> str | None:
+def _choose_metavar(annotation: str, kind: Kind) -> str | None:
     if isinstance(kind, click.Choice):
         return None
     words = {"str": "NAME", "float": "X", "int": "N", "PathArg": "FILE"}
     return words.get(annotation, kind.name if isinstance(kind, _Numbers | _Pair) else "FILE")
 
 
-def _completion(source: str) -> Callable[[Any, Any, str], list[str]]:
-    def complete(_: Any, __: Any, typed: str) -> list[str]:
+def _build_completion(source: str) -> Callable[[Any, Any, str], list[str]]:
+    def complete(_: Any, __: Any, prefix: str) -> list[str]:
         if source == "platforms":
             from fmu_src.export.toolchain import TARGETS
 
             names: Sequence[str] = (*TARGETS, "all")
         else:
             names = plugins.names(source)
-        return [name for name in names if name.startswith(typed)]
+        return [name for name in names if name.startswith(prefix)]
 
     return complete
 
 
-def _common() -> Iterator[click.Option]:
+def _common_options() -> Iterator[click.Option]:
     yield click.Option(
         ["--json", "json_file"],
         metavar="FILE",
@@ -343,12 +353,12 @@ def _common() -> Iterator[click.Option]:
     )
 
 
-def _lines(examples: Sequence[str]) -> str:
+def _format_examples(examples: Sequence[str]) -> str:
     lines = ["\b", f"Example{'s' * (len(examples) > 1)}:"]
     for example in examples:
         line = " "
         for part in re.split(" (?=-)", example):  # an option stays with its value
-            if len(line) + len(part) > _WIDTH:
+            if len(line) + len(part) > _EXAMPLE_WIDTH:
                 lines.append(f"{line} \\")
                 line = "   "
             line += f" {part}"

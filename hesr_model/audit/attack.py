@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from hesr_model.audit.audit import AMPLITUDES, cycles, loads_of, responses
+from hesr_model.audit.audit import AMPLITUDES, choose_loads, compute_responses, measure_cycles
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.law import FrictionLaw
@@ -18,11 +18,11 @@ ANGLES = (1e-5, 1e-4, 1e-3, 1e-2)  # [rad] with a moving load
 PHASES = tuple(np.arange(8) * np.pi / 4.0)  # [rad] of the load
 _CYCLES = 40
 _FREQUENCY = 1.0  # [Hz]; the last two cycles must agree
-_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] between reversals
-_ROWS = 100
-_TURNS = 4  # rows per direction; cycles
-_LEAST = 1e-6
-_ALIKE = 0.05  # smallest share of the work; tolerance between two cycles
+_REVERSAL_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] between reversals
+_ROWS_PER_DIRECTION = 100
+_SPEED_PAIR_CYCLES = 4  # rows per direction; cycles
+_MIN_SHARE = 1e-6
+_CYCLE_TOLERANCE = 0.05  # smallest share of the work; tolerance between two cycles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,47 +56,63 @@ def attack(
 
     `speeds` are pairs [rad/s] for both directions, tried until one generates energy.
     """
-    tried = [*_still(law, trained_range), *_ways(law, trained_range, speeds)]
+    attacks = [
+        *_try_sine_cycles(law, trained_range),
+        *_try_two_speed_cycles(law, trained_range, speeds),
+    ]
     if TAU_LOAD in law.form.inputs:
-        tried += _moving(law, trained_range)
-    best = max(tried, key=lambda a: a.energy)  # the first of equal ones
-    return (best if best.energy > 0.0 else None), len(tried)
+        attacks += _try_loaded_cycles(law, trained_range)
+    best = max(attacks, key=lambda a: a.energy)  # the first of equal ones
+    return (best if best.energy > 0.0 else None), len(attacks)
 
 
-def _still(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
+def _try_sine_cycles(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
     amplitudes = np.multiply(AMPLITUDES, trained_range.speed)
-    loads = loads_of(law, trained_range)
-    for response in responses(law, trained_range, amplitudes, loads, _run):
-        for c in cycles(*response):
-            given = -c.work if c.share < -_LEAST else 0.0
+    loads = choose_loads(law, trained_range)
+    for response in compute_responses(law, trained_range, amplitudes, loads, _run):
+        for cycle in measure_cycles(*response):
+            energy = -cycle.work if cycle.share < -_MIN_SHARE else 0.0
             yield Attack(
-                energy=given, amplitude=c.amplitude, frequency=c.frequency, mean=c.tau_load
+                energy=energy,
+                amplitude=cycle.amplitude,
+                frequency=cycle.frequency,
+                mean=cycle.tau_load,
             )
 
 
-def _ways(
+def _try_two_speed_cycles(
     law: FrictionLaw, trained_range: TrainedRange, speeds: Sequence[tuple[float, float]]
 ) -> Iterator[Attack]:
-    load = loads_of(law, trained_range)[0]
-    given = 0.0
-    for (ahead, back), distance in product(speeds, _DISTANCES):
-        if given:
+    tau_load = choose_loads(law, trained_range)[0]
+    energy = 0.0
+    for (forward_speed, backward_speed), distance in product(speeds, _REVERSAL_DISTANCES):
+        if energy:
             break  # slower motion would generate slightly more
-        dq = np.tile(np.repeat([ahead, -back], _ROWS), _TURNS)
-        dt = distance / _ROWS / np.abs(dq)
+        dq = np.tile(
+            np.repeat([forward_speed, -backward_speed], _ROWS_PER_DIRECTION), _SPEED_PAIR_CYCLES
+        )
+        dt = distance / _ROWS_PER_DIRECTION / np.abs(dq)
         q = trained_range.middle + np.cumsum(dq * dt)
-        tau = _run(law, np.cumsum(dt), dq, q, np.full(dq.shape, load))
-        power = (tau * dq * dt).reshape(_TURNS, -1)
-        given = _last_generated_energy(power[-1], power[-2])
-        frequency = 1.0 / (distance / ahead + distance / back)
-        yield Attack(energy=given, amplitude=ahead, frequency=frequency, mean=load, back=back)
+        tau = _run(law, np.cumsum(dt), dq, q, np.full(dq.shape, tau_load))
+        power = (tau * dq * dt).reshape(_SPEED_PAIR_CYCLES, -1)
+        energy = _last_generated_energy(power[-1], power[-2])
+        frequency = 1.0 / (distance / forward_speed + distance / backward_speed)
+        yield Attack(
+            energy=energy,
+            amplitude=forward_speed,
+            frequency=frequency,
+            mean=tau_load,
+            back=backward_speed,
+        )
 
 
-def _last_generated_energy(last: Array, before: Array) -> float:
+def _last_generated_energy(last_power: Array, previous_power: Array) -> float:
     """Return the energy generated in the last cycle if the last two agree, else 0."""
-    settled = last.sum() < -_LEAST * np.abs(last).sum()
-    alike = abs(last.sum() - before.sum()) < _ALIKE * abs(last.sum())
-    return -float(last.sum()) if settled and alike else 0.0
+    generates = last_power.sum() < -_MIN_SHARE * np.abs(last_power).sum()
+    is_repeated = abs(last_power.sum() - previous_power.sum()) < _CYCLE_TOLERANCE * abs(
+        last_power.sum()
+    )
+    return -float(last_power.sum()) if generates and is_repeated else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +125,7 @@ class LoadedMotion:
     rows: int  # per cycle
     cycle: Attack  # without energy
 
-    def given(self, tau: Array) -> float:
+    def compute_generated_energy(self, tau: Array) -> float:
         """Return the energy [J] generated by `tau` (K,) [N.m] in a settled last cycle, else 0."""
         power = tau * self.dq / (self.rows * self.cycle.frequency)
         return _last_generated_energy(power[-self.rows :], power[-2 * self.rows : -self.rows])
@@ -126,28 +142,28 @@ def loaded_motions(
     frequency = 1.0 / (rows * trained_range.sample_time)
     angle = 2.0 * np.pi * np.arange(rows * turns, dtype=float) / rows
     swing = max(map(abs, trained_range.tau_load)) / 2.0
-    still = Attack(energy=0.0, amplitude=0.0, frequency=frequency, mean=0.0, swing=swing)
-    for reach, phase, mean in product(angles, phases, (0.0, swing)):
-        amplitude = reach * 2.0 * np.pi * frequency
+    base_cycle = Attack(energy=0.0, amplitude=0.0, frequency=frequency, mean=0.0, swing=swing)
+    for deflection, phase, mean in product(angles, phases, (0.0, swing)):
+        amplitude = deflection * 2.0 * np.pi * frequency
         yield LoadedMotion(
             dq=amplitude * np.cos(angle),
-            q=trained_range.middle + reach * np.sin(angle),
+            q=trained_range.middle + deflection * np.sin(angle),
             load=mean + swing * np.cos(2.0 * angle + phase),
             rows=rows,
-            cycle=replace(still, amplitude=amplitude, mean=mean, phase=float(phase)),
+            cycle=replace(base_cycle, amplitude=amplitude, mean=mean, phase=float(phase)),
         )
 
 
-def _moving(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
+def _try_loaded_cycles(law: FrictionLaw, trained_range: TrainedRange) -> Iterator[Attack]:
     for motion in loaded_motions(trained_range):
         t: Array = trained_range.sample_time * np.arange(len(motion.dq), dtype=float)
-        energy = motion.given(_run(law, t, motion.dq, motion.q, motion.load))
+        energy = motion.compute_generated_energy(_run(law, t, motion.dq, motion.q, motion.load))
         yield replace(motion.cycle, energy=energy)
 
 
-def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:
+def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
     with np.errstate(all="ignore"):
         try:
-            return predict(law, t=t, dq=dq, q=q, tau_load=load)
+            return predict(law, t=t, dq=dq, q=q, tau_load=tau_load)
         except SimulationError:
             return np.full(t.shape, np.nan)

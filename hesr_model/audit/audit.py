@@ -20,10 +20,10 @@ from hesr_model.support.arrays import Array
 
 FREQUENCIES = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)  # [Hz]; a driving law gives more if slower
 AMPLITUDES = (1 / 100, 1 / 20, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)  # of the trained speed
-ENCODER = 20e-6  # [rad] RMS noise
-_SETTLING = 3.0  # [s] several time constants
+ENCODER_NOISE = 20e-6  # [rad] RMS noise
+_SETTLING_TIME = 3.0  # [s] several time constants
 _NOISE_ROWS = 4000
-_ROUNDING = 1e-9  # of the work
+_WORK_ROUND_OFF = 1e-9  # of the work
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,34 +49,36 @@ class ClosedMotions:
     q: Array  # (A, K) [rad]
 
 
-def closed_motions(trained_range: TrainedRange, amplitudes: Array, wanted: float) -> ClosedMotions:
-    """Return motions at about `wanted` [Hz] for amplitudes (A,) [rad/s] around the middle position.
+def closed_motions(
+    trained_range: TrainedRange, amplitudes: Array, target_frequency: float
+) -> ClosedMotions:
+    """Return motions at about `target_frequency` [Hz] for amplitudes (A,) [rad/s].
 
     Each position occurs once at dq and once at -dq, so torques of position alone do zero work.
     """
-    half = max(4, round(0.5 / (wanted * trained_range.sample_time)))
-    settling = half * max(1, round(2.0 * wanted * _SETTLING))
-    phase = np.pi / half * np.arange(-settling, 2 * half)
-    frequency = 0.5 / (half * trained_range.sample_time)
+    half_rows = max(4, round(0.5 / (target_frequency * trained_range.sample_time)))
+    settling_rows = half_rows * max(1, round(2.0 * target_frequency * _SETTLING_TIME))
+    phase = np.pi / half_rows * np.arange(-settling_rows, 2 * half_rows)
+    frequency = 0.5 / (half_rows * trained_range.sample_time)
     reach = amplitudes[:, None] / (2.0 * np.pi * frequency)
     return ClosedMotions(
         amplitudes=amplitudes,
         frequency=frequency,
-        rows=2 * half,
+        rows=2 * half_rows,
         dq=amplitudes[:, None] * np.cos(phase),
         q=trained_range.middle + reach * np.sin(phase),
     )
 
 
-def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycle]:
+def measure_cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycle]:
     """Yield the work of `tau` (A, K) [N.m] in the last cycle of each amplitude."""
     dt = 1.0 / (motions.frequency * motions.rows)
     power = (tau * motions.dq)[:, -motions.rows :]
-    for amplitude, row in zip(motions.amplitudes, power, strict=True):
-        work = float(row.sum()) * dt
-        moved = float(np.abs(row).sum()) * dt
-        share = work / moved if moved > 0.0 else 0.0
-        if abs(share) < _ROUNDING:
+    for amplitude, row_power in zip(motions.amplitudes, power, strict=True):
+        work = float(row_power.sum()) * dt
+        exchanged_work = float(np.abs(row_power).sum()) * dt
+        share = work / exchanged_work if exchanged_work > 0.0 else 0.0
+        if abs(share) < _WORK_ROUND_OFF:
             work = share = 0.0
         yield Cycle(
             amplitude=float(amplitude),
@@ -89,19 +91,19 @@ def cycles(motions: ClosedMotions, tau_load: float, tau: Array) -> Iterator[Cycl
 
 def encoder_noise(trained_range: TrainedRange) -> tuple[Array, Array, int]:
     """Return velocity (K,) [rad/s], position (K,) [rad] and settling rows of a noisy rest."""
-    settling = round(_SETTLING / trained_range.sample_time)
-    noise = ENCODER * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))
+    settling = round(_SETTLING_TIME / trained_range.sample_time)
+    noise = ENCODER_NOISE * standard_normal(0, 0, np.arange(settling + _NOISE_ROWS + 1))
     return np.diff(noise) / trained_range.sample_time, trained_range.middle + noise[1:], settling
 
 
-SLOWEST = 1e-3  # slowest steady speed, relative to the largest trained one
+SLOWEST_SPEED = 1e-3  # slowest steady speed, relative to the largest trained one
 REACH = 1.5  # range outside the trained speeds and loads, relative to it
-EXPLODES = 2.5  # limit over the largest trained torque; quadratic friction reaches 2.25
-_STEADY = 1e6  # [s] step to steady sliding, even at the slowest speed
-_POSITIONS = 32  # positions to average over
-_NUMERICAL = 1e-9  # [N.m] round-off
-_SMALL = 1e-6
-_SMALLER = 1e-9  # [rad/s] distances from rest
+EXPLOSION_RATIO = 2.5  # limit over the largest trained torque; quadratic friction reaches 2.25
+_STEADY_STEP = 1e6  # [s] step to steady sliding, even at the slowest speed
+_POSITION_COUNT = 32  # positions to average over
+_TORQUE_ROUND_OFF = 1e-9  # [N.m] round-off
+_FAR_SPEED = 1e-6
+_NEAR_SPEED = 1e-9  # [rad/s] distances from rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +117,7 @@ class Audit:
     jump: float  # [N.m] across zero velocity
     slope: float | None  # [N.m.s/rad] d tau / d dq at rest; explicit steps <= 2 J / slope
     slope_of_step: float | None  # with moving states, for a velocity held over one sample
-    chatter: float  # [N.m] standard deviation with noise `ENCODER`
+    chatter: float  # [N.m] standard deviation with noise `ENCODER_NOISE`
     largest: float  # [N.m] within trained speeds and loads
     largest_outside: float | None  # up to `REACH` beyond; None if not finite
     explodes: bool
@@ -127,59 +129,66 @@ Response = tuple[ClosedMotions, float, Array]  # motions, their constant load an
 
 def audit(law: FrictionLaw, trained_range: TrainedRange) -> Audit:
     """Audit the law of one joint; raises SimulationError if its torque is not finite in range."""
-    loads = loads_of(law, trained_range)
-    found = list(responses(law, trained_range, np.multiply(AMPLITUDES, trained_range.speed), loads))
-    largest = _largest(found)
+    loads = choose_loads(law, trained_range)
+    motion_responses = list(
+        compute_responses(law, trained_range, np.multiply(AMPLITUDES, trained_range.speed), loads)
+    )
+    largest = _find_largest_torque(motion_responses)
     if not isfinite(largest):
         raise SimulationError(f"law '{law.name}': torque is not finite within the trained range.")
-    outside = _largest_outside(law, trained_range)
-    driving, both_ways = _steady(law, trained_range, loads)
-    cycle = min((c for response in found for c in cycles(*response)), key=lambda c: c.work)
+    largest_outside = _extrapolate_largest_torque(law, trained_range)
+    driving, driving_both_ways = _find_driving_speeds(law, trained_range, loads)
+    cycle = min(
+        (c for response in motion_responses for c in measure_cycles(*response)),
+        key=lambda c: c.work,
+    )
     generating = cycle if cycle.work < 0.0 else None
-    jump, slope = _at_rest(law, trained_range, loads, 0.0)
-    _, slope_of_step = _at_rest(law, trained_range, loads, trained_range.sample_time)
-    dq, q, settling = encoder_noise(trained_range)
+    jump, slope = _measure_jump_and_slope(law, trained_range, loads, 0.0)
+    _, slope_of_step = _measure_jump_and_slope(law, trained_range, loads, trained_range.sample_time)
+    dq, q, settling_rows = encoder_noise(trained_range)
     t = trained_range.sample_time * np.arange(len(dq), dtype=float)
-    resting = (_run(law, t, dq, q, np.full(t.shape, load))[settling:] for load in loads)
+    rest_torques = (
+        _run(law, t, dq, q, np.full(t.shape, tau_load))[settling_rows:] for tau_load in loads
+    )
     return Audit(
         driving=driving,
-        driving_both_ways=both_ways,
+        driving_both_ways=driving_both_ways,
         generated=-generating.work if generating else 0.0,
         generating=generating,
         jump=jump,
         slope=slope,
         slope_of_step=slope_of_step,
-        chatter=max(float(np.std(tau)) for tau in resting),
+        chatter=max(float(np.std(tau)) for tau in rest_torques),
         largest=largest,
-        largest_outside=max(largest, outside) if isfinite(outside) else None,
-        explodes=_too_large(outside, trained_range),
+        largest_outside=max(largest, largest_outside) if isfinite(largest_outside) else None,
+        explodes=_is_too_large(largest_outside, trained_range),
     )
 
 
 def explodes(law: FrictionLaw, trained_range: TrainedRange) -> bool:
-    """Return True if |tau| just outside the trained range exceeds `EXPLODES` times its maximum."""
-    return _too_large(_largest_outside(law, trained_range), trained_range)
+    """Return whether |tau| just outside the trained range exceeds `EXPLOSION_RATIO` maxima."""
+    return _is_too_large(_extrapolate_largest_torque(law, trained_range), trained_range)
 
 
-def loads_of(
+def choose_loads(
     law: FrictionLaw, trained_range: TrainedRange, reach: float = 1.0
 ) -> tuple[float, ...]:
     """Return the minimum, smallest and maximum load [N.m]; one if the law uses none."""
-    low, high = trained_range.tau_load
-    beyond = (reach - 1.0) * (high - low) / 2.0
-    smallest = min(max(0.0, low), high)
+    lowest, highest = trained_range.tau_load
+    margin = (reach - 1.0) * (highest - lowest) / 2.0
+    smallest = min(max(0.0, lowest), highest)
     if TAU_LOAD not in law.form.inputs:
         return (smallest,)
-    return tuple(sorted({low - beyond, smallest, high + beyond}))
+    return tuple(sorted({lowest - margin, smallest, highest + margin}))
 
 
-def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, load: Array) -> Array:
+def _run(law: FrictionLaw, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
     """Predict without warnings: an overflow is a valid result."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return predict(law, t=t, dq=dq, q=q, tau_load=load)
+        return predict(law, t=t, dq=dq, q=q, tau_load=tau_load)
 
 
-def responses(
+def compute_responses(
     law: FrictionLaw,
     trained_range: TrainedRange,
     amplitudes: Array,
@@ -187,83 +196,91 @@ def responses(
     run: Run = _run,
 ) -> Iterator[Response]:
     """Yield responses to cycles of every frequency and load, all amplitudes in one run."""
-    for wanted in FREQUENCIES:
-        motions = closed_motions(trained_range, amplitudes, wanted)
+    for frequency in FREQUENCIES:
+        motions = closed_motions(trained_range, amplitudes, frequency)
         t: Array = trained_range.sample_time * np.arange(motions.dq.size, dtype=float)
-        for load in loads:
-            tau = run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, load))
-            yield motions, load, tau.reshape(motions.dq.shape)
+        for tau_load in loads:
+            tau = run(law, t, motions.dq.ravel(), motions.q.ravel(), np.full(t.shape, tau_load))
+            yield motions, tau_load, tau.reshape(motions.dq.shape)
 
 
-def _largest(found: Sequence[Response]) -> float:
-    return float(np.max([np.max(np.abs(tau[:, -motions.rows :])) for motions, _, tau in found]))
+def _find_largest_torque(motion_responses: Sequence[Response]) -> float:
+    return float(
+        np.max([np.max(np.abs(tau[:, -motions.rows :])) for motions, _, tau in motion_responses])
+    )
 
 
-def _largest_outside(law: FrictionLaw, trained_range: TrainedRange) -> float:
+def _extrapolate_largest_torque(law: FrictionLaw, trained_range: TrainedRange) -> float:
     amplitudes = trained_range.speed * np.linspace(1.0, REACH, 3)
     try:
-        return _largest(
-            list(responses(law, trained_range, amplitudes, loads_of(law, trained_range, REACH)))
+        return _find_largest_torque(
+            list(
+                compute_responses(
+                    law, trained_range, amplitudes, choose_loads(law, trained_range, REACH)
+                )
+            )
         )
     except SimulationError:
         return np.inf
 
 
-def _too_large(torque: float, trained_range: TrainedRange) -> bool:
+def _is_too_large(torque: float, trained_range: TrainedRange) -> bool:
     # also True for NaN
-    return not torque <= EXPLODES * max(map(abs, trained_range.tau))
+    return not torque <= EXPLOSION_RATIO * max(map(abs, trained_range.tau))
 
 
-def _steady(
+def _find_driving_speeds(
     law: FrictionLaw, trained_range: TrainedRange, loads: Sequence[float]
 ) -> tuple[tuple[Range, ...], tuple[Range, ...]]:
     linear = np.linspace(0.0, 1.0, 121)[1:]
-    slow = np.geomspace(SLOWEST, 1.0, 61)
+    slow = np.geomspace(SLOWEST_SPEED, 1.0, 61)
     speeds = trained_range.speed * np.union1d(linear, slow)
     velocities = np.concatenate([-speeds[::-1], speeds])
-    known = _POSITIONS if Q in law.form.inputs else 1
+    position_count = _POSITION_COUNT if Q in law.form.inputs else 1
     # Multiples of the golden ratio avoid aliasing with ripple.
-    places = trained_range.q[0] + np.ptp(trained_range.q) * (
-        (0.5 + np.arange(known) * 0.6180339887) % 1.0
+    positions = trained_range.q[0] + np.ptp(trained_range.q) * (
+        (0.5 + np.arange(position_count) * 0.6180339887) % 1.0
     )
-    v, load, q = (
-        part.ravel() for part in np.meshgrid(velocities, np.array(loads), places, indexing="ij")
+    dq, tau_load, q = (
+        axis.ravel() for axis in np.meshgrid(velocities, np.array(loads), positions, indexing="ij")
     )
     # A very long exact step takes states to drive / rate; the first row has none.
-    settled = replace(law, discretisation="exact")
-    rows = np.concatenate([[0], np.arange(len(v))])
-    t = _STEADY * np.arange(len(rows), dtype=float)
-    tau = _run(settled, t, v[rows], q[rows], load[rows])[1:]
-    tau = tau.reshape(len(velocities), len(loads), known).mean(axis=2)
+    exact_law = replace(law, discretisation="exact")
+    rows = np.concatenate([[0], np.arange(len(dq))])
+    t = _STEADY_STEP * np.arange(len(rows), dtype=float)
+    tau = _run(exact_law, t, dq[rows], q[rows], tau_load[rows])[1:]
+    tau = tau.reshape(len(velocities), len(loads), position_count).mean(axis=2)
     power = (tau * velocities[:, None]).min(axis=1)
     round_trip = (speeds[:, None] * (tau - tau[::-1])[len(speeds) :]).min(axis=1)
-    return _negative(velocities, power), _negative(speeds, round_trip)
+    return _find_negative_ranges(velocities, power), _find_negative_ranges(speeds, round_trip)
 
 
-def _negative(v: Array, power: Array) -> tuple[Range, ...]:
-    v = np.concatenate([[min(v[0], 0.0)], v, v[-1:]])
+def _find_negative_ranges(velocities: Array, power: Array) -> tuple[Range, ...]:
+    velocities = np.concatenate([[min(velocities[0], 0.0)], velocities, velocities[-1:]])
     power = np.pad(power, 1)
     k = np.flatnonzero(np.diff(power < 0.0)) + 1
-    back = power[k] / (power[k] - power[k - 1])
-    crossed = v[k] - back * (v[k] - v[k - 1])
-    edges = np.where((v[k - 1] < 0.0) & (v[k] > 0.0), 0.0, crossed).tolist()
+    fraction = power[k] / (power[k] - power[k - 1])
+    crossings = velocities[k] - fraction * (velocities[k] - velocities[k - 1])
+    edges = np.where((velocities[k - 1] < 0.0) & (velocities[k] > 0.0), 0.0, crossings).tolist()
     return tuple(zip(edges[::2], edges[1::2], strict=True))
 
 
-def _at_rest(
+def _measure_jump_and_slope(
     law: FrictionLaw, trained_range: TrainedRange, loads: Sequence[float], dt: float
 ) -> tuple[float, float | None]:
     """Return (jump, slope) of the torque at rest over dt for the worst load, by differences."""
     t = np.array([0.0, dt])
     q = np.full(2, trained_range.middle)
 
-    def difference(speed: float, load: float) -> float:
-        loads = np.full(2, load)
-        ends = [_run(law, t, np.array([0.0, v]), q, loads)[-1] for v in (speed, -speed)]
-        return float(ends[0] - ends[1])
+    def difference(speed: float, tau_load: float) -> float:
+        constant_load = np.full(2, tau_load)
+        torques = [
+            _run(law, t, np.array([0.0, dq]), q, constant_load)[-1] for dq in (speed, -speed)
+        ]
+        return float(torques[0] - torques[1])
 
-    near = max((difference(_SMALLER, load) for load in loads), key=abs)
-    far = max((difference(_SMALL, load) for load in loads), key=abs)
-    if abs(near) > max(0.5 * abs(far), _NUMERICAL):
-        return near, None
-    return 0.0, far / (2.0 * _SMALL)
+    near_difference = max((difference(_NEAR_SPEED, tau_load) for tau_load in loads), key=abs)
+    far_difference = max((difference(_FAR_SPEED, tau_load) for tau_load in loads), key=abs)
+    if abs(near_difference) > max(0.5 * abs(far_difference), _TORQUE_ROUND_OFF):
+        return near_difference, None
+    return 0.0, far_difference / (2.0 * _FAR_SPEED)

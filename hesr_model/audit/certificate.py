@@ -28,29 +28,29 @@ import numpy as np
 import sympy
 
 from hesr_model.audit.attack import Attack, attack
-from hesr_model.audit.audit import SLOWEST
+from hesr_model.audit.audit import SLOWEST_SPEED
 from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
 from hesr_model.equations.intervals import (
     Enclosure,
     Least,
     bound_expression,
-    lowest,
-    never_negative,
+    find_minimum,
+    is_never_negative,
 )
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
-from hesr_model.friction.law import FrictionLaw, text_of
-from hesr_model.friction.scales import COULOMB, LEAST, SCALES, scaled
+from hesr_model.friction.law import FrictionLaw, format_expression
+from hesr_model.friction.scales import COULOMB, MIN_SCALE, SCALES, add_scales
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.stops.form import distance
 from hesr_model.support.arrays import Array
 
 ProofVerdict = Literal["proven", "refuted", "tested"]
-_ROUNDING = 1e-9  # relative
-_STEPS = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
-_REST = 1e-12  # [rad/s]; below, only torques above round-off count
-_EDGES = np.concatenate([[1e-300], np.geomspace(_REST, 1e6, 73)])  # [rad/s]
-_WAYS = (1.0, -1.0)
+_RELATIVE_ROUND_OFF = 1e-9  # relative
+_STEP_CANDIDATES = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
+_REST_SPEED = 1e-12  # [rad/s]; below, only torques above round-off count
+_SPEED_EDGES = np.concatenate([[1e-300], np.geomspace(_REST_SPEED, 1e6, 73)])  # [rad/s]
+_DIRECTIONS = (1.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,54 +86,60 @@ def _require(condition: object, otherwise: str, *speeds: tuple[float, float]) ->
 def certify(law: FrictionLaw, trained_range: TrainedRange) -> Certificate:
     """Prove the passivity of a law, refute it by a cycle, or return the condition that fails."""
     try:
-        return _Proof(law).certificate()
+        return _Proof(law).build_certificate()
     except _UnprovenError as reason:
-        slowest = (trained_range.speed * SLOWEST, trained_range.speed * SLOWEST**2, 0.0)
-        pairs = [(max(v, s), max(w, s)) for v, w in reason.speeds for s in slowest]
-        cycle, tried = attack(law, trained_range, pairs)
+        slowest_speeds = (
+            trained_range.speed * SLOWEST_SPEED,
+            trained_range.speed * SLOWEST_SPEED**2,
+            0.0,
+        )
+        speed_pairs = [(max(v, s), max(w, s)) for v, w in reason.speeds for s in slowest_speeds]
+        cycle, sequences = attack(law, trained_range, speed_pairs)
         verdict: ProofVerdict = "refuted" if cycle else "tested"
-        return Certificate(verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=tried)
+        return Certificate(
+            verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=sequences
+        )
 
 
-def proven(law: FrictionLaw) -> bool:
+def has_proof(law: FrictionLaw) -> bool:
     """Return whether a proof of passivity exists, without a search for cycles."""
     try:
-        _Proof(law).certificate()
+        _Proof(law).build_certificate()
     except _UnprovenError:
         return False
     return True
 
 
-def least_viscosity(law: FrictionLaw) -> float:
+def find_min_viscous_scale(law: FrictionLaw) -> float:
     """Return the smallest factor on viscous friction that keeps the proof, else 0."""
-    return scale_limits(law)[1][0]
+    return find_scale_limits(law)[1][0]
 
 
-def scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
+def find_scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
     """Return limits of each factor of `SCALES` (None: any) that keep the proof of a proven law.
 
     Both remain 1 if either part alone could generate energy, or Coulomb friction covers ripple.
     """
     proof = _Proof(law)
     try:
-        proof.certificate()
+        proof.build_certificate()
     except _UnprovenError:
         return [(0.0, None)] * len(SCALES)
-    coulomb, viscous = proof.scaled_parts()
+    coulomb, viscous = proof.collect_scaled_parts()
     try:
         _require(coulomb == 0 or not proof.least, "")
         for part in (coulomb, viscous):
-            _Steady(part).least_viscous()
+            _Steady(part).find_viscous_bound()
     except _UnprovenError:
         return [(1.0, 1.0)] * len(SCALES)
-    least = min(float(f"{proof.least * (1.0 + 1e-5):.6g}"), 1.0)  # rounded up
-    return [(0.0, None), (least, None)]
+    min_viscous_scale = min(float(f"{proof.least * (1.0 + 1e-5):.6g}"), 1.0)  # rounded up
+    return [(0.0, None), (min_viscous_scale, None)]
 
 
-def storage(law: FrictionLaw) -> Mapping[str, float]:
+def find_storage_factors(law: FrictionLaw) -> Mapping[str, float]:
     """Return k of k x^2 [J per square of its unit] of each state in the storage of a proven law."""
     proof = _Proof(law)
-    proof.certificate()
+    proof.build_certificate()
     return {element.name: proof.stored.get(element.name, 0.0) for element in law.form.memory}
 
 
@@ -159,24 +165,26 @@ class _Proof:
         functions = self.output.atoms(sympy.Function)
         self._curved = set[sympy.Symbol]().union(*(f.free_symbols for f in functions))
 
-    def certificate(self) -> Certificate:
+    def build_certificate(self) -> Certificate:
         damping = 0.0
         for element in self.memory:
-            damping += self._element(element)
-        rest = self.output.xreplace(self.still)
-        linear = sum(self.output.diff(s) * s for s in self.still if self.output.has(s))
-        remainder = sympy.expand(self.output - rest - linear)
+            damping += self._prove_element(element)
+        stateless_torque = self.output.xreplace(self.still)
+        state_torque = sum(self.output.diff(s) * s for s in self.still if self.output.has(s))
+        remainder = sympy.expand(self.output - stateless_torque - state_torque)
         _require(remainder == 0, "the torque is not linear in the states")
-        terms = list(sympy.Add.make_args(sympy.expand_mul(rest)))
-        levels = [term for term in terms if TAU_LOAD in term.free_symbols]
-        for term in levels:
-            braking = never_negative(term / sgn(DQ))
-            _require(braking, "the load is in the torque itself, not in a bound")
+        terms = list(sympy.Add.make_args(sympy.expand_mul(stateless_torque)))
+        load_terms = [term for term in terms if TAU_LOAD in term.free_symbols]
+        for term in load_terms:
+            is_braking = is_never_negative(term / sgn(DQ))
+            _require(is_braking, "the load is in the torque itself, not in a bound")
             terms.remove(term)
-        if levels:
+        if load_terms:
             self.conditions.append("factors of friction that rises with the load are >= 0")
-        waves = [term for term in terms if Q in term.free_symbols]
-        self._viscous(sympy.Add(*(t for t in terms if Q not in t.free_symbols)), waves, damping)
+        wave_terms = [term for term in terms if Q in term.free_symbols]
+        self._prove_viscous(
+            sympy.Add(*(t for t in terms if Q not in t.free_symbols)), wave_terms, damping
+        )
         return Certificate(
             verdict="proven",
             storage=f"S = {' + '.join(self.texts)}" if self.texts else "S = 0",
@@ -184,92 +192,94 @@ class _Proof:
             largest_step=self.step,
         )
 
-    def _element(self, element: Element) -> float:
+    def _prove_element(self, element: Element) -> float:
         """Return the requirement on f [N.m.s/rad]."""
-        x = element.state
-        linear = f"the factor of {x} depends on inputs or states"
-        _require(not self._curved & {x, element.derivative}, linear)  # avoids slow derivatives
-        factor = self.output.diff(x)
+        state = element.state
+        reason = f"the factor of {state} depends on inputs or states"
+        _require(not self._curved & {state, element.derivative}, reason)  # avoids slow derivatives
+        factor = self.output.diff(state)
         rate_factor = self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
             return 0.0
-        _require(factor.is_number and rate_factor.is_number, linear)
+        _require(factor.is_number and rate_factor.is_number, reason)
         force = float(factor)
         damper = float(rate_factor)
-        _require(force >= 0.0, f"the factor of {x} is negative, {force:.3g}")
+        _require(force >= 0.0, f"the factor of {state} is negative, {force:.3g}")
         if isinstance(element, Stop):
-            own = element.velocity == DQ and damper == 0.0
-            _require(own, f"the velocity of the stop {x} is not that of the joint")
-            k = force * float(element.deflection) / 2.0
-            bound = text_of(element.bound)
-            self.conditions.append(f"F({x}) = {force:.3g} >= 0, bound {bound} >= 0")
+            follows_joint = element.velocity == DQ and damper == 0.0
+            _require(follows_joint, f"the velocity of the stop {state} is not that of the joint")
+            storage_factor = force * float(element.deflection) / 2.0
+            bound = format_expression(element.bound)
+            self.conditions.append(f"F({state}) = {force:.3g} >= 0, bound {bound} >= 0")
         else:
-            k = self._bristle(element, force)
-        self.stored[element.name] = k
-        self.texts.append(f"{k:.3g} {x}^2")
-        return 0.0 if damper == 0.0 else self._damper(element, damper)
+            storage_factor = self._prove_bristle(element, force)
+        self.stored[element.name] = storage_factor
+        self.texts.append(f"{storage_factor:.3g} {state}^2")
+        return 0.0 if damper == 0.0 else self._find_damper_requirement(element, damper)
 
-    def _bristle(self, element: Relaxation, force: float) -> float:
-        x = element.state
+    def _prove_bristle(self, element: Relaxation, force: float) -> float:
+        state = element.state
         gain = sympy.simplify(element.drive / DQ)
-        proportional = gain.is_number and float(gain) > 0.0
-        _require(proportional, f"the drive of {x} is not proportional to the velocity")
+        is_proportional = gain.is_number and float(gain) > 0.0
+        _require(is_proportional, f"the drive of {state} is not proportional to the velocity")
         inputs = element.rate.free_symbols
         if inputs <= {DQ}:
-            bound = _least_of(element.rate, enough=0.0)
-            _require(bound >= 0.0, f"the rate of {x} has no bound >= 0 at all speeds")
+            bound = _find_lower_bound(element.rate, sufficient_bound=0.0)
+            _require(bound >= 0.0, f"the rate of {state} has no bound >= 0 at all speeds")
         else:
-            known = inputs <= {DQ, TAU_LOAD} and never_negative(element.rate)
-            _require(known, f"the rate of {x} depends on more than velocity and load")
-        self.conditions.append(f"F({x}) = {force:.3g} >= 0, rate of {x} >= 0")
+            has_valid_rate = inputs <= {DQ, TAU_LOAD} and is_never_negative(element.rate)
+            _require(has_valid_rate, f"the rate of {state} depends on more than velocity and load")
+        self.conditions.append(f"F({state}) = {force:.3g} >= 0, rate of {state} >= 0")
         if self.law.discretisation != "exact":
             self.step = None
         return force / (2.0 * float(gain))
 
-    def _damper(self, element: Element, damper: float) -> float:
+    def _find_damper_requirement(self, element: Element, damper: float) -> float:
         """Return d (max k / min k - 1) for the rate |v| k(v), by Barabanov and Ortega."""
         if not isinstance(element, Relaxation) or damper < 0.0:
             raise _UnprovenError(f"the factor of {element.derivative} is negative, {damper:.3g}")
-        constant = TAU_LOAD not in element.rate.free_symbols
-        _require(constant, f"the rate of {element.name} with damping depends on the load")
+        is_constant = TAU_LOAD not in element.rate.free_symbols
+        _require(is_constant, f"the rate of {element.name} with damping depends on the load")
         k = sympy.expand_mul(element.rate / absolute(DQ))
-        low = _least_of(k)
-        high = -_least_of(-k)
-        _require(low > 0.0, f"{element.name} has no steady deflection at some speed")
+        lower = _find_lower_bound(k)
+        upper = -_find_lower_bound(-k)
+        _require(lower > 0.0, f"{element.name} has no steady deflection at some speed")
         gain = float(element.drive.diff(DQ))
-        bound = f"{gain / low:.3g} {element.unit}"
+        bound = f"{gain / lower:.3g} {element.unit}"
         self.conditions.append(f"|{element.name}| <= {bound} times coulomb_scale at the start")
-        return damper * (high / low - 1.0) * gain
+        return damper * (upper / lower - 1.0) * gain
 
-    def _viscous(self, steady: sympy.Expr, waves: list[sympy.Expr], damping: float) -> None:
-        own = steady.free_symbols <= {DQ}
-        _require(own, "the torque without states depends on more than the velocity")
+    def _prove_viscous(self, steady: sympy.Expr, waves: list[sympy.Expr], damping: float) -> None:
+        depends_on_speed_only = steady.free_symbols <= {DQ}
+        _require(
+            depends_on_speed_only, "the torque without states depends on more than the velocity"
+        )
         curve = _Steady(steady)
-        known = curve.least_viscous()
-        self.conditions.append(f"f(v) >= {known:.3g} N.m.s/rad at all speeds")
+        viscous_bound = curve.find_viscous_bound()
+        self.conditions.append(f"f(v) >= {viscous_bound:.3g} N.m.s/rad at all speeds")
         if damping > 0.0:
             share = curve.share(lambda v: np.full_like(v, damping))
             _require(
-                share >= 1.0 - _ROUNDING,
+                share >= 1.0 - _RELATIVE_ROUND_OFF,
                 f"Barabanov and Ortega require {damping:.3g} N.m.s/rad of viscous friction, "
-                f"found {known:.3g}",
+                f"found {viscous_bound:.3g}",
             )
             self.conditions.append(f"Barabanov and Ortega require {damping:.3g} of it")
             self.least = 1.0 / share
         if waves:
-            self._ripple(waves, curve, damping)
+            self._prove_ripple(waves, curve, damping)
         self.least = min(self.least, 1.0)
 
-    def scaled_parts(self) -> list[sympy.Expr]:
+    def collect_scaled_parts(self) -> list[sympy.Expr]:
         """Return the torque of speed alone that each factor of `SCALES` multiplies."""
-        level = {larger(COULOMB.symbol, LEAST): COULOMB.symbol}
-        torque = scaled(self.law.form).output.xreplace({**self.numbers, **self.still, **level})
+        level = {larger(COULOMB.symbol, MIN_SCALE): COULOMB.symbol}
+        torque = add_scales(self.law.form).output.xreplace({**self.numbers, **self.still, **level})
         terms = sympy.Add.make_args(sympy.expand_mul(torque))
-        own = sympy.Add(*(t for t in terms if not t.free_symbols & {Q, TAU_LOAD}))
-        return [own.coeff(scale.symbol) for scale in SCALES]
+        speed_torque = sympy.Add(*(t for t in terms if not t.free_symbols & {Q, TAU_LOAD}))
+        return [speed_torque.coeff(scale.symbol) for scale in SCALES]
 
-    def _ripple(self, waves: list[sympy.Expr], curve: "_Steady", damping: float) -> None:
-        found: dict[tuple[float, float, float, float], list[float]] = {}
+    def _prove_ripple(self, waves: list[sympy.Expr], curve: "_Steady", damping: float) -> None:
+        amplitudes: dict[tuple[float, float, float, float], list[float]] = {}
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
             if wave is None or len(term.atoms(sympy.cos, sympy.sin)) != 1:
@@ -278,8 +288,8 @@ class _Proof:
             factor = term / wave
             n = argument.diff(Q)
             lag = -argument.subs({DT: 0, Q: 0}).diff(DQ)
-            linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
-            _require(linear, "the argument of a wave is not linear in angle and speed")
+            is_linear = n.is_number and float(n) != 0.0 and (lag / n).is_number
+            _require(is_linear, "the argument of a wave is not linear in angle and speed")
             window = -1.0  # longest step [s] without averaging
             for mean in factor.atoms(cardinal_sine):
                 window = next((-float(f.args[0].subs(DT, 0)) for f in mean.atoms(positive)), 0.0)
@@ -288,28 +298,32 @@ class _Proof:
             smoothing = 0.0
             if not factor.is_number:
                 amplitude = factor.subs(DQ, 0)
-                slow = sympy.simplify((amplitude / factor - 1) / DQ**2)
-                smoothed = amplitude.is_number and slow.is_number and slow >= 0
-                _require(smoothed, "the amplitude of a wave depends on more than smoothing")
-                smoothing = float(sympy.sqrt(slow)) / abs(float(n))
+                smoothing_square = sympy.simplify((amplitude / factor - 1) / DQ**2)
+                is_smoothing = (
+                    amplitude.is_number and smoothing_square.is_number and smoothing_square >= 0
+                )
+                _require(is_smoothing, "the amplitude of a wave depends on more than smoothing")
+                smoothing = float(sympy.sqrt(smoothing_square)) / abs(float(n))
             key = (abs(float(n)), float(lag / n), smoothing, window)
-            found.setdefault(key, []).append(float(amplitude))
+            amplitudes.setdefault(key, []).append(float(amplitude))
         groups = [
             (float(np.hypot(a[0], a[1])) if len(a) == 2 else sum(map(abs, a)), *key)
-            for key, a in found.items()
+            for key, a in amplitudes.items()
         ]
         any_step = all(window >= 0.0 for *_, window in groups)
 
         def share(step: float) -> float:
-            return curve.share(lambda v: damping + _needed(groups, step, v))
+            return curve.share(lambda v: damping + _compute_required_viscosity(groups, step, v))
 
         def fails(step: float) -> bool:
             return share(step) < 1.0 - 1e-6
 
-        steps = np.array([inf]) if any_step else _STEPS
-        holding = bisect_left(steps, True, key=fails)  # longer steps need more
-        _require(holding, "lagging ripple generates more energy than viscous friction dissipates")
-        step = float(steps[holding - 1])
+        steps = np.array([inf]) if any_step else _STEP_CANDIDATES
+        holding_count = bisect_left(steps, True, key=fails)  # longer steps need more
+        _require(
+            holding_count, "lagging ripple generates more energy than viscous friction dissipates"
+        )
+        step = float(steps[holding_count - 1])
         self.least = 1.0 / share(step)
         self.step = None if self.step is None else min(self.step, step)
         self.conditions.append(
@@ -325,16 +339,18 @@ class _Steady:
         linear = [t for t in terms if t.as_powers_dict().get(DQ, 0) >= 1]
         self.p = sympy.Add(*(t / DQ for t in linear))
         self.constant, self.r = sympy.Add(*(t for t in terms if t not in linear)).as_coeff_Add()
-        ways = np.array(_WAYS)
-        size = max(float(np.max(np.abs(bound_expression(torque, {DQ: (ways, ways)})))), 1e-12)
+        directions = np.array(_DIRECTIONS)
+        size = max(
+            float(np.max(np.abs(bound_expression(torque, {DQ: (directions, directions)})))), 1e-12
+        )
         unbounded = "the torque of steady motion has no sufficient bound at all speeds"
         _require(size < inf, unbounded)
-        self.slack = _ROUNDING * size
+        self.slack = _RELATIVE_ROUND_OFF * size
         self.offset = 0.0
-        ahead, back = self._least(lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b))
+        ahead, back = self._find_minima(lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b))
         drop = -ahead.value - back.value
-        v = max(ahead.at, _REST)
-        w = max(back.at, _REST)
+        v = max(ahead.at, _REST_SPEED)
+        w = max(back.at, _REST_SPEED)
         _require(
             drop <= self.slack,
             f"forward at {v:.3g} rad/s friction is {drop:.3g} N.m less than backward at {w:.3g} "
@@ -346,12 +362,15 @@ class _Steady:
         if not -back.bound - self.slack <= self.offset <= ahead.bound + self.slack:
             self.offset = min(max(self.offset, -back.bound), ahead.bound)
 
-    def least_viscous(self) -> float:
+    def find_viscous_bound(self) -> float:
         """Return a lower bound >= 0 of f [N.m.s/rad]."""
-        found = self._least(lambda r, p, a, b: self._viscous(r, p, a, b, 0.0))
-        value = min(one.value for one in found)
-        bound = min(one.bound for one in found)
-        _require(value >= -self.slack, f"viscous friction is negative, {value:.3g} N.m.s/rad")
+        minima = self._find_minima(lambda r, p, a, b: self._bound_viscous(r, p, a, b, 0.0))
+        lowest_viscous = min(minimum.value for minimum in minima)
+        bound = min(minimum.bound for minimum in minima)
+        _require(
+            lowest_viscous >= -self.slack,
+            f"viscous friction is negative, {lowest_viscous:.3g} N.m.s/rad",
+        )
         _require(bound >= -self.slack, "viscous friction has no bound >= 0 at all speeds")
         return bound if bound > self.slack else 0.0
 
@@ -359,44 +378,60 @@ class _Steady:
         """Return a lower bound of f / need, which must not rise with speed."""
 
         def share(r: Array, p: Array, a: Array, b: Array) -> Array:
-            f = self._viscous(r, p, a, b, need(a))
-            needed = need(a)
-            return np.where(needed > 0.0, f / needed, inf)
+            f = self._bound_viscous(r, p, a, b, need(a))
+            requirement = need(a)
+            return np.where(requirement > 0.0, f / requirement, inf)
 
-        return min(one.bound for one in self._least(share))
+        return min(minimum.bound for minimum in self._find_minima(share))
 
-    def _viscous(self, r: Array, p: Array, a: Array, b: Array, need: Array | float) -> Array:
-        enough = r + np.minimum(p - need, 0.0) * b >= -self.slack
+    def _bound_viscous(
+        self, r: Array, p: Array, a: Array, b: Array, requirement: Array | float
+    ) -> Array:
+        is_sufficient = r + np.minimum(p - requirement, 0.0) * b >= -self.slack
         f = p + np.where(r >= 0.0, r / b, r / a)
-        return np.where(enough & (b <= _REST), inf, f)
+        return np.where(is_sufficient & (b <= _REST_SPEED), inf, f)
 
-    def _least(self, of: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
-        def bound(way: float, a: Array, b: Array) -> Array:
-            low, high = bound_expression(self.r, {DQ: _speeds(way, a, b)})
-            p = bound_expression(self.p, {DQ: _speeds(way, a, b)})[0]
-            constant = way * float(self.constant - self.offset)
-            r = (low if way > 0.0 else -high) + constant * (abs(constant) > 1e-3 * self.slack)
+    def _find_minima(self, function: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
+        def bound_interval(direction: float, a: Array, b: Array) -> Array:
+            lower, upper = bound_expression(self.r, {DQ: _build_speed_interval(direction, a, b)})
+            p = bound_expression(self.p, {DQ: _build_speed_interval(direction, a, b)})[0]
+            constant = direction * float(self.constant - self.offset)
+            r = (lower if direction > 0.0 else -upper) + constant * (
+                abs(constant) > 1e-3 * self.slack
+            )
             with np.errstate(all="ignore"):
-                return of(*np.broadcast_arrays(r, p, a, b))
+                return function(*np.broadcast_arrays(r, p, a, b))
 
-        return [lowest(partial(bound, way), _EDGES, size=1e6 * self.slack) for way in _WAYS]
-
-
-def _speeds(way: float, a: Array, b: Array) -> Enclosure:
-    return (a, b) if way > 0.0 else (-b, -a)
-
-
-def _least_of(expression: sympy.Expr, enough: float = inf) -> float:
-    def bound(way: float, a: Array, b: Array) -> Array:
-        return np.broadcast_to(bound_expression(expression, {DQ: _speeds(way, a, b)})[0], a.shape)
-
-    return min(lowest(partial(bound, way), _EDGES, enough=enough).bound for way in _WAYS)
+        return [
+            find_minimum(partial(bound_interval, direction), _SPEED_EDGES, size=1e6 * self.slack)
+            for direction in _DIRECTIONS
+        ]
 
 
-def _needed(groups: Sequence[tuple[float, ...]], step: float, speeds: Array) -> Array:
-    need = np.zeros_like(speeds)
+def _build_speed_interval(direction: float, a: Array, b: Array) -> Enclosure:
+    return (a, b) if direction > 0.0 else (-b, -a)
+
+
+def _find_lower_bound(expression: sympy.Expr, sufficient_bound: float = inf) -> float:
+    def bound_interval(direction: float, a: Array, b: Array) -> Array:
+        return np.broadcast_to(
+            bound_expression(expression, {DQ: _build_speed_interval(direction, a, b)})[0], a.shape
+        )
+
+    return min(
+        find_minimum(
+            partial(bound_interval, direction), _SPEED_EDGES, sufficient_bound=sufficient_bound
+        ).bound
+        for direction in _DIRECTIONS
+    )
+
+
+def _compute_required_viscosity(
+    groups: Sequence[tuple[float, ...]], step: float, speeds: Array
+) -> Array:
+    requirement = np.zeros_like(speeds)
     for amplitude, n, lag, smoothing, window in groups:
         c = distance(lag, window if window >= 0.0 else step)
-        need += amplitude * np.minimum(n * c, 2.0 / speeds)
-        need += amplitude * np.minimum(n * smoothing / 2.0, 1.0 / speeds)
-    return need
+        requirement += amplitude * np.minimum(n * c, 2.0 / speeds)
+        requirement += amplitude * np.minimum(n * smoothing / 2.0, 1.0 / speeds)
+    return requirement

@@ -65,7 +65,7 @@ def _expectation(
     return Expectation(*names, *figure, measured, expected, sources)
 
 
-_ALL = (
+_ALL_EXPECTATIONS = (
     _expectation(
         ("presliding", "Pre-sliding loop", "loop"),
         ("stiffness after a reversal", "kN.m/rad", 1e-3),
@@ -202,7 +202,7 @@ _ALL = (
     ),
 )
 
-EXPECTATIONS = {expectation.key: expectation for expectation in _ALL}
+EXPECTATIONS = {expectation.key: expectation for expectation in _ALL_EXPECTATIONS}
 
 
 FORMAT = "hesr-friction-properties-1"
@@ -263,28 +263,31 @@ class PropertyResult:
     reason: str = ""
     plot: Plot | None = None
 
-    def at_joint(self, *, slides: bool) -> "PropertyResult":
+    def to_joint_units(self, *, is_prismatic: bool) -> "PropertyResult":
         """Return the result in the units of its joint, from those of a revolute one."""
-        figures = (replace(f, unit=unit_of_joint(f.unit, slides=slides)) for f in self.figures)
+        figures = (
+            replace(figure, unit=unit_of_joint(figure.unit, is_prismatic=is_prismatic))
+            for figure in self.figures
+        )
         plot = self.plot
         if plot:
-            x, y = (unit_of_joint(unit, slides=slides) for unit in plot.units)
+            x, y = (unit_of_joint(unit, is_prismatic=is_prismatic) for unit in plot.units)
             plot = replace(plot, units=(x, y))
         return replace(self, figures=tuple(figures), plot=plot)
 
 
-_NEWER = ("nested", "start", "drive")  # than version 1
-_NOT_KNOWN = PropertyResult(
+_LATER_PROPERTIES = ("nested", "start", "drive")  # than version 1
+_NOT_RUN = PropertyResult(
     verdict="not run", reason="Not run: the file is older than this experiment."
 )
 
 
-def _every(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResult]:
-    known = dict.fromkeys(_NEWER, _NOT_KNOWN) | dict(findings)
-    missing = EXPECTATIONS.keys() - known.keys()
+def _complete_findings(findings: Mapping[str, PropertyResult]) -> Mapping[str, PropertyResult]:
+    completed = dict.fromkeys(_LATER_PROPERTIES, _NOT_RUN) | dict(findings)
+    missing = EXPECTATIONS.keys() - completed.keys()
     if missing:
         raise RuleError(f"'{min(missing)}' is missing", code="properties.missing", key=min(missing))
-    return {key: known[key] for key in EXPECTATIONS}
+    return {key: completed[key] for key in EXPECTATIONS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,7 +299,7 @@ class JointProperties:
     level: float  # [N.m] half difference of the steady torques at a tenth of the speed
     deflection: float  # [rad] in pre-sliding
     inertia: float | None  # [kg.m2]
-    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_every)]
+    findings: Annotated[Mapping[str, PropertyResult], AfterValidator(_complete_findings)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,7 +314,7 @@ class Properties:
     @property
     def failed(self) -> dict[str, list[int]]:
         """Numbers from 1 of the joints that fail, by title of the check."""
-        found = {
+        failures = {
             expectation.title: [
                 number
                 for number, joint in enumerate(self.joints, start=1)
@@ -319,7 +322,7 @@ class Properties:
             ]
             for key, expectation in EXPECTATIONS.items()
         }
-        return {title: joints for title, joints in found.items() if joints}
+        return {title: joints for title, joints in failures.items() if joints}
 
     @property
     def passed(self) -> int:
@@ -331,13 +334,13 @@ class Properties:
 
 
 def combine_results(
-    name: str, found: Mapping[str, Properties], laws: Sequence[str]
+    name: str, properties_by_law: Mapping[str, Properties], laws: Sequence[str]
 ) -> Properties | None:
     """Return the results of a model that has the law `laws[k]` on joint k; None if unknown."""
-    if not all(law in found for law in laws):
+    if not all(law in properties_by_law for law in laws):
         return None
-    own = tuple(found[law].joints[k] for k, law in enumerate(laws))
-    return replace(found[laws[0]], law=name, joints=own)
+    joint_properties = tuple(properties_by_law[law].joints[j] for j, law in enumerate(laws))
+    return replace(properties_by_law[laws[0]], law=name, joints=joint_properties)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -345,14 +348,14 @@ class _File:
     laws: Mapping[str, Properties]
 
 
-def write_properties(path: Path, found: Mapping[str, Properties]) -> None:
+def write_properties(path: Path, properties_by_law: Mapping[str, Properties]) -> None:
     """Write the results of several laws by name, together with the expectations."""
-    expectations = {key: to_json(e) for key, e in EXPECTATIONS.items()}
-    laws = {name: to_json(properties) for name, properties in found.items()}
+    expectations = {key: to_json(expectation) for key, expectation in EXPECTATIONS.items()}
+    laws = {name: to_json(properties) for name, properties in properties_by_law.items()}
     write_json(path, {"format": FORMAT, "expectations": expectations, "laws": laws})
 
 
 def read_properties(path: Path) -> dict[str, Properties]:
     """Read a file of `write_properties`."""
-    found = from_json(_File, read_json(path, FORMAT), path, "findings of the physics checks")
-    return dict(found.laws)
+    file = from_json(_File, read_json(path, FORMAT), path, "findings of the physics checks")
+    return dict(file.laws)

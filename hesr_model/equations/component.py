@@ -56,7 +56,11 @@ class Choice(Parameter):
         """Return the expression of the current value; 0 for values without a case."""
         numbers = {name: k for k, (name, _) in enumerate(self.items, start=1)}
         return sympy.Piecewise(
-            *((e, sympy.Eq(self.symbol, numbers[name])) for name, e in cases.items()), (0, True)
+            *(
+                (expression, sympy.Eq(self.symbol, numbers[name]))
+                for name, expression in cases.items()
+            ),
+            (0, True),
         )
 
 
@@ -111,28 +115,30 @@ class Component:
     events: bool = True
 
     def __post_init__(self) -> None:
-        given = [quantity.symbol for quantity in self.given]
+        given_symbols = [quantity.symbol for quantity in self.given]
         states = [s for m in self.memory for s in (m.state, m.derivative)]
-        named = [e.symbol for e in self.equations]
-        names = Counter([*given, *states, *named])
-        twice = [symbol for symbol, count in names.items() if count > 1]
-        if twice:
+        equation_symbols = [e.symbol for e in self.equations]
+        symbol_counts = Counter([*given_symbols, *states, *equation_symbols])
+        repeated = [symbol for symbol, count in symbol_counts.items() if count > 1]
+        if repeated:
             raise ArtifactError(
-                f"equations: '{twice[0]}' is used twice among inputs, coefficients, states and "
+                f"equations: '{repeated[0]}' is used twice among inputs, coefficients, states and "
                 "names."
             )
-        before = {previous(e.name) for e in self.equations if e.start is not None}
-        known = {*given, DT, *before}
+        previous_symbols = {previous(e.name) for e in self.equations if e.start is not None}
+        known_symbols = {*given_symbols, DT, *previous_symbols}
         for element in self.memory:
-            own = {element.state} if isinstance(element, Relaxation) else set()
-            rate = element.parts[1].free_symbols - known - own
-            _require_known((element.parts[0].free_symbols - known) | rate, element.name)
-            known.add(element.state)
-        known |= {*states, *named}
+            readable_states = {element.state} if isinstance(element, Relaxation) else set()
+            rate = element.parts[1].free_symbols - known_symbols - readable_states
+            _require_known((element.parts[0].free_symbols - known_symbols) | rate, element.name)
+            known_symbols.add(element.state)
+        known_symbols |= {*states, *equation_symbols}
         for equation in self.equations:
             parts = (equation.expression, *(() if equation.start is None else (equation.start,)))
-            _require_known(set().union(*(e.free_symbols for e in parts)) - known, equation.name)
-        _require_known(self.settling.free_symbols - set(given), "settling")
+            _require_known(
+                set().union(*(e.free_symbols for e in parts)) - known_symbols, equation.name
+            )
+        _require_known(self.settling.free_symbols - set(given_symbols), "settling")
         self.ordered  # noqa: B018 - raises if equations form a circle
 
     @property
@@ -143,9 +149,12 @@ class Component:
     @cached_property
     def ordered(self) -> tuple[Equation, ...]:
         """Equations, each after those it uses."""
-        own = {equation.symbol: equation for equation in self.equations}
+        equations_by_symbol = {equation.symbol: equation for equation in self.equations}
         return tuple(
-            own[s] for s in in_order({s: equation.expression for s, equation in own.items()})
+            equations_by_symbol[symbol]
+            for symbol in order_symbols(
+                {symbol: equation.expression for symbol, equation in equations_by_symbol.items()}
+            )
         )
 
     @property
@@ -170,21 +179,21 @@ class Component:
     @cached_property
     def starting(self) -> Mapping[sympy.Symbol, sympy.Expr]:
         """Ordered equations before the first step: previous values are starts, dt is 0."""
-        found = {
+        start_expressions = {
             equation.symbol: equation.expression.xreplace(self.starts).xreplace(
                 {DT: sympy.Integer(0)}
             )
             for equation in self.equations
         }
-        return {symbol: found[symbol] for symbol in in_order(found)}
+        return {symbol: start_expressions[symbol] for symbol in order_symbols(start_expressions)}
 
     @cached_property
     def sampled_memory(self) -> bool:
         """True if memory reads previous values; it then moves by whole steps only."""
-        read = sympy.Tuple(
+        read_symbols = sympy.Tuple(
             *(part for element in self.memory for part in element.parts)
         ).free_symbols
-        return any(previous(equation.name) in read for equation in self.remembered)
+        return any(previous(equation.name) in read_symbols for equation in self.remembered)
 
     @cached_property
     def holds(self) -> bool:
@@ -192,26 +201,28 @@ class Component:
         timed = any(DT in equation.expression.free_symbols for equation in self.equations)
         return timed and bool(self.remembered)
 
-    def sources(self, expression: sympy.Expr, *, starting: bool = False) -> frozenset[sympy.Symbol]:
+    def find_sources(
+        self, expression: sympy.Expr, *, starting: bool = False
+    ) -> frozenset[sympy.Symbol]:
         """Return the given symbols and states behind an expression, at the start if `starting`."""
-        into = {equation.symbol: equation.expression for equation in self.equations}
-        into |= self.starts if starting else {}
-        into |= {
+        definitions = {equation.symbol: equation.expression for equation in self.equations}
+        definitions |= self.starts if starting else {}
+        definitions |= {
             element.derivative: sympy.Tuple(element.state, *element.parts)
             for element in self.memory
         }
-        seen: set[sympy.Symbol] = set()
+        visited: set[sympy.Symbol] = set()
         waiting = set(expression.free_symbols)
         while waiting:
             symbol = waiting.pop()
-            seen.add(symbol)
-            waiting |= into.get(symbol, sympy.Integer(0)).free_symbols - seen
-        return frozenset(seen - into.keys())
+            visited.add(symbol)
+            waiting |= definitions.get(symbol, sympy.Integer(0)).free_symbols - visited
+        return frozenset(visited - definitions.keys())
 
 
-def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.Symbol]:
+def order_symbols(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.Symbol]:
     """Yield symbols, each after those it uses; raise ArtifactError for a circle."""
-    done: set[sympy.Symbol] = set()
+    visited: set[sympy.Symbol] = set()
 
     def visit(symbol: sympy.Symbol, path: tuple[sympy.Symbol, ...]) -> Iterator[sympy.Symbol]:
         if symbol in path:
@@ -219,11 +230,11 @@ def in_order(expressions: Mapping[sympy.Symbol, sympy.Expr]) -> Iterator[sympy.S
                 f"equations: '{symbol}' depends on itself through "
                 f"{', '.join(map(str, path[path.index(symbol) :]))}; use previous()."
             )
-        if symbol in done:
+        if symbol in visited:
             return
         for other in sorted(expressions[symbol].free_symbols & expressions.keys(), key=str):
             yield from visit(other, (*path, symbol))
-        done.add(symbol)
+        visited.add(symbol)
         yield symbol
 
     for symbol in expressions:

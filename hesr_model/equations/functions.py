@@ -38,29 +38,33 @@ class _Real(sympy.Function):  # type: ignore[misc] # SymPy is not typed
         return text if "{power}" in self.latex_form else text + power
 
 
-def _function(name: str, nargs: int, latex: str, exact: Any = None) -> Any:
-    own = {"nargs": nargs, "latex_form": latex, "exact": exact, "__module__": __name__}
-    kind: Any = type(_Real)
-    return kind(name, (_Real,), own)
+def _define_function(name: str, nargs: int, latex: str, exact: Any = None) -> Any:
+    namespace = {"nargs": nargs, "latex_form": latex, "exact": exact, "__module__": __name__}
+    metaclass: Any = type(_Real)
+    return metaclass(name, (_Real,), namespace)
 
 
-sgn = _function("sgn", 1, r"\operatorname{{sgn}}{power}\left({}\right)", sympy.sign)  # 0 at 0
-absolute = _function("absolute", 1, r"\left|{}\right|", sympy.Abs)  # absolute value
-positive = _function("positive", 1, r"\max\left({}, 0\right)")  # max(x, 0), 0 for NaN
-larger = _function("larger", 2, r"\max\left({}, {}\right)")  # maximum of two numbers
-clip = _function("clip", 2, r"\operatorname{{clip}}\left({}, \pm {}\right)")
+sgn = _define_function(
+    "sgn", 1, r"\operatorname{{sgn}}{power}\left({}\right)", sympy.sign
+)  # 0 at 0
+absolute = _define_function("absolute", 1, r"\left|{}\right|", sympy.Abs)  # absolute value
+positive = _define_function("positive", 1, r"\max\left({}, 0\right)")  # max(x, 0), 0 for NaN
+larger = _define_function("larger", 2, r"\max\left({}, {}\right)")  # maximum of two numbers
+clip = _define_function("clip", 2, r"\operatorname{{clip}}\left({}, \pm {}\right)")
 """x clipped to -b and b, for b >= 0."""
-exceeds = _function("exceeds", 2, r"\left[{} > {}\right]")  # 1 if a > b, else 0
-over = _function("over", 3, r"\left({0}\right) / \left({1}\right)")
+exceeds = _define_function("exceeds", 2, r"\left[{} > {}\right]")  # 1 if a > b, else 0
+over = _define_function("over", 3, r"\left({0}\right) / \left({1}\right)")
 """a / b for b > 0, else the third argument."""
-decay = _function("decay", 2, r"\left(e^{{-{0}}} - 1\right)")
+decay = _define_function("decay", 2, r"\left(e^{{-{0}}} - 1\right)")
 """Relative change exp(-z) - 1 of a state over a step, -z by Euler; z = rate * dt, 1 for Euler."""
-share = _function("share", 3, r"\varphi\left({}\right)")
+share = _define_function("share", 3, r"\varphi\left({}\right)")
 """(1 - exp(-z)) / z, continued by 1 at 0; arguments are z, `decay` and 1 for Euler."""
-share_slope = _function("share_slope", 3, r"\varphi'\left({}\right)")  # derivative of `share` by z
-cardinal_sine = _function("cardinal_sine", 1, r"\operatorname{{sinc}}{power}\left({}\right)")
+share_slope = _define_function(
+    "share_slope", 3, r"\varphi'\left({}\right)"
+)  # derivative of `share` by z
+cardinal_sine = _define_function("cardinal_sine", 1, r"\operatorname{{sinc}}{power}\left({}\right)")
 """sin(x) / x, continued by 1 at 0: mean of a wave over a step relative to its middle value."""
-cardinal_slope = _function("cardinal_slope", 1, r"\operatorname{{sinc}}'\left({}\right)")
+cardinal_slope = _define_function("cardinal_slope", 1, r"\operatorname{{sinc}}'\left({}\right)")
 """Derivative of `cardinal_sine`."""
 _ZERO = sympy.S.Zero
 _SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
@@ -105,7 +109,7 @@ def _share_slope(z: Any, e: Any, euler: Any) -> Any:
     return np.where(euler, 0.0, np.where(small, series, quotient))
 
 
-def _over(a: Any, b: Any, otherwise: Any) -> Any:
+def _divide_or_default(a: Any, b: Any, otherwise: Any) -> Any:
     divides = np.greater(b, 0.0)
     return np.where(divides, a / np.where(divides, b, 1.0), otherwise)
 
@@ -118,7 +122,7 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
     "larger": np.maximum,
     "clip": lambda x, b: np.minimum(np.maximum(x, -b), b),
     "exceeds": lambda a, b: np.where(np.greater(a, b), 1.0, 0.0),
-    "over": _over,
+    "over": _divide_or_default,
     "decay": lambda z, euler: np.where(euler, -z, np.expm1(-z)),
     "share": _share,
     "share_slope": _share_slope,
@@ -127,7 +131,7 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
 }  # NumPy functions by name
 
 
-def _share_of_one(z: float, e: float, euler: float) -> float:
+def _scalar_share(z: float, e: float, euler: float) -> float:
     if euler:
         return 1.0
     if abs(z) < _SERIES_BELOW:
@@ -135,7 +139,7 @@ def _share_of_one(z: float, e: float, euler: float) -> float:
     return -e / z
 
 
-def _sine_of_one(x: float) -> float:
+def _scalar_cardinal_sine(x: float) -> float:
     return 1.0 - x * x / 6.0 * (1.0 - x * x / 20.0) if abs(x) < _SERIES_BELOW else math.sin(x) / x
 
 
@@ -148,12 +152,12 @@ SCALAR: Mapping[str, Callable[..., float]] = {
     "exceeds": lambda a, b: 1.0 if a > b else 0.0,
     "over": lambda a, b, otherwise: a / b if b > 0.0 else otherwise,
     "decay": lambda z, euler: -z if euler else math.expm1(-z),
-    "share": _share_of_one,
-    "cardinal_sine": _sine_of_one,
+    "share": _scalar_share,
+    "cardinal_sine": _scalar_cardinal_sine,
 }  # functions of one number by name, a hundred times as fast as NumPy
 
 
-def lowered(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
+def to_numpy_function(arguments: Sequence[sympy.Symbol], expressions: Sequence[sympy.Expr]) -> Any:
     """Return a NumPy function of `arguments` for `expressions`."""
     options = {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}
     printer = NumPyPrinter({**options, "user_functions": {name: name for name in NUMPY}})

@@ -7,16 +7,16 @@ import sympy
 from numpy.typing import NDArray
 
 from hesr_model.equations.memory import Element
-from hesr_model.equations.operations import Graph, fixed_nodes, program_of
+from hesr_model.equations.operations import Graph, build_program, find_fixed_nodes
 from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.equations.rows import BLOCK, ProgramRun
 from hesr_model.support.arrays import Array
 
 
 class Kernel:
-    """Programs for `rows.c`: `wanted` as functions of `numbers`, equal for all rows, and `inputs`.
+    """Programs for `rows.c`: `expressions` in `numbers`, equal for all rows, and `inputs`.
 
-    States and derivatives in `wanted` are those at the end of a step; `names` are intermediate
+    States and derivatives in `expressions` are those at the end of a step; `names` are intermediate
     values. With `once`, values of inputs alone are not cached between runs.
     """
 
@@ -25,7 +25,7 @@ class Kernel:
         memory: Sequence[Element],
         numbers: Sequence[sympy.Symbol],
         inputs: Sequence[sympy.Symbol],
-        wanted: Sequence[sympy.Expr],
+        expressions: Sequence[sympy.Expr],
         settling: sympy.Expr = sympy.S.Zero,
         *,
         names: Mapping[sympy.Symbol, sympy.Expr] | None = None,
@@ -35,14 +35,14 @@ class Kernel:
         graph = Graph(numbers, inputs)
         graph.move(self.memory)
         graph.assign(names or {})
-        results = [graph.of(e) for e in wanted]
-        self.known = [] if once else fixed_nodes(graph, results)
-        self.fixed = program_of(graph, self.known)
-        self.main = program_of(graph, results, self.known)
+        results = [graph.find_node(expression) for expression in expressions]
+        self.known = [] if once else find_fixed_nodes(graph, results)
+        self.fixed = build_program(graph, self.known)
+        self.main = build_program(graph, results, self.known)
         graph = Graph((*numbers, *(element.state for element in self.memory)), inputs)
         graph.assign(initial_state(self.memory, settling))
-        self.first = program_of(
-            graph, [graph.of(initial_symbol(element)) for element in self.memory]
+        self.first = build_program(
+            graph, [graph.find_node(initial_symbol(element)) for element in self.memory]
         )
         self.row_by_row = any(
             element.state in sympy.Tuple(*element.parts).free_symbols for element in self.memory
@@ -65,28 +65,28 @@ class KernelRun(ProgramRun):
         euler: bool = False,
         start: Sequence[float] = (),
         target: Array | None = None,
-        found: Array | None = None,
+        output: Array | None = None,
     ) -> None:
         # C does not check lengths.
-        arrays = [_in_doubles(np.broadcast_to(a, np.shape(dt))) for a in (dt, *inputs)]
-        firsts, states = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
-        self._start = np.array(start or (0.0,) * states)
+        arrays = [_to_doubles(np.broadcast_to(column, np.shape(dt))) for column in (dt, *inputs)]
+        firsts, state_count = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
+        self._start = np.array(start or (0.0,) * state_count)
         if kernel.known:
-            fixed = ProgramRun(kernel.fixed, arrays, firsts)
-            fixed.on(np.zeros(0))
-            arrays += list(fixed.found.T)
+            fixed_run = ProgramRun(kernel.fixed, arrays, firsts)
+            fixed_run.run_rows(np.zeros(0))
+            arrays += list(fixed_run.found.T)
         if kernel.memory:
-            at_firsts = [a[firsts] for a in arrays]
-            self._first = ProgramRun(kernel.first, at_firsts, np.arange(len(firsts)))
+            first_inputs = [column[firsts] for column in arrays]
+            self._first = ProgramRun(kernel.first, first_inputs, np.arange(len(firsts)))
         super().__init__(
             kernel.main,
             arrays,
             firsts,
-            states=states,
+            states=state_count,
             euler=euler,
             block=1 if kernel.row_by_row else BLOCK,
             target=target,
-            found=found,
+            output=output,
         )
 
     def begin(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
@@ -94,17 +94,19 @@ class KernelRun(ProgramRun):
         if settled and start is not None:
             self.starts[:] = start if start.ndim > 1 else start[:, None]
         elif len(self.starts):
-            self._first.on(np.concatenate([numbers, self._start if start is None else start]))
+            self._first.run_rows(np.concatenate([numbers, self._start if start is None else start]))
             self.starts[:] = self._first.found.T
         return self.starts
 
-    def at(self, numbers: Array, start: Array | None = None, *, settled: bool = False) -> Array:
+    def evaluate(
+        self, numbers: Array, start: Array | None = None, *, settled: bool = False
+    ) -> Array:
         """Return (N, K) results, valid until the next call; SimulationError if unstable."""
         self.begin(numbers, start, settled=settled)
-        self.on(numbers)
+        self.run_rows(numbers)
         return self.found
 
-    def solved(
+    def fit_factors(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False
     ) -> tuple[Array, float] | None:
         """Return the factors (K,) of the results that fit the target best, and the squared error.
@@ -114,9 +116,9 @@ class KernelRun(ProgramRun):
         """
         self.begin(numbers)
         self.multiply(numbers, weights, keep=keep)
-        return self.factors(non_negative)
+        return self.solve_factors(non_negative)
 
 
-def _in_doubles(values: Array) -> Array:
-    found = np.asarray(values, dtype=np.float64)
-    return found if found.strides[0] % 8 == 0 else np.ascontiguousarray(found)
+def _to_doubles(values: Array) -> Array:
+    doubles = np.asarray(values, dtype=np.float64)
+    return doubles if doubles.strides[0] % 8 == 0 else np.ascontiguousarray(doubles)

@@ -12,7 +12,9 @@ DT = sympy.Symbol("dt", real=True)  # length of the current step [s]
 Discretisation: TypeAlias = Literal["exact", "euler"]  # exact for held inputs; Euler: eq. 10
 EULER = sympy.Symbol("euler", real=True)  # 1 for Euler's step (eq. 10) of relaxations, 0 if exact
 FIRST_STEP = sympy.Rational(1, 1000)  # step [s] of the search for the settled state
-RELEASE = sympy.Float(0.005)  # T [s], time constant of a continuous stop with a shrinking bound
+RELEASE_TIME = sympy.Float(
+    0.005
+)  # T [s], time constant of a continuous stop with a shrinking bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,15 +27,20 @@ class _Element:
             if f.name not in ("name", "unit"):
                 object.__setattr__(self, f.name, sympy.S.Zero + getattr(self, f.name))
 
-    def subs(self, replaced: Mapping[sympy.Symbol, sympy.Expr]) -> Self:
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
+    def subs(self, replacements: Mapping[sympy.Symbol, sympy.Expr]) -> Self:
+        attributes = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(
-            self, **{k: v.xreplace(replaced) for k, v in own.items() if isinstance(v, sympy.Basic)}
+            self,
+            **{
+                name: expression.xreplace(replacements)
+                for name, expression in attributes.items()
+                if isinstance(expression, sympy.Basic)
+            },
         )
 
     @property
     def seeks(self) -> bool:
-        """True if `settled` is one step of an iteration: the rate depends on x."""
+        """True if `steady_state` is one step of an iteration: the rate depends on x."""
         return False
 
     @property
@@ -58,13 +65,13 @@ class Relaxation(_Element):
         """Drive and rate."""
         return self.drive, self.rate
 
-    def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+    def advance(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return x+ = x exp(-z) + drive dt (1 - exp(-z)) / z for z = rate dt, exact if held."""
         z = second * DT
         e = decay(z, EULER)
         return (1 + e) * self.state + first * DT * share(z, e, EULER)
 
-    def continuous(self) -> sympy.Expr:
+    def express_derivative(self) -> sympy.Expr:
         """Return x'."""
         return self.drive - positive(self.rate) * self.state
 
@@ -73,7 +80,7 @@ class Relaxation(_Element):
         """See `_Element.seeks`."""
         return self.state in self.rate.free_symbols
 
-    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+    def steady_state(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return drive / rate, the zero of x'; x itself if the rate is 0.
 
         If the rate depends on x, return the point halfway there, as in Heron's square root; whole
@@ -93,10 +100,10 @@ class Slow(Relaxation):
 
     @property
     def seeks(self) -> bool:
-        """False: `settled` is exact."""
+        """False: `steady_state` is exact."""
         return False
 
-    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:  # noqa: ARG002 - signature of every element
+    def steady_state(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:  # noqa: ARG002 - signature of every element
         """Return x itself."""
         return self.state
 
@@ -114,15 +121,15 @@ class Stop(_Element):
         """Rate v / w and bound."""
         return self.velocity / self.deflection, self.bound
 
-    def sampled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+    def advance(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return x at the end of a step, from v / w and the guarded bound."""
         return clip(self.state + first * DT, second)
 
-    def settled(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
+    def steady_state(self, first: sympy.Expr, second: sympy.Expr) -> sympy.Expr:
         """Return the bound in the direction of motion; x within the bounds at rest."""
         return sgn(first) * second + (1 - absolute(sgn(first))) * clip(self.state, second)
 
-    def continuous(self) -> sympy.Expr:
+    def express_derivative(self) -> sympy.Expr:
         """Return x' without events, passive with the same storage function.
 
         With e = w x, d = max(0.01 w s, 1e-3 w), b = max(w s - d, 0) and m = max(w s, d),
@@ -136,7 +143,9 @@ class Stop(_Element):
         x = self.state
         w = self.deflection
         speed = absolute(self.velocity)
-        return self.velocity / w - speed / (w * d) * (x - clip(x, b)) - (x - clip(x, m)) / RELEASE
+        return (
+            self.velocity / w - speed / (w * d) * (x - clip(x, b)) - (x - clip(x, m)) / RELEASE_TIME
+        )
 
 
 Element: TypeAlias = Relaxation | Stop

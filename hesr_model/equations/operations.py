@@ -26,7 +26,7 @@ _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
     name.lower(): name for name in NAMES[NAMES.index("LOG") : NAMES.index("CARRIED")]
 }
 _MOVES = ("CARRIED", "RELAX", "STOP", "STOP_BESIDE")
-_MOST_FACTORS = 8  # largest integer power written as a product
+_MAX_FACTORS = 8  # largest integer power written as a product
 
 
 class Dependence(IntEnum):
@@ -53,136 +53,165 @@ class Graph:
         self.nodes: list[Node] = []
         self._places: dict[tuple[Any, ...], int] = {}
         self._of: dict[sympy.Basic, int] = {}
-        for kind, symbols in ((Dependence.NUMBERS, numbers), (Dependence.INPUTS, self.inputs)):
+        for dependence, symbols in (
+            (Dependence.NUMBERS, numbers),
+            (Dependence.INPUTS, self.inputs),
+        ):
             for i, symbol in enumerate(symbols):
-                self._of[symbol] = self._node("", (), i, kind)
+                self._of[symbol] = self._intern_node("", (), i, dependence)
 
     def assign(self, assignments: Mapping[sympy.Symbol, sympy.Expr]) -> None:
         """Define symbols by expressions of earlier ones."""
         for symbol, expression in assignments.items():
-            self._of[symbol] = self.of(expression)
+            self._of[symbol] = self.find_node(expression)
 
     def move(self, memory: Sequence[Element]) -> None:
         """Define states and derivatives by their values after a step."""
-        for first, end in _groups(memory):
-            self._move_together(memory[first:end], first)
+        for first, end in _group_moves(memory):
+            self._move_group(memory[first:end], first)
 
-    def _move_together(self, group: Sequence[Element], first: int) -> None:
+    def _move_group(self, group: Sequence[Element], first: int) -> None:
         (element, *_), states = group, [m.state for m in group]
-        sees_itself = element.state in sympy.Tuple(*element.parts).free_symbols
-        if sees_itself:
-            self._of[element.state] = self._node("CARRIED", (), first, Dependence.ROWS)
-        parts = [tuple(map(self.of, m.parts)) for m in group]
-        if sees_itself:
+        reads_itself = element.state in sympy.Tuple(*element.parts).free_symbols
+        if reads_itself:
+            self._of[element.state] = self._intern_node("CARRIED", (), first, Dependence.ROWS)
+        parts = [tuple(map(self.find_node, m.parts)) for m in group]
+        if reads_itself:
             self._of = {e: k for e, k in self._of.items() if element.state not in e.free_symbols}
-        kind = "RELAX" if isinstance(element, Relaxation) else "STOP"
-        leader = self._of[states[0]] = self._node(kind, parts[0], first, Dependence.ROWS)
+        operation = "RELAX" if isinstance(element, Relaxation) else "STOP"
+        leader = self._of[states[0]] = self._intern_node(
+            operation, parts[0], first, Dependence.ROWS
+        )
         for i in range(1, len(group)):
-            own = (*parts[i], leader)
-            self._of[states[i]] = self._node("STOP_BESIDE", own, first + i, Dependence.ROWS)
+            operands = (*parts[i], leader)
+            self._of[states[i]] = self._intern_node(
+                "STOP_BESIDE", operands, first + i, Dependence.ROWS
+            )
         for m in group:
-            self._of[m.derivative] = self.of(m.continuous())
+            self._of[m.derivative] = self.find_node(m.express_derivative())
 
-    def of(self, expression: sympy.Expr) -> int:
+    def find_node(self, expression: sympy.Expr) -> int:
         """Return an expression's node; raise ArtifactError for a function without operation."""
         if expression not in self._of:
-            self._of[expression] = self._made(expression)
+            self._of[expression] = self._build_node(expression)
         return self._of[expression]
 
-    def _made(self, e: sympy.Expr) -> int:
-        if e.is_Number or isinstance(e, sympy.NumberSymbol):
-            return self._literal(float(e))
-        if e.is_Add:
-            return self._sum(e)
-        if e.is_Mul:
-            return self._product(e)
-        if e.is_Pow:
-            return self._power(e)
-        name = _FUNCTIONS.get(e.func, _FUNCTIONS.get(e.func.__name__))
-        if name is None and e.is_number:
-            return self._literal(float(e))
-        if name is None:
+    def _build_node(self, expression: sympy.Expr) -> int:
+        if expression.is_Number or isinstance(expression, sympy.NumberSymbol):
+            return self._add_literal(float(expression))
+        if expression.is_Add:
+            return self._add_sum(expression)
+        if expression.is_Mul:
+            return self._add_product(expression)
+        if expression.is_Pow:
+            return self._add_power(expression)
+        operation = _FUNCTIONS.get(expression.func, _FUNCTIONS.get(expression.func.__name__))
+        if operation is None and expression.is_number:
+            return self._add_literal(float(expression))
+        if operation is None:
             raise ArtifactError(
-                f"equations: '{e}' uses the function '{e.func.__name__}', which cannot be run over "
+                f"equations: '{expression}' uses the function '{expression.func.__name__}', "
+                "which cannot be run over "
                 f"logs; use {', '.join(sorted(map(str, _FUNCTIONS)))} and powers."
             )
-        return self._operation(name, *map(self.of, e.args))
+        return self._add_operation(operation, *map(self.find_node, expression.args))
 
-    def _sum(self, e: sympy.Add) -> int:
-        negative = [t.could_extract_minus_sign() for t in e.args]
-        plus = [self.of(t) for t, n in zip(e.args, negative, strict=True) if not n]
-        minus = [self.of(-t) for t, n in zip(e.args, negative, strict=True) if n]
-        if not plus:
-            return self._operation("NEGATE", self._chain_operation("ADD", minus))
-        found = self._chain_operation("ADD", plus)
-        for node in self._by_dependence(minus):
-            found = self._operation("SUBTRACT", found, node)
-        return found
+    def _add_sum(self, expression: sympy.Add) -> int:
+        is_negative = [t.could_extract_minus_sign() for t in expression.args]
+        added_nodes = [
+            self.find_node(t) for t, n in zip(expression.args, is_negative, strict=True) if not n
+        ]
+        subtracted_nodes = [
+            self.find_node(-t) for t, n in zip(expression.args, is_negative, strict=True) if n
+        ]
+        if not added_nodes:
+            return self._add_operation("NEGATE", self._chain_operation("ADD", subtracted_nodes))
+        total = self._chain_operation("ADD", added_nodes)
+        for node in self._sort_by_dependence(subtracted_nodes):
+            total = self._add_operation("SUBTRACT", total, node)
+        return total
 
-    def _product(self, e: sympy.Mul) -> int:
-        above = []
-        below = []
-        sign = False
-        for factor in e.args:
+    def _add_product(self, expression: sympy.Mul) -> int:
+        numerator = []
+        denominator = []
+        is_negative = False
+        for factor in expression.args:
             if factor.is_Rational and factor < 0:
-                sign, factor = not sign, -factor
+                is_negative, factor = not is_negative, -factor
             if factor.is_Rational:
-                above += [] if factor.p == 1 else [self._literal(float(factor.p))]
-                below += [] if factor.q == 1 else [self._literal(float(factor.q))]
+                numerator += [] if factor.p == 1 else [self._add_literal(float(factor.p))]
+                denominator += [] if factor.q == 1 else [self._add_literal(float(factor.q))]
             elif factor.is_Pow and factor.exp.is_number and factor.exp < 0:
-                below.append(self.of(1 / factor))
+                denominator.append(self.find_node(1 / factor))
             else:
-                above.append(self.of(factor))
-        one = self._literal(1.0)
+                numerator.append(self.find_node(factor))
+        unit_node = self._add_literal(1.0)
         # Divide once by uniform values: products are five times as fast.
-        same = [node for node in below if self.nodes[node].dependence <= Dependence.NUMBERS]
-        differs = [node for node in below if node not in same]
-        if same:
-            above.append(self._operation("DIVIDE", one, self._chain_operation("MULTIPLY", same)))
-        found = self._chain_operation("MULTIPLY", above) if above else one
-        if differs:
-            found = self._operation("DIVIDE", found, self._chain_operation("MULTIPLY", differs))
-        return self._operation("NEGATE", found) if sign else found
+        uniform_nodes = [
+            node for node in denominator if self.nodes[node].dependence <= Dependence.NUMBERS
+        ]
+        varying_nodes = [node for node in denominator if node not in uniform_nodes]
+        if uniform_nodes:
+            numerator.append(
+                self._add_operation(
+                    "DIVIDE", unit_node, self._chain_operation("MULTIPLY", uniform_nodes)
+                )
+            )
+        product = self._chain_operation("MULTIPLY", numerator) if numerator else unit_node
+        if varying_nodes:
+            product = self._add_operation(
+                "DIVIDE", product, self._chain_operation("MULTIPLY", varying_nodes)
+            )
+        return self._add_operation("NEGATE", product) if is_negative else product
 
-    def _power(self, e: sympy.Pow) -> int:
-        if e.base is sympy.E:
-            return self._operation("EXP", self.of(e.exp))
-        if e.exp.is_Rational and e.exp < 0:
-            return self._operation("DIVIDE", self._literal(1.0), self.of(e.base**-e.exp))
-        base = self.of(e.base)
-        if e.exp == sympy.Rational(1, 2):
-            return self._operation("ROOT", base)
-        if not e.exp.is_Integer or e.exp > _MOST_FACTORS:
-            return self._operation("POWER", base, self.of(e.exp))
-        found = base
-        for _ in range(int(e.exp) - 1):
-            found = self._operation("MULTIPLY", found, base)
-        return found
+    def _add_power(self, expression: sympy.Pow) -> int:
+        if expression.base is sympy.E:
+            return self._add_operation("EXP", self.find_node(expression.exp))
+        if expression.exp.is_Rational and expression.exp < 0:
+            return self._add_operation(
+                "DIVIDE", self._add_literal(1.0), self.find_node(expression.base**-expression.exp)
+            )
+        base = self.find_node(expression.base)
+        if expression.exp == sympy.Rational(1, 2):
+            return self._add_operation("ROOT", base)
+        if not expression.exp.is_Integer or expression.exp > _MAX_FACTORS:
+            return self._add_operation("POWER", base, self.find_node(expression.exp))
+        power = base
+        for _ in range(int(expression.exp) - 1):
+            power = self._add_operation("MULTIPLY", power, base)
+        return power
 
-    def _by_dependence(self, nodes: Iterable[int]) -> list[int]:
+    def _sort_by_dependence(self, nodes: Iterable[int]) -> list[int]:
         return sorted(nodes, key=lambda node: self.nodes[node].dependence)
 
     def _chain_operation(self, name: str, nodes: Iterable[int]) -> int:
-        first, *others = self._by_dependence(nodes)
-        for node in others:
-            first = self._operation(name, first, node)
-        return first
+        chained, *other_nodes = self._sort_by_dependence(nodes)
+        for node in other_nodes:
+            chained = self._add_operation(name, chained, node)
+        return chained
 
-    def _literal(self, value: float) -> int:
-        return self._node("", (), value, Dependence.LITERAL)
+    def _add_literal(self, value: float) -> int:
+        return self._intern_node("", (), value, Dependence.LITERAL)
 
-    def _operation(self, name: str, *operands: int) -> int:
-        of = {self.nodes[node].dependence for node in operands}
-        mixed = {Dependence.NUMBERS, Dependence.INPUTS} <= of
-        kind = Dependence.ROWS if mixed else max(*of, Dependence.NUMBERS)
-        return self._node(name, operands, None, kind)
+    def _add_operation(self, name: str, *operands: int) -> int:
+        dependences = {self.nodes[node].dependence for node in operands}
+        is_mixed = {Dependence.NUMBERS, Dependence.INPUTS} <= dependences
+        dependence = Dependence.ROWS if is_mixed else max(*dependences, Dependence.NUMBERS)
+        return self._intern_node(name, operands, None, dependence)
 
-    def _node(self, name: str, operands: tuple[int, ...], detail: Any, kind: Dependence) -> int:
+    def _intern_node(
+        self, name: str, operands: tuple[int, ...], detail: Any, dependence: Dependence
+    ) -> int:
         # Literals are compared as text because 0.0 == -0.0.
-        key = (name, operands, repr(detail) if kind is Dependence.LITERAL else detail, kind)
+        key = (
+            name,
+            operands,
+            repr(detail) if dependence is Dependence.LITERAL else detail,
+            dependence,
+        )
         if key not in self._places:
             self._places[key] = len(self.nodes)
-            self.nodes.append(Node(name, operands, detail, kind))
+            self.nodes.append(Node(name, operands, detail, dependence))
         return self._places[key]
 
 
@@ -210,91 +239,99 @@ class Program:
         return int(self.operations.ctypes.data), int(self.results.ctypes.data)
 
 
-def _groups(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
+def _group_moves(memory: Sequence[Element]) -> Iterator[tuple[int, int]]:
     """Yield first place and end of a relaxation, or of at most `STOPS` independent stops."""
-    i = 0
-    while i < len(memory):
-        end = i + 1
-        states = {memory[i].state}
-        most = min(i + STOPS, len(memory))
-        while end < most and all(isinstance(memory[k], Stop) for k in (i, end)):
+    first = 0
+    while first < len(memory):
+        end = first + 1
+        states = {memory[first].state}
+        max_end = min(first + STOPS, len(memory))
+        while end < max_end and all(isinstance(memory[k], Stop) for k in (first, end)):
             states.add(memory[end].state)
-            read = sympy.Tuple(*(part for element in memory[i : end + 1] for part in element.parts))
-            if states & read.free_symbols:
+            read_parts = sympy.Tuple(
+                *(part for element in memory[first : end + 1] for part in element.parts)
+            )
+            if states & read_parts.free_symbols:
                 break
             end += 1
-        yield i, end
-        i = end
+        yield first, end
+        first = end
 
 
-def fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
+def find_fixed_nodes(graph: Graph, results: Sequence[int]) -> list[int]:
     """Return nodes that depend on inputs alone and are results or operands of others."""
     fixed = {
         k
         for k, node in enumerate(graph.nodes)
         if node.dependence is Dependence.INPUTS and node.operation
     }
-    return sorted(fixed & _reached(graph.nodes, results, fixed))
+    return sorted(fixed & _collect_reachable_nodes(graph.nodes, results, fixed))
 
 
-def _reached(nodes: Sequence[Node], results: Sequence[int], ends: set[int]) -> set[int]:
-    found = set[int]()
+def _collect_reachable_nodes(
+    nodes: Sequence[Node], results: Sequence[int], ends: set[int]
+) -> set[int]:
+    reachable = set[int]()
     waiting = list(results)
     while waiting:
         k = waiting.pop()
-        if k not in found:
-            found.add(k)
+        if k not in reachable:
+            reachable.add(k)
             waiting += () if k in ends else nodes[k].operands
-    return found
+    return reachable
 
 
-def program_of(graph: Graph, results: Sequence[int], known: Sequence[int] = ()) -> Program:
-    """Return the program of results; `known` nodes are inputs."""
+def build_program(graph: Graph, results: Sequence[int], known_nodes: Sequence[int] = ()) -> Program:
+    """Return the program of results; `known_nodes` nodes are inputs."""
     nodes = graph.nodes
-    order = _in_order(nodes, results, set(known))
-    numbered = {k: len(graph.inputs) + i for i, k in enumerate(known)}
-    numbered |= {
+    order = _order_nodes(nodes, results, set(known_nodes))
+    input_numbers = {k: len(graph.inputs) + i for i, k in enumerate(known_nodes)}
+    input_numbers |= {
         k: nodes[k].detail
         for k in order
         if nodes[k].dependence is Dependence.INPUTS and not nodes[k].operation
     }
-    inputs = [k for k in order if k in numbered]
-    given = [k for k in order if not nodes[k].operation and k not in numbered]
-    uniform = [k for k in order if nodes[k].operation and nodes[k].dependence <= Dependence.NUMBERS]
+    inputs = [k for k in order if k in input_numbers]
+    given_nodes = [k for k in order if not nodes[k].operation and k not in input_numbers]
+    uniform_nodes = [
+        k for k in order if nodes[k].operation and nodes[k].dependence <= Dependence.NUMBERS
+    ]
     # `dt` always comes first: states move by it.
-    places = {k: 1 + i for i, k in enumerate((*inputs, *given, *uniform))}
-    rest = [k for k in order if k not in places]
-    registers = _allocate(nodes, rest, set(results), places, 1 + len(places))
-    values = [nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0 for k in given]
+    places = {k: 1 + i for i, k in enumerate((*inputs, *given_nodes, *uniform_nodes))}
+    row_nodes = [k for k in order if k not in places]
+    registers = _allocate(nodes, row_nodes, set(results), places, 1 + len(places))
+    given_values = [
+        nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0 for k in given_nodes
+    ]
     numbers = [
         (i, nodes[k].detail)
-        for i, k in enumerate(given)
+        for i, k in enumerate(given_nodes)
         if nodes[k].dependence is Dependence.NUMBERS
     ]
-    operations = [_encoded(nodes, k, places) for k in (*uniform, *rest)]
+    operations = [_encode_operation(nodes, k, places) for k in (*uniform_nodes, *row_nodes)]
     return Program(
-        inputs=(0, *(numbered[k] for k in inputs)),
-        given=np.array(values, dtype=np.float64),
+        inputs=(0, *(input_numbers[k] for k in inputs)),
+        given=np.array(given_values, dtype=np.float64),
         numbers=np.array(numbers, dtype=np.int64).reshape(-1, 2).T,
         operations=np.array(operations, dtype=np.int32).reshape(-1, 5),
-        uniform=len(uniform),
-        uniform_count=len(given) + len(uniform),
+        uniform=len(uniform_nodes),
+        uniform_count=len(given_nodes) + len(uniform_nodes),
         registers=registers,
         results=np.array([places[k] for k in results], dtype=np.int32),
     )
 
 
-def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) -> list[int]:
-    done: dict[int, None] = {}
+def _order_nodes(nodes: Sequence[Node], results: Sequence[int], known_nodes: set[int]) -> list[int]:
+    ordered: dict[int, None] = {}
 
     def visit(k: int) -> None:
-        if k not in done:
-            for operand in () if k in known else nodes[k].operands:
+        if k not in ordered:
+            for operand in () if k in known_nodes else nodes[k].operands:
                 visit(operand)
-            done[k] = None
+            ordered[k] = None
 
-    needed = _reached(nodes, results, known)
-    moves = sorted(k for k in needed if nodes[k].operation in _MOVES)
+    reachable = _collect_reachable_nodes(nodes, results, known_nodes)
+    moves = sorted(k for k in reachable if nodes[k].operation in _MOVES)
     for k in moves:
         # Stops of one group move together, after all operands.
         for other in moves:
@@ -304,29 +341,37 @@ def _in_order(nodes: Sequence[Node], results: Sequence[int], known: set[int]) ->
         visit(k)
     for k in results:
         visit(k)
-    return list(done)
+    return list(ordered)
 
 
 def _allocate(
-    nodes: Sequence[Node], rest: Sequence[int], kept: set[int], places: dict[int, int], first: int
+    nodes: Sequence[Node],
+    row_nodes: Sequence[int],
+    result_nodes: set[int],
+    places: dict[int, int],
+    first_register: int,
 ) -> int:
-    last = {operand: i for i, k in enumerate(rest) for operand in nodes[k].operands}
-    own = set(rest)
-    free = list[int]()
-    count = first
-    for i, k in enumerate(rest):
+    last_use = {operand: i for i, k in enumerate(row_nodes) for operand in nodes[k].operands}
+    allocatable = set(row_nodes)
+    free_registers = list[int]()
+    register_count = first_register
+    for i, k in enumerate(row_nodes):
         # A result must not overwrite operands.
-        if free:
-            places[k] = free.pop()
+        if free_registers:
+            places[k] = free_registers.pop()
         else:
-            places[k], count = count, count + 1
-        ended = {o for o in nodes[k].operands if o in own and last[o] == i and o not in kept}
-        ended |= {k} if k not in last and k not in kept else set()
-        free += sorted(places[o] for o in ended)
-    return count
+            places[k], register_count = register_count, register_count + 1
+        ended_nodes = {
+            o
+            for o in nodes[k].operands
+            if o in allocatable and last_use[o] == i and o not in result_nodes
+        }
+        ended_nodes |= {k} if k not in last_use and k not in result_nodes else set()
+        free_registers += sorted(places[o] for o in ended_nodes)
+    return register_count
 
 
-def _encoded(
+def _encode_operation(
     nodes: Sequence[Node], k: int, places: Mapping[int, int]
 ) -> tuple[int, int, int, int, int]:
     name = nodes[k].operation

@@ -65,7 +65,7 @@ class _Program(ctypes.Structure):
     )
 
 
-def built(folder: Path, host: tuple[str, str]) -> Path:
+def compile_rows(folder: Path, host: tuple[str, str]) -> Path:
     """Compile `rows.c` in a folder for a machine and return the library."""
     triple, suffix = HOSTS[host]
     for name in _SOURCES:
@@ -88,7 +88,7 @@ def library() -> ctypes.CDLL:
         )
     try:
         with scratch_folder() as folder:
-            found = ctypes.CDLL(str(built(Path(folder), host)))
+            rows_library = ctypes.CDLL(str(compile_rows(Path(folder), host)))
     except (ExportError, ImportError, OSError) as error:
         raise ExportError(
             f"the C compiler of the package 'ziglang' is missing: {str(error).rstrip('.')}; "
@@ -96,9 +96,9 @@ def library() -> ctypes.CDLL:
         ) from error
     address = ctypes.c_void_p
     number = ctypes.c_int64
-    found.solve.argtypes = address, number, number, address, address, address
-    found.solve.restype = ctypes.c_bool
-    return found
+    rows_library.solve.argtypes = address, number, number, address, address, address
+    rows_library.solve.restype = ctypes.c_bool
+    return rows_library
 
 
 @cache
@@ -112,7 +112,7 @@ class ProgramRun:
 
     def __init__(
         self,
-        own: Program,
+        program: Program,
         arrays: Sequence[Array],
         firsts: NDArray[np.int64],
         *,
@@ -120,67 +120,71 @@ class ProgramRun:
         euler: bool = False,
         block: int = BLOCK,
         target: Array | None = None,
-        found: Array | None = None,
+        output: Array | None = None,
     ) -> None:
         self._rows = len(arrays[0])
-        count = len(own.results)
-        self.found = np.empty((count, self._rows)).T if found is None else found
+        result_count = len(program.results)
+        self.found = np.empty((result_count, self._rows)).T if output is None else output
         target = None if target is None else self._column(target)
-        used = [arrays[i] for i in own.inputs]
+        input_arrays = [arrays[i] for i in program.inputs]
         sizes = {
-            "work": (own.registers + count + 11) * BLOCK,
-            "lanes": sum(4 * _LANES * -(-left // 4) for left in range(1, count + 2)),
-            "gram": (count + 1) ** 2,
-            "x": count,
+            "work": (program.registers + result_count + 11) * BLOCK,
+            "lanes": sum(4 * _LANES * -(-width // 4) for width in range(1, result_count + 2)),
+            "gram": (result_count + 1) ** 2,
+            "x": result_count,
             "squares": 1,
-            "factors": count * (count + 3),
-            "given": len(own.given),
+            "factors": result_count * (result_count + 3),
+            "given": len(program.given),
             "start": states * len(firsts),
             "carried": states,
-            "inputs": len(used),
-            "strides": len(used),
-            "out": count,
-            "places": own.registers,
-            "columns": count + 4,
+            "inputs": len(input_arrays),
+            "strides": len(input_arrays),
+            "out": result_count,
+            "places": program.registers,
+            "columns": result_count + 4,
         }
         # One allocation, because each look-up of an address is slow.
         starts = list(accumulate(sizes.values(), initial=0))
-        room = np.zeros(starts[-1])
-        part = {
-            name: room[start : start + size]
+        buffer = np.zeros(starts[-1])
+        views = {
+            name: buffer[start : start + size]
             for (name, size), start in zip(sizes.items(), starts, strict=False)
         }
-        base = _address(room)
-        out = _address(self.found)
-        at = {name: base + 8 * start for name, start in zip(sizes, starts, strict=False)}
-        part["given"][:] = own.given
-        part["inputs"].view(np.int64)[:] = [_address(a) for a in used]
-        part["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in used]
-        part["out"].view(np.int64)[:] = [out + i * self.found.strides[1] for i in range(count)]
-        self.starts = part["start"].reshape(states, len(firsts))
-        self.gram = part["gram"]
-        self._given = part["given"]
-        self._numbers = own.numbers
-        self._x = part["x"]
-        self._squares = part["squares"]
-        self._at = at
-        self._held = (own, used, firsts, target)  # keep alive: C uses their addresses
-        operations, results = own.addresses
+        buffer_address = _address(buffer)
+        output_address = _address(self.found)
+        addresses = {
+            name: buffer_address + 8 * start for name, start in zip(sizes, starts, strict=False)
+        }
+        views["given"][:] = program.given
+        views["inputs"].view(np.int64)[:] = [_address(a) for a in input_arrays]
+        views["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in input_arrays]
+        views["out"].view(np.int64)[:] = [
+            output_address + i * self.found.strides[1] for i in range(result_count)
+        ]
+        self.starts = views["start"].reshape(states, len(firsts))
+        self.gram = views["gram"]
+        self._given = views["given"]
+        self._numbers = program.numbers
+        self._x = views["x"]
+        self._squares = views["squares"]
+        self._at = addresses
+        self._held = (program, input_arrays, firsts, target)  # keep alive: C uses their addresses
+        operations, results = program.addresses
         self._program = _Program(
-            **{name: at[name] for name in sizes if name in _ADDRESSES},
+            **{name: addresses[name] for name in sizes if name in _ADDRESSES},
             operations=operations,
-            uniform=own.uniform,
-            count=len(own.operations),
-            input_count=len(used),
-            given_count=len(own.given),
-            uniform_count=own.uniform_count,
-            registers=own.registers,
+            uniform=program.uniform,
+            count=len(program.operations),
+            input_count=len(input_arrays),
+            given_count=len(program.given),
+            uniform_count=program.uniform_count,
+            registers=program.registers,
             euler=float(euler),
             firsts=_address(firsts),
             first_count=len(firsts),
             block=block,
             results=results,
-            result_count=count,
+            result_count=result_count,
             out_stride=self.found.strides[0] // 8,
             target=None if target is None else _address(target),
             lane_count=sizes["lanes"],
@@ -190,46 +194,52 @@ class ProgramRun:
     def _column(self, values: Array) -> Array:
         return np.ascontiguousarray(np.broadcast_to(values, (self._rows,)), dtype=np.float64)
 
-    def on(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
+    def run_rows(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
         """Write rows of the results, after all earlier rows."""
-        own = self._program
-        own.first = first
-        own.stop = self._rows if stop is None else stop
-        own.weights = None
-        own.gram = None
-        own.out = self._at["out"]
+        program = self._program
+        program.first = first
+        program.stop = self._rows if stop is None else stop
+        program.weights = None
+        program.gram = None
+        program.out = self._at["out"]
         self._run(numbers)
 
-    def factors(self, non_negative: int) -> tuple[Array, float] | None:
-        """Return the factors from the last `multiply`; see `KernelRun.solved`."""
-        at = self._at
-        determined = library().solve(
-            at["gram"], len(self._x), non_negative, at["factors"], at["x"], at["squares"]
+    def solve_factors(self, non_negative: int) -> tuple[Array, float] | None:
+        """Return the factors from the last `multiply`; see `KernelRun.fit_factors`."""
+        addresses = self._at
+        is_determined = library().solve(
+            addresses["gram"],
+            len(self._x),
+            non_negative,
+            addresses["factors"],
+            addresses["x"],
+            addresses["squares"],
         )
-        return (self._x.copy(), float(self._squares[0])) if determined else None
+        return (self._x.copy(), float(self._squares[0])) if is_determined else None
 
     def multiply(self, numbers: Array, weights: Array | None, *, keep: bool = False) -> Array:
         """Return the upper triangle (K + 1, K + 1) of products of results and target, last.
 
         `keep` also writes the results.
         """
-        own = self._program
-        at = self._at
+        program = self._program
+        addresses = self._at
         column = None if weights is None else self._column(weights)
-        own.first = 0
-        own.stop = self._rows
-        own.weights = None if column is None else _address(column)
-        own.gram = at["gram"]
-        own.out = at["out"] if keep else None
+        program.first = 0
+        program.stop = self._rows
+        program.weights = None if column is None else _address(column)
+        program.gram = addresses["gram"]
+        program.out = addresses["out"] if keep else None
         self._run(numbers)
         return self.gram.reshape(len(self._x) + 1, -1)
 
     def _run(self, numbers: Array) -> None:
         self._given[self._numbers[0]] = numbers[self._numbers[1]]
-        own = self._program
+        program = self._program
         if library().run(self._reference, vectors()):
             raise SimulationError(
-                f"Euler needs 0 <= rate * step < 1, found {own.unstable:.3g}; take a smaller step "
+                f"Euler needs 0 <= rate * step < 1, found {program.unstable:.3g}; take a "
+                "smaller step "
                 "or the 'exact' discretisation."
             )
 

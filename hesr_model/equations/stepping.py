@@ -21,25 +21,35 @@ class Steps:
     def __init__(
         self, component: Component, observed: Sequence[str] | None = None, *, lanes: bool = False
     ) -> None:
-        own = (
+        observed_names = (
             [equation.name for equation in component.outputs]
             if observed is None
             else list(observed)
         )
-        self.observed = tuple(own)
+        self.observed = tuple(observed_names)
         self.component = component
-        given = [quantity.symbol for quantity in component.given]
+        given_symbols = [quantity.symbol for quantity in component.given]
         states = [element.state for element in component.memory]
-        seen = [sympy.Symbol(name, real=True) for name in own]
+        observed_symbols = [sympy.Symbol(name, real=True) for name in observed_names]
         remembered = [equation.symbol for equation in component.remembered]
-        before = [previous(equation.name) for equation in component.remembered]
-        begun = [program.initial_symbol(element) for element in component.memory]
-        moved = [program.moved(element) for element in component.memory]
-        sampled = program.sampled(component) | {EULER: sympy.Integer(0)}
-        lowered = partial(_function, lanes=lanes)
-        self.settle = lowered((given, states), program.beginning(component), (begun,))
-        self.begin = lowered((given, states), program.first_readings(component), (seen, remembered))
-        self.step = lowered((given, states, before, (DT,)), sampled, (seen, remembered, moved))
+        previous_symbols = [previous(equation.name) for equation in component.remembered]
+        initial_symbols = [program.initial_symbol(element) for element in component.memory]
+        moved_symbols = [program.moved_symbol(element) for element in component.memory]
+        step_assignments = program.build_step(component) | {EULER: sympy.Integer(0)}
+        compile_function = partial(_compile_assignments, lanes=lanes)
+        self.settle = compile_function(
+            (given_symbols, states), program.build_initial_states(component), (initial_symbols,)
+        )
+        self.begin = compile_function(
+            (given_symbols, states),
+            program.first_readings(component),
+            (observed_symbols, remembered),
+        )
+        self.step = compile_function(
+            (given_symbols, states, previous_symbols, (DT,)),
+            step_assignments,
+            (observed_symbols, remembered, moved_symbols),
+        )
 
     def run(
         self, values: Mapping[str, float], start: Sequence[float], inputs: Sequence[str]
@@ -47,7 +57,7 @@ class Steps:
         """Return a run with values of parameters and constant inputs, and each state's start."""
         return ComponentRun(self, values, start, inputs)
 
-    def over(
+    def simulate(
         self,
         t: Array,
         columns: Mapping[str, Array],
@@ -57,19 +67,23 @@ class Steps:
         settled: bool = True,
     ) -> Array:
         """Return the observed equations (observed, N); if `settled`, row 0 settles the states."""
-        used = {
+        input_columns = {
             quantity.name: columns[quantity.name]
             for quantity in self.component.inputs
             if quantity.name in columns
         }
-        run = self.run(values, start, list(used))
-        first = [float(c[0]) for c in used.values()]
+        run = self.run(values, start, list(input_columns))
+        first_inputs = [float(column[0]) for column in input_columns.values()]
         if settled:
-            run.settle(*first)
-        rows = zip(np.diff(t).tolist(), *(c[1:].tolist() for c in used.values()), strict=True)
-        found = [run.begin(*first)]
-        found += [run.step(dt, *row) for dt, *row in rows]
-        return np.array(found).T
+            run.settle(*first_inputs)
+        rows = zip(
+            np.diff(t).tolist(),
+            *(column[1:].tolist() for column in input_columns.values()),
+            strict=True,
+        )
+        samples = [run.begin(*first_inputs)]
+        samples += [run.step(dt, *row) for dt, *row in rows]
+        return np.array(samples).T
 
 
 class ComponentRun:
@@ -89,29 +103,29 @@ class ComponentRun:
         self.states: Sequence[float] = list(states)
         self.remembered: Sequence[float] = []
 
-    def _set(self, inputs: Sequence[float]) -> None:
+    def _set_inputs(self, inputs: Sequence[float]) -> None:
         for place, value in zip(self._places, inputs, strict=True):
             # Scalars of NumPy are slow.
             self._given[place] = value if isinstance(value, np.ndarray) else float(value)
 
     def settle(self, *inputs: float) -> None:
         """Settle the initial states for the first inputs."""
-        self._set(inputs)
+        self._set_inputs(inputs)
         [self.states] = self._steps.settle(self._given, self.states)
 
     def begin(self, *inputs: float) -> Sequence[float]:
         """Return the observed equations before the first step."""
-        self._set(inputs)
-        seen, self.remembered = self._steps.begin(self._given, self.states)
-        return seen  # type: ignore[no-any-return]
+        self._set_inputs(inputs)
+        observed_values, self.remembered = self._steps.begin(self._given, self.states)
+        return observed_values  # type: ignore[no-any-return]
 
     def step(self, dt: float, *inputs: float) -> Sequence[float]:
         """Hold the inputs over dt [s] and return the observed equations at its end."""
-        self._set(inputs)
-        seen, self.remembered, self.states = self._steps.step(
+        self._set_inputs(inputs)
+        observed_values, self.remembered, self.states = self._steps.step(
             self._given, self.states, self.remembered, (float(dt),)
         )
-        return seen  # type: ignore[no-any-return]
+        return observed_values  # type: ignore[no-any-return]
 
 
 def numpy_function(
@@ -123,7 +137,7 @@ def numpy_function(
 
     It keeps the assignments as statements, hence their order of operations.
     """
-    evaluate = _function([arguments], assignments, [targets], lanes=True)
+    evaluate = _compile_assignments([arguments], assignments, [targets], lanes=True)
 
     def evaluate_targets(*values: ArrayLike) -> Sequence[Array]:
         [results] = evaluate(values)
@@ -132,20 +146,23 @@ def numpy_function(
     return evaluate_targets
 
 
-def _function(
+def _compile_assignments(
     arguments: Sequence[Sequence[sympy.Symbol]],
     assignments: program.Assignments,
     targets: Sequence[Sequence[sympy.Symbol]],
     *,
     lanes: bool,
 ) -> Any:
-    lines, names = program.straight_line(assignments, [s for group in targets for s in group])
-    short = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
-    lines = {short.get(symbol, symbol): e.xreplace(short) for symbol, e in lines.items()}
-    wanted = [[short[symbol] for symbol in group] for group in targets]
+    lines, names = program.build_straight_line(assignments, [s for group in targets for s in group])
+    short_symbols = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
+    lines = {
+        short_symbols.get(symbol, symbol): expression.xreplace(short_symbols)
+        for symbol, expression in lines.items()
+    }
+    target_symbols = [[short_symbols[symbol] for symbol in group] for group in targets]
     return sympy.lambdify(
         [list(group) for group in arguments],
-        wanted,
+        target_symbols,
         modules=[dict(NUMPY), "numpy"] if lanes else [dict(SCALAR), "math"],
-        cse=lambda _: (list(lines.items()), wanted),
+        cse=lambda _: (list(lines.items()), target_symbols),
     )

@@ -28,13 +28,13 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse, training_error
 from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.signals import MOVING
-from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
+from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
 from hesr_model.support.arrays import Array, Integers
 
 Nuisance = Literal["offset", "level"]
-_ROUNDS = 30
-_LEAST = 0.2
-_MOST = 5.0  # of a level
+_NUISANCE_ROUNDS = 30
+_MIN_LEVEL = 0.2
+_MAX_LEVEL = 5.0  # of a level
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,144 +45,171 @@ class OwnOfLog:
     offset: float = 0.0
 
 
-def own_of_logs(
-    records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
+def estimate_nuisances(
+    records: Sequence[FrictionRecord], kinds: Sequence[Nuisance]
 ) -> dict[str, OwnOfLog]:
     """Estimate the nuisances of each log of a joint by name; a single log has none."""
     logs = list(dict.fromkeys(record.log for record in records))
-    own = [OwnOfLog() for _ in logs]
-    if len(logs) > 1 and wanted:
-        log = log_of_rows(records)
-        torque = np.concatenate([r.tau for r in records])
-        dq = np.concatenate([r.dq for r in records])
-        weights = np.bincount(log) / len(log)
+    log_nuisances = [OwnOfLog() for _ in logs]
+    if len(logs) > 1 and kinds:
+        log_of_row = log_of_rows(records)
+        tau = np.concatenate([log_record.tau for log_record in records])
+        dq = np.concatenate([log_record.dq for log_record in records])
+        weights = np.bincount(log_of_row) / len(log_of_row)
         columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
-        for _ in range(_ROUNDS):
-            level, offset = _of_rows(own, log)
-            law = np.linalg.lstsq(level[:, None] * columns, torque - offset, rcond=None)[0]
-            own = _fitted(columns @ law, torque, log, wanted)
-            mean = (
-                float(weights @ [nuisances.level for nuisances in own])
-                if "level" in wanted
+        for _ in range(_NUISANCE_ROUNDS):
+            level, offset = _expand_to_rows(log_nuisances, log_of_row)
+            coefficients = np.linalg.lstsq(level[:, None] * columns, tau - offset, rcond=None)[0]
+            log_nuisances = _solve_each_log(columns @ coefficients, tau, log_of_row, kinds)
+            mean_level = (
+                float(weights @ [nuisances.level for nuisances in log_nuisances])
+                if "level" in kinds
                 else 1.0
             )
-            shift = (
-                float(weights @ [nuisances.offset for nuisances in own])
-                if "offset" in wanted
+            mean_offset = (
+                float(weights @ [nuisances.offset for nuisances in log_nuisances])
+                if "offset" in kinds
                 else 0.0
             )
-            own = [
-                OwnOfLog(level=nuisances.level / mean, offset=nuisances.offset - shift)
-                for nuisances in own
+            log_nuisances = [
+                OwnOfLog(level=nuisances.level / mean_level, offset=nuisances.offset - mean_offset)
+                for nuisances in log_nuisances
             ]
-    return dict(zip(logs, own, strict=True))
+    return dict(zip(logs, log_nuisances, strict=True))
 
 
 def remove_nuisances(
-    records: Sequence[FrictionRecord], own: Mapping[str, OwnOfLog]
+    records: Sequence[FrictionRecord], nuisances: Mapping[str, OwnOfLog]
 ) -> list[FrictionRecord]:
     """Return records without the nuisances of their logs."""
     return [
-        replace(record, tau=(record.tau - own[record.log].offset) / own[record.log].level)
+        replace(
+            record, tau=(record.tau - nuisances[record.log].offset) / nuisances[record.log].level
+        )
         for record in records
     ]
 
 
 def add_fitted_nuisances(
-    predicted: Sequence[Array], records: Sequence[FrictionRecord], wanted: Sequence[Nuisance]
+    predictions: Sequence[Array], records: Sequence[FrictionRecord], kinds: Sequence[Nuisance]
 ) -> list[Array]:
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
-    log = log_of_rows(records)
-    whole = np.concatenate(predicted)
-    own = _fitted(whole, np.concatenate([record.tau for record in records]), log, wanted)
-    ends = np.cumsum([len(torque) for torque in predicted])
-    level, offset = _of_rows(own, log)
-    return np.split(level * whole + offset, ends[:-1])
+    log_of_row = log_of_rows(records)
+    tau_predicted = np.concatenate(predictions)
+    nuisances = _solve_each_log(
+        tau_predicted, np.concatenate([record.tau for record in records]), log_of_row, kinds
+    )
+    ends = np.cumsum([len(tau) for tau in predictions])
+    level, offset = _expand_to_rows(nuisances, log_of_row)
+    return np.split(level * tau_predicted + offset, ends[:-1])
 
 
-def _of_rows(own: Sequence[OwnOfLog], log: Integers) -> Array:
-    return np.array([[nuisances.level, nuisances.offset] for nuisances in own])[log].T
+def _expand_to_rows(log_nuisances: Sequence[OwnOfLog], log_of_row: Integers) -> Array:
+    return np.array([[nuisances.level, nuisances.offset] for nuisances in log_nuisances])[
+        log_of_row
+    ].T
 
 
-def _fitted(
-    predicted: Array, torque: Array, log: Integers, wanted: Sequence[Nuisance]
+def _solve_each_log(
+    tau_predicted: Array, tau: Array, log_of_row: Integers, kinds: Sequence[Nuisance]
 ) -> list[OwnOfLog]:
-    rows = (log == k for k in range(log[-1] + 1))
-    return [own_of_log(predicted[own], torque[own], wanted) for own in rows]
+    masks = (log_of_row == k for k in range(log_of_row[-1] + 1))
+    return [solve_nuisances(tau_predicted[mask], tau[mask], kinds) for mask in masks]
 
 
-def own_of_log(predicted: Array, torque: Array, wanted: Sequence[Nuisance]) -> OwnOfLog:
+def solve_nuisances(tau_predicted: Array, tau: Array, kinds: Sequence[Nuisance]) -> OwnOfLog:
     """Solve for the nuisances of a log, from predicted and measured torque (N,) [N.m]."""
-    if "level" not in wanted:
-        return OwnOfLog(offset=float(np.mean(torque - predicted)))
-    columns = [predicted, np.ones_like(predicted)][: 2 if "offset" in wanted else 1]
-    x = np.linalg.lstsq(np.column_stack(columns), torque, rcond=None)[0]
-    level = float(np.clip(x[0], _LEAST, _MOST))
-    offset = float(np.mean(torque - level * predicted)) if "offset" in wanted else 0.0
+    if "level" not in kinds:
+        return OwnOfLog(offset=float(np.mean(tau - tau_predicted)))
+    columns = [tau_predicted, np.ones_like(tau_predicted)][: 2 if "offset" in kinds else 1]
+    solution = np.linalg.lstsq(np.column_stack(columns), tau, rcond=None)[0]
+    level = float(np.clip(solution[0], _MIN_LEVEL, _MAX_LEVEL))
+    offset = float(np.mean(tau - level * tau_predicted)) if "offset" in kinds else 0.0
     return OwnOfLog(level=level, offset=offset)
 
 
 _NOISE_ROUNDS = 3  # of the noise
-_FACTOR = 2.0  # largest change of coefficients within memory or a function
-_SHARES = (1.0, 0.5, 0.25, 0.1)  # of the change, tried until the law is passive
-_RANK = 1e-8  # relative variance of directions that the earlier fits do not know
-_MOST_MEMORY = 0.995  # largest autocorrelation
-_LEAST_NOISE = 1e-12  # [N.m] of the noise
+_MAX_FACTOR = 2.0  # largest change of coefficients within memory or a function
+_CHANGE_SHARES = (1.0, 0.5, 0.25, 0.1)  # of the change, tried until the law is passive
+_MIN_RELATIVE_VARIANCE = 1e-8  # relative variance of directions that the earlier fits do not know
+_MAX_AUTOCORRELATION = 0.995  # largest autocorrelation
+_MIN_NOISE = 1e-12  # [N.m] of the noise
 
 
-def prior_of(models: Sequence[FrictionModel]) -> FrictionModel:
+def build_prior(models: Sequence[FrictionModel]) -> FrictionModel:
     """Return a model whose laws have mean and spread of those of `models`, for a further day.
 
     The covariance is the mean one plus (1 + 1/K) times the scatter of K models of one structure.
 
     Raises FitError for laws without a covariance, or of different joints or structures.
     """
-    first = models[0]
+    first_model = models[0]
     for model in models:
         if model.thermal or any(law.covariance is None for law in model.laws):
             raise FitError(
                 f"friction model '{model.law}': its coefficients have no covariance or depend on "
                 "temperature; adapt laws of 'hesr fit', other than networks and 'temperature'."
             )
-        if _kind(model) != _kind(first):
+        if _describe_kind(model) != _describe_kind(first_model):
             raise FitError(
                 f"friction model '{model.law}': joints or structures of its laws differ from the "
                 "first; adapt the first to the logs of the second instead."
             )
     if len(models) == 1:
-        return first
-    laws = [_mean(of_joint) for of_joint in zip(*(model.laws for model in models), strict=True)]
-    return replace(first, laws=tuple(laws))
+        return first_model
+    laws = [
+        _average_laws(joint_laws)
+        for joint_laws in zip(*(model.laws for model in models), strict=True)
+    ]
+    return replace(first_model, laws=tuple(laws))
 
 
-def _kind(model: FrictionModel) -> tuple[object, ...]:
+def _describe_kind(model: FrictionModel) -> tuple[object, ...]:
     return model.joints, model.coupling, [(law.name, law.form) for law in model.laws]
 
 
-def _mean(laws: Sequence[FrictionLaw]) -> FrictionLaw:
-    known = [law.covariance for law in laws if law.covariance is not None]
-    names = [n for n in known[0].names if all(n in covariance.names for covariance in known)]
-    places = [[covariance.names.index(n) for n in names] for covariance in known]
-    own = [covariance.matrix[np.ix_(at, at)] for covariance, at in zip(known, places, strict=True)]
-    values = np.array([[law.values[n] for n in names] for law in laws])
+def _average_laws(laws: Sequence[FrictionLaw]) -> FrictionLaw:
+    covariances = [law.covariance for law in laws if law.covariance is not None]
+    names = [
+        name
+        for name in covariances[0].names
+        if all(name in covariance.names for covariance in covariances)
+    ]
+    places = [[covariance.names.index(name) for name in names] for covariance in covariances]
+    matrices = [
+        covariance.matrix[np.ix_(selected, selected)]
+        for covariance, selected in zip(covariances, places, strict=True)
+    ]
+    values = np.array([[law.values[name] for name in names] for law in laws])
     scatter = np.atleast_2d(np.cov(values, rowvar=False))
     mean = dict(zip(names, map(float, values.mean(axis=0)), strict=True))
-    return _with(laws[0], mean, np.mean(own, axis=0) + (1.0 + 1.0 / len(laws)) * scatter)
+    return _replace_coefficients(
+        laws[0], mean, np.mean(matrices, axis=0) + (1.0 + 1.0 / len(laws)) * scatter
+    )
 
 
-def _with(law: FrictionLaw, values: Mapping[str, float], covariance: Array) -> FrictionLaw:
-    none = np.zeros_like(covariance)
+def _replace_coefficients(
+    law: FrictionLaw, values: Mapping[str, float], covariance: Array
+) -> FrictionLaw:
+    zeros = np.zeros_like(covariance)
     names = tuple(values)
-    found = Covariance(names=names, within=covariance, between=1.0, degrees=0.0, carried=none)
-    errors = dict(zip(values, map(float, found.standard_errors), strict=True))
-    stated = {n: errors[n] for n in law.standard_errors if n in errors}
-    return replace(law, values={**law.values, **values}, covariance=found, standard_errors=stated)
+    new_covariance = Covariance(
+        names=names, within=covariance, between=1.0, degrees=0.0, carried=zeros
+    )
+    errors = dict(zip(values, map(float, new_covariance.standard_errors), strict=True))
+    stated_errors = {name: errors[name] for name in law.standard_errors if name in errors}
+    return replace(
+        law,
+        values={**law.values, **values},
+        covariance=new_covariance,
+        standard_errors=stated_errors,
+    )
 
 
 def adapt(
     prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
-    """Adapt the laws of `prior_of` to records [joint][log]; return them and a sentence per joint.
+    """Adapt laws of `build_prior` to records [joint][log]; return them and sentences by joint.
 
     Raises FitError if the joints differ.
     """
@@ -191,94 +218,119 @@ def adapt(
         raise FitError(
             f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
         )
-    moved = all_at_friction(records)
-    laws = [_adapt_law(prior, k, joint_records) for k, joint_records in enumerate(moved)]
-    errors = tuple(map(training_error, laws, moved))
-    seconds = sum(float(np.ptp(record.t)) for record in moved[0])
+    records_at_friction = transform_all_records(records)
+    laws = [
+        _adapt_law(prior, j, joint_records) for j, joint_records in enumerate(records_at_friction)
+    ]
+    errors = tuple(map(training_error, laws, records_at_friction))
+    seconds = sum(float(np.ptp(record.t)) for record in records_at_friction[0])
     model = replace(prior, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
     return model, [
         f"{joint}: error over {seconds:.3g} s {training_error(law, joint_records):.3g} -> "
         f"{error:.3g}"
-        for joint, law, joint_records, error in zip(joints, prior.laws, moved, errors, strict=True)
+        for joint, law, joint_records, error in zip(
+            joints, prior.laws, records_at_friction, errors, strict=True
+        )
     ]
 
 
-def _adapt_law(prior: FrictionModel, k: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
-    law = prior.laws[k]
+def _adapt_law(prior: FrictionModel, j: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
+    law = prior.laws[j]
     covariance = law.covariance
     assert covariance is not None
-    limits = _limits(law, covariance.names)
+    limits = _bound_coefficients(law, covariance.names)
     if not limits:
         return law
-    names, (low, high) = tuple(limits), np.array(list(limits.values())).T
-    first = np.array([law.values[n] for n in names])
-    known = covariance.of_another_log
-    sizes = np.sqrt(np.maximum(np.diag(known), np.finfo(float).tiny))
-    shares, ways = np.linalg.eigh(known / np.outer(sizes, sizes))
-    root = (ways / np.sqrt(np.maximum(shares, _RANK * shares[-1]))).T / sizes  # root' root = P^-1
+    names, (lower, upper) = tuple(limits), np.array(list(limits.values())).T
+    prior_point = np.array([law.values[n] for n in names])
+    prior_covariance = covariance.of_another_log
+    prior_deviations = np.sqrt(np.maximum(np.diag(prior_covariance), np.finfo(float).tiny))
+    eigenvalues, eigenvectors = np.linalg.eigh(
+        prior_covariance / np.outer(prior_deviations, prior_deviations)
+    )
+    root = (
+        eigenvectors / np.sqrt(np.maximum(eigenvalues, _MIN_RELATIVE_VARIANCE * eigenvalues[-1]))
+    ).T / prior_deviations  # root' root = P^-1
     adapted = [covariance.names.index(name) for name in names]
-    root, sizes = root[:, adapted], sizes[adapted]
+    root, prior_deviations = root[:, adapted], prior_deviations[adapted]
 
-    def at(point: Array) -> FrictionLaw:
-        moved = dict(zip(names, map(float, point), strict=True))
-        return replace(law, values={**law.values, **moved})
+    def build_law(point: Array) -> FrictionLaw:
+        changed_values = dict(zip(names, map(float, point), strict=True))
+        return replace(law, values={**law.values, **changed_values})
 
     def error(point: Array) -> Array:
-        moved = at(point)
-        return np.concatenate([predict_record(moved, record) - record.tau for record in records])
+        changed_law = build_law(point)
+        return np.concatenate(
+            [predict_record(changed_law, record) - record.tau for record in records]
+        )
 
-    torque = np.concatenate([record.tau for record in records])
-    best = first
+    tau = np.concatenate([record.tau for record in records])
+    best = prior_point
     for _ in range(_NOISE_ROUNDS):
-        noise = _noise(error(best))
+        noise = _estimate_noise(error(best))
 
         def residual(point: Array, noise: float = noise) -> Array:
-            return np.concatenate([error(point) / noise, root @ (point - first)])
+            return np.concatenate([error(point) / noise, root @ (point - prior_point)])
 
-        found = search_locally(
+        optimum = search_locally(
             residual,
             best,
-            bounds=(low, high),
-            scale=sizes,
-            magnitude=float(np.linalg.norm(torque) / noise),
+            bounds=(lower, upper),
+            scale=prior_deviations,
+            magnitude=float(np.linalg.norm(tau) / noise),
             evaluations=20,
         )
-        best = found.x
-    if prior.trained and certify(law, prior.trained[k]).verdict == "proven":
-        tried = (first + share * (best - first) for share in _SHARES)
-        passive = (x for x in tried if certify(at(x), prior.trained[k]).verdict == "proven")
-        best = next(passive, first)
-    moved = dict(zip(names, map(float, best), strict=True))
-    return _with(law, moved, np.linalg.pinv(found.jac.T @ found.jac, hermitian=True))
+        best = optimum.x
+    if prior.trained and certify(law, prior.trained[j]).verdict == "proven":
+        candidates = (prior_point + share * (best - prior_point) for share in _CHANGE_SHARES)
+        passive = (
+            candidate
+            for candidate in candidates
+            if certify(build_law(candidate), prior.trained[j]).verdict == "proven"
+        )
+        best = next(passive, prior_point)
+    adapted_values = dict(zip(names, map(float, best), strict=True))
+    return _replace_coefficients(
+        law, adapted_values, np.linalg.pinv(optimum.jac.T @ optimum.jac, hermitian=True)
+    )
 
 
-def _limits(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _bound_coefficients(law: FrictionLaw, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return bounds of adapted coefficients: half to twice if nonlinear, else of the same sign."""
     form = law.form
-    found = {}
-    memory = set().union(*(part.free_symbols for element in form.memory for part in element.parts))
-    still = {
+    limits = {}
+    memory_symbols = set().union(
+        *(part.free_symbols for element in form.memory for part in element.parts)
+    )
+    zeros = {
         DQ: 0,
-        **{s: 0 for element in form.memory for s in (element.state, element.derivative)},
+        **{
+            state_symbol: 0
+            for element in form.memory
+            for state_symbol in (element.state, element.derivative)
+        },
     }
     for name in names:
         symbol = sympy.Symbol(name, real=True)
         value = law.values[name]
         slope = form.output.diff(symbol)
-        if symbol in memory or symbol in slope.free_symbols:
+        if symbol in memory_symbols or symbol in slope.free_symbols:
             if set(law.structure) <= {"ripple"}:
-                low, high = sorted((value / _FACTOR, value * _FACTOR))
-                found[name] = low, high
-        elif slope.subs(still) != 0:
-            found[name] = -np.inf, np.inf
+                lower, upper = sorted((value / _MAX_FACTOR, value * _MAX_FACTOR))
+                limits[name] = lower, upper
+        elif slope.subs(zeros) != 0:
+            limits[name] = -np.inf, np.inf
         else:
-            found[name] = (0.0, np.inf) if value > 0.0 else (-np.inf, 0.0)
-    return found
+            limits[name] = (0.0, np.inf) if value > 0.0 else (-np.inf, 0.0)
+    return limits
 
 
-def _noise(residual: Array) -> float:
+def _estimate_noise(residual: Array) -> float:
     """Return the standard deviation of independent errors that determine a mean as well."""
     power = float(residual @ residual)
-    memory = float(residual[1:] @ residual[:-1]) / power if power else 0.0
-    memory = float(np.clip(memory, 0.0, _MOST_MEMORY))
-    return rmse(residual) * float(np.sqrt((1.0 + memory) / (1.0 - memory))) + _LEAST_NOISE
+    autocorrelation = float(residual[1:] @ residual[:-1]) / power if power else 0.0
+    autocorrelation = float(np.clip(autocorrelation, 0.0, _MAX_AUTOCORRELATION))
+    return (
+        rmse(residual) * float(np.sqrt((1.0 + autocorrelation) / (1.0 - autocorrelation)))
+        + _MIN_NOISE
+    )

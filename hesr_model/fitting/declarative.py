@@ -20,7 +20,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import to_json
 
-LOAD_MOST = Coefficient(
+LARGEST_LOAD = Coefficient(
     name="load_most", unit="N.m", description="largest load of the bounds, from training"
 )
 
@@ -47,42 +47,52 @@ class Described(Estimator):
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of a structure; {"ripple": ...} adds harmonics."""
-        others = ("ripple", *("limited",) * cls.limited)
-        core = cls.core({key: value for key, value in structure.items() if key not in others})
+        extra_keys = ("ripple", *("limited",) * cls.limited)
+        core = cls.core({key: value for key, value in structure.items() if key not in extra_keys})
         if cls.limited and structure.get("limited"):
-            swap = {TAU_LOAD: clip(TAU_LOAD, LOAD_MOST.symbol)}
+            swap = {TAU_LOAD: clip(TAU_LOAD, LARGEST_LOAD.symbol)}
             coefficients = core.coefficients
             memory = (element.subs(swap) for element in core.memory)
-            core = replace(core, coefficients=(*coefficients, LOAD_MOST), memory=tuple(memory))
+            core = replace(core, coefficients=(*coefficients, LARGEST_LOAD), memory=tuple(memory))
         if "ripple" not in structure:
             return core
-        return Ripple.of_structure(structure["ripple"]).extend(core)
+        return Ripple.from_structure(structure["ripple"]).extend(core)
 
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple if it lowers the error."""
-        whole = dict(structure)
+        full_structure = dict(structure)
         rows = problem.samples
-        chosen = None
+        selected_ripple = None
         if self.ripple and rows.gear_ratio is not None:
             columns = problem.columns(point)
-            chosen = ripple.select(columns, rows, rows.gear_ratio, rows.folds)
-        if chosen:
-            waves, times = chosen
-            whole["ripple"] = to_json(waves)
-            numbers = problem.named(point)
+            selected_ripple = ripple.select(columns, rows, rows.gear_ratio, rows.folds)
+        if selected_ripple:
+            waves, times = selected_ripple
+            full_structure["ripple"] = to_json(waves)
+            numbers = problem.name_numbers(point)
             space = waves.extend_space(problem.space)
             problem = Separable(waves.extend(problem.form), space, rows)
             point = min(
-                (problem.settled(problem.point(numbers | at)) for at in ripple.starts(times)),
+                (
+                    problem.polish_from_corners(problem.point(numbers | start_times))
+                    for start_times in ripple.starts(times)
+                ),
                 key=lambda trial: problem.solve(trial)[1],
             )
-        law = replace(problem.law(point, self.name, whole), start_samples=self.start_samples)
+        law = replace(
+            problem.law(point, self.name, full_structure), start_samples=self.start_samples
+        )
         if not self.limited:
             return law
         # No training row is at the kink.
-        most = {LOAD_MOST.name: 1.001 * float(np.max(np.abs(rows.tau_load)))}
-        whole["limited"] = True
-        return replace(law, structure=whole, form=self.form(whole), values={**law.values, **most})
+        load_limit = {LARGEST_LOAD.name: 1.001 * float(np.max(np.abs(rows.tau_load)))}
+        full_structure["limited"] = True
+        return replace(
+            law,
+            structure=full_structure,
+            form=self.form(full_structure),
+            values={**law.values, **load_limit},
+        )
 
 
 class OneForm(Described):
@@ -105,17 +115,17 @@ class OneForm(Described):
     def space(self) -> SearchSpace:
         """Return the search space of the core."""
 
-    def space_of(self, law: FrictionLaw) -> SearchSpace:
+    def build_fitted_space(self, law: FrictionLaw) -> SearchSpace:
         """Return the search space of a fitted law, with its ripple."""
         waves = law.structure.get("ripple")
-        return Ripple.of_structure(waves).extend_space(self.space()) if waves else self.space()
+        return Ripple.from_structure(waves).extend_space(self.space()) if waves else self.space()
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the non-linear coefficients (seeded by `rng`) and solve the linear ones."""
         form = self.core({})
-        rows = JointRows.of(records, coefficients=len(form.coefficients))
-        problem = Separable(form, self.space().at_joint(slides=rows.sliding), rows)
-        return self.finish({}, problem, problem.settled(problem.search(rng)))
+        rows = JointRows.from_records(records, coefficients=len(form.coefficients))
+        problem = Separable(form, self.space().scale_to_joint(is_prismatic=rows.sliding), rows)
+        return self.finish({}, problem, problem.polish_from_corners(problem.search(rng)))
 
 
 def no_structure(name: str, structure: Mapping[str, Any]) -> None:

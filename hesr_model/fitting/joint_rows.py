@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 import scipy
 
-from hesr_model.equations.functions import lowered
+from hesr_model.equations.functions import to_numpy_function
 from hesr_model.equations.recurrence import recurrence
 from hesr_model.errors import FitError
 from hesr_model.friction.inputs import DQ
@@ -44,7 +44,7 @@ class JointRows:
         return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
 
     @classmethod
-    def of(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
+    def from_records(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
         """Join the records of one joint; raises FitError or LogError if they do not suffice."""
         rows = sum(len(record.t) for record in records)
         joint = records[0].joint if records else "?"
@@ -62,13 +62,16 @@ class JointRows:
             record=logs if logs.any() else np.cumsum(begins) - 1,
             gear_ratio=records[0].gear_ratio,
             sliding=records[0].sliding,
-            **{n: np.concatenate([getattr(record, n) for record in records]) for n in names},
+            **{
+                name: np.concatenate([getattr(record, name) for record in records])
+                for name in names
+            },
         )
 
     @cached_property
     def settling(self) -> Array:
         """(N,) share of the steady state in the initial state; used at first rows only."""
-        return np.asarray(_settling(self.dq)[0])
+        return np.asarray(_settling_share(self.dq)[0])
 
     def recurrence(self, a: Array, c: Array, steady: Array) -> Array:
         """Solve x[k] = a[k] x[k-1] + c[k] (N,) along records that start from `steady` (N,)."""
@@ -76,7 +79,7 @@ class JointRows:
         return recurrence(np.where(self.begins, 0.0, a), c, float(c[0]))
 
 
-_settling = lowered((DQ,), (SETTLING,))
+_settling_share = to_numpy_function((DQ,), (SETTLING,))
 
 
 def log_of_rows(records: Sequence[FrictionRecord]) -> Integers:
@@ -87,11 +90,11 @@ def log_of_rows(records: Sequence[FrictionRecord]) -> Integers:
     )
 
 
-def in_one_piece(rows: Mask) -> Mask | slice:
+def to_slice(rows: Mask) -> Mask | slice:
     """Return a mask (N,) as a slice if its rows are consecutive; slices do not copy."""
-    at = np.flatnonzero(rows)
-    whole = len(at) and at[-1] - at[0] + 1 == len(at)
-    return slice(int(at[0]), int(at[-1]) + 1) if whole else rows
+    indices = np.flatnonzero(rows)
+    is_consecutive = len(indices) and indices[-1] - indices[0] + 1 == len(indices)
+    return slice(int(indices[0]), int(indices[-1]) + 1) if is_consecutive else rows
 
 
 def least_squares(columns: Array, target: Array) -> Array:
@@ -111,38 +114,40 @@ def non_negative_least_squares(
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     active = np.arange(columns.shape[1])
     while True:
-        part = gram[np.ix_(active, active)] / np.outer(scale[active], scale[active])
+        active_gram = gram[np.ix_(active, active)] / np.outer(scale[active], scale[active])
         solution = np.zeros(columns.shape[1])
-        solution[active] = np.linalg.lstsq(part, moment[active] / scale[active])[0] / scale[active]
-        bounded = solution[:non_negative] * scale[:non_negative]
-        if bounded.min(initial=0.0) >= 0.0:
+        solution[active] = (
+            np.linalg.lstsq(active_gram, moment[active] / scale[active])[0] / scale[active]
+        )
+        signed_solution = solution[:non_negative] * scale[:non_negative]
+        if signed_solution.min(initial=0.0) >= 0.0:
             return solution, float(target @ target - moment @ solution)
-        active = active[active != int(np.argmin(bounded))]
+        active = active[active != int(np.argmin(signed_solution))]
 
 
 ROUND_OFF = 1e-9  # of a cost
 
 
-def no_worse(cost: float, than: float, tolerance: float = ROUND_OFF) -> bool:
+def is_no_worse(cost: float, other_cost: float, tolerance: float = ROUND_OFF) -> bool:
     """Return whether a cost exceeds another one by no more than a relative tolerance."""
     # Without noise a cost is round-off, which may be negative.
-    return cost <= than + tolerance * abs(than)
+    return cost <= other_cost + tolerance * abs(other_cost)
 
 
-def first_best(costs: Sequence[float] | Array, tolerance: float = ROUND_OFF) -> int:
+def find_first_best(costs: Sequence[float] | Array, tolerance: float = ROUND_OFF) -> int:
     """Return the index of the first cost that no other one undercuts beyond a tolerance."""
-    least = min(costs)
-    return next(k for k, cost in enumerate(costs) if no_worse(cost, least, tolerance))
+    lowest_cost = min(costs)
+    return next(k for k, cost in enumerate(costs) if is_no_worse(cost, lowest_cost, tolerance))
 
 
-_RIDGE = 1e-9  # relative to each column's square; columns may be dependent
+_RELATIVE_RIDGE = 1e-9  # relative to each column's square; columns may be dependent
 
 
 class Normal:
     """Normal equations of weighted blocks (N, k); all but the last `free` are non-negative."""
 
     @classmethod
-    def of(
+    def from_columns(
         cls, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
     ) -> Self:
         """Return the equations of columns (N, K)."""
@@ -152,32 +157,32 @@ class Normal:
         self._blocks = blocks
         self._products = products
         self._free = free
-        places = np.cumsum([0, *(block.shape[1] for block in blocks)])
-        self._places = [slice(a, b) for a, b in pairwise(places)]
+        column_ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
+        self._places = [slice(a, b) for a, b in pairwise(column_ends)]
         folds = len(products.folds)
         self._grams, self._moments = (
-            np.empty((folds, places[-1], *more)) for more in ((places[-1],), ())
+            np.empty((folds, column_ends[-1], *shape)) for shape in ((column_ends[-1],), ())
         )
         for i, a in enumerate(self._places):
-            self._moments[:, a] = products.of(blocks[i], products.tau)[:, :, 0]
+            self._moments[:, a] = products.multiply_blocks(blocks[i], products.tau)[:, :, 0]
             for j, b in enumerate(self._places[: i + 1]):
-                found = products.of(blocks[i], blocks[j])
-                self._grams[:, a, b] = found
-                self._grams[:, b, a] = found.swapaxes(1, 2)
+                product = products.multiply_blocks(blocks[i], blocks[j])
+                self._grams[:, a, b] = product
+                self._grams[:, b, a] = product.swapaxes(1, 2)
         self.gram, self.moment = self._grams.sum(axis=0), self._moments.sum(axis=0)
 
     def solve(self) -> Array:
         """Return the (K,) coefficients for all rows."""
         return signed_least_squares(self.gram, self.moment, self._free)
 
-    def left_out(self) -> Array:
+    def cross_validate(self) -> Array:
         """Return the (N,) errors of cross-validation."""
         errors = -self._products.tau[:, 0]
-        rest = zip(self.gram - self._grams, self.moment - self._moments, strict=True)
-        for fold, (gram, moment) in zip(self._products.folds, rest, strict=True):
-            x = signed_least_squares(gram, moment, self._free)
+        remaining_equations = zip(self.gram - self._grams, self.moment - self._moments, strict=True)
+        for fold, (gram, moment) in zip(self._products.folds, remaining_equations, strict=True):
+            coefficients = signed_least_squares(gram, moment, self._free)
             for block, place in zip(self._blocks, self._places, strict=True):
-                errors[fold] += block[fold] @ x[place]
+                errors[fold] += block[fold] @ coefficients[place]
         return errors
 
 
@@ -186,11 +191,11 @@ class Products:
 
     def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
-        self.folds = [in_one_piece(fold) for fold in folds]
+        self.folds = [to_slice(fold) for fold in folds]
         # Keys are identities of arrays, which are kept so that they stay unique.
         self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
 
-    def of(self, a: Array, b: Array) -> Array:
+    def multiply_blocks(self, a: Array, b: Array) -> Array:
         """Return (folds, k, l) products of two blocks (N, k) and (N, l)."""
         key = id(a), id(b)
         if key not in self._known:
@@ -201,12 +206,12 @@ class Products:
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     """Minimise x G x / 2 - m x over x (K,) with x >= 0, apart from the last `free` ones."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    g = gram * scale * scale[:, None] + _RIDGE * np.eye(len(scale))
+    g = gram * scale * scale[:, None] + _RELATIVE_RIDGE * np.eye(len(scale))
     m = moment * scale
     signed = len(m) - free
-    both = np.linalg.solve(g[signed:, signed:], np.c_[m[signed:], g[signed:, :signed]])
-    b = both[:, 0]
-    c = both[:, 1:]
+    solved = np.linalg.solve(g[signed:, signed:], np.c_[m[signed:], g[signed:, :signed]])
+    b = solved[:, 0]
+    c = solved[:, 1:]
     root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)
     target = np.linalg.solve(root, m[:signed] - g[:signed, signed:] @ b)
     # With no unknowns SciPy's nnls aborts the process.
@@ -214,19 +219,19 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     return np.asarray(np.concatenate([x, b - c @ x]) * scale)
 
 
-def blocks_of(dt: Array, begins: Mask, seconds: float = 8.0, least: int = 8) -> Any:
-    """Return the (N,) index of each row's block of `seconds`, or less to have `least` blocks."""
-    length = min(seconds, float(dt.sum()) / least)
+def divide_into_blocks(dt: Array, begins: Mask, seconds: float = 8.0, min_blocks: int = 8) -> Any:
+    """Return the index (N,) of each row's block: at most `seconds`, or `min_blocks` blocks."""
+    length = min(seconds, float(dt.sum()) / min_blocks)
     clock = np.cumsum(np.where(begins, 0.0, dt))
-    since = clock - np.maximum.accumulate(np.where(begins, clock, 0.0))
-    whole = np.floor(since / max(length, 1e-300)).astype(int)
-    return np.cumsum(begins | (np.diff(whole, prepend=-1) > 0)) - 1
+    elapsed = clock - np.maximum.accumulate(np.where(begins, clock, 0.0))
+    block_number = np.floor(elapsed / max(length, 1e-300)).astype(int)
+    return np.cumsum(begins | (np.diff(block_number, prepend=-1) > 0)) - 1
 
 
-def pays(before: Array, after: Array, blocks: Any) -> bool:
+def has_significant_gain(before: Array, after: Array, blocks: Any) -> bool:
     """Return True if errors (N,) fall by more than one standard error of the gain over blocks."""
     gains = np.bincount(blocks, weights=before**2 - after**2)
     if len(gains) < 2:
         return False
-    least = np.sqrt(len(gains)) * gains.std(ddof=1) + ROUND_OFF * float(before @ before)
-    return bool(gains.sum() > least)
+    min_gain = np.sqrt(len(gains)) * gains.std(ddof=1) + ROUND_OFF * float(before @ before)
+    return bool(gains.sum() > min_gain)

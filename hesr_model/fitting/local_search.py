@@ -9,10 +9,10 @@ from hesr_model.support.arrays import Array
 
 # Relative to the scale of a number, not to the number: SciPy's relative steps vanish where the
 # number is almost 0 (a logarithm of a ratio of almost 1), and the differences are round-off.
-_STEP = 1e-6
+_RELATIVE_STEP = 1e-6
 # A difference below this share of the residual's terms is round-off of sums and of the linear
 # coefficients. It has a random direction, which the search would follow as far as it may.
-_NOISE = 1e-12
+_ROUND_OFF_SHARE = 1e-12
 
 
 def search_locally(
@@ -34,7 +34,7 @@ def search_locally(
     magnitude : norm of the terms of which the residual is the difference.
     evaluations : largest number of steps; SciPy's default if None.
     """
-    low, high = bounds
+    lower, upper = bounds
     last_point = np.empty(0)
     last_residual = np.empty(0)
 
@@ -45,21 +45,21 @@ def search_locally(
         return last_residual
 
     def slopes(point: Array) -> Array:
-        before = last_residual if np.array_equal(point, last_point) else residual(point)
-        columns = np.zeros((len(before), len(point)))
-        for k, step in enumerate(_STEP * scale):
-            moved = point.copy()
-            moved[k] += step if point[k] + step <= high[k] else -step
-            difference = residual(moved) - before
-            if float(np.linalg.norm(difference)) > _NOISE * magnitude:
-                columns[:, k] = difference / (moved[k] - point[k])
+        base_residual = last_residual if np.array_equal(point, last_point) else residual(point)
+        columns = np.zeros((len(base_residual), len(point)))
+        for k, step in enumerate(_RELATIVE_STEP * scale):
+            moved_point = point.copy()
+            moved_point[k] += step if point[k] + step <= upper[k] else -step
+            difference = residual(moved_point) - base_residual
+            if float(np.linalg.norm(difference)) > _ROUND_OFF_SHARE * magnitude:
+                columns[:, k] = difference / (moved_point[k] - point[k])
         return columns
 
     return scipy.optimize.least_squares(
         evaluate,
-        np.clip(start, low, high),
+        np.clip(start, lower, upper),
         jac=slopes,
-        bounds=(low, high),
+        bounds=(lower, upper),
         x_scale=scale,
         max_nfev=evaluations,
     )

@@ -13,10 +13,10 @@ from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation
 from hesr_model.fitting.joint_rows import (
     JointRows,
-    first_best,
-    in_one_piece,
-    no_worse,
+    find_first_best,
+    is_no_worse,
     non_negative_least_squares,
+    to_slice,
 )
 from hesr_model.fitting.local_search import search_locally
 from hesr_model.friction.inputs import INPUTS
@@ -46,18 +46,22 @@ class SearchSpace:
         """Names of the searched numbers."""
         return tuple(name for name, _ in self.bounds)
 
-    def at_joint(self, *, slides: bool) -> Self:
+    def scale_to_joint(self, *, is_prismatic: bool) -> Self:
         """Return the space of a joint, whose lengths in m may be a hundredth of those in rad."""
-        scales = {name: FINEST if slides and name in _LENGTHS else 1.0 for name in self.names}
-        return replace(self, bounds=tuple((n, (scales[n] * a, b)) for n, (a, b) in self.bounds))
+        scales = {
+            name: FINEST_SCALE if is_prismatic and name in _LENGTHS else 1.0 for name in self.names
+        }
+        return replace(
+            self, bounds=tuple((n, (scales[n] * lower, upper)) for n, (lower, upper) in self.bounds)
+        )
 
 
-FINEST = 0.01  # smallest scale of a sliding joint's lengths
+FINEST_SCALE = 0.01  # smallest scale of a sliding joint's lengths
 _LENGTHS = {"deflection", "v_s", "v_t", "x_0"}  # searched numbers [rad, rad/s; m, m/s]
-LEAST = 1e-9  # [its unit] of a non-negative coefficient that scales others
-_WEAK = 1e-3  # relative rise of the cost that a number with hardly an effect causes
+MIN_COEFFICIENT = 1e-9  # [its unit] of a non-negative coefficient that scales others
+_WEAK_RISE = 1e-3  # relative rise of the cost that a number with hardly an effect causes
 _WEAK_VALUES = 5  # tried of such a number; searched velocities span three decades
-_SAME_VALUE = 1e-3  # share of the range
+_SAME_VALUE_SHARE = 1e-3  # share of the range
 
 
 class Separable:
@@ -90,7 +94,7 @@ class Separable:
         """Return the searched numbers of a point, in the units of the coefficients."""
         return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
 
-    def named(self, point: Array) -> dict[str, float]:
+    def name_numbers(self, point: Array) -> dict[str, float]:
         """Return the searched numbers of a point by name."""
         return dict(zip(self.space.names, map(float, self.numbers(point)), strict=True))
 
@@ -98,13 +102,13 @@ class Separable:
         """Return the point of searched numbers, moved inside the bounds."""
         raw = np.array([numbers[name] for name in self.space.names])
         scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
-        low, high = self.bounds.T
-        margin = 1e-9 * (high - low)
-        return np.clip(scaled, low + margin, high - margin)
+        lower, upper = self.bounds.T
+        margin = 1e-9 * (upper - lower)
+        return np.clip(scaled, lower + margin, upper - margin)
 
     def columns(self, point: Array) -> Array:
         """Return the (N, len(linear)) columns of the torque at a point [N.m per unit of each]."""
-        return self._run.at(self.numbers(point)).copy(order="F")
+        return self._run.evaluate(self.numbers(point)).copy(order="F")
 
     @cached_property
     def _run(self) -> KernelRun:
@@ -122,21 +126,27 @@ class Separable:
 
     def solve(self, point: Array) -> tuple[Array, float]:
         """Return (len(linear),) unknowns at a point and the sum of squared residuals [N^2.m^2]."""
-        own = self.space.non_negative
-        found = self._run.solved(self.numbers(point), non_negative=own)
-        if found is not None:
-            return found
-        return non_negative_least_squares(self.columns(point), self.samples.tau, non_negative=own)
+        non_negative = self.space.non_negative
+        solution = self._run.fit_factors(self.numbers(point), non_negative=non_negative)
+        if solution is not None:
+            return solution
+        return non_negative_least_squares(
+            self.columns(point), self.samples.tau, non_negative=non_negative
+        )
 
     def _residual(self, point: Array, weights: Array | None) -> Array:
-        own = self.space.non_negative
+        non_negative = self.space.non_negative
         tau = self.samples.tau
-        found = self._run.solved(self.numbers(point), non_negative=own, weights=weights, keep=True)
-        if found is not None:
-            return np.asarray(self._run.found @ found[0] - tau)
+        solution = self._run.fit_factors(
+            self.numbers(point), non_negative=non_negative, weights=weights, keep=True
+        )
+        if solution is not None:
+            return np.asarray(self._run.found @ solution[0] - tau)
         columns = self._run.found
-        w = np.ones_like(tau) if weights is None else weights
-        x, _ = non_negative_least_squares(w[:, None] * columns, w * tau, non_negative=own)
+        row_weights = np.ones_like(tau) if weights is None else weights
+        x, _ = non_negative_least_squares(
+            row_weights[:, None] * columns, row_weights * tau, non_negative=non_negative
+        )
         return np.asarray(columns @ x - tau)
 
     def search(self, rng: np.random.Generator, *, effort: int = 40) -> Array:
@@ -166,22 +176,22 @@ class Separable:
         weights = None if rows is None else rows.astype(float)
 
         def residual(trial: Array) -> Array:
-            found = self._residual(trial, weights)
-            return found if rows is None else found[rows]
+            residuals = self._residual(trial, weights)
+            return residuals if rows is None else residuals[rows]
 
-        low, high = self.bounds.T
+        lower, upper = self.bounds.T
         tau = self.samples.tau if rows is None else self.samples.tau[rows]
         result = search_locally(
             residual,
             point,
-            bounds=(low, high),
-            scale=high - low,
+            bounds=(lower, upper),
+            scale=upper - lower,
             magnitude=float(np.linalg.norm(tau)),
             evaluations=evaluations,
         )
         return np.asarray(result.x)
 
-    def settled(self, point: Array) -> Array:
+    def polish_from_corners(self, point: Array) -> Array:
         """Return the point after local searches, also from where numbers hardly have an effect.
 
         Where F_s = F_c, v_s has none, and its value decides whether a higher F_s is found. At the
@@ -192,7 +202,7 @@ class Separable:
         corners = [point, *self._vary(point, cost, 2)]
         starts = [start for corner in corners for start in self._vary(corner, cost, _WEAK_VALUES)]
         points = [point, *(self.polish(start, evaluations=40) for start in starts)]
-        return points[first_best([self.solve(p)[1] for p in points])]
+        return points[find_first_best([self.solve(p)[1] for p in points])]
 
     def _vary(self, point: Array, cost: float, values: int) -> list[Array]:
         """Return points with one number changed, whose cost hardly exceeds `cost`.
@@ -200,25 +210,33 @@ class Separable:
         The numbers take `values` values, the bounds included.
         """
         varied = []
-        for k, (low, high) in enumerate(self.bounds):
-            for value in np.linspace(high, low, values):
+        for k, (lower, upper) in enumerate(self.bounds):
+            for value in np.linspace(upper, lower, values):
                 trial = point.copy()
                 trial[k] = value
-                is_near = abs(value - point[k]) < _SAME_VALUE * (high - low)
-                if not is_near and no_worse(self.solve(trial)[1], cost, _WEAK):
+                is_near = abs(value - point[k]) < _SAME_VALUE_SHARE * (upper - lower)
+                if not is_near and is_no_worse(self.solve(trial)[1], cost, _WEAK_RISE):
                     varied.append(trial)
         return varied
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
         """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
-        known = self.named(point) | dict(zip(self.space.linear, unknowns, strict=True))
+        known_values = self.name_numbers(point) | dict(
+            zip(self.space.linear, unknowns, strict=True)
+        )
         # Ratios of coefficients that are multiples of 0 would be 0 / 0.
-        divided = {symbol.name for _, e in self.space.values for symbol in e.free_symbols}
-        for name in divided & set(self.space.linear[: self.space.non_negative]):
-            known[name] = max(known[name], LEAST)
-        symbols = {sympy.Symbol(name, real=True): value for name, value in known.items()}
-        known |= {name: float(e.subs(symbols)) for name, e in self.space.values}
-        return {quantity.name: float(known[quantity.name]) for quantity in self.form.coefficients}
+        divisor_names = {
+            symbol.name for _, expression in self.space.values for symbol in expression.free_symbols
+        }
+        for name in divisor_names & set(self.space.linear[: self.space.non_negative]):
+            known_values[name] = max(known_values[name], MIN_COEFFICIENT)
+        symbols = {sympy.Symbol(name, real=True): value for name, value in known_values.items()}
+        known_values |= {
+            name: float(expression.subs(symbols)) for name, expression in self.space.values
+        }
+        return {
+            quantity.name: float(known_values[quantity.name]) for quantity in self.form.coefficients
+        }
 
     def law(self, point: Array, name: str, structure: Mapping[str, Any]) -> FrictionLaw:
         """Return the law at a point."""
@@ -236,27 +254,33 @@ def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
     gram = columns.T @ columns
     moment = columns.T @ tau
     total = 0.0
-    for fold in map(in_one_piece, folds):
-        out = columns[fold]
-        target = tau[fold]
-        x = np.linalg.lstsq(gram - out.T @ out, moment - out.T @ target, rcond=1e-12)[0]
-        total += float(np.sum((target - out @ x) ** 2))
+    for fold in map(to_slice, folds):
+        fold_columns = columns[fold]
+        fold_tau = tau[fold]
+        x = np.linalg.lstsq(
+            gram - fold_columns.T @ fold_columns, moment - fold_columns.T @ fold_tau, rcond=1e-12
+        )[0]
+        total += float(np.sum((fold_tau - fold_columns @ x) ** 2))
     return total / len(tau)
 
 
 @lru_cache(maxsize=64)
 def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
-    replaced = {sympy.Symbol(name, real=True): e for name, e in space.values}
+    replacements = {sympy.Symbol(name, real=True): expression for name, expression in space.values}
     searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
     linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
     # Expand products so that factors cancel. Other simplifications may cause an overflow by
     # 1/exp(x).
-    memory = tuple(element.subs(replaced) for element in form.memory)
-    output = sympy.expand_mul(form.output.xreplace(replaced))
+    memory = tuple(element.subs(replacements) for element in form.memory)
+    output = sympy.expand_mul(form.output.xreplace(replacements))
     columns = tuple(sympy.diff(output, symbol) for symbol in linear)
-    rest = output.xreplace(dict.fromkeys(linear, sympy.Integer(0)))
+    constant_torque = output.xreplace(dict.fromkeys(linear, sympy.Integer(0)))
     parts = (part for element in memory for part in element.parts)
-    mixed = set(linear) & set().union(*(e.free_symbols for e in (*parts, *columns)))
-    if mixed or rest != 0:
-        raise ValueError(f"not linear in {sorted(map(str, mixed)) or 'an offset'}: {output}")
+    nonlinear_symbols = set(linear) & set().union(
+        *(expression.free_symbols for expression in (*parts, *columns))
+    )
+    if nonlinear_symbols or constant_torque != 0:
+        raise ValueError(
+            f"not linear in {sorted(map(str, nonlinear_symbols)) or 'an offset'}: {output}"
+        )
     return Kernel(memory, searched, INPUTS, columns, form.component.settling)

@@ -12,19 +12,24 @@ import sympy
 
 from hesr_model.errors import SimulationError
 from hesr_model.fitting.joint_rows import log_of_rows
-from hesr_model.fitting.separable import LEAST, SearchSpace
+from hesr_model.fitting.separable import MIN_COEFFICIENT, SearchSpace
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict, record_start
-from hesr_model.inference.covariance import Covariance, blocks_of_time, covariance_of_fit, pooled
+from hesr_model.inference.covariance import (
+    Covariance,
+    blocks_of_time,
+    covariance_of_fit,
+    pool_covariances,
+)
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array, Integers
 
-MOST_COEFFICIENTS = 64  # coefficients of larger laws, networks, have no meaning
-_STEP = 1e-6
-_NONE = 1e-12  # derivative that is round-off
-_WIDTH = 2.0  # standard errors for measuring curvature
-_FLATTEST = 0.25  # of the ratio between actual and linear change
-_AT_BOUND = 1e-3  # distance that counts as at a bound, of the (logarithmic) range
+MAX_COEFFICIENTS = 64  # coefficients of larger laws, networks, have no meaning
+_DIFFERENCE_STEP = 1e-6
+_DERIVATIVE_ROUND_OFF = 1e-12  # derivative that is round-off
+_CURVATURE_WIDTH = 2.0  # standard errors for measuring curvature
+_MIN_CHANGE_RATIO = 0.25  # of the ratio between actual and linear change
+_BOUND_MARGIN = 1e-3  # distance that counts as at a bound, of the (logarithmic) range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,114 +41,141 @@ class Coordinates:
     held: frozenset[str]  # coefficients at a bound
 
 
-def with_standard_errors(
+def add_standard_errors(
     law: FrictionLaw, records: Sequence[FrictionRecord], space: SearchSpace | None = None
 ) -> FrictionLaw:
     """Return the law with covariance and standard errors; `space` is its search space, if known."""
-    if len(law.values) > MOST_COEFFICIENTS:
+    if len(law.values) > MAX_COEFFICIENTS:
         return law
     if space:
-        moved = _free_coordinates(law, space.at_joint(slides=records[0].sliding))
+        coordinates = _build_free_coordinates(
+            law, space.scale_to_joint(is_prismatic=records[0].sliding)
+        )
     else:
-        moved = _every(law)
+        coordinates = _build_all_coordinates(law)
     # Initial states are measured, so they are constant.
     starts = [record_start(law, record) for record in records]
 
-    def at(point: Array) -> tuple[Array, Array]:
-        values = moved.values(point)
-        torque = _predicted(replace(law, values=values), records, starts)
+    def evaluate(point: Array) -> tuple[Array, Array]:
+        values = coordinates.values(point)
+        torque = _predict_records(replace(law, values=values), records, starts)
         return torque, np.array([values[name] for name in law.values])
 
-    jacobian, slope = _derivatives(at, moved.point)
-    used = np.abs(jacobian).max(axis=0) > _NONE
-    jacobian, slope = jacobian[:, used], slope[:, used]
-    torque = _predicted(law, records, starts)
-    covariance = _covariance(np.flatnonzero(used), jacobian, torque, records)
-    moves = dict(zip(law.values, slope, strict=True))
-    moves = {name: own for name, own in moves.items() if np.any(own != 0.0)}
-    whole = replace(law, covariance=covariance.mapped(list(moves), np.array(list(moves.values()))))
+    jacobian, slope = _differentiate(evaluate, coordinates.point)
+    is_used = np.abs(jacobian).max(axis=0) > _DERIVATIVE_ROUND_OFF
+    jacobian, slope = jacobian[:, is_used], slope[:, is_used]
+    tau_predicted = _predict_records(law, records, starts)
+    covariance = _estimate_covariance(np.flatnonzero(is_used), jacobian, tau_predicted, records)
+    coefficient_slopes = dict(zip(law.values, slope, strict=True))
+    coefficient_slopes = {
+        name: derivative
+        for name, derivative in coefficient_slopes.items()
+        if np.any(derivative != 0.0)
+    }
+    law_with_covariance = replace(
+        law,
+        covariance=covariance.transform(
+            list(coefficient_slopes), np.array(list(coefficient_slopes.values()))
+        ),
+    )
     if law.structure.keys() - {"limited"}:
-        return _stated(whole, {})
-    q, record = np.linalg.qr(jacobian)
+        return _store_standard_errors(law_with_covariance, {})
+    q, r = np.linalg.qr(jacobian)
 
-    def moved_by(index: int, step: Array) -> tuple[float, Array]:
-        point = moved.point.copy()
-        point[used] += step
+    def measure_change(index: int, step: Array) -> tuple[float, Array]:
+        point = coordinates.point.copy()
+        point[is_used] += step
         with np.errstate(all="ignore"):  # the law may be undefined there
             try:
-                there, values = at(point)
+                moved_torque, values = evaluate(point)
             except SimulationError:  # Euler's step may be unstable
-                return 0.0, np.zeros_like(torque)
-        return values[index] - list(law.values.values())[index], there - torque
+                return 0.0, np.zeros_like(tau_predicted)
+        return values[index] - list(law.values.values())[index], moved_torque - tau_predicted
 
-    wider = {
-        name: wider_side(
-            own, covariance.matrix, q, record, partial(moved_by, list(law.values).index(name))
+    widening = {
+        name: measure_wider_side(
+            derivative,
+            covariance.matrix,
+            q,
+            r,
+            partial(measure_change, list(law.values).index(name)),
         )
-        for name, own in moves.items()
-        if name not in moved.held
+        for name, derivative in coefficient_slopes.items()
+        if name not in coordinates.held
     }
-    return _stated(whole, wider)
+    return _store_standard_errors(law_with_covariance, widening)
 
 
-def _derivatives(of: Callable[[Array], tuple[Array, Array]], point: Array) -> tuple[Array, Array]:
+def _differentiate(
+    evaluate: Callable[[Array], tuple[Array, Array]], point: Array
+) -> tuple[Array, Array]:
     """Return central differences of two functions, (N, P) and (M, P)."""
     size = np.abs(point)
-    steps = _STEP * np.maximum(size, 1e-3)
+    steps = _DIFFERENCE_STEP * np.maximum(size, 1e-3)
     # Laws divide by some coefficients; none may become zero.
     steps = np.where(size > 0.0, np.minimum(steps, 0.5 * size), steps)
     columns = []
     for step in np.diag(steps):
-        sides = zip(of(point + step), of(point - step), strict=True)
+        sides = zip(evaluate(point + step), evaluate(point - step), strict=True)
         columns.append([(after - before) / (2.0 * step.sum()) for after, before in sides])
-    first, second = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
+    first, second = (np.stack(column_group, axis=1) for column_group in zip(*columns, strict=True))
     return first, second
 
 
-def _covariance(
-    used: Integers, jacobian: Array, torque: Array, records: Sequence[FrictionRecord]
+def _estimate_covariance(
+    used_numbers: Integers, jacobian: Array, tau_predicted: Array, records: Sequence[FrictionRecord]
 ) -> Covariance:
-    residual = np.concatenate([record.tau for record in records]) - torque
+    residual = np.concatenate([record.tau for record in records]) - tau_predicted
     labels = blocks_of_time(log_of_rows(records))
     spreads = [record.tau_load_spread for record in records if record.tau_load_spread is not None]
     carried = jacobian.T @ np.concatenate(spreads) if len(spreads) == len(records) else None
-    return covariance_of_fit([str(k) for k in used], jacobian, residual, labels, carried=carried)
+    return covariance_of_fit(
+        [str(k) for k in used_numbers], jacobian, residual, labels, carried=carried
+    )
 
 
-def with_pooled_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
+def pool_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
     """Return the laws of all joints with one common between-log factor."""
-    shared = iter(pooled([law.covariance for law in laws if law.covariance is not None]))
-    found = []
+    shared = iter(pool_covariances([law.covariance for law in laws if law.covariance is not None]))
+    pooled_laws = []
     for law in laws:
         if law.covariance is None:
-            found.append(law)
+            pooled_laws.append(law)
             continue
-        plain = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
-        wider = {n: e / plain[n] if plain[n] else 1.0 for n, e in law.standard_errors.items()}
-        found.append(_stated(replace(law, covariance=next(shared)), wider))
-    return found
+        unpooled_errors = dict(
+            zip(law.covariance.names, law.covariance.standard_errors, strict=True)
+        )
+        widening = {
+            name: error / unpooled_errors[name] if unpooled_errors[name] else 1.0
+            for name, error in law.standard_errors.items()
+        }
+        pooled_laws.append(_store_standard_errors(replace(law, covariance=next(shared)), widening))
+    return pooled_laws
 
 
-def _stated(law: FrictionLaw, wider: Mapping[str, float]) -> FrictionLaw:
+def _store_standard_errors(law: FrictionLaw, widening: Mapping[str, float]) -> FrictionLaw:
     if law.covariance is None:
         return law
     errors = dict(zip(law.covariance.names, law.covariance.standard_errors, strict=True))
-    return replace(law, standard_errors={n: float(errors[n]) * wider[n] for n in wider})
+    return replace(
+        law, standard_errors={name: float(errors[name]) * widening[name] for name in widening}
+    )
 
 
-def wider_side(
+def measure_wider_side(
     slope: Array,
     covariance: Array,
     q: Array,
     r: Array,
-    moved_by: Callable[[Array], tuple[float, Array]],
+    measure_change: Callable[[Array], tuple[float, Array]],
 ) -> float:
     """Return the ratio of the wider side of a coefficient's interval to its standard error.
 
     `slope` (P,) is its derivative, `q` and `r` the QR decomposition of the torque's (N, P)
-    derivatives; `moved_by` maps a step (P,) to the changes of the coefficient and of the torque
-    (N,) [N.m]. If the torque moves less than linearly with the other coefficients fitted again, the
-    interval is wider by that ratio: the end of the profile t of Bates and Watts (1988, ch. 6).
+    derivatives; `measure_change` maps a step (P,) to the changes of the coefficient and of the
+    torque (N,) [N.m]. If the torque moves less than linearly with the other coefficients fitted
+    again, the interval is wider by that ratio: the end of the profile t of Bates and Watts (1988,
+    ch. 6).
     """
     error = float(np.sqrt(slope @ covariance @ slope))
     normal = np.linalg.lstsq(r.T, slope, rcond=None)[0]
@@ -152,16 +184,24 @@ def wider_side(
         return 1.0
     ratios = []
     for sign in (1.0, -1.0):
-        aside, moved = moved_by(sign * _WIDTH * covariance @ slope / error)
-        within = q.T @ moved
-        left = moved @ moved - within @ within + (normal @ within / size) ** 2
-        ratio = np.sqrt(left) * size / abs(aside) if aside and left > 0.0 else 1.0
+        coefficient_change, torque_change = measure_change(
+            sign * _CURVATURE_WIDTH * covariance @ slope / error
+        )
+        projected = q.T @ torque_change
+        remaining_square = (
+            torque_change @ torque_change - projected @ projected + (normal @ projected / size) ** 2
+        )
+        ratio = (
+            np.sqrt(remaining_square) * size / abs(coefficient_change)
+            if coefficient_change and remaining_square > 0.0
+            else 1.0
+        )
         ratios.append(ratio if np.isfinite(ratio) else 1.0)
-    return 1.0 / float(np.clip(min(ratios), _FLATTEST, 1.0))
+    return 1.0 / float(np.clip(min(ratios), _MIN_CHANGE_RATIO, 1.0))
 
 
-def _every(law: FrictionLaw) -> Coordinates:
-    names = [name for name, value in law.values.items() if abs(value) > LEAST]
+def _build_all_coordinates(law: FrictionLaw) -> Coordinates:
+    names = [name for name, value in law.values.items() if abs(value) > MIN_COEFFICIENT]
 
     def values(point: Array) -> dict[str, float]:
         return {**law.values, **dict(zip(names, map(float, point), strict=True))}
@@ -173,59 +213,80 @@ def _every(law: FrictionLaw) -> Coordinates:
     )
 
 
-def _free_coordinates(law: FrictionLaw, space: SearchSpace) -> Coordinates:
-    numbers = _unknowns(law.values, space)
-    at = {name for name, (low, high) in space.bounds if _at_end(numbers[name], low, high)}
-    at |= {name for name in space.linear[: space.non_negative] if numbers[name] <= LEAST}
-    names = [name for name in numbers if name not in at]
-    through = [(name, tuple(str(s) for s in e.free_symbols)) for name, e in space.values]
-    held = at | {name for name, sources in through if at & set(sources) or not sources}
+def _build_free_coordinates(law: FrictionLaw, space: SearchSpace) -> Coordinates:
+    numbers = _find_unknowns(law.values, space)
+    names_at_bound = {
+        name for name, (lower, upper) in space.bounds if _is_at_end(numbers[name], lower, upper)
+    }
+    names_at_bound |= {
+        name for name in space.linear[: space.non_negative] if numbers[name] <= MIN_COEFFICIENT
+    }
+    names = [name for name in numbers if name not in names_at_bound]
+    dependencies = [
+        (name, tuple(str(symbol) for symbol in expression.free_symbols))
+        for name, expression in space.values
+    ]
+    held_names = names_at_bound | {
+        name for name, sources in dependencies if names_at_bound & set(sources) or not sources
+    }
 
     def values(point: Array) -> dict[str, float]:
-        known = numbers | dict(zip(names, map(float, point), strict=True))
-        computed = _functions(space)(*(known[name] for name in numbers))
-        known |= dict(zip((name for name, _ in space.values), map(float, computed), strict=True))
-        return {name: known.get(name, value) for name, value in law.values.items()}
+        known_values = numbers | dict(zip(names, map(float, point), strict=True))
+        computed = _compile_values(space)(*(known_values[name] for name in numbers))
+        known_values |= dict(
+            zip((name for name, _ in space.values), map(float, computed), strict=True)
+        )
+        return {name: known_values.get(name, value) for name, value in law.values.items()}
 
     return Coordinates(
-        point=np.array([numbers[name] for name in names]), values=values, held=frozenset(held)
+        point=np.array([numbers[name] for name in names]), values=values, held=frozenset(held_names)
     )
 
 
-def _at_end(number: float, low: float, high: float) -> bool:
-    value, ends = (np.log(number), np.log([low, high])) if low > 0 else (number, (low, high))
-    margin = _AT_BOUND * (ends[1] - ends[0])
+def _is_at_end(number: float, lower: float, upper: float) -> bool:
+    value, ends = (
+        (np.log(number), np.log([lower, upper])) if lower > 0 else (number, (lower, upper))
+    )
+    margin = _BOUND_MARGIN * (ends[1] - ends[0])
     return bool(value < ends[0] + margin or value > ends[1] - margin)
 
 
-def _unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
-    every = (*space.names, *space.linear)
-    known = {name: values[name] for name in every if name in values}
+def _find_unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
+    searched_names = (*space.names, *space.linear)
+    numbers = {name: values[name] for name in searched_names if name in values}
     for name, expression in space.values:
-        rest = [s for s in expression.free_symbols if s.name not in known]
-        if len(rest) == 1:
-            at = {s: known[s.name] for s in expression.free_symbols if s.name in known}
-            at[sympy.Symbol(name, real=True)] = values[name]
-            found = _solved(expression, name, rest[0]).subs(at)
-            known[rest[0].name] = float(found) if found.is_finite else 0.0
-    return {name: known[name] for name in every}
+        missing = [symbol for symbol in expression.free_symbols if symbol.name not in numbers]
+        if len(missing) == 1:
+            replacements = {
+                symbol: numbers[symbol.name]
+                for symbol in expression.free_symbols
+                if symbol.name in numbers
+            }
+            replacements[sympy.Symbol(name, real=True)] = values[name]
+            solution = _solve_expression(expression, name, missing[0]).subs(replacements)
+            numbers[missing[0].name] = float(solution) if solution.is_finite else 0.0
+    return {name: numbers[name] for name in searched_names}
 
 
 @lru_cache(maxsize=64)
-def _solved(expression: sympy.Expr, name: str, unknown: sympy.Symbol) -> sympy.Expr:
-    (found, *_) = sympy.solve(expression - sympy.Symbol(name, real=True), unknown)
-    return found
+def _solve_expression(expression: sympy.Expr, name: str, unknown: sympy.Symbol) -> sympy.Expr:
+    (solution, *_) = sympy.solve(expression - sympy.Symbol(name, real=True), unknown)
+    return solution
 
 
 @lru_cache(maxsize=64)
-def _functions(space: SearchSpace) -> Callable[..., Sequence[float]]:
+def _compile_values(space: SearchSpace) -> Callable[..., Sequence[float]]:
     symbols = [sympy.Symbol(name, real=True) for name in (*space.names, *space.linear)]
-    found: Callable[..., Sequence[float]] = sympy.lambdify(symbols, [e for _, e in space.values])
-    return found
+    compute_values: Callable[..., Sequence[float]] = sympy.lambdify(
+        symbols, [expression for _, expression in space.values]
+    )
+    return compute_values
 
 
-def _predicted(
+def _predict_records(
     law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
 ) -> Array:
-    parts = zip(records, starts, strict=True)
-    return np.concatenate([predict(law, **record.motion, start=start) for record, start in parts])
+    starting_records = zip(records, starts, strict=True)
+    return np.concatenate(
+        [predict(law, **record.motion, start=start) for record, start in starting_records]
+    )

@@ -18,15 +18,15 @@ import numpy as np
 
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import LawStepper, states_over
+from hesr_model.friction.predict import LawStepper, compute_states
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.rigid_body.residual import FrictionRecord, transform_records
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
 
 RUN_IN = 1.0  # run-in of friction states before a log's first window [s]
-_WEIGHTLESS = 1e-9  # threshold of gravity over the largest torque
-_BLOCK_ROUNDING = 0.01  # of times, in blocks
+_MAX_GRAVITY_SHARE = 1e-9  # threshold of gravity over the largest torque
+_BLOCK_ROUND_OFF = 0.01  # of times, in blocks
 _SIGNALS = ("t", "q", "dq", "tau")
 Logs = Sequence[Sequence[FrictionRecord]]  # records of each part of each log, [part][joint]
 
@@ -46,32 +46,32 @@ class Windows:
         """Return the number of each window's block of a length [s] after the run-in, (W,)."""
         starts = np.array([self.logs[part][0].t[0] + RUN_IN for part, _ in self.places])
         parts = np.array([part for part, _ in self.places])
-        return np.asarray(parts + np.floor((self.t[:, 0] - starts) / length + _BLOCK_ROUNDING))
+        return np.asarray(parts + np.floor((self.t[:, 0] - starts) / length + _BLOCK_ROUND_OFF))
 
-    def some(self, rows: Mask) -> "Windows":
+    def select(self, rows: Mask) -> "Windows":
         """Return some of the windows, in the same order."""
         signals = {name: getattr(self, name)[rows] for name in _SIGNALS}
         return replace(self, **signals, places=tuple(compress(self.places, rows)))
 
-    def states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
+    def compute_states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
         """Return each law's states (m, W), run in along the logs, `delay` rows before windows."""
-        found: list[list[Array]] = [[] for _ in model.laws]
-        for number, joint_records in enumerate(self.logs):
-            rows = [max(row - delay, 0) for place, row in self.places if place == number]
-            for i, (law, record) in enumerate(
-                zip(model.laws, at_friction(joint_records), strict=True)
+        law_states: list[list[Array]] = [[] for _ in model.laws]
+        for part, joint_records in enumerate(self.logs):
+            rows = [max(row - delay, 0) for window_part, row in self.places if window_part == part]
+            for j, (law, record) in enumerate(
+                zip(model.laws, transform_records(joint_records), strict=True)
             ):
-                found[i].append(states_over(law, **record.motion)[:, rows])
-        return [np.concatenate(parts, axis=1) for parts in found]
+                law_states[j].append(compute_states(law, **record.motion)[:, rows])
+        return [np.concatenate(parts, axis=1) for parts in law_states]
 
 
-def windows_of(records: Logs, length: float) -> Windows:
+def cut_windows(records: Logs, length: float) -> Windows:
     """Cut logs into windows of a length [s] after a run-in; raise SimulationError if none fits."""
     times = [joint_records[0].t for joint_records in records]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
     places = [
-        (number, row)
-        for number, t in enumerate(times)
+        (part, row)
+        for part, t in enumerate(times)
         for row in range(int(np.searchsorted(t, t[0] + RUN_IN)), len(t) - steps, steps)
     ]
     if not places:
@@ -82,21 +82,21 @@ def windows_of(records: Logs, length: float) -> Windows:
     return _cut(records, places, steps)
 
 
-def joined(sets: Sequence[Windows]) -> Windows:
+def join_windows(sets: Sequence[Windows]) -> Windows:
     """Join sets of windows with equal numbers of steps."""
-    firsts = accumulate((len(w.logs) for w in sets), initial=0)
+    firsts = accumulate((len(windows.logs) for windows in sets), initial=0)
     return Windows(
-        **{name: np.concatenate([getattr(w, name) for w in sets]) for name in _SIGNALS},
+        **{name: np.concatenate([getattr(windows, name) for windows in sets]) for name in _SIGNALS},
         places=tuple(
             (first + part, row)
-            for first, w in zip(firsts, sets, strict=False)
-            for part, row in w.places
+            for first, windows in zip(firsts, sets, strict=False)
+            for part, row in windows.places
         ),
-        logs=[joint_records for w in sets for joint_records in w.logs],
+        logs=[joint_records for windows in sets for joint_records in windows.logs],
     )
 
 
-def whole(joint_records: Sequence[FrictionRecord]) -> Windows:
+def to_single_window(joint_records: Sequence[FrictionRecord]) -> Windows:
     """Return a log, [joint], as one window without run-in."""
     return _cut([joint_records], [(0, 0)], len(joint_records[0].t) - 1)
 
@@ -119,14 +119,14 @@ def _cut(records: Logs, places: Sequence[tuple[int, int]], steps: int) -> Window
         ],
         "t": [joint_records[0].t for joint_records in records],
     }
-    cut = {
-        name: np.stack([parts[n][row : row + steps + 1] for n, row in places])
+    arrays = {
+        name: np.stack([parts[part][row : row + steps + 1] for part, row in places])
         for name, parts in signals.items()
     }
-    return Windows(**cut, places=tuple(places), logs=records)
+    return Windows(**arrays, places=tuple(places), logs=records)
 
 
-def weightless(records: Logs, robot: Robot, body: RigidBody) -> bool:
+def is_weightless(records: Logs, robot: Robot, body: RigidBody) -> bool:
     """Return whether gravity acts on no joint; otherwise whole logs diverge with any friction."""
     q = np.concatenate(
         [np.column_stack([record.q for record in joint_records]) for joint_records in records]
@@ -135,21 +135,21 @@ def weightless(records: Logs, robot: Robot, body: RigidBody) -> bool:
     largest = max(
         np.abs(record.measured).max() for joint_records in records for record in joint_records
     )
-    return bool(np.abs(weight).max() <= _WEIGHTLESS * largest)
+    return bool(np.abs(weight).max() <= _MAX_GRAVITY_SHARE * largest)
 
 
-SUBSTEP = 2.5e-3  # longest inner step [s]
-_SWEEPS = 2  # sweeps over joints, coupled by the mass matrix
-_ITERATIONS = 12  # iterations of a root
-_WAYS = (0.0, 1.0, 2.5)  # [rad; m] no sine or spring is equal at all three
-_CONSTANT = 1e-12  # spread of a constant weight over the mass
-_ROUNDING = 1e-6  # round-off of time differences, in inner steps
-_PRECISION = 1e-10  # precision of a velocity [rad/s]
+MAX_SUBSTEP = 2.5e-3  # longest inner step [s]
+_JOINT_SWEEPS = 2  # sweeps over joints, coupled by the mass matrix
+_ROOT_ITERATIONS = 12  # iterations of a root
+_TEST_OFFSETS = (0.0, 1.0, 2.5)  # [rad; m] no sine or spring is equal at all three
+_WEIGHT_TOLERANCE = 1e-12  # spread of a constant weight over the mass
+_STEP_ROUND_OFF = 1e-6  # round-off of time differences, in inner steps
+_SPEED_PRECISION = 1e-10  # precision of a velocity [rad/s]
 
 
-def inner_steps(dt: Array) -> int:
+def count_inner_steps(dt: Array) -> int:
     """Return the number of inner steps for steps `dt` [s]."""
-    return int(np.ceil(dt.max() / SUBSTEP - _ROUNDING))
+    return int(np.ceil(dt.max() / MAX_SUBSTEP - _STEP_ROUND_OFF))
 
 
 @dataclass(eq=False)
@@ -185,44 +185,57 @@ class Simulator:
         is not positive definite.
         """
         # MuJoCo uses the rates before a step: its states lag by one row.
-        x0 = windows.states(self.friction, delay=int(self.as_plant)) if states is None else states
-        own = [None] * len(x0) if values is None else values
-        now = _Moving(
-            laws=[LawStepper(law, one) for law, one in zip(self.friction.laws, own, strict=True)],
-            x=[part.copy() for part in x0],
+        initial_states = (
+            windows.compute_states(self.friction, delay=int(self.as_plant))
+            if states is None
+            else states
+        )
+        law_values = [None] * len(initial_states) if values is None else values
+        motion = _Moving(
+            laws=[
+                LawStepper(law, coefficients)
+                for law, coefficients in zip(self.friction.laws, law_values, strict=True)
+            ],
+            x=[law_states.copy() for law_states in initial_states],
             q=windows.q[:, 0].copy(),
             v=windows.dq[:, 0].copy(),
         )
-        found = np.empty_like(windows.q)
-        found[:, 0] = now.q
-        body = self._body(now.q, now.v) if self._is_constant(now.q) else None
+        positions = np.empty_like(windows.q)
+        positions[:, 0] = motion.q
+        body = self._evaluate_body(motion.q, motion.v) if self._is_constant(motion.q) else None
         steps = np.diff(windows.t, axis=1)
         with np.errstate(all="ignore"):  # divergence shows in the result
             for k, dt in enumerate(steps.T):
-                middle = now.q if self.as_plant else now.q + 0.5 * dt[:, None] * now.v
-                inverse, bias = body or self._body(np.nan_to_num(middle), np.nan_to_num(now.v))
+                middle = motion.q if self.as_plant else motion.q + 0.5 * dt[:, None] * motion.v
+                inverse, bias = body or self._evaluate_body(
+                    np.nan_to_num(middle), np.nan_to_num(motion.v)
+                )
                 tau = windows.tau[:, k]
                 if self.as_plant:
-                    self._explicit(now, dt, tau - bias, inverse, bias)
+                    self._step_explicitly(motion, dt, tau - bias, inverse, bias)
                 else:
                     tau = 0.5 * (tau + windows.tau[:, k + 1])
-                    parts = inner_steps(dt)
-                    for _ in range(parts):
-                        self._implicit(now, dt / parts, tau - bias, inverse, bias)
-                found[:, k + 1] = now.q
-        return found
+                    substeps = count_inner_steps(dt)
+                    for _ in range(substeps):
+                        self._step_implicitly(motion, dt / substeps, tau - bias, inverse, bias)
+                positions[:, k + 1] = motion.q
+        return positions
 
     def _is_constant(self, q: Array) -> bool:
         """Return whether mass and weight are those of one joint at any position."""
         if self.robot.n > 1 or self.robot.follow:
             return False
         masses, weights = zip(
-            *(self.robot.dynamics(self.parameters, q + way, 0.0 * q) for way in _WAYS), strict=True
+            *(
+                self.robot.dynamics(self.parameters, q + offset, 0.0 * q)
+                for offset in _TEST_OFFSETS
+            ),
+            strict=True,
         )
-        return bool(np.ptp(weights, axis=0).max() <= _CONSTANT * np.max(np.abs(masses)))
+        return bool(np.ptp(weights, axis=0).max() <= _WEIGHT_TOLERANCE * np.max(np.abs(masses)))
 
-    def _body(self, q: Array, v: Array) -> tuple[Array, Array]:
-        mass, bias = self.robot.dynamics(self.parameters, q, v)
+    def _evaluate_body(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        mass, bias = self.robot.dynamics(self.parameters, q, dq)
         try:
             np.linalg.cholesky(mass)
         except np.linalg.LinAlgError as error:
@@ -232,60 +245,75 @@ class Simulator:
             ) from error
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
-    def _at_friction(self, load: Array) -> tuple[Array, Array]:
+    def _to_friction(self, tau_load: Array) -> tuple[Array, Array]:
         coupling = self.friction.coupling
         if coupling is None:
-            return np.eye(load.shape[1]), load
-        return coupling.forward, coupling.torque(load)
+            return np.eye(tau_load.shape[1]), tau_load
+        return coupling.forward, coupling.torque(tau_load)
 
-    def _implicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
-        laws, x, (forward, loads) = now.laws, now.x, self._at_friction(load)
-        own = forward @ inverse @ forward.T
-        free = now.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
-        a = free @ forward.T
-        p = now.q @ forward.T
-        u = now.v @ forward.T
+    def _step_implicitly(
+        self, motion: _Moving, h: Array, tau: Array, inverse: Array, tau_load: Array
+    ) -> None:
+        laws, x, (forward, friction_loads) = motion.laws, motion.x, self._to_friction(tau_load)
+        friction_inverse = forward @ inverse @ forward.T
+        free_dq = motion.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
+        free_speed = free_dq @ forward.T
+        position = motion.q @ forward.T
+        start_speed = motion.v @ forward.T
         force = np.stack(
-            [law(h, u[:, i], p[:, i], loads[:, i], x[i])[0] for i, law in enumerate(laws)], axis=1
+            [
+                law(h, start_speed[:, j], position[:, j], friction_loads[:, j], x[j])[0]
+                for j, law in enumerate(laws)
+            ],
+            axis=1,
         )
-        speed = u.copy()
-        for _ in range(_SWEEPS if len(laws) > 1 else 1):
-            for i, law in enumerate(laws):
-                gain = h * own[:, i, i]
-                rest = np.einsum("wj,wj->w", own[:, i], force) - own[:, i, i] * force[:, i]
-                target = a[:, i] - h * rest
-                speed[:, i] = _root(law, h, p[:, i], loads[:, i], x[i], target, gain, speed[:, i])
-                force[:, i] = (target - speed[:, i]) / gain
-        for i, law in enumerate(laws):
-            _, x[i] = law(h, speed[:, i], p[:, i] + h * speed[:, i], loads[:, i], x[i])
-        now.v = free - h[:, None] * np.einsum("wij,wj->wi", inverse, force @ forward)
-        now.q = now.q + h[:, None] * now.v
+        speed = start_speed.copy()
+        for _ in range(_JOINT_SWEEPS if len(laws) > 1 else 1):
+            for j, law in enumerate(laws):
+                gain = h * friction_inverse[:, j, j]
+                coupled_acceleration = (
+                    np.einsum("wj,wj->w", friction_inverse[:, j], force)
+                    - friction_inverse[:, j, j] * force[:, j]
+                )
+                target = free_speed[:, j] - h * coupled_acceleration
+                speed[:, j] = _find_root(
+                    law, h, position[:, j], friction_loads[:, j], x[j], target, gain, speed[:, j]
+                )
+                force[:, j] = (target - speed[:, j]) / gain
+        for j, law in enumerate(laws):
+            _, x[j] = law(
+                h, speed[:, j], position[:, j] + h * speed[:, j], friction_loads[:, j], x[j]
+            )
+        motion.v = free_dq - h[:, None] * np.einsum("wij,wj->wi", inverse, force @ forward)
+        motion.q = motion.q + h[:, None] * motion.v
 
-    def _explicit(self, now: _Moving, h: Array, tau: Array, inverse: Array, load: Array) -> None:
-        x, (forward, loads) = now.x, self._at_friction(load)
-        p = now.q @ forward.T
-        u = now.v @ forward.T
-        force = np.empty_like(u)
-        still = np.zeros_like(h)
-        for i, law in enumerate(now.laws):
-            force[:, i], _ = law(still, u[:, i], p[:, i], loads[:, i], x[i])
-            _, x[i] = law(h, u[:, i], p[:, i], loads[:, i], x[i])
-        now.v = now.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau - force @ forward)
-        now.q = now.q + h[:, None] * now.v
+    def _step_explicitly(
+        self, motion: _Moving, h: Array, tau: Array, inverse: Array, tau_load: Array
+    ) -> None:
+        x, (forward, friction_loads) = motion.x, self._to_friction(tau_load)
+        position = motion.q @ forward.T
+        speed = motion.v @ forward.T
+        force = np.empty_like(speed)
+        zero_step = np.zeros_like(h)
+        for j, law in enumerate(motion.laws):
+            force[:, j], _ = law(zero_step, speed[:, j], position[:, j], friction_loads[:, j], x[j])
+            _, x[j] = law(h, speed[:, j], position[:, j], friction_loads[:, j], x[j])
+        motion.v = motion.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau - force @ forward)
+        motion.q = motion.q + h[:, None] * motion.v
 
 
-def position_errors(found: Array, windows: Windows) -> tuple[float | None, ...]:
+def position_errors(positions: Array, windows: Windows) -> tuple[float | None, ...]:
     """Return each joint's RMS position error (W, K + 1, n) [rad; m]; None if diverging."""
     with np.errstate(all="ignore"):
-        error = np.sqrt(np.mean(np.square(found - windows.q), axis=(0, 1)))
-    return tuple(float(e) if np.isfinite(e) else None for e in error)
+        error = np.sqrt(np.mean(np.square(positions - windows.q), axis=(0, 1)))
+    return tuple(float(joint_error) if np.isfinite(joint_error) else None for joint_error in error)
 
 
-def _root(
+def _find_root(
     law: LawStepper,
     h: Array,
     q: Array,
-    load: Array,
+    tau_load: Array,
     x: Array,
     target: Array,
     gain: Array,
@@ -297,21 +325,23 @@ def _root(
     """
 
     def residual(s: Array) -> Array:
-        return s - target + gain * law(h, s, q + h * s, load, x)[0]
+        return s - target + gain * law(h, s, q + h * s, tau_load, x)[0]
 
-    low = start
-    at_low = residual(start)
-    high = low - 2.0 * at_low
-    at_high = residual(high)
-    for _ in range(_ITERATIONS):
-        spread = at_high - at_low
-        middle = high - at_high * (high - low) / np.where(spread == 0.0, 1.0, spread)
-        at_middle = residual(middle)
-        if not np.any(np.abs(at_middle) > _PRECISION):
+    lower = start
+    residual_lower = residual(start)
+    upper = lower - 2.0 * residual_lower
+    residual_upper = residual(upper)
+    for _ in range(_ROOT_ITERATIONS):
+        residual_difference = residual_upper - residual_lower
+        middle = upper - residual_upper * (upper - lower) / np.where(
+            residual_difference == 0.0, 1.0, residual_difference
+        )
+        residual_middle = residual(middle)
+        if not np.any(np.abs(residual_middle) > _SPEED_PRECISION):
             break
-        crossed = at_middle * at_high < 0.0
-        at_low = np.where(crossed, at_high, 0.5 * at_low)
-        low = np.where(crossed, high, low)
-        high = middle
-        at_high = at_middle
+        has_crossed = residual_middle * residual_upper < 0.0
+        residual_lower = np.where(has_crossed, residual_upper, 0.5 * residual_lower)
+        lower = np.where(has_crossed, upper, lower)
+        upper = middle
+        residual_upper = residual_middle
     return middle

@@ -29,8 +29,8 @@ from hesr_model.support.arrays import Array
 
 LEVEL = 0.95  # probability of the stored half-widths
 REST = 0.005  # v_rest, the speed [rad/s, m/s] that ends the width of rest
-LEAST = 0.5
-GREATEST = 0.999  # limits of the probability
+MIN_COVERAGE = 0.5
+MAX_COVERAGE = 0.999  # limits of the probability
 LOWER = "tau_lower"
 UPPER = "tau_upper"  # names of the outputs
 REST_SPEED = sympy.Symbol("rest_speed", real=True)
@@ -39,7 +39,7 @@ REST_SPEED = sympy.Symbol("rest_speed", real=True)
 VARIANCE = sympy.Symbol("variance", real=True)
 """s^2 in the steps of `variance_steps`."""
 
-_TINY = sympy.Float(1e-24)  # [(N.m)^2], keeps the root differentiable if all numbers are 0
+_TINY_VARIANCE = sympy.Float(1e-24)  # [(N.m)^2], keeps the root differentiable if all numbers are 0
 
 COVERAGE = Parameter(
     name="coverage",
@@ -162,21 +162,25 @@ def band_equations(
     values: Definitions = {REST_SPEED: sympy.Float(REST)}
     for symbol, expression in variance_steps().items():  # each uses earlier ones only
         values[symbol] = expression.xreplace(values)
-    middle = (GREATEST + LEAST) / 2
-    reach = (GREATEST - LEAST) / 2
-    wanted = middle + clip(COVERAGE.symbol - middle, reach)
-    tailed = Equation(
+    middle = (MAX_COVERAGE + MIN_COVERAGE) / 2
+    reach = (MAX_COVERAGE - MIN_COVERAGE) / 2
+    probability = middle + clip(COVERAGE.symbol - middle, reach)
+    factor = Equation(
         name="band_factor",
-        expression=sympy.exp(_TAIL * sympy.log(sympy.log(1 - wanted) / float(np.log(1 - LEVEL)))),
+        expression=sympy.exp(
+            _TAIL * sympy.log(sympy.log(1 - probability) / float(np.log(1 - LEVEL)))
+        ),
     )
-    half = Equation(name="band", expression=sympy.sqrt(values[VARIANCE] + _TINY) * tailed.symbol)
+    half_width = Equation(
+        name="band", expression=sympy.sqrt(values[VARIANCE] + _TINY_VARIANCE) * factor.symbol
+    )
     torque = sympy.Symbol(TORQUE, real=True)
     resting = _ENVELOPE * values[_RESTING] ** 2
     ahead, behind = (sympy.Symbol(name, real=True) for name in ("ahead", "behind"))
 
     def side(name: str, sign: int, text: str) -> Equation:
-        edge = torque + sign * half.symbol
-        furthest = sign * (larger(sign * ahead, sign * behind) + _FLOOR * tailed.symbol)
+        edge = torque + sign * half_width.symbol
+        furthest = sign * (larger(sign * ahead, sign * behind) + _FLOOR * factor.symbol)
         end = edge + resting * (furthest - edge)
         return Equation(
             name=name,
@@ -187,25 +191,30 @@ def band_equations(
         )
 
     return (
-        tailed,
-        half,
-        *_creeping(memory, output, "ahead", MOVING),
-        *_creeping(memory, output, "behind", -MOVING),
+        factor,
+        half_width,
+        *_creep_equations(memory, output, "ahead", MOVING),
+        *_creep_equations(memory, output, "behind", -MOVING),
         side(LOWER, -1, "lower"),
         side(UPPER, 1, "upper"),
     )
 
 
-def _creeping(
+def _creep_equations(
     memory: Sequence[Element], output: sympy.Expr, name: str, speed: float
 ) -> Iterator[Equation]:
-    at = {DQ: sympy.Float(speed)}
-    memory = [element.subs(at) for element in memory]
+    replacements = {DQ: sympy.Float(speed)}
+    memory = [element.subs(replacements) for element in memory]
     lines = initial_state(memory, sympy.S.One)
-    own = {symbol: sympy.Symbol(f"{name}_{symbol.name}", real=True) for symbol in lines}
-    at |= {element.state: sympy.S.Zero for element in memory}  # start of iterations
+    prefixed_symbols = {
+        symbol: sympy.Symbol(f"{name}_{symbol.name}", real=True) for symbol in lines
+    }
+    replacements |= {element.state: sympy.S.Zero for element in memory}  # start of iterations
     for symbol, expression in lines.items():
-        yield Equation(name=own[symbol].name, expression=expression.xreplace(own | at))
-    at |= {element.state: own[initial_symbol(element)] for element in memory}
-    at |= {element.derivative: sympy.S.Zero for element in memory}
-    yield Equation(name=name, expression=output.xreplace(at))
+        yield Equation(
+            name=prefixed_symbols[symbol].name,
+            expression=expression.xreplace(prefixed_symbols | replacements),
+        )
+    replacements |= {element.state: prefixed_symbols[initial_symbol(element)] for element in memory}
+    replacements |= {element.derivative: sympy.S.Zero for element in memory}
+    yield Equation(name=name, expression=output.xreplace(replacements))

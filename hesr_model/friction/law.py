@@ -17,7 +17,7 @@ import sympy
 
 from hesr_model.equations.component import Component, Equation, Quantity
 from hesr_model.equations.functions import absolute, clip
-from hesr_model.equations.low_pass import low_pass_of
+from hesr_model.equations.low_pass import build_low_pass
 from hesr_model.equations.memory import DT, Discretisation, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.band import Band
@@ -28,7 +28,7 @@ from hesr_model.units import unit_of_joint
 _SPEED = clip(absolute(DQ) / sympy.Float(MOVING), 1)
 SETTLING = _SPEED**2 * (3 - 2 * _SPEED)  # 0 at rest, where the history is unknown, to 1 in motion
 
-_LARGEST = 1e100  # largest allowed coefficient; a product of three stays finite
+_MAX_COEFFICIENT = 1e100  # largest allowed coefficient; a product of three stays finite
 
 
 Coefficient = Quantity  # constant of a law
@@ -46,8 +46,10 @@ class LawForm:
         try:
             self.component  # noqa: B018 - raises what is wrong
         except ArtifactError as error:
-            said = str(error).removeprefix("equations: ")
-            raise ArtifactError(f"friction law: {said}", code=error.code, key=error.key) from error
+            reason = str(error).removeprefix("equations: ")
+            raise ArtifactError(
+                f"friction law: {reason}", code=error.code, key=error.key
+            ) from error
 
     @cached_property
     def component(self) -> Component:
@@ -95,11 +97,11 @@ class LawForm:
         return replace(
             self,
             coefficients=tuple(
-                replace(quantity, unit=unit_of_joint(quantity.unit, slides=True))
+                replace(quantity, unit=unit_of_joint(quantity.unit, is_prismatic=True))
                 for quantity in self.coefficients
             ),
             memory=tuple(
-                replace(element, unit=unit_of_joint(element.unit, slides=True))
+                replace(element, unit=unit_of_joint(element.unit, is_prismatic=True))
                 for element in self.memory
             ),
         )
@@ -131,16 +133,19 @@ class FrictionLaw:
     band: Band | None = None
 
     def __post_init__(self) -> None:
-        needed = [quantity.name for quantity in self.form.coefficients]
-        if sorted(needed) != sorted(self.values):
-            odd = sorted(set(needed) ^ set(self.values))[0]
+        coefficient_names = [quantity.name for quantity in self.form.coefficients]
+        if sorted(coefficient_names) != sorted(self.values):
+            wrong_name = sorted(set(coefficient_names) ^ set(self.values))[0]
             raise ArtifactError(
-                f"law '{self.name}': coefficient '{odd}' is "
-                f"{'missing' if odd in needed else 'unknown'}; expected {', '.join(needed)}.",
+                f"law '{self.name}': coefficient '{wrong_name}' is "
+                f"{'missing' if wrong_name in coefficient_names else 'unknown'}; expected "
+                f"{', '.join(coefficient_names)}.",
                 code="law.coefficient",
-                key=f"coefficients.{odd}",
+                key=f"coefficients.{wrong_name}",
             )
-        object.__setattr__(self, "values", {name: float(self.values[name]) for name in needed})
+        object.__setattr__(
+            self, "values", {name: float(self.values[name]) for name in coefficient_names}
+        )
         for name, value in self.values.items():
             self._require_number(f"coefficient '{name}'", value, f"coefficients.{name}")
         if not self.start:
@@ -158,22 +163,23 @@ class FrictionLaw:
     def __repr__(self) -> str:
         return f"FrictionLaw('{self.name}', {len(self.values)} coefficients)"
 
-    def _require_number(self, what: str, value: float, key: str) -> None:
+    def _require_number(self, label: str, value: float, key: str) -> None:
         if not isfinite(value):
             raise ArtifactError(
-                f"law '{self.name}': {what} is {value}.", code="law.number", key=key
+                f"law '{self.name}': {label} is {value}.", code="law.number", key=key
             )
-        if abs(value) > _LARGEST:
+        if abs(value) > _MAX_COEFFICIENT:
             raise ArtifactError(
-                f"law '{self.name}': {what} is {value:g}; numbers up to {_LARGEST:g} can be used.",
+                f"law '{self.name}': {label} is {value:g}; numbers up to {_MAX_COEFFICIENT:g} "
+                "can be used.",
                 code="law.too_large",
                 key=key,
             )
 
 
-def behind_low_pass(law: FrictionLaw, cutoff: float) -> FrictionLaw:
+def add_low_pass(law: FrictionLaw, cutoff: float) -> FrictionLaw:
     """Return a law whose velocity passes a causal low pass with a cutoff [Hz]; not for files."""
-    speed = low_pass_of(DQ, cutoff, "rad/s")
+    speed = build_low_pass(DQ, cutoff, "rad/s")
     swap = {DQ: speed.state}
     form = replace(
         law.form,
@@ -198,12 +204,12 @@ def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = N
     """Return the lines of a form, coefficients without numbers by name."""
     names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
 
-    def written(expression: sympy.Expr) -> str:
-        return text_of(expression.xreplace(numbers or {}).xreplace(names))
+    def format_part(expression: sympy.Expr) -> str:
+        return format_expression(expression.xreplace(numbers or {}).xreplace(names))
 
-    lines = [f"tau = {written(form.output)}"]
+    lines = [f"tau = {format_part(form.output)}"]
     for element in form.memory:
-        first, second = (written(part) for part in element.parts)
+        first, second = (format_part(part) for part in element.parts)
         if isinstance(element, Relaxation):
             lines.append(f"{element.name}' = {first} - ({second})*{element.name}")
         else:
@@ -211,10 +217,12 @@ def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = N
     return lines
 
 
-def text_of(expression: sympy.Expr) -> str:
+def format_expression(expression: sympy.Expr) -> str:
     """Return an expression as text, numbers to four digits."""
-    shown = expression.xreplace({n: sympy.Float(n, _DIGITS) for n in expression.atoms(sympy.Float)})
-    return str(sympy.sstr(shown)).replace("absolute(", "abs(")
+    rounded = expression.xreplace(
+        {number: sympy.Float(number, _DIGITS) for number in expression.atoms(sympy.Float)}
+    )
+    return str(sympy.sstr(rounded)).replace("absolute(", "abs(")
 
 
 def coefficient_lines(law: FrictionLaw) -> list[str]:

@@ -12,24 +12,24 @@ from numpy.typing import ArrayLike
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.band import LEVEL
-from hesr_model.friction.law import FrictionLaw, behind_low_pass, equations
+from hesr_model.friction.law import FrictionLaw, add_low_pass, equations
 from hesr_model.friction.model_file import MODEL_FORMAT, JointEntry, ModelFile
 from hesr_model.friction.predict import predict_band, predict_joints
 from hesr_model.friction.records import predict_record
 from hesr_model.friction.thermal import Thermal
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.rigid_body.residual import FrictionRecord, transform_records
 from hesr_model.robots.transmission import Coupling
 from hesr_model.support.arrays import Array
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 from hesr_model.support.text import require_printable
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joints
 
 MIXED = "recommended"  # name of a model with a law of its own on each joint
-_IF_KNOWN = ("trained", "training_rmse", "left_out_rmse", "thermal")  # parts of each joint
-_MOST_SHOWN = 40  # coefficients of a law up to which notebooks show its equations
+_OPTIONAL_PARTS = ("trained", "training_rmse", "left_out_rmse", "thermal")  # parts of each joint
+_MAX_SHOWN_COEFFICIENTS = 40  # coefficients of a law up to which notebooks show its equations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,16 +88,17 @@ class FrictionModel:
             except ValueError as error:
                 sentence = f"friction model '{self.law}': {error}."
                 raise ArtifactError(sentence, code="law.joint_name", key="joints") from error
-        for found, what in (
+        for entries, entry_kind in (
             (self.sliding, "flags of prismatic joints for"),
             (self.trained, "trained ranges for"),
             (self.training_rmse, "training errors for"),
             (self.left_out_rmse, "errors on left-out logs for"),
             (self.thermal, "thermal models for"),
         ):
-            if found and len(found) != len(self.joints):
+            if entries and len(entries) != len(self.joints):
                 raise ArtifactError(
-                    f"friction model '{self.law}': {len(found)} {what} {len(self.joints)} joints.",
+                    f"friction model '{self.law}': {len(entries)} {entry_kind} "
+                    f"{len(self.joints)} joints.",
                     code="law.entries",
                     key="joints",
                 )
@@ -125,8 +126,8 @@ class FrictionModel:
             object.__setattr__(self, "sliding", ())
         # Here, so that units always match the joints.
         laws = (
-            replace(law, form=law.form.sliding) if slides else law
-            for law, slides in zip(self.laws, self.slides, strict=True)
+            replace(law, form=law.form.sliding) if is_prismatic else law
+            for law, is_prismatic in zip(self.laws, self.slides, strict=True)
         )
         object.__setattr__(self, "laws", tuple(laws))
 
@@ -136,7 +137,11 @@ class FrictionModel:
     def _repr_html_(self) -> str:
         errors = self.training_rmse or ("",) * len(self.joints)
         rows = (
-            (joint, "; ".join(equations(law)) if len(law.values) <= _MOST_SHOWN else law, error)
+            (
+                joint,
+                "; ".join(equations(law)) if len(law.values) <= _MAX_SHOWN_COEFFICIENTS else law,
+                error,
+            )
             for joint, law, error in zip(self.joints, self.laws, errors, strict=True)
         )
         head = ("joint", "law", f"training RMSE [{unit_of_joints('N.m', self.sliding)}]")
@@ -148,12 +153,12 @@ class FrictionModel:
 
         Raises ArtifactError if the file cannot be read, or a key or value is missing or invalid.
         """
-        path = path_of(path, "a friction model")
+        path = to_path(path, "a friction model")
         return cls.from_json(read_json(path, MODEL_FORMAT), path)
 
     def write(self, path: PathArg) -> None:
         """Write the model as JSON, with all digits; ArtifactError if the file cannot be written."""
-        write_json(path_of(path, "a friction model"), self.to_json())
+        write_json(to_path(path, "a friction model"), self.to_json())
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], path: Path) -> Self:
@@ -164,15 +169,17 @@ class FrictionModel:
             return cls(
                 law=file.law,
                 robot=file.robot,
-                joints=tuple(j.joint for j in joints),
-                laws=tuple(j.friction_law() for j in joints),
-                sliding=tuple(bool(j.sliding) for j in joints),
+                joints=tuple(entry.joint for entry in joints),
+                laws=tuple(entry.rebuild_law() for entry in joints),
+                sliding=tuple(bool(entry.sliding) for entry in joints),
                 coupling=file.coupling,
                 sample_time=file.sample_time,
                 provenance=file.provenance,
                 **{
-                    n: tuple(x for j in joints if (x := getattr(j, n)) is not None)
-                    for n in _IF_KNOWN
+                    name: tuple(
+                        part for entry in joints if (part := getattr(entry, name)) is not None
+                    )
+                    for name in _OPTIONAL_PARTS
                 },
             )
         except (TypeError, ValueError, AttributeError, KeyError) as error:
@@ -183,22 +190,22 @@ class FrictionModel:
                 key="joints",
             ) from error
         except ArtifactError as error:
-            raise error.at(path) from error
+            raise error.add_place(path) from error
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON data of the model's file."""
         columns = {
             "joint": self.joints,
-            "sliding": [slides or None for slides in self.slides],
-            **{name: getattr(self, name) or (None,) * len(self.joints) for name in _IF_KNOWN},
+            "sliding": [is_prismatic or None for is_prismatic in self.slides],
+            **{name: getattr(self, name) or (None,) * len(self.joints) for name in _OPTIONAL_PARTS},
         }
         file = ModelFile(
             law=self.law,
             robot=self.robot,
             sample_time=self.sample_time,
             joints=tuple(
-                JointEntry.of(law, **{name: column[k] for name, column in columns.items()})
-                for k, law in enumerate(self.laws)
+                JointEntry.from_law(law, **{name: column[j] for name, column in columns.items()})
+                for j, law in enumerate(self.laws)
             ),
             coupling=self.coupling,
             provenance=self.provenance,
@@ -207,7 +214,7 @@ class FrictionModel:
 
     def behind_low_pass(self, cutoff: float) -> Self:
         """Return the model with its velocity behind a causal low pass with a `cutoff` [Hz]."""
-        return replace(self, laws=tuple(behind_low_pass(law, cutoff) for law in self.laws))
+        return replace(self, laws=tuple(add_low_pass(law, cutoff) for law in self.laws))
 
     @property
     def slides(self) -> tuple[bool, ...]:
@@ -261,19 +268,24 @@ class FrictionModel:
         """
         if records is not None:
             self._require_joints(records)
-            moved = at_friction([replace(record, coupling=self.coupling) for record in records])
+            records_at_friction = transform_records(
+                [replace(record, coupling=self.coupling) for record in records]
+            )
             columns = [
                 predict_record(law, record, measured_start=measured_start, thermal=thermal)
                 for law, record, thermal in zip(
-                    self.laws, moved, self.thermal or repeat(None, len(moved)), strict=True
+                    self.laws,
+                    records_at_friction,
+                    self.thermal or repeat(None, len(records_at_friction)),
+                    strict=True,
                 )
             ]
-            return self._at_joints(np.column_stack(columns))
+            return self._to_joints(np.column_stack(columns))
         if t is None or dq is None:
             raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")
         time = np.asarray(t, dtype=float)
         speed, place, load = (
-            self._rows(name, values, len(time))
+            self._to_rows(name, values, len(time))
             for name, values in (("dq", dq), ("q", q), ("tau_load", tau_load))
         )
         if np.any(np.diff(time) <= 0.0):
@@ -285,7 +297,7 @@ class FrictionModel:
         if self.coupling:
             speed, place = self.coupling.motion(speed), self.coupling.motion(place)
             load = self.coupling.torque(load)
-        return self._at_joints(predict_joints(self.laws, t=time, dq=speed, q=place, tau_load=load))
+        return self._to_joints(predict_joints(self.laws, t=time, dq=speed, q=place, tau_load=load))
 
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
@@ -321,10 +333,10 @@ class FrictionModel:
                 f"friction model '{self.law}' has no band; fit the model to logs ('hesr fit')."
             )
 
-    def _at_joints(self, torque: Array) -> Array:
-        return torque if self.coupling is None else self.coupling.at_joints(torque)
+    def _to_joints(self, torque: Array) -> Array:
+        return torque if self.coupling is None else self.coupling.to_joints(torque)
 
-    def _rows(self, name: str, values: ArrayLike | None, count: int) -> Array:
+    def _to_rows(self, name: str, values: ArrayLike | None, count: int) -> Array:
         shape = (count, len(self.joints))
         rows = np.broadcast_to(0.0, shape) if values is None else np.asarray(values, dtype=float)
         if rows.shape != shape:
@@ -335,11 +347,11 @@ class FrictionModel:
         return rows
 
     def _require_joints(self, records: Sequence[FrictionRecord]) -> None:
-        found = tuple(record.joint for record in records)
-        if found != self.joints:
+        record_joints = tuple(record.joint for record in records)
+        if record_joints != self.joints:
             raise SimulationError(
                 f"friction model '{self.law}': the records are of the joints "
-                f"{', '.join(found) or 'none'}; expected one record each of "
+                f"{', '.join(record_joints) or 'none'}; expected one record each of "
                 f"{', '.join(self.joints)}, in this order."
             )
 
@@ -362,25 +374,27 @@ def compute_band(
         tau_load, torque = coupling.torque(tau_load), coupling.torque(torque)
     inputs = {"dq": dq, "q": q, "tau_load": tau_load, "torque": torque}
     ends = [
-        predict_band(law, t=t, coverage=coverage, **{n: u[:, k] for n, u in inputs.items()})
-        for k, law in enumerate(model.laws)
+        predict_band(
+            law, t=t, coverage=coverage, **{name: signal[:, j] for name, signal in inputs.items()}
+        )
+        for j, law in enumerate(model.laws)
     ]
     lower, upper = (np.column_stack(end) for end in zip(*ends, strict=True))
     return coupling.ends(torque, lower, upper) if coupling else (lower, upper)
 
 
-def compatible(one: FrictionModel, other: FrictionModel) -> bool:
+def can_share_fmu(first_model: FrictionModel, second_model: FrictionModel) -> bool:
     """Whether one FMU can have laws of both models: uncoupled joints, the same integration."""
-    steps = {law.discretisation for model in (one, other) for law in model.laws}
-    return one.coupling is None and len(steps) == 1
+    steps = {law.discretisation for model in (first_model, second_model) for law in model.laws}
+    return first_model.coupling is None and len(steps) == 1
 
 
-def mixed(models: Sequence[FrictionModel]) -> FrictionModel:
+def mix_models(models: Sequence[FrictionModel]) -> FrictionModel:
     """Return the model that has on joint k the law of `models[k]`, all of the same joints."""
 
-    def of(part: str) -> tuple[Any, ...]:
+    def collect_part(part: str) -> tuple[Any, ...]:
         rows = [getattr(model, part) for model in models]
-        return tuple(row[k] for k, row in enumerate(rows)) if all(rows) else ()
+        return tuple(row[j] for j, row in enumerate(rows)) if all(rows) else ()
 
-    changes: dict[str, Any] = {part: of(part) for part in ("laws", *_IF_KNOWN)}
+    changes: dict[str, Any] = {part: collect_part(part) for part in ("laws", *_OPTIONAL_PARTS)}
     return replace(models[0], law=MIXED, **changes)

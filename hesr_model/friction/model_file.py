@@ -18,8 +18,8 @@ from hesr_model.robots.transmission import Coupling
 from hesr_model.units import unit_of_joint
 
 MODEL_FORMAT = "hesr-friction-model-1"
-_AS_IN_LAW = ("discretisation", "start", "start_samples", "covariance", "band")
-_MOST = 1000  # coefficients of a joint; expressions of many terms take seconds
+_LAW_FIELDS = ("discretisation", "start", "start_samples", "covariance", "band")
+_MAX_COEFFICIENTS = 1000  # coefficients of a joint; expressions of many terms take seconds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +50,8 @@ class JointEntry:
     thermal: Thermal | None = None
 
     @classmethod
-    def of(cls, law: FrictionLaw, **others: Any) -> Self:
-        """Return the entry of a law; `others` are the fields outside the law."""
+    def from_law(cls, law: FrictionLaw, **joint_fields: Any) -> Self:
+        """Return the entry of a law; `joint_fields` are the fields outside the law."""
         units = {quantity.name: quantity.unit for quantity in law.form.coefficients}
         return cls(
             law=law.name,
@@ -62,16 +62,17 @@ class JointEntry:
                 )
                 for name, value in law.values.items()
             },
-            **{name: getattr(law, name) for name in _AS_IN_LAW},
-            **others,
+            **{name: getattr(law, name) for name in _LAW_FIELDS},
+            **joint_fields,
         )
 
-    def friction_law(self) -> FrictionLaw:
+    def rebuild_law(self) -> FrictionLaw:
         """Rebuild the law; raise ArtifactError if it is too long or something is unknown."""
-        count = max(len(self.coefficients), _leaves(self.structure))
-        if count > _MOST:
+        count = max(len(self.coefficients), _count_leaves(self.structure))
+        if count > _MAX_COEFFICIENTS:
             raise ArtifactError(
-                f"joint '{self.joint}' has {count} coefficients or terms; at most {_MOST} "
+                f"joint '{self.joint}' has {count} coefficients or terms; at most "
+                f"{_MAX_COEFFICIENTS} "
                 "are read.",
                 code="law.most",
                 key="coefficients",
@@ -80,7 +81,7 @@ class JointEntry:
         entries = self.coefficients
         for coefficient in form.coefficients:
             entry = entries.get(coefficient.name)
-            unit = unit_of_joint(coefficient.unit, slides=bool(self.sliding))
+            unit = unit_of_joint(coefficient.unit, is_prismatic=bool(self.sliding))
             if entry is not None and entry.unit != unit:
                 raise ArtifactError(
                     f"coefficient '{coefficient.name}' has the unit '{entry.unit}', expected "
@@ -94,15 +95,19 @@ class JointEntry:
             structure=self.structure,
             form=form,
             values={name: entry.value for name, entry in entries.items()},
-            standard_errors={name: e for name, e in errors.items() if e is not None},
-            **{name: getattr(self, name) for name in _AS_IN_LAW},
+            standard_errors={name: error for name, error in errors.items() if error is not None},
+            **{name: getattr(self, name) for name in _LAW_FIELDS},
         )
 
 
-def _leaves(data: Any) -> int:
+def _count_leaves(data: Any) -> int:
     """Return the number of values in nested lists and mappings."""
     parts = data.values() if isinstance(data, Mapping) else data
-    return sum(map(_leaves, parts)) if isinstance(parts, Mapping | list | tuple | ValuesView) else 1
+    return (
+        sum(map(_count_leaves, parts))
+        if isinstance(parts, Mapping | list | tuple | ValuesView)
+        else 1
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,21 +18,23 @@ from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-_PIECE = 2048  # rows run for all joints before the next ones, to stay in the processor's cache
+_PIECE_ROWS = 2048  # rows run for all joints before the next ones, to stay in the processor's cache
 
 
 @lru_cache(maxsize=256)
-def _moving(form: LawForm, *, states: bool = False) -> Kernel:
-    wanted = tuple(element.state for element in form.memory) if states else (form.output,)
-    return Kernel(form.memory, _symbols(form), INPUTS, wanted, form.component.settling, once=True)
+def _motion_kernel(form: LawForm, *, states: bool = False) -> Kernel:
+    expressions = tuple(element.state for element in form.memory) if states else (form.output,)
+    return Kernel(
+        form.memory, _symbols(form), INPUTS, expressions, form.component.settling, once=True
+    )
 
 
 @lru_cache(maxsize=64)
-def _reading(form: LawForm) -> Kernel:
+def _reading_kernel(form: LawForm) -> Kernel:
     """Return the torque and each element's guarded parts, for inputs and states of each row."""
     states = tuple(element.state for element in form.memory)
     torque = form.output.xreplace(
-        {element.derivative: element.continuous() for element in form.memory}
+        {element.derivative: element.express_derivative() for element in form.memory}
     )
     parts = [
         part for element in form.memory for part in (element.parts[0], positive(element.parts[1]))
@@ -41,7 +43,7 @@ def _reading(form: LawForm) -> Kernel:
 
 
 @lru_cache(maxsize=64)
-def _band(form: LawForm) -> Kernel:
+def _band_kernel(form: LawForm) -> Kernel:
     names = {
         equation.symbol: equation.expression
         for equation in band_equations(form.memory, form.output)
@@ -66,7 +68,7 @@ def first_states(
 ) -> tuple[float, ...]:
     """Return the initial states for the first inputs [rad/s, rad, N.m]."""
     inputs = [np.array([u]) for u in (dq, q, tau_load)]
-    run = KernelRun(_moving(law.form), inputs, np.zeros(1), start=law.start)
+    run = KernelRun(_motion_kernel(law.form), inputs, np.zeros(1), start=law.start)
     return tuple(run.begin(numbers(law))[:, 0].tolist())
 
 
@@ -86,41 +88,43 @@ def predict(
     for reading the torque, if other than those that move the states. Raises SimulationError if the
     discretisation is unstable.
     """
-    dt, inputs = _arrays(t, (dq, q, tau_load))
+    dt, inputs = _to_arrays(t, (dq, q, tau_load))
     if shown is None:
-        return _run(_moving(law.form), law, dt, inputs, start)[:, 0]
-    states = _run(_moving(law.form, states=True), law, dt, inputs, start)
-    return KernelRun(_reading(law.form), [*shown, *states.T], dt).at(numbers(law))[:, 0]
+        return _run(_motion_kernel(law.form), law, dt, inputs, start)[:, 0]
+    states = _run(_motion_kernel(law.form, states=True), law, dt, inputs, start)
+    return KernelRun(_reading_kernel(law.form), [*shown, *states.T], dt).evaluate(numbers(law))[
+        :, 0
+    ]
 
 
 def predict_joints(
     laws: Sequence[FrictionLaw], *, t: Array, dq: Array, q: Array, tau_load: Array
 ) -> Array:
     """Return the torques (N, n) of n joints over a log; see `predict`."""
-    dt, inputs = _arrays(t, (dq, q, tau_load))
-    found = np.empty(dq.shape)
+    dt, inputs = _to_arrays(t, (dq, q, tau_load))
+    tau_predicted = np.empty(dq.shape)
     runs = []
-    for k, law in enumerate(laws):
+    for j, law in enumerate(laws):
         run = KernelRun(
-            _moving(law.form),
-            [u[:, k] for u in inputs],
+            _motion_kernel(law.form),
+            [u[:, j] for u in inputs],
             dt,
             euler=law.discretisation == "euler",
             start=law.start,
-            found=found[:, k : k + 1],
+            output=tau_predicted[:, j : j + 1],
         )
         run.begin(numbers(law))
         runs.append((run, numbers(law)))
-    for first in range(0, len(dt), _PIECE):
+    for first_row in range(0, len(dt), _PIECE_ROWS):
         for run, values in runs:
-            run.on(values, first, min(first + _PIECE, len(dt)))
-    return found
+            run.run_rows(values, first_row, min(first_row + _PIECE_ROWS, len(dt)))
+    return tau_predicted
 
 
-def states_over(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
+def compute_states(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
     """Return the (m, N) states of a law over a log; see `predict`."""
-    dt, inputs = _arrays(t, (dq, q, tau_load))
-    return _run(_moving(law.form, states=True), law, dt, inputs).T
+    dt, inputs = _to_arrays(t, (dq, q, tau_load))
+    return _run(_motion_kernel(law.form, states=True), law, dt, inputs).T
 
 
 def predict_band(
@@ -136,16 +140,18 @@ def predict_band(
     """Return both ends (N,) [N.m] of the band around `torque` (N,); ArtifactError if none."""
     if law.band is None:
         raise ArtifactError(f"law '{law.name}' has no band; fit it again with this version.")
-    dt, inputs = _arrays(t, (dq, q, tau_load))
-    given = np.array([*law.values.values(), *law.band.values.values(), coverage])
-    lower, upper = KernelRun(_band(law.form), [*inputs, torque], dt).at(given).T
+    dt, inputs = _to_arrays(t, (dq, q, tau_load))
+    kernel_numbers = np.array([*law.values.values(), *law.band.values.values(), coverage])
+    lower, upper = (
+        KernelRun(_band_kernel(law.form), [*inputs, torque], dt).evaluate(kernel_numbers).T
+    )
     return lower, upper
 
 
-def _arrays(t: ArrayLike, given: tuple[ArrayLike | None, ...]) -> tuple[Array, list[Array]]:
+def _to_arrays(t: ArrayLike, signals: tuple[ArrayLike | None, ...]) -> tuple[Array, list[Array]]:
     time = np.asarray(t, dtype=float)
     zero = np.broadcast_to(0.0, time.shape)
-    inputs = [zero if u is None else np.asarray(u, dtype=float) for u in given]
+    inputs = [zero if u is None else np.asarray(u, dtype=float) for u in signals]
     return np.diff(time, prepend=time[0]), inputs
 
 
@@ -157,8 +163,10 @@ def _run(
     start: tuple[float, ...] | None = None,
 ) -> Array:
     run = KernelRun(kernel, inputs, dt, euler=law.discretisation == "euler", start=law.start)
-    settled = start is not None
-    return run.at(numbers(law), np.array(start, dtype=float) if settled else None, settled=settled)
+    has_start = start is not None
+    return run.evaluate(
+        numbers(law), np.array(start, dtype=float) if has_start else None, settled=has_start
+    )
 
 
 def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
@@ -168,22 +176,29 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     their deflection as a share of their bounds. For other memories, or if the parts of a relaxation
     depend on its state, the law's own start is returned.
     """
-    first = record.rows(slice(0, law.start_samples))
+    first_rows = record.rows(slice(0, law.start_samples))
 
     def error(start: tuple[float, ...]) -> float:
-        return float(np.sum((predict(law, **first.motion, start=start) - first.tau) ** 2))
+        return float(np.sum((predict(law, **first_rows.motion, start=start) - first_rows.tau) ** 2))
 
-    def best(
-        start_of: Callable[[float], tuple[float, ...]], low: float, high: float
+    def find_best_start(
+        build_start: Callable[[float], tuple[float, ...]], lower: float, upper: float
     ) -> tuple[float, ...]:
-        found = scipy.optimize.minimize_scalar(
-            lambda x: error(start_of(x)), bounds=(low, high), method="bounded"
+        optimum = scipy.optimize.minimize_scalar(
+            lambda x: error(build_start(x)), bounds=(lower, upper), method="bounded"
         )
-        return start_of(float(found.x))
+        return build_start(float(optimum.x))
 
     if law.start_samples and law.form.stops:
-        rows = [np.array([u]) for u in (record.dq[0], record.q[0], record.tau_load[0], *law.start)]
-        _, *parts = KernelRun(_reading(law.form), rows, np.zeros(1)).at(numbers(law))[0].tolist()
+        rows = [
+            np.array([first_input])
+            for first_input in (record.dq[0], record.q[0], record.tau_load[0], *law.start)
+        ]
+        _, *parts = (
+            KernelRun(_reading_kernel(law.form), rows, np.zeros(1))
+            .evaluate(numbers(law))[0]
+            .tolist()
+        )
 
         def deflect_bristles(share: float) -> tuple[float, ...]:
             return tuple(
@@ -191,37 +206,37 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
                 for element, x, bound in zip(law.form.memory, law.start, parts[1::2], strict=True)
             )
 
-        return best(deflect_bristles, -1.0, 1.0)
+        return find_best_start(deflect_bristles, -1.0, 1.0)
     if not law.start_samples or len(law.form.memory) != 1 or not law.form.relaxations:
         return law.start
     [element] = law.form.memory
     if element.state in sympy.Tuple(*element.parts).free_symbols:
         return law.start
-    still = np.zeros_like(record.t)
-    rows = [record.dq, record.q, record.tau_load, still]
-    _, b, r = KernelRun(_reading(law.form), rows, still).at(numbers(law)).T
-    moving = r > 1e-9 * max(float(r.max()), 1e-300)
-    limit = float(np.max(np.abs(b[moving] / r[moving]), initial=0.0))
+    zeros = np.zeros_like(record.t)
+    rows = [record.dq, record.q, record.tau_load, zeros]
+    _, b, r = KernelRun(_reading_kernel(law.form), rows, zeros).evaluate(numbers(law)).T
+    is_relaxing = r > 1e-9 * max(float(r.max()), 1e-300)
+    limit = float(np.max(np.abs(b[is_relaxing] / r[is_relaxing]), initial=0.0))
     grid = np.linspace(-limit, limit, 41)
     nearest = int(np.argmin([error((float(x),)) for x in grid]))
-    low = grid[max(nearest - 1, 0)]
-    high = grid[min(nearest + 1, len(grid) - 1)]
-    return law.start if low == high else best(lambda x: (x,), low, high)
+    lower = grid[max(nearest - 1, 0)]
+    upper = grid[min(nearest + 1, len(grid) - 1)]
+    return law.start if lower == upper else find_best_start(lambda x: (x,), lower, upper)
 
 
 @lru_cache(maxsize=256)
-def _kernel(form: LawForm, *, own: bool) -> Kernel:
+def _step_kernel(form: LawForm, *, fixed_coefficients: bool) -> Kernel:
     symbols = _symbols(form)
-    given, columns = (symbols, INPUTS) if own else ((), (*symbols, *INPUTS))
+    kernel_numbers, columns = (symbols, INPUTS) if fixed_coefficients else ((), (*symbols, *INPUTS))
     states = tuple(element.state for element in form.memory)
-    return Kernel(form.memory, given, columns, (form.output, *states), once=True)
+    return Kernel(form.memory, kernel_numbers, columns, (form.output, *states), once=True)
 
 
 class LawStepper:
     """Step a law for W motions at once, with coefficients `values` (C, W) or those of the law."""
 
     def __init__(self, law: FrictionLaw, values: Array | None = None) -> None:
-        self._kernel = _kernel(law.form, own=values is None)
+        self._kernel = _step_kernel(law.form, fixed_coefficients=values is None)
         self._given = numbers(law) if values is None else np.zeros(0)
         self._values = np.zeros((0, 0)) if values is None else values
         self._euler = law.discretisation == "euler"
@@ -246,7 +261,7 @@ class LawStepper:
         if self._run is None or self._table.shape[1] != 2 * len(dt):
             self._run = self._bind(len(dt))
         self._table[0, 1::2] = dt
-        for row, given in zip(self._table[-len(INPUTS) :], (dq, q, tau_load), strict=True):
-            row[1::2] = given
-        found = self._run.at(self._given, x, settled=True)[1::2].T.copy()
-        return found[0], found[1:]
+        for row, signal in zip(self._table[-len(INPUTS) :], (dq, q, tau_load), strict=True):
+            row[1::2] = signal
+        outputs = self._run.evaluate(self._given, x, settled=True)[1::2].T.copy()
+        return outputs[0], outputs[1:]

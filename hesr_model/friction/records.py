@@ -52,16 +52,21 @@ class Score:
 
 def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
     """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
-    error = np.concatenate([record.tau - p for record, p in zip(records, predictions, strict=True)])
-    near, fast = _kinds(records)
+    error = np.concatenate(
+        [
+            record.tau - tau_predicted
+            for record, tau_predicted in zip(records, predictions, strict=True)
+        ]
+    )
+    is_near_reversal, is_moving = _classify_rows(records)
     tau_std = float(np.std(np.concatenate([record.tau for record in records])))
     return Score(
         tau_std=tau_std,
         rmse=rmse(error),
-        rmse_reversal=rmse(error[near]) if np.any(near) else None,
-        rmse_moving=rmse(error[fast]) if np.any(fast) else None,
+        rmse_reversal=rmse(error[is_near_reversal]) if np.any(is_near_reversal) else None,
+        rmse_moving=rmse(error[is_moving]) if np.any(is_moving) else None,
         r2=1.0 - (rmse(error) / tau_std) ** 2 if tau_std > 0 else None,
-        rmse_rest=None if np.all(fast) else rmse(error[~fast]),
+        rmse_rest=None if np.all(is_moving) else rmse(error[~is_moving]),
     )
 
 
@@ -82,29 +87,32 @@ def score_band(
     bands: Sequence[tuple[Array, Array]],
 ) -> BandScore:
     """Score the ends (N,) [N.m] of one joint's band on each record's rows."""
-    inside = [
+    log_masks = [
         (record.tau >= lower) & (record.tau <= upper)
         for record, (lower, upper) in zip(records, bands, strict=True)
     ]
-    held = np.concatenate(inside)
-    near, fast = _kinds(records)
+    is_held = np.concatenate(log_masks)
+    is_near_reversal, is_moving = _classify_rows(records)
     error = np.concatenate(
-        [np.abs(record.tau - p) for record, p in zip(records, predictions, strict=True)]
+        [
+            np.abs(record.tau - tau_predicted)
+            for record, tau_predicted in zip(records, predictions, strict=True)
+        ]
     )
-    constant = 2.0 * float(np.quantile(error, held.mean()))
+    constant = 2.0 * float(np.quantile(error, is_held.mean()))
     width = float(np.concatenate([upper - lower for lower, upper in bands]).mean())
     return BandScore(
-        held=float(held.mean()),
-        held_moving=float(held[fast].mean()) if np.any(fast) else None,
-        held_reversal=float(held[near].mean()) if np.any(near) else None,
-        least_log=min(float(of_log.mean()) for of_log in inside),
+        held=float(is_held.mean()),
+        held_moving=float(is_held[is_moving].mean()) if np.any(is_moving) else None,
+        held_reversal=float(is_held[is_near_reversal].mean()) if np.any(is_near_reversal) else None,
+        least_log=min(float(log_mask.mean()) for log_mask in log_masks),
         width=width / constant if constant > 0.0 else None,
     )
 
 
-def _kinds(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
-    near = np.concatenate([near_reversals(record.t, record.dq) for record in records])
-    return near, np.concatenate([moving(record.dq) for record in records])
+def _classify_rows(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
+    is_near_reversal = np.concatenate([near_reversals(record.t, record.dq) for record in records])
+    return is_near_reversal, np.concatenate([moving(record.dq) for record in records])
 
 
 def rmse(error: Array) -> float:

@@ -32,22 +32,30 @@ VISCOUS = Coefficient(
     name="viscous_scale", unit="1", description="factor on the viscous friction of {joint}"
 )
 SCALES = (COULOMB, VISCOUS)  # factors of every law: 1 by default, 0 removes the part
-LEAST = 1e-9  # smallest factor used as a divisor; at 0 the state of a bristle is undefined
+MIN_SCALE = 1e-9  # smallest factor used as a divisor; at 0 the state of a bristle is undefined
 
 
-def scaled(form: LawForm) -> LawForm:
+def add_scales(form: LawForm) -> LawForm:
     """Return a form with `SCALES` as last coefficients; it is unchanged if both are 1."""
     level: sympy.Expr = COULOMB.symbol
     if any(isinstance(element, Relaxation) and is_bristle(element) for element in form.memory):
-        level = larger(level, LEAST)
-    memory = tuple(scale_bound(element, level) for element in form.memory)
-    carrying = [element for element, own in zip(form.memory, memory, strict=True) if element != own]
-    normed = {s: s / level for element in carrying for s in (element.state, element.derivative)}
-    common, terms = _terms(form.output)
+        level = larger(level, MIN_SCALE)
+    memory = tuple(scale_element(element, level) for element in form.memory)
+    scaled_elements = [
+        element
+        for element, scaled_element in zip(form.memory, memory, strict=True)
+        if element != scaled_element
+    ]
+    normalised = {
+        s: s / level for element in scaled_elements for s in (element.state, element.derivative)
+    }
+    common, terms = _split_terms(form.output)
     parts: dict[str, list[sympy.Expr]] = {"viscous": [], "coulomb": [], "carried": [], "rest": []}
     for term in terms:
-        parts[_part(common * term, _states(form), normed.keys())].append(term.xreplace(normed))
-    output = common.xreplace(normed) * sympy.Add(
+        parts[_classify_term(common * term, _states(form), normalised.keys())].append(
+            term.xreplace(normalised)
+        )
+    output = common.xreplace(normalised) * sympy.Add(
         VISCOUS.symbol * sympy.Add(*parts["viscous"]),
         level * sympy.Add(*parts["coulomb"]),
         *(level * term for term in parts["carried"]),  # no factor is left in linear terms
@@ -56,7 +64,7 @@ def scaled(form: LawForm) -> LawForm:
     return LawForm(coefficients=(*form.coefficients, *SCALES), memory=memory, output=output)
 
 
-def scale_bound(element: Element, level: sympy.Expr) -> Element:
+def scale_element(element: Element, level: sympy.Expr) -> Element:
     """Multiply an element's bound, if any, by `level`."""
     if isinstance(element, Stop):
         return replace(element, bound=element.bound * level)
@@ -71,15 +79,15 @@ def is_bristle(element: Relaxation) -> bool:
 
 def has_viscous(form: LawForm) -> bool:
     """Return True if a form has a viscous term."""
-    common, terms = _terms(form.output)
-    return any(_part(common * term, _states(form), ()) == "viscous" for term in terms)
+    common, terms = _split_terms(form.output)
+    return any(_classify_term(common * term, _states(form), ()) == "viscous" for term in terms)
 
 
 def _states(form: LawForm) -> set[sympy.Symbol]:
     return {s for element in form.memory for s in (element.state, element.derivative)}
 
 
-def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+def _split_terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
     factors = sympy.Mul.make_args(output)
     sums = [f for f in factors if f.is_Add]
     if len(sums) != 1:
@@ -87,22 +95,22 @@ def _terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
     return sympy.Mul(*(f for f in factors if f is not sums[0])), sympy.Add.make_args(sums[0])
 
 
-def _part(
+def _classify_term(
     term: sympy.Expr, states: Collection[sympy.Symbol], carried: Collection[sympy.Symbol]
 ) -> str:
-    above, _ = sympy.fraction(term)
-    bases = {f.as_base_exp()[0] for f in sympy.Mul.make_args(above)}
-    if DQ in bases and not above.free_symbols & {*states}:
+    numerator, _ = sympy.fraction(term)
+    bases = {f.as_base_exp()[0] for f in sympy.Mul.make_args(numerator)}
+    if DQ in bases and not numerator.free_symbols & {*states}:
         return "viscous"
-    used = term.free_symbols
-    if used & {*carried}:
+    symbols = term.free_symbols
+    if symbols & {*carried}:
         return "carried"
-    return "coulomb" if used & {*states} or (DQ in used and Q not in used) else "rest"
+    return "coulomb" if symbols & {*states} or (DQ in symbols and Q not in symbols) else "rest"
 
 
-CHANGE = 0.1  # smallest relative change of friction to detect
-CHANGE_OF_OFFSET = 0.5  # the same, in standard deviations of the unexplained torque
-_CLIPPED = 1.0 - 1e-9  # share of its bound above which a stop is clipped, up to round-off
+MIN_CHANGE = 0.1  # smallest relative change of friction to detect
+MIN_OFFSET_CHANGE = 0.5  # the same, in standard deviations of the unexplained torque
+_CLIPPED_SHARE = 1.0 - 1e-9  # share of its bound above which a stop is clipped, up to round-off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,42 +125,60 @@ class Parts:
     sensitivities: tuple[Equation, ...]  # derivatives of the stops, warmth included
 
 
-def parts(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
+def split_torque(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
     """Return a law with a level and a factor `warm` on its bounds; ExportError without bounds."""
     form = law.form
-    scaled = tuple(scale_bound(m, level * warm) for m in form.memory)
-    carrying = [m for m, own in zip(form.memory, scaled, strict=True) if m != own]
-    if not carrying:
+    memory = tuple(scale_element(original, level * warm) for original in form.memory)
+    scaled_elements = [
+        original for original, scaled in zip(form.memory, memory, strict=True) if original != scaled
+    ]
+    if not scaled_elements:
         raise ExportError(
             f"law '{law.name}' has neither stops nor bristles to scale; use ParFam-S or LuGre, for "
             "example."
         )
-    states = {s: sympy.Integer(0) for m in form.memory for s in (m.state, m.derivative)}
-    still = form.output.subs(states)
-    terms = sympy.Add.make_args(sympy.expand_mul(still))
+    states = {
+        symbol: sympy.Integer(0)
+        for original in form.memory
+        for symbol in (original.state, original.derivative)
+    }
+    stateless = form.output.subs(states)
+    terms = sympy.Add.make_args(sympy.expand_mul(stateless))
     viscous = [t for t in terms if DQ in t.free_symbols and not {Q, TAU_LOAD} & t.free_symbols]
-    bound = {m: f"along_{m.name}" for m in carrying if isinstance(m, Stop)}
+    stop_names = {
+        original: f"along_{original.name}"
+        for original in scaled_elements
+        if isinstance(original, Stop)
+    }
     along = sympy.S.Zero
-    for element in carrying:
-        own = (
-            sympy.Symbol(bound[element], real=True)
-            if element in bound
+    for element in scaled_elements:
+        level_slope = (
+            sympy.Symbol(stop_names[element], real=True)
+            if element in stop_names
             else element.state / level  # steady value of a sliding bristle
         )
-        along += form.output.diff(element.state).subs({m.derivative: 0 for m in form.memory}) * own
+        along += (
+            form.output.diff(element.state).subs(
+                {original.derivative: 0 for original in form.memory}
+            )
+            * level_slope
+        )
     return Parts(
-        memory=scaled,
-        hysteresis=sympy.expand_mul(form.output - still),
+        memory=memory,
+        hysteresis=sympy.expand_mul(form.output - stateless),
         viscous=sympy.Add(*viscous),
         rest=sympy.Add(*(t for t in terms if t not in viscous)),
         along=along,
-        sensitivities=tuple(_sensitivity(m, name, level, warm) for m, name in bound.items()),
+        sensitivities=tuple(
+            _derive_sensitivity(original, name, level, warm)
+            for original, name in stop_names.items()
+        ),
     )
 
 
-def _sensitivity(stop: Stop, name: str, level: sympy.Expr, warm: sympy.Expr) -> Equation:
+def _derive_sensitivity(stop: Stop, name: str, level: sympy.Expr, warm: sympy.Expr) -> Equation:
     bound = warm * positive(stop.bound)
-    clipped = exceeds(absolute(stop.state), _CLIPPED * level * bound)
+    clipped = exceeds(absolute(stop.state), _CLIPPED_SHARE * level * bound)
     return Equation(
         name=name,
         expression=clipped * sgn(stop.state) * bound + (1 - clipped) * previous(name),

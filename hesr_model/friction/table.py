@@ -12,8 +12,8 @@ from hesr_model.errors import TableError
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-_NEEDED = "expected t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"
-_NAME = re.compile(r"(q|dq|load|tau_load)(\d*)")
+_EXPECTED_COLUMNS = "expected t, q, dq, load, or t, q1.., dq1.., load1.. of several joints"
+_COLUMN_NAME = re.compile(r"(q|dq|load|tau_load)(\d*)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,7 +25,7 @@ class MotionTable:
     dq: Array
     load: Array
 
-    def records(self, friction: Array, robot_joints: Sequence[str] = ()) -> list[FrictionRecord]:
+    def to_records(self, friction: Array, robot_joints: Sequence[str] = ()) -> list[FrictionRecord]:
         """Return the records of all joints for measured friction (N, n) [N.m]."""
         n = self.dq.shape[1]
         if friction.shape[1] != n:
@@ -38,23 +38,23 @@ class MotionTable:
                 log="table",
                 joint=joint,
                 t=self.t,
-                dq=np.ascontiguousarray(self.dq[:, k]),
-                q=np.ascontiguousarray(self.q[:, k]),
-                tau_load=np.ascontiguousarray(self.load[:, k]),
-                tau=np.ascontiguousarray(friction[:, k]),
+                dq=np.ascontiguousarray(self.dq[:, j]),
+                q=np.ascontiguousarray(self.q[:, j]),
+                tau_load=np.ascontiguousarray(self.load[:, j]),
+                tau=np.ascontiguousarray(friction[:, j]),
             )
-            for k, joint in enumerate(robot_joints or [f"joint{k}" for k in range(1, n + 1)])
+            for j, joint in enumerate(robot_joints or [f"joint{j}" for j in range(1, n + 1)])
         ]
 
 
-def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
+def read_numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
     """Return the finite numbers (N, P) and column names of a table; raise TableError otherwise."""
     if hasattr(table, "tocsr"):
         raise TableError(f"{name} is a sparse matrix; expected a dense table.")
     names: tuple[str, ...] = ()
     if isinstance(table, Mapping):
         names = tuple(map(str, table))
-        values = _columns(table, name)
+        values = _stack_columns(table, name)
     else:
         columns = getattr(table, "columns", ())
         names = tuple(columns) if all(isinstance(c, str) for c in columns) else ()
@@ -62,46 +62,46 @@ def numbers(table: Any, name: str = "X") -> tuple[Array, tuple[str, ...]]:
     if np.iscomplexobj(values):
         raise TableError(f"Complex data not supported: {name} must hold real numbers.")
     try:
-        found = np.asarray(values, dtype=float)
+        array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
         raise TableError(f"{name} must hold numbers ({error}).") from error
-    if found.ndim != 2:
+    if array.ndim != 2:
         raise TableError(
-            f"{name} has {found.ndim} dimensions; expected a table of rows and columns. Reshape "
+            f"{name} has {array.ndim} dimensions; expected a table of rows and columns. Reshape "
             "your data: X.reshape(-1, 1) has one column, X.reshape(1, -1) one row."
         )
-    if found.shape[1] < 1:
+    if array.shape[1] < 1:
         raise TableError(
-            f"{name} has 0 feature(s) (shape={found.shape}) while a minimum of 1 is required."
+            f"{name} has 0 feature(s) (shape={array.shape}) while a minimum of 1 is required."
         )
-    if len(found) < 1:
-        raise TableError(f"{name} has 0 sample(s) (shape={found.shape}); rows are needed.")
-    if not np.all(np.isfinite(found)):
+    if len(array) < 1:
+        raise TableError(f"{name} has 0 sample(s) (shape={array.shape}); rows are needed.")
+    if not np.all(np.isfinite(array)):
         raise TableError(f"{name} contains NaN or infinity; expected finite numbers.")
-    return found, names
+    return array, names
 
 
-def torques(y: Any, rows: int) -> Array:
+def read_torques(y: Any, rows: int) -> Array:
     """Return torques as (N, n), from (N,) for one joint; raise TableError if they do not match."""
     if y is None:
         raise TableError(
             "a table of motion requires y to be passed, but the target y is None; pass the "
             "measured torque."
         )
-    listed = y if hasattr(y, "tocsr") else np.asarray(y)
-    found, _ = numbers(listed.reshape(-1, 1) if listed.ndim == 1 else listed, "y")
-    if len(found) != rows:
-        raise TableError(f"X has {rows} rows and y {len(found)}; the numbers must be equal.")
-    return found
+    raw_torques = y if hasattr(y, "tocsr") else np.asarray(y)
+    tau, _ = read_numbers(raw_torques.reshape(-1, 1) if raw_torques.ndim == 1 else raw_torques, "y")
+    if len(tau) != rows:
+        raise TableError(f"X has {rows} rows and y {len(tau)}; the numbers must be equal.")
+    return tau
 
 
-def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
+def read_motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
     """Return the motion in the columns (N, P) of a table [s, rad, rad/s, N.m].
 
     Names are t, dq and optionally q and load, numbered from 1 for several joints. Columns without
     names are t, then q, dq and load of all joints.
     """
-    columns = _by_name(values, names) if names else _in_order(values)
+    columns = _split_by_name(values, names) if names else _split_by_order(values)
     t = columns["t"][:, 0]
     dq = columns["dq"]
     if len(t) < 2:
@@ -112,45 +112,46 @@ def motion(values: Array, names: Sequence[str] = ()) -> MotionTable:
             f"time must increase in X, but t is {t[row]:g} s in row {row + 1}, after "
             f"{t[row - 1]:g} s."
         )
-    still = np.zeros_like(dq)
-    found = {name: columns.get(name, still) for name in ("q", "load")}
-    for name, of_joints in found.items():
-        if of_joints.shape != dq.shape:
+    zeros = np.zeros_like(dq)
+    signals = {name: columns.get(name, zeros) for name in ("q", "load")}
+    for name, signal in signals.items():
+        if signal.shape != dq.shape:
             raise TableError(
-                f"X has {of_joints.shape[1]} columns of {name}, but {dq.shape[1]} of dq; {_NEEDED}."
+                f"X has {signal.shape[1]} columns of {name}, but {dq.shape[1]} of dq; "
+                f"{_EXPECTED_COLUMNS}."
             )
-    return MotionTable(t=t, dq=dq, **found)
+    return MotionTable(t=t, dq=dq, **signals)
 
 
-def _columns(table: Mapping[str, Any], name: str) -> NDArray[Any]:
+def _stack_columns(table: Mapping[str, Any], name: str) -> NDArray[Any]:
     lengths = {np.shape(column) for column in table.values()}
     if len(lengths) != 1 or len(next(iter(lengths))) != 1:
         raise TableError(f"{name} has columns of unequal lengths; expected a table.")
     return np.column_stack([np.asarray(column) for column in table.values()])
 
 
-def _by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
+def _split_by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
     missing = {"t", "dq"} - {name.rstrip("0123456789") for name in names}
     if missing:
         raise TableError(
-            f"X has no column '{sorted(missing)[0]}', only {', '.join(names)}; {_NEEDED}."
+            f"X has no column '{sorted(missing)[0]}', only {', '.join(names)}; {_EXPECTED_COLUMNS}."
         )
-    found: dict[str, dict[int, Array]] = {}
+    columns: dict[str, dict[int, Array]] = {}
     for name, column in zip(names, values.T, strict=True):
-        matched = _NAME.fullmatch(name)
-        if name != "t" and not matched:
-            raise TableError(f"X has the unknown column '{name}'; {_NEEDED}.")
-        kind, joint = (matched[1], int(matched[2] or 1)) if matched else ("t", 1)
-        found.setdefault(kind.removeprefix("tau_"), {})[joint] = column
+        match = _COLUMN_NAME.fullmatch(name)
+        if name != "t" and not match:
+            raise TableError(f"X has the unknown column '{name}'; {_EXPECTED_COLUMNS}.")
+        kind, joint = (match[1], int(match[2] or 1)) if match else ("t", 1)
+        columns.setdefault(kind.removeprefix("tau_"), {})[joint] = column
     return {
-        kind: np.column_stack([of_joint[k] for k in sorted(of_joint)])
-        for kind, of_joint in found.items()
+        kind: np.column_stack([joint_columns[k] for k in sorted(joint_columns)])
+        for kind, joint_columns in columns.items()
     }
 
 
-def _in_order(values: Array) -> dict[str, Array]:
-    joints, odd = divmod(values.shape[1] - 1, 3)
-    if odd or not joints:
+def _split_by_order(values: Array) -> dict[str, Array]:
+    joints, remainder = divmod(values.shape[1] - 1, 3)
+    if remainder or not joints:
         raise TableError(
             f"X has {values.shape[1]} columns without names; expected t, and q, dq and load of "
             "each joint."

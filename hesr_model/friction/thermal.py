@@ -26,8 +26,8 @@ from hesr_model.support.arrays import Array
 TEMPERATURE = Quantity(name="temperature", unit="degC", description="temperature of {joint}")
 COULOMB_RANGE = 0.5  # largest relative change of the Coulomb factor
 VISCOUS_RANGE = 1.5  # largest logarithm of the viscous factor: 0.22 to 4.5
-_LEAST_TIME = 1e-3  # [s], rates divide by it
-_LEAST_SCALE = 1e-3  # bounds stay positive
+_MIN_TIME_CONSTANT = 1e-3  # [s], rates divide by it
+_MIN_SCALE = 1e-3  # bounds stay positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,20 +49,20 @@ class Thermal:
     def __post_init__(self) -> None:
         for name in _UNITS:
             value = getattr(self, name)
-            positive = name in ("coulomb_scale", "viscous_scale", "time_constant")
-            if not isfinite(value) or (positive and value <= 0.0):
-                needed = "a positive number" if positive else "a number"
+            is_positive = name in ("coulomb_scale", "viscous_scale", "time_constant")
+            if not isfinite(value) or (is_positive and value <= 0.0):
+                expectation = "a positive number" if is_positive else "a number"
                 raise ArtifactError(
-                    f"thermal model: '{name}' is {value}; expected {needed}.",
+                    f"thermal model: '{name}' is {value}; expected {expectation}.",
                     code="law.thermal",
                     key=f"thermal.{name}",
                 )
 
     def factors(self, temperature: Array) -> tuple[Array, Array]:
         """Return the Coulomb and viscous factors at temperatures (N,) [degC]."""
-        over = np.clip(temperature, self.coldest, self.warmest) - self.reference
+        excess = np.clip(temperature, self.coldest, self.warmest) - self.reference
         values = [getattr(self, name) for name in _FACTOR_PARAMETERS]
-        coulomb, viscous = _factor_function()(over, *values)
+        coulomb, viscous = _factor_function()(excess, *values)
         return coulomb, viscous
 
     def rise(self, power: Array, dt: Array, start: float = 0.0) -> Array:
@@ -117,20 +117,20 @@ THERMOMETER = "thermometer"  # parameter that selects the temperature input
 
 def thermal_parameters(thermal: Thermal) -> tuple[Parameter, ...]:
     """Return the parameters of a joint's thermal model."""
-    own = (
+    parameters = (
         Parameter(
             name=f"thermal_{name}", unit=unit, description=text, start=float(getattr(thermal, name))
         )
         for name, (unit, text) in _UNITS.items()
     )
-    read = Parameter(
+    thermometer = Parameter(
         name=THERMOMETER,
         unit="1",
         start=float(thermal.measured),
         description="whether the input temperature is used; else friction power determines it",
         logical=True,
     )
-    return (*own, read)
+    return (*parameters, thermometer)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,17 +144,22 @@ class Warmth:
 
 def warmth(torque: sympy.Expr) -> Warmth:
     """Return the expressions of a thermal model heated by a torque [N.m]."""
-    k = {name: thermal_symbol(name) for name in _UNITS}
-    read = clip(sympy.Symbol(THERMOMETER, real=True), 1)
-    rate = 1 / larger(k["time_constant"], _LEAST_TIME)
+    symbols = {name: thermal_symbol(name) for name in _UNITS}
+    use_thermometer = clip(sympy.Symbol(THERMOMETER, real=True), 1)
+    rate = 1 / larger(symbols["time_constant"], _MIN_TIME_CONSTANT)
     heat = Slow(
-        name=RISE, unit="K", drive=rate * k["resistance"] * absolute(torque * DQ), rate=rate
+        name=RISE, unit="K", drive=rate * symbols["resistance"] * absolute(torque * DQ), rate=rate
     )
-    known = read * TEMPERATURE.symbol + (1 - read) * (k["ambient"] + heat.state)
-    over = -larger(-k["warmest"], -larger(known, k["coldest"])) - k["reference"]
+    temperature = use_thermometer * TEMPERATURE.symbol + (1 - use_thermometer) * (
+        symbols["ambient"] + heat.state
+    )
+    excess = (
+        -larger(-symbols["warmest"], -larger(temperature, symbols["coldest"]))
+        - symbols["reference"]
+    )
     coulomb, viscous = friction_factors(
-        over,
-        larger(k["coulomb_scale"], _LEAST_SCALE),
-        larger(k["viscous_scale"], _LEAST_SCALE),
+        excess,
+        larger(symbols["coulomb_scale"], _MIN_SCALE),
+        larger(symbols["viscous_scale"], _MIN_SCALE),
     )
     return Warmth(memory=heat, coulomb=coulomb, viscous=viscous)

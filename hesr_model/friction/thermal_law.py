@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 import sympy
 
-from hesr_model.audit.certificate import least_viscosity
+from hesr_model.audit.certificate import find_min_viscous_scale
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
 from hesr_model.equations.stepping import Steps
 from hesr_model.friction import thermal as models
 from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.scales import COULOMB, LEAST, SCALES, VISCOUS, parts
+from hesr_model.friction.scales import COULOMB, MIN_SCALE, SCALES, VISCOUS, split_torque
 from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
@@ -28,11 +28,11 @@ from hesr_model.support.arrays import Array
 
 def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
     """Return the equations of a joint with a thermal model; raise ExportError without a bound."""
-    warm = warmth(previous(TORQUE))
-    own = parts(law, larger(COULOMB.symbol, LEAST), warm.coulomb)
+    warmth_factors = warmth(previous(TORQUE))
+    torque_parts = split_torque(law, larger(COULOMB.symbol, MIN_SCALE), warmth_factors.coulomb)
     # Ripple needs a minimum viscosity.
-    viscous = larger(VISCOUS.symbol * warm.viscous, least_viscosity(law))
-    torque = own.hysteresis + viscous * own.viscous + own.rest
+    viscous = larger(VISCOUS.symbol * warmth_factors.viscous, find_min_viscous_scale(law))
+    torque = torque_parts.hysteresis + viscous * torque_parts.viscous + torque_parts.rest
     base = law.form.component
     [equation] = base.equations
     return replace(
@@ -40,7 +40,7 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
         inputs=(*base.inputs, TEMPERATURE),
         parameters=(*base.parameters, *thermal_parameters(thermal)),
         shared=SCALES,
-        memory=(warm.memory, *own.memory),
+        memory=(warmth_factors.memory, *torque_parts.memory),
         equations=(replace(equation, expression=torque, start=sympy.S.Zero),),
     )
 
@@ -58,13 +58,15 @@ def predict_thermal(
 ) -> Array:
     """Return the (N,) torque [N.m] of a thermal law; steady at the first row without a `start`."""
     component = thermal_component(law, thermal)
-    columns, more = build_inputs(record)
+    columns, input_parameters = build_inputs(record)
     values: Mapping[str, float] = {
         **law.values,
-        **{p.name: p.start for p in thermal_parameters(thermal)},
+        **{parameter.name: parameter.start for parameter in thermal_parameters(thermal)},
         **{scale.name: 1.0 for scale in SCALES},
-        **more,
+        **input_parameters,
     }
-    first = (0.0, *(law.start if start is None else start))
+    first_states = (0.0, *(law.start if start is None else start))
     steps = Steps(component, [TORQUE])
-    return np.asarray(steps.over(record.t, columns, values, first, settled=start is None)[0])
+    return np.asarray(
+        steps.simulate(record.t, columns, values, first_states, settled=start is None)[0]
+    )

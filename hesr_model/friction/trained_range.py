@@ -27,10 +27,10 @@ class TrainedRange:
 
     def __post_init__(self) -> None:
         for name in (*INPUT_UNITS, "tau"):
-            low, high = getattr(self, name)
-            if not (isfinite(low) and isfinite(high) and low <= high):
+            lowest, highest = getattr(self, name)
+            if not (isfinite(lowest) and isfinite(highest) and lowest <= highest):
                 raise ArtifactError(
-                    f"trained range of '{name}' is {low} to {high}.",
+                    f"trained range of '{name}' is {lowest} to {highest}.",
                     code="law.trained",
                     key=f"trained.{name}",
                 )
@@ -43,7 +43,7 @@ class TrainedRange:
             )
 
     @classmethod
-    def of(cls, records: Sequence[FrictionRecord]) -> Self:
+    def from_records(cls, records: Sequence[FrictionRecord]) -> Self:
         """Return the ranges of a joint's records."""
         ranges = {}
         for name in (*INPUT_UNITS, "tau"):
@@ -72,23 +72,23 @@ class Excess:
     above: float
 
 
-def outside(
+def find_excess(
     trained_range: TrainedRange, records: Sequence[FrictionRecord], thermal: Thermal | None = None
 ) -> dict[str, Excess]:
     """Return the excess of each input of a joint, and its temperature, that leaves its range."""
-    found = {}
+    excesses = {}
     ranges = {name: getattr(trained_range, name) for name in INPUT_UNITS}
     if thermal and all(record.temperature is not None for record in records):
         ranges[TEMPERATURE.name] = thermal.coldest, thermal.warmest
-    for name, (low, high) in ranges.items():
+    for name, (lowest, highest) in ranges.items():
         values = np.concatenate([getattr(record, name) for record in records])
-        below = low - values
-        above = values - high
-        beyond = (below > 0.0) | (above > 0.0)
-        if np.any(beyond):
-            found[name] = Excess(
-                rows=float(np.mean(beyond)),
+        below = lowest - values
+        above = values - highest
+        is_beyond = (below > 0.0) | (above > 0.0)
+        if np.any(is_beyond):
+            excesses[name] = Excess(
+                rows=float(np.mean(is_beyond)),
                 below=max(0.0, float(np.max(below))),
                 above=max(0.0, float(np.max(above))),
             )
-    return found
+    return excesses

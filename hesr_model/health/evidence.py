@@ -9,14 +9,14 @@ from hesr_model.errors import LogError
 from hesr_model.inference.covariance import standard_errors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
-from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.rigid_body.identification import MIN_PEAK_SPEED
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support.arrays import Array, Mask, some_rows
+from hesr_model.support.arrays import Array, Mask, select_rows
 
-LEAST_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
-_ROWS = 4000  # per log
-_KNEE = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter of the peak
+MIN_TRAVEL = 5e-3  # minimum travel of a moving joint [rad or m]
+_MAX_ROWS = 4000  # per log
+_KNEE_SPEED = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter of the peak
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,21 +35,21 @@ class Motionwise:
     def moves(self) -> Mask:
         """Joints (n,) that move."""
         speed = np.max(np.abs(self.v), axis=0)
-        return np.asarray((np.ptp(self.q, axis=0) > LEAST_TRAVEL) & (speed > LEAST_PEAK))
+        return np.asarray((np.ptp(self.q, axis=0) > MIN_TRAVEL) & (speed > MIN_PEAK_SPEED))
 
     @property
     def period(self) -> float:
         """Median time between rows [s]."""
         return float(np.median(np.diff(self.t)))
 
-    def thinned(self, rows: int) -> "Motionwise":
-        """Return at most `rows` rows, evenly spread."""
-        return some_rows(self, slice(None, None, -(-len(self.t) // rows)))
+    def thin(self, max_rows: int) -> "Motionwise":
+        """Return at most `max_rows` rows, evenly spread."""
+        return select_rows(self, slice(None, None, -(-len(self.t) // max_rows)))
 
 
-def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
+def smooth_parts(log: Log, cutoff: float) -> list[Motionwise]:
     """Smooth the parts of a log that are long enough."""
-    made = []
+    motions = []
     for part in log.parts():
         try:
             derived = smooth(replace(part, dq=None), cutoff)
@@ -58,11 +58,11 @@ def motionwise(log: Log, cutoff: float) -> list[Motionwise]:
                 continue
             raise
         dq = None if part.dq is None else smooth(part, cutoff).dq
-        whole = Motionwise(
+        motion = Motionwise(
             log=part, t=part.t, q=derived.q, v=derived.dq, a=derived.ddq, dq=dq, tau=part.tau
         )
-        made.append(whole.thinned(_ROWS))
-    return made
+        motions.append(motion.thin(_MAX_ROWS))
+    return motions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,14 +73,14 @@ class Torques:
     inertial: Array
 
     @classmethod
-    def of(cls, robot: Robot, q: Array, v: Array, a: Array) -> "Torques":
+    def from_motion(cls, robot: Robot, q: Array, v: Array, a: Array) -> "Torques":
         """Evaluate the model file along q, v, a (N, n)."""
-        nothing = np.zeros_like(q)
-        gravity = robot.torque(robot.nominal_parameters, q, nothing, nothing)
-        whole = robot.torque(robot.nominal_parameters, q, v, a)
-        return cls(gravity=gravity - gravity.mean(axis=0), inertial=whole - gravity)
+        zeros = np.zeros_like(q)
+        gravity = robot.torque(robot.nominal_parameters, q, zeros, zeros)
+        total = robot.torque(robot.nominal_parameters, q, v, a)
+        return cls(gravity=gravity - gravity.mean(axis=0), inertial=total - gravity)
 
-    def at(self, coupling: Coupling) -> "Torques":
+    def transform(self, coupling: Coupling) -> "Torques":
         """Transform torques of joints to coupled coordinates."""
         return Torques(
             gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
@@ -94,13 +94,13 @@ def to_logged_side(
     if coupling is None:
         return motion, torques
     at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))
-    return at_motors, torques.at(coupling)
+    return at_motors, torques.transform(coupling)
 
 
-def rubbing(v: Array) -> Array:
+def friction_shape(v: Array) -> Array:
     """Return Coulomb and viscous friction over `v`, equally weighted."""
     peak = float(np.max(np.abs(v))) or 1.0
-    return np.asarray(np.tanh(v / min(_KNEE, 0.25 * peak)) + v / peak)
+    return np.asarray(np.tanh(v / min(_KNEE_SPEED, 0.25 * peak)) + v / peak)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,22 +142,25 @@ class JointTorque:
 
 def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorque:
     """Regress `tau` (N,) on `gravity`, `inertial` and friction over `v`."""
-    shape = rubbing(v)
+    shape = friction_shape(v)
     columns = np.column_stack([gravity, inertial, shape, np.ones_like(v)])
-    size = np.linalg.norm(columns, axis=0) / np.sqrt(len(v))
-    used = size > 1e-9 * size.max()  # that of the offset is 1
-    x = np.zeros(4)
-    x[used] = np.linalg.lstsq(columns[:, used], tau, rcond=None)[0]
-    residual = tau - columns @ x
-    errors = np.full(4, np.inf)
-    errors[used] = standard_errors(columns[:, used], residual)
-    found = [Estimate(value=float(a), error=float(b)) for a, b in zip(x, errors, strict=True)]
+    sizes = np.linalg.norm(columns, axis=0) / np.sqrt(len(v))
+    is_nonzero = sizes > 1e-9 * sizes.max()  # that of the offset is 1
+    coefficients = np.zeros(4)
+    coefficients[is_nonzero] = np.linalg.lstsq(columns[:, is_nonzero], tau, rcond=None)[0]
+    residual = tau - columns @ coefficients
+    std_errors = np.full(4, np.inf)
+    std_errors[is_nonzero] = standard_errors(columns[:, is_nonzero], residual)
+    estimates = [
+        Estimate(value=float(coefficient), error=float(std_error))
+        for coefficient, std_error in zip(coefficients, std_errors, strict=True)
+    ]
     return JointTorque(
-        gravity=found[0],
-        inertia=found[1],
-        friction=found[2],
+        gravity=estimates[0],
+        inertia=estimates[1],
+        friction=estimates[2],
         gravity_size=float(np.std(gravity)),
-        friction_size=float(abs(x[2]) * np.std(shape)),
+        friction_size=float(abs(coefficients[2]) * np.std(shape)),
         residual=float(np.std(residual)),
         deviation=float(np.std(tau)),
     )

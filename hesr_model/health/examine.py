@@ -7,20 +7,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.errors import ConfigError, FitError, LogError
-from hesr_model.findings import Finding, errors_first, of_joint
+from hesr_model.findings import Finding, build_joint_finding, sort_by_severity
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health import positions
 from hesr_model.health import torque as efforts
-from hesr_model.health.evidence import JointTorque, Motionwise, Torques, motionwise, to_logged_side
+from hesr_model.health.evidence import (
+    JointTorque,
+    Motionwise,
+    Torques,
+    smooth_parts,
+    to_logged_side,
+)
 from hesr_model.health.mistakes import check_causes
 from hesr_model.health.timing import check_clocks
-from hesr_model.health.torque import NO_SIGNAL, Explained, check_torque, explained
+from hesr_model.health.torque import NO_SIGNAL_R2, Explained, check_torque, explain_joints
 from hesr_model.health.velocity import check_velocity
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.residual import FrictionRecord, all_at_friction
+from hesr_model.rigid_body.residual import FrictionRecord, transform_all_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 
@@ -45,48 +51,59 @@ class Examination:
     explained: tuple[Explained, ...] = ()
 
 
-def examine(logs: Sequence[Log], description: RobotDescription, model: Robot | None) -> Examination:
+def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | None) -> Examination:
     """Check logs one by one, against the model, and together; raises LogError."""
     findings: list[Finding] = []
     parts: list[Motionwise] = []
     for log in logs:
-        timed = of_log(log, positions.check_time(log, description))
-        findings += timed
-        if any(finding.severity == "error" for finding in timed):
+        time_findings = add_log_name(log, positions.check_time(log, description))
+        findings += time_findings
+        if any(finding.severity == "error" for finding in time_findings):
             continue
         for check in (positions.check_jumps, positions.check_steps, efforts.check_raw_signals):
-            findings += of_log(log, check(log, description))
-        parts += motionwise(log, description.log.filter_cutoff)
-    if model and (description.known is not None or model.springs):
-        model = _inform_robot(model, parts)
-    torques = [Torques.of(model, part.q, part.v, part.a) for part in parts] if model else []
-    logged = [
-        to_logged_side(*both, description.logged) for both in zip(parts, torques, strict=False)
+            findings += add_log_name(log, check(log, description))
+        parts += smooth_parts(log, description.log.filter_cutoff)
+    if robot and (description.known is not None or robot.springs):
+        robot = _inform_robot(robot, parts)
+    torques = (
+        [Torques.from_motion(robot, part.q, part.v, part.a) for part in parts] if robot else []
+    )
+    logged_sides = [
+        to_logged_side(*pair, description.logged) for pair in zip(parts, torques, strict=False)
     ]
-    fits = [explained(part, torque) for part, torque in logged]
-    broken = {
-        name
+    fits = [explain_joints(part, torque) for part, torque in logged_sides]
+    broken_joints = {
+        joint
         for finding in findings
         if finding.check in ("wrap", "spikes")
-        for name in finding.joints
+        for joint in finding.joints
     }
-    coarse = {name for finding in findings if finding.check == "coarse" for name in finding.joints}
+    coarse_joints = {
+        joint for finding in findings if finding.check == "coarse" for joint in finding.joints
+    }
     for part in parts:
-        findings += of_log(part.log, check_velocity(part, description, broken))
-        if model:
-            findings += of_log(part.log, positions.check_limits(part, model))
-            findings += of_log(part.log, positions.check_sliding(part, model))
-            findings += of_log(part.log, efforts.check_speed(part, model))
-        findings += of_log(part.log, positions.check_columns(part, description))
-    if model and not hopeless(findings):
-        for part, (own, torque), fit in zip(parts, logged, fits, strict=True):
-            clocks, late = check_clocks(part, [j for j in fit if fit[j].r2 > NO_SIGNAL], model)
-            blurred = {*late, *(j for j in fit if description.joints[j] in coarse)}
-            found = (*clocks, *check_torque(own, fit, model, blurred))
-            findings += of_log(part.log, (*found, *positions.check_loss(own, torque, model)))
-        findings = _caused(findings, check_causes(parts, model))
+        findings += add_log_name(part.log, check_velocity(part, description, broken_joints))
+        if robot:
+            findings += add_log_name(part.log, positions.check_limits(part, robot))
+            findings += add_log_name(part.log, positions.check_sliding(part, robot))
+            findings += add_log_name(part.log, efforts.check_speed(part, robot))
+        findings += add_log_name(part.log, positions.check_columns(part, description))
+    if robot and not is_hopeless(findings):
+        for part, (logged_part, torque), fit in zip(parts, logged_sides, fits, strict=True):
+            clocks, late_joints = check_clocks(
+                part, [j for j in fit if fit[j].r2 > NO_SIGNAL_R2], robot
+            )
+            blurred_joints = {
+                *late_joints,
+                *(j for j in fit if description.joints[j] in coarse_joints),
+            }
+            torque_findings = (*clocks, *check_torque(logged_part, fit, robot, blurred_joints))
+            findings += add_log_name(
+                part.log, (*torque_findings, *positions.check_loss(logged_part, torque, robot))
+            )
+        findings = _replace_symptoms(findings, check_causes(parts, robot))
     return Examination(
-        findings=tuple(merged(_without_followers(findings))),
+        findings=tuple(merge_findings(_remove_followers(findings))),
         parts=tuple(parts),
         torques=tuple(torques),
         explained=tuple(fits),
@@ -97,10 +114,19 @@ def _inform_robot(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
     """Return a robot whose unknown parameters are identified, or None if that fails."""
     informed = copy(robot)
     if robot.description.known is None:  # then only its springs, if any, are unknown
-        own = {"known": robot.parameter_names[: robot.inertial]}
-        robot = Robot(robot.description.model_copy(update=own))
+        update = {"known": robot.parameter_names[: robot.inertial]}
+        robot = Robot(robot.description.model_copy(update=update))
     motions = [
-        Motion(name=p.log.name, t=p.t, q=p.q, q_raw=p.q, dq=p.v, ddq=p.a, tau=p.tau) for p in parts
+        Motion(
+            name=part.log.name,
+            t=part.t,
+            q=part.q,
+            q_raw=part.q,
+            dq=part.v,
+            ddq=part.a,
+            tau=part.tau,
+        )
+        for part in parts
     ]
     try:
         informed.nominal_parameters = identify_motions(motions, robot).parameters
@@ -109,7 +135,7 @@ def _inform_robot(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
     return informed
 
 
-def hopeless(findings: Sequence[Finding]) -> bool:
+def is_hopeless(findings: Sequence[Finding]) -> bool:
     """Return whether errors of units or positions hide what the model would show."""
     errors = [finding for finding in findings if finding.severity == "error"]
     units = {"log.units.t", "log.units.q"}
@@ -125,44 +151,52 @@ SYMPTOMS = (
 )  # Checks whose findings a deeper cause can explain
 
 
-def _caused(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
-    local = {name for cause in causes if cause.check == "torque-sign" for name in cause.joints}
-    every = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
-    kept = [
+def _replace_symptoms(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
+    reversed_joints = {
+        name for cause in causes if cause.check == "torque-sign" for name in cause.joints
+    }
+    explains_all = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
+    remaining = [
         finding
         for finding in findings
-        if finding.check not in SYMPTOMS or not (every or local & set(finding.joints))
+        if finding.check not in SYMPTOMS
+        or not (explains_all or reversed_joints & set(finding.joints))
     ]
-    signs = {
+    sign_observations = {
         finding.joints: finding.found for finding in findings if finding.check == "torque-sign"
     }
-    told = [
-        replace(c, found=signs[c.joints])
-        if c.check in ("torque-sign", "position-sign") and c.joints in signs
+    restated_causes = [
+        replace(c, found=sign_observations[c.joints])
+        if c.check in ("torque-sign", "position-sign") and c.joints in sign_observations
         else c
         for c in causes
     ]
-    return [*kept, *told]
+    return [*remaining, *restated_causes]
 
 
-def _without_followers(findings: Sequence[Finding]) -> list[Finding]:
-    clear = {
+def _remove_followers(findings: Sequence[Finding]) -> list[Finding]:
+    explained_joints = {
         finding.joints
         for finding in findings
         if finding.check in ("velocity-columns", "same-column")
     }
-    coarse = any(finding.check == "coarse" for finding in findings)
-    hidden = hopeless(findings)
-    mended = any(key.startswith("log.units") for finding in findings for key in finding.changes)
+    is_coarse = any(finding.check == "coarse" for finding in findings)
+    is_hidden = is_hopeless(findings)
+    changes_units = any(
+        key.startswith("log.units") for finding in findings for key in finding.changes
+    )
     return [
         finding
         for finding in findings
-        if (finding.check != "velocity-match" or finding.joints not in clear)
-        and not (finding.check in ("time-scale", "speed-limit") and (mended or coarse or hidden))
+        if (finding.check != "velocity-match" or finding.joints not in explained_joints)
+        and not (
+            finding.check in ("time-scale", "speed-limit")
+            and (changes_units or is_coarse or is_hidden)
+        )
     ]
 
 
-def checked(logs: Sequence[Log], robot: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
+def check_logs(logs: Sequence[Log], robot: Robot, accepted: Sequence[str] = ()) -> list[Finding]:
     """Check logs; return warnings and accepted errors, or raise HealthError."""
     require_known(accepted, CHECKS)
     return require_sound(examine(logs, robot.description, robot).findings, accepted)
@@ -171,43 +205,45 @@ def checked(logs: Sequence[Log], robot: Robot, accepted: Sequence[str] = ()) -> 
 class HealthError(LogError):
     """Impossible data, a line per finding."""
 
-    def __init__(self, said: str, findings: Sequence[Finding]) -> None:
-        super().__init__(said)
+    def __init__(self, message: str, findings: Sequence[Finding]) -> None:
+        super().__init__(message)
         self.findings = tuple(findings)
 
 
-def _said(findings: Sequence[Finding]) -> str:
+def _format_refusal(findings: Sequence[Finding]) -> str:
     lines = [f"{finding.sentence} [{finding.check}]" for finding in findings]
-    names = " ".join(
+    accept_options = " ".join(
         f"--accept {name}" for name in dict.fromkeys(finding.check for finding in findings)
     )
-    tried = "hesr inspect tries the changes on these logs. " * any(
+    hint = "hesr inspect tries the changes on these logs. " * any(
         finding.changes for finding in findings
     )
-    told = f"{tried}To continue anyway: {names}."
+    advice = f"{hint}To continue anyway: {accept_options}."
     if len(lines) == 1:
-        return f"{lines[0]} {told}"
-    return "\n  ".join([f"{len(lines)} errors in the data.", *lines, told])
+        return f"{lines[0]} {advice}"
+    return "\n  ".join([f"{len(lines)} errors in the data.", *lines, advice])
 
 
-def of_log(log: Log, findings: Iterable[Finding]) -> list[Finding]:
+def add_log_name(log: Log, findings: Iterable[Finding]) -> list[Finding]:
     """Return findings with the name of their log."""
     return [replace(finding, logs=(log.name,)) for finding in findings]
 
 
-def merged(findings: Iterable[Finding]) -> list[Finding]:
+def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
     """Merge findings of several logs or joints; errors first."""
-    by_log = _merged(findings, lambda f: (f.check, f.joints))
-    return errors_first(_merged(by_log, lambda f: (f.check, f.severity, f.remedy, repr(f.changes))))
+    by_log = _merge_by_key(findings, lambda f: (f.check, f.joints))
+    return sort_by_severity(
+        _merge_by_key(by_log, lambda f: (f.check, f.severity, f.remedy, repr(f.changes)))
+    )
 
 
-def _merged(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:
+def _merge_by_key(findings: Iterable[Finding], key: Callable[[Finding], object]) -> list[Finding]:
     groups: dict[object, list[Finding]] = {}
     for finding in findings:
         groups.setdefault(key(finding), []).append(finding)
     return [
         replace(
-            errors_first(group)[0],
+            sort_by_severity(group)[0],
             joints=tuple(dict.fromkeys(joint for f in group for joint in f.joints)),
             logs=tuple(dict.fromkeys(log for f in group for log in f.logs)),
         )
@@ -223,22 +259,22 @@ def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> 
         if finding.severity == "error" and finding.check not in accepted
     ]
     if refused:
-        raise HealthError(_said(refused), refused)
+        raise HealthError(_format_refusal(refused), refused)
     return list(findings)
 
 
-def require_known(accepted: Sequence[str], known: Sequence[str]) -> None:
+def require_known(accepted: Sequence[str], checks: Sequence[str]) -> None:
     """Raise ConfigError if `accepted` contains an unknown check."""
-    for name in accepted:
-        if name not in known:
-            raise ConfigError(f"--accept is '{name}'; the checks are {', '.join(known)}.")
+    for check in accepted:
+        if check not in checks:
+            raise ConfigError(f"--accept is '{check}'; the checks are {', '.join(checks)}.")
 
 
-_RESTS = 0.02  # share of rests that shows stiction
-_REVERSALS = 4
-_SLOW = 0.1
-_SLOWLY = 0.05  # share of the peak speed, share of slow rows needed
-_LOAD = 0.5  # gravity over friction that shows load-dependent friction
+_MIN_REST_SHARE = 0.02  # share of rests that shows stiction
+_MIN_REVERSALS = 4
+_SLOW_SPEED_SHARE = 0.1
+_MIN_SLOW_ROWS_SHARE = 0.05  # share of the peak speed, share of slow rows needed
+_MIN_GRAVITY_TO_FRICTION = 0.5  # gravity over friction that shows load-dependent friction
 
 
 def bears_load(fits: Explained) -> bool:
@@ -247,23 +283,25 @@ def bears_load(fits: Explained) -> bool:
 
 
 def _changes_load(fit: JointTorque) -> bool:
-    return fit.gravity_size >= _LOAD * fit.friction_size
+    return fit.gravity_size >= _MIN_GRAVITY_TO_FRICTION * fit.friction_size
 
 
-def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[str, str]]:
+def find_unseen_effects(
+    examination: Examination, joints: Sequence[str]
+) -> Iterator[tuple[str, str]]:
     """Yield joints with effects that the logs do not show."""
     for j, joint in enumerate(joints):
         parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
         if not parts:
             yield joint, "it does not move in any log"
             continue
-        own = [examination.parts[k].v[:, j] for k in parts]
-        v = np.concatenate(own)
-        if sum(len(reversals(one)) for one in own) < _REVERSALS:
-            yield joint, f"fewer than {_REVERSALS} reversals: neither hysteresis nor an offset"
-        if np.mean(~moving(v)) < _RESTS:
+        speeds = [examination.parts[k].v[:, j] for k in parts]
+        v = np.concatenate(speeds)
+        if sum(len(reversals(speed)) for speed in speeds) < _MIN_REVERSALS:
+            yield joint, f"fewer than {_MIN_REVERSALS} reversals: neither hysteresis nor an offset"
+        if np.mean(~moving(v)) < _MIN_REST_SHARE:
             yield joint, "hardly any rest: no stiction"
-        if np.mean(np.abs(v) < _SLOW * np.max(np.abs(v))) < _SLOWLY:
+        if np.mean(np.abs(v) < _SLOW_SPEED_SHARE * np.max(np.abs(v))) < _MIN_SLOW_ROWS_SHARE:
             yield joint, "hardly any slow motion: no Stribeck effect"
         fits = [fits[j] for k, fits in enumerate(examination.explained) if k in parts and j in fits]
         if fits and not any(fit.bears_gravity for fit in fits):
@@ -272,31 +310,35 @@ def unseen(examination: Examination, joints: Sequence[str]) -> Iterator[tuple[st
             yield joint, "hardly any change of load: no load-dependent friction"
 
 
-_STATES = 60
-_NOTHING = 0.95  # error over deviation of a law that explains nothing
-_AT_BOUND = 0.01
-_NEGATIVE = 0.5  # negative Coulomb friction over the residual
+_STATE_COUNT = 60
+_MIN_USELESS_ERROR = 0.95  # error over deviation of a law that explains nothing
+_BOUND_TOLERANCE = 0.01
+_MIN_NEGATIVE_COULOMB = 0.5  # negative Coulomb friction over the residual
 
 
 def check_body(body: RigidBody, robot: Robot) -> Iterator[Finding]:
     """Check that a mass matrix is positive definite and friction brakes."""
     joints = robot.description.joints
-    lowest, q, joint = _least_inertia(body, robot)
+    lowest, q, j = _find_least_inertia(body, robot)
     if lowest <= 0.0:
-        at = f"{lowest:.2g}, for instance at q = {', '.join(f'{value:.2f}' for value in q)}"
-        found = f"the identified mass matrix is not positive definite (eigenvalue {at})"
+        example = (
+            f"{lowest:.2g}, for instance at q = {', '.join(f'{position:.2f}' for position in q)}"
+        )
+        observation = f"the identified mass matrix is not positive definite (eigenvalue {example})"
         remedy = "the identified masses are not physically possible; use longer or faster logs, or "
-        yield of_joint("mass-matrix", joints[joint], found, f"{remedy}--physical", "warning")
+        yield build_joint_finding(
+            "mass-matrix", joints[j], observation, f"{remedy}--physical", "warning"
+        )
     for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
-        if -coulomb > _NEGATIVE * rmse:
-            found = f"its Coulomb friction is identified as {coulomb:.3g} N.m"
+        if -coulomb > _MIN_NEGATIVE_COULOMB * rmse:
+            observation = f"its Coulomb friction is identified as {coulomb:.3g} N.m"
             remedy = "torque or velocity count backwards, or lag each other"
-            yield of_joint("negative-friction", name, found, remedy, "warning")
+            yield build_joint_finding("negative-friction", name, observation, remedy, "warning")
 
 
-def _least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, int]:
+def _find_least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, int]:
     lower, upper, _ = robot.reach
-    q = np.random.default_rng(0).uniform(lower, upper, (_STATES, robot.n))
+    q = np.random.default_rng(0).uniform(lower, upper, (_STATE_COUNT, robot.n))
     mass, _ = robot.dynamics(body.parameters, q, np.zeros_like(q))
     mass = 0.5 * (mass + mass.transpose(0, 2, 1))
     scale = np.sqrt(np.maximum(np.abs(np.mean(np.diagonal(mass, axis1=1, axis2=2), axis=0)), 1e-12))
@@ -309,25 +351,30 @@ def check_laws(
     models: Mapping[str, FrictionModel], records: Sequence[Sequence[FrictionRecord]]
 ) -> Iterator[Finding]:
     """Check laws fitted to records [joint][log]."""
-    records = all_at_friction(records)
-    for name, model in models.items():
+    records = transform_all_records(records)
+    for law_name, model in models.items():
         for j, joint in enumerate(model.joints):
             deviation = float(np.std(np.concatenate([record.tau for record in records[j]])))
-            if len(model.training_rmse) and model.training_rmse[j] >= _NOTHING * deviation:
-                found = (
-                    f"the error of the law {name}, {model.training_rmse[j]:.3g}, is no "
+            if (
+                len(model.training_rmse)
+                and model.training_rmse[j] >= _MIN_USELESS_ERROR * deviation
+            ):
+                observation = (
+                    f"the error of the law {law_name}, {model.training_rmse[j]:.3g}, is no "
                     f"smaller than friction itself, {deviation:.3g}"
                 )
                 remedy = "the torque contains no friction to be fitted; see 'hesr inspect'"
-                yield of_joint("no-better-than-nothing", joint, found, remedy, "warning")
+                yield build_joint_finding(
+                    "no-better-than-nothing", joint, observation, remedy, "warning"
+                )
             values = model.laws[j].values
             if {"F_c", "F_s"} <= set(values) and values["F_c"] != 0:
                 ratio = values["F_s"] / values["F_c"]
                 for bound in STATIC_RATIO_BOUNDS:
-                    if abs(np.log(max(ratio, 1e-9) / bound)) < _AT_BOUND:
-                        found = f"F_s / F_c of the law {name} hit its limit ({ratio:.3g})"
+                    if abs(np.log(max(ratio, 1e-9) / bound)) < _BOUND_TOLERANCE:
+                        observation = f"F_s / F_c of the law {law_name} hit its limit ({ratio:.3g})"
                         remedy = "the logs do not determine it; record slow motion and standstill"
-                        yield of_joint("bound", joint, found, remedy, "warning")
+                        yield build_joint_finding("bound", joint, observation, remedy, "warning")
 
 
 def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
@@ -336,8 +383,10 @@ def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
     if (
         model.robot != description.name and model.joints == description.joints
     ):  # else refused elsewhere
-        found = (
+        observation = (
             f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
             f"'{description.name}'"
         )
-        yield of_joint("other-robot", "", found, "one of the files is of another robot", "warning")
+        yield build_joint_finding(
+            "other-robot", "", observation, "one of the files is of another robot", "warning"
+        )

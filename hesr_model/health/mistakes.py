@@ -11,22 +11,22 @@ from itertools import combinations
 
 import numpy as np
 
-from hesr_model.findings import Finding, of_joint
+from hesr_model.findings import Finding, build_joint_finding
 from hesr_model.fitting.joint_rows import ROUND_OFF, non_negative_least_squares
-from hesr_model.health.evidence import Motionwise, Torques, rubbing
-from hesr_model.health.positions import BEYOND
-from hesr_model.health.torque import sign_change
+from hesr_model.health.evidence import Motionwise, Torques, friction_shape
+from hesr_model.health.positions import MAX_EXCESS
+from hesr_model.health.torque import find_sign_change
 from hesr_model.logs.log_format import OPTIONAL, column_names
 from hesr_model.robots.robot import Robot
-from hesr_model.robots.transmission import onto
+from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
 
-_SIGNAL = 0.8  # largest unexplained share of a torque that shows gravity
+_MAX_UNEXPLAINED_SHARE = 0.8  # largest unexplained share of a torque that shows gravity
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_EARTH = 9.81
-_SNAP = np.radians(12.0)
-_TURNED = "its torque counts backwards"
-_TILTED = np.radians(20.0)
+_EARTH_GRAVITY = 9.81
+_SNAP_ANGLE = np.radians(12.0)
+_BACKWARDS = "its torque counts backwards"
+_MIN_TILT = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,76 +51,78 @@ class Mistake:
     mended: CandidateRows
 
 
-def torques_of(rows: CandidateRows, robot: Robot) -> Torques:
+def compute_torques(rows: CandidateRows, robot: Robot) -> Torques:
     """Evaluate the model under the rows' gravity."""
-    torques = Torques.of(robot, rows.q, rows.v, rows.a)
+    torques = Torques.from_motion(robot, rows.q, rows.v, rows.a)
     declared = robot.gravity
     if np.array_equal(declared, rows.gravity):
         return torques
-    change = np.einsum("kij,k->ij", _by_axis(rows.q, robot), rows.gravity - declared)
+    change = np.einsum("kij,k->ij", _compute_axis_torques(rows.q, robot), rows.gravity - declared)
     return replace(torques, gravity=torques.gravity + change - change.mean(axis=0))
 
 
-def _by_axis(q: Array, robot: Robot) -> Array:
+def _compute_axis_torques(q: Array, robot: Robot) -> Array:
     """Return torques (3, N, n) of unit gravity along each axis."""
-    nothing = np.zeros_like(q)
-    masses = robot.nominal_parameters.copy()
-    masses[robot.inertial :] = 0.0
+    zeros = np.zeros_like(q)
+    parameters = robot.nominal_parameters.copy()
+    parameters[robot.inertial :] = 0.0
     with robot.under_gravity() as set_gravity:
-        parts = []
+        axis_torques = []
         for axis in _AXES.values():
             set_gravity(axis)
-            parts.append(robot.torque(masses, q, nothing, nothing))
-    return np.array(parts)
+            axis_torques.append(robot.torque(parameters, q, zeros, zeros))
+    return np.array(axis_torques)
 
 
-def mistakes(rows: CandidateRows, model: Robot, moves: Mask) -> Iterator[Mistake]:
+def generate_mistakes(rows: CandidateRows, robot: Robot, moves: Mask) -> Iterator[Mistake]:
     """Yield possible mistakes, the simplest first."""
-    description = model.description
+    description = robot.description
     joints = [int(j) for j in np.flatnonzero(moves)]
     if len(joints) > 1:
-        key, changes = sign_change(description, None, position=False)
+        key, changes = find_sign_change(description, None, position=False)
         remedy = f"all torques count backwards; set {key}"
-        mended = replace(rows, tau=-rows.tau)
-        yield Mistake("torque-sign", -1, remedy, changes, mended)
+        corrected = replace(rows, tau=-rows.tau)
+        yield Mistake("torque-sign", -1, remedy, changes, corrected)
     for j in joints:
-        key, changes = sign_change(description, j, position=False)
-        position, other = sign_change(description, j, position=True)
-        side = np.where(np.arange(model.n) == j, -1.0, 1.0)
-        q, v, a, tau = (part * side for part in (rows.q, rows.v, rows.a, rows.tau))
-        remedy = f"{_TURNED}; set {key}"
+        key, changes = find_sign_change(description, j, position=False)
+        position_key, position_changes = find_sign_change(description, j, position=True)
+        signs = np.where(np.arange(robot.n) == j, -1.0, 1.0)
+        q, v, a, tau = (signal * signs for signal in (rows.q, rows.v, rows.a, rows.tau))
+        remedy = f"{_BACKWARDS}; set {key}"
         yield Mistake("torque-sign", j, remedy, changes, replace(rows, tau=tau))
-        remedy = f"its position and velocity count backwards; set {position}"
-        yield Mistake("position-sign", j, remedy, other, replace(rows, q=q, v=v, a=a))
-        remedy = f"its position, velocity and torque count backwards; set {position}, and {key}"
-        mended = replace(rows, q=q, v=v, a=a, tau=tau)
-        yield Mistake("position-sign", j, remedy, other | changes, mended)
-    for mend in (_swapped_torques, _swapped_joints, _gravity, _moved_zeros):
-        yield from mend(rows, model, joints)
+        remedy = f"its position and velocity count backwards; set {position_key}"
+        yield Mistake("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
+        remedy = f"its position, velocity and torque count backwards; set {position_key}, and {key}"
+        corrected = replace(rows, q=q, v=v, a=a, tau=tau)
+        yield Mistake("position-sign", j, remedy, position_changes | changes, corrected)
+    for generate in (_swap_torques, _swap_joints, _estimate_gravity, _move_zeros):
+        yield from generate(rows, robot, joints)
 
 
-def _swapped_torques(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    description = model.description
-    which = "tau" if description.log.torque_per_ampere is None else "current"
-    columns = column_names(getattr(description.log.columns, which), description.joints)
-    gains = np.array(description.log.torque_per_ampere or np.ones(model.n))
+def _swap_torques(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+    description = robot.description
+    column_key = "tau" if description.log.torque_per_ampere is None else "current"
+    columns = column_names(getattr(description.log.columns, column_key), description.joints)
+    gains = np.array(description.log.torque_per_ampere or np.ones(robot.n))
     for a, b in combinations(joints, 2):
-        order = _swap_order(model.n, a, b)
-        named = tuple(columns[k] for k in order)
+        order = _swap_order(robot.n, a, b)
+        swapped_columns = tuple(columns[k] for k in order)
         remedy = (
             f"its torque is swapped with that of joint '{description.joints[b]}'; set "
             "[log.columns] "
-            f"{which} = {json.dumps(named)}"
+            f"{column_key} = {json.dumps(swapped_columns)}"
         )
-        mended = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
-        yield Mistake("torque-columns", a, remedy, {f"log.columns.{which}": named}, mended)
+        corrected = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
+        yield Mistake(
+            "torque-columns", a, remedy, {f"log.columns.{column_key}": swapped_columns}, corrected
+        )
 
 
-def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    description = model.description
-    orders = {(a, b): _swap_order(model.n, a, b) for a, b in combinations(joints, 2)}
-    if len(joints) == model.n > 2:
-        n = model.n
+def _swap_joints(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+    description = robot.description
+    orders = {(a, b): _swap_order(robot.n, a, b) for a, b in combinations(joints, 2)}
+    if len(joints) == robot.n > 2:
+        n = robot.n
         orders[-1, -1] = list(reversed(range(n)))
         orders[-1, 1] = [*range(1, n), 0]
         orders[-1, 2] = [n - 1, *range(n - 1)]
@@ -130,26 +132,26 @@ def _swapped_joints(rows: CandidateRows, model: Robot, joints: list[int]) -> Ite
             for key, columns in description.log.columns
             if key != "t" and columns and columns != OPTIONAL.get(key)
         }
-        what = (
+        swap = (
             "the columns are in another order than the joints"
             if a < 0
             else f"its columns are swapped with those of joint '{description.joints[b]}'"
         )
         remedy = (
-            f"{what}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the others "
+            f"{swap}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the others "
             "accordingly"
         )
-        moved = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
-        yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **moved))
+        swapped_signals = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
+        yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
 
 
-def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterator[Mistake]:
-    description = model.description
+def _move_zeros(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+    description = robot.description
     for j in joints:
-        if model.slides[j]:
+        if robot.slides[j]:
             continue
         for quarter in (1, -1, 2):
-            zero = list(description.log.zero or (0.0,) * model.n)
+            zero = list(description.log.zero or (0.0,) * robot.n)
             zero[j] += quarter * np.pi / 2.0
             q = rows.q.copy()
             q[:, j] += quarter * np.pi / 2.0
@@ -160,50 +162,54 @@ def _moved_zeros(rows: CandidateRows, model: Robot, joints: list[int]) -> Iterat
             yield Mistake("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
 
 
-def _gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
-    by_axis = _by_axis(rows.q, robot)
-    inertial = torques_of(rows, robot).inertial
+def _estimate_gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+    by_axis = _compute_axis_torques(rows.q, robot)
+    inertial = compute_torques(rows, robot).inertial
     v = rows.v
     logged = robot.description.logged
     if logged is not None:
-        by_axis = np.array([logged.torque(one) for one in by_axis])
+        by_axis = np.array([logged.torque(axis_torques) for axis_torques in by_axis])
         inertial, v = logged.torque(inertial), logged.motion(v)
-    rows_of = []
+    row_blocks = []
     targets = []
-    for place, j in enumerate(joints):
-        rubs = [inertial[:, j], rubbing(v[:, j]), np.ones(len(v))]
-        columns = np.column_stack([*by_axis[:, :, j], *rubs])
+    for joint_place, j in enumerate(joints):
+        joint_columns = [inertial[:, j], friction_shape(v[:, j]), np.ones(len(v))]
+        columns = np.column_stack([*by_axis[:, :, j], *joint_columns])
         tau = rows.tau[:, j]
-        left = float(np.std(tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]))
-        if left > _SIGNAL * np.std(tau):
+        residual_std = float(np.std(tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]))
+        if residual_std > _MAX_UNEXPLAINED_SHARE * np.std(tau):
             continue
-        own = np.zeros((len(tau), 3 + 3 * len(joints)))
-        own[:, :3] = columns[:, :3]
-        own[:, 3 + 3 * place : 6 + 3 * place] = columns[:, 3:]
-        rows_of.append(own / max(left, 1e-9))
-        targets.append(tau / max(left, 1e-9))
-    if not rows_of:
+        block = np.zeros((len(tau), 3 + 3 * len(joints)))
+        block[:, :3] = columns[:, :3]
+        block[:, 3 + 3 * joint_place : 6 + 3 * joint_place] = columns[:, 3:]
+        row_blocks.append(block / max(residual_std, 1e-9))
+        targets.append(tau / max(residual_std, 1e-9))
+    if not row_blocks:
         return
-    found = np.linalg.lstsq(np.concatenate(rows_of), np.concatenate(targets), rcond=None)[0][:3]
+    gravity_estimate = np.linalg.lstsq(
+        np.concatenate(row_blocks), np.concatenate(targets), rcond=None
+    )[0][:3]
     declared = robot.gravity
-    size = float(np.linalg.norm(declared)) or _EARTH
-    if not np.linalg.norm(found) > 0.2 * size:
+    size = float(np.linalg.norm(declared)) or _EARTH_GRAVITY
+    if not np.linalg.norm(gravity_estimate) > 0.2 * size:
         return
-    way = found / np.linalg.norm(found)
+    direction = gravity_estimate / np.linalg.norm(gravity_estimate)
     for axis in _AXES.values():
         for sign in (1.0, -1.0):
-            if way @ np.array(axis) * sign > np.cos(_SNAP):
-                way = sign * np.array(axis)
-    if way @ declared / size > np.cos(_TILTED):
+            if direction @ np.array(axis) * sign > np.cos(_SNAP_ANGLE):
+                direction = sign * np.array(axis)
+    if direction @ declared / size > np.cos(_MIN_TILT):
         return
-    gravity = tuple(round(float(g), 3) + 0.0 for g in size * way)
-    upside = "upside down" if way @ declared / size < -np.cos(_TILTED) else "from another side"
+    gravity = tuple(round(float(g), 3) + 0.0 for g in size * direction)
+    mismatch = (
+        "upside down" if direction @ declared / size < -np.cos(_MIN_TILT) else "from another side"
+    )
     if not np.any(declared):
-        upside = "as none"
-    listed = ", ".join(f"{g:g}" for g in gravity)
-    remedy = f"gravity is declared {upside}; set gravity = [{listed}]"
-    mended = replace(rows, gravity=np.array(gravity))
-    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, mended)
+        mismatch = "as none"
+    gravity_text = ", ".join(f"{g:g}" for g in gravity)
+    remedy = f"gravity is declared {mismatch}; set gravity = [{gravity_text}]"
+    corrected = replace(rows, gravity=np.array(gravity))
+    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, corrected)
 
 
 def _swap_order(n: int, a: int, b: int) -> list[int]:
@@ -212,19 +218,22 @@ def _swap_order(n: int, a: int, b: int) -> list[int]:
     return order
 
 
-_ROWS = 450  # total
-_BETTER = 2.0  # minimum gain of a corrected joint
-_NO_WORSE = 1.25  # largest loss of other joints
-_EXPLAINED = 0.6  # minimum R^2 after the correction
-_CLEARLY = 1.05  # minimum gain over a simpler mistake
-_MOST = 8  # mistakes searched one after another
+_MAX_ROWS = 450  # total
+_MIN_GAIN = 2.0  # minimum gain of a corrected joint
+_MAX_LOSS = 1.25  # largest loss of other joints
+_MIN_R2 = 0.6  # minimum R^2 after the correction
+_MIN_GAIN_OVER_SIMPLER = 1.05  # minimum gain over a simpler mistake
+_MAX_MISTAKES = 8  # mistakes searched one after another
 
 
-def pooled(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
+def pool_rows(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
     """Take equally many rows from each log."""
-    each = [motion.thinned(max(_ROWS // len(motions), 60)) for motion in motions]
-    rows = {k: np.concatenate([getattr(one, k) for one in each]) for k in ("q", "v", "a", "tau")}
-    return CandidateRows(**rows, gravity=np.array(gravity, dtype=float))
+    thinned_motions = [motion.thin(max(_MAX_ROWS // len(motions), 60)) for motion in motions]
+    signals = {
+        k: np.concatenate([getattr(thinned_motion, k) for thinned_motion in thinned_motions])
+        for k in ("q", "v", "a", "tau")
+    }
+    return CandidateRows(**signals, gravity=np.array(gravity, dtype=float))
 
 
 def check_causes(motions: Sequence[Motionwise], robot: Robot) -> list[Finding]:
@@ -233,76 +242,89 @@ def check_causes(motions: Sequence[Motionwise], robot: Robot) -> list[Finding]:
         return []
     moves = np.any([motion.moves for motion in motions], axis=0)
     moves &= np.any([np.ptp(motion.tau, axis=0) > 0.0 for motion in motions], axis=0)
-    rows = pooled(motions, robot.gravity.tolist())
+    rows = pool_rows(motions, robot.gravity.tolist())
     logged = robot.description.logged
     rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
     logs = tuple(dict.fromkeys(motion.log.name for motion in motions))
     findings: list[Finding] = []
-    now = _unexplained_share(rows, robot, moves)
-    for _ in range(_MOST):
-        best, left = _best(rows, now, robot, moves)
-        if best is None:
+    share_before = _compute_unexplained_share(rows, robot, moves)
+    for _ in range(_MAX_MISTAKES):
+        hypothesis, share_after = _find_best_mistake(rows, share_before, robot, moves)
+        if hypothesis is None:
             break
-        helped = int(np.argmax(now / left))
-        found = (
-            f"model and friction leave {100 * now[helped]:.0f} % of the torque of joint "
-            f"'{robot.joints[helped]}' unexplained; with the correction {100 * left[helped]:.0f} %"
+        j = int(np.argmax(share_before / share_after))
+        observation = (
+            f"model and friction leave {100 * share_before[j]:.0f} % of the torque of joint "
+            f"'{robot.joints[j]}' unexplained; with the correction {100 * share_after[j]:.0f} %"
         )
-        joint = robot.joints[best.joint] if best.joint >= 0 else ""
-        more = best.changes
-        findings.append(of_joint(best.check, joint, found, best.remedy, logs=logs, changes=more))
-        rows = best.mended
-        now = left
+        joint = robot.joints[hypothesis.joint] if hypothesis.joint >= 0 else ""
+        changes = hypothesis.changes
+        findings.append(
+            build_joint_finding(
+                hypothesis.check, joint, observation, hypothesis.remedy, logs=logs, changes=changes
+            )
+        )
+        rows = hypothesis.mended
+        share_before = share_after
     return findings
 
 
-def _best(
-    rows: CandidateRows, now: Array, robot: Robot, moves: Mask
+def _find_best_mistake(
+    rows: CandidateRows, share_before: Array, robot: Robot, moves: Mask
 ) -> tuple[Mistake | None, Array]:
     best = None
-    left = now
-    most = 0.0
-    for mistake in mistakes(rows, robot, moves):
-        then = _unexplained_share(mistake.mended, robot, moves)
-        if _beyond(mistake.mended.q, robot) > _beyond(rows.q, robot) + BEYOND:
+    best_share = share_before
+    best_gain = 0.0
+    for hypothesis in generate_mistakes(rows, robot, moves):
+        share_after = _compute_unexplained_share(hypothesis.mended, robot, moves)
+        if (
+            _compute_excess(hypothesis.mended.q, robot)
+            > _compute_excess(rows.q, robot) + MAX_EXCESS
+        ):
             continue
-        gain = np.log(now / then)
-        good = (gain > np.log(_BETTER)) & (1.0 - then**2 > _EXPLAINED)
-        if not np.any(good) or np.min(gain) < -np.log(_NO_WORSE):
+        gain = np.log(share_before / share_after)
+        is_explained = (gain > np.log(_MIN_GAIN)) & (1.0 - share_after**2 > _MIN_R2)
+        if not np.any(is_explained) or np.min(gain) < -np.log(_MAX_LOSS):
             continue
-        if float(gain.sum()) > most * _CLEARLY:
-            best = mistake
-            left = then
-            most = float(gain.sum())
-        elif best and best.joint == mistake.joint and float(gain.sum()) * _CLEARLY > most:
-            either = f"{_TURNED}, or its position and velocity do (the logs cannot show which);"
-            remedy = best.remedy.replace(f"{_TURNED};", either)
+        if float(gain.sum()) > best_gain * _MIN_GAIN_OVER_SIMPLER:
+            best = hypothesis
+            best_share = share_after
+            best_gain = float(gain.sum())
+        elif (
+            best
+            and best.joint == hypothesis.joint
+            and float(gain.sum()) * _MIN_GAIN_OVER_SIMPLER > best_gain
+        ):
+            either = f"{_BACKWARDS}, or its position and velocity do (the logs cannot show which);"
+            remedy = best.remedy.replace(f"{_BACKWARDS};", either)
             best = replace(best, remedy=remedy)
-    return best, left
+    return best, best_share
 
 
-def _beyond(q: Array, robot: Robot) -> float:
+def _compute_excess(q: Array, robot: Robot) -> float:
     """Return the largest excess over the model's limits [rad or m]."""
     lower, upper, _ = robot.limits
     return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
 
 
-def _unexplained_share(rows: CandidateRows, robot: Robot, moves: Mask) -> Array:
+def _compute_unexplained_share(rows: CandidateRows, robot: Robot, moves: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation."""
-    torques = torques_of(rows, robot)
+    torques = compute_torques(rows, robot)
     logged = robot.description.logged
-    torques, v = torques.at(logged) if logged else torques, onto(logged, rows.v)
-    left = np.ones(rows.q.shape[1])
+    torques, v = torques.transform(logged) if logged else torques, transform_motion(logged, rows.v)
+    shares = np.ones(rows.q.shape[1])
     for j in np.flatnonzero(moves):
         deviation = float(np.std(rows.tau[:, j]))
-        left[j] = _left(rows.tau[:, j], torques, v, int(j)) / max(deviation, 1e-12)
-    return left
+        shares[j] = _compute_residual_rms(rows.tau[:, j], torques, v, int(j)) / max(
+            deviation, 1e-12
+        )
+    return shares
 
 
-def _left(tau: Array, torques: Torques, v: Array, j: int) -> float:
-    known = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
+def _compute_residual_rms(tau: Array, torques: Torques, v: Array, j: int) -> float:
+    model_columns = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
     # A torque of round-off must not be scaled up to explain noise.
-    known[:, np.abs(known).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0
-    columns = np.column_stack([known, rubbing(v[:, j]), np.ones(len(tau))])
+    model_columns[:, np.abs(model_columns).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0
+    columns = np.column_stack([model_columns, friction_shape(v[:, j]), np.ones(len(tau))])
     _, squares = non_negative_least_squares(columns, tau, non_negative=3)
     return float(np.sqrt(max(squares, 0.0) / len(tau))) + 1e-9

@@ -10,20 +10,27 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.findings import Finding, errors_first
+from hesr_model.findings import Finding, sort_by_severity
 from hesr_model.health import joints as selection
-from hesr_model.health.examine import SYMPTOMS, Examination, examine, hopeless
-from hesr_model.health.joints import changed, chosen, is_model, resting, with_joints, without
+from hesr_model.health.examine import SYMPTOMS, Examination, examine, is_hopeless
+from hesr_model.health.joints import (
+    apply_changes,
+    choose_joints,
+    find_resting_joints,
+    is_model_path,
+    remove_joints,
+    select_joints,
+)
 from hesr_model.health.velocity import match
 from hesr_model.logs.guess import guess
 from hesr_model.logs.log_format import LogFormat, column_names
 from hesr_model.logs.log_table import LogTable
-from hesr_model.logs.readers.formats import format_of
+from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import moving, reversals
 from hesr_model.rigid_body.torque_constants import Constant
-from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, description_of
-from hesr_model.support.text import toml
+from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, to_description
+from hesr_model.support.text import to_toml
 
 _ROUNDS = 4
 _CUTOFF_SHARE = 0.3  # low pass over the sample rate
@@ -34,7 +41,11 @@ _REMEDIES = (
     ("finite number is needed", "log.missing", "drop"),
     ("is nan;", "log.missing", "drop"),
 )  # Words of a refusal, and the key and value of the robot file that remove it
-_HIDDEN = {*SYMPTOMS, "speed-limit", "velocity-lag"}  # warnings that other findings can hide
+_HIDEABLE_CHECKS = {
+    *SYMPTOMS,
+    "speed-limit",
+    "velocity-lag",
+}  # warnings that other findings can hide
 _NO_REMEDY = "no change that was tried removes it; check the column, its unit and the model"
 
 
@@ -55,199 +66,236 @@ def inspect_logs(
 ) -> Proposal:
     """Inspect logs of a known robot and its chosen joints, or by their columns alone."""
     if robot is not None and not paths:
-        description, reason = chosen(robot, joints)
-        alone = Proposal(
+        description, reason = choose_joints(robot, joints)
+        proposal = Proposal(
             robot=description, reasons={}, logs=(), examination=Examination(), first=()
         )
-        return _with_doubts(alone, {"joints": f"likely: {reason}"} if reason else {})
-    stated = None if robot is None or is_model(robot) else description_of(robot)
-    table = open_table(paths[0], stated.log if stated else LogFormat())
+        return _add_doubts(proposal, {"joints": f"likely: {reason}"} if reason else {})
+    stated_description = None if robot is None or is_model_path(robot) else to_description(robot)
+    table = open_table(paths[0], stated_description.log if stated_description else LogFormat())
     if robot is not None:
-        description = with_joints(robot, joints, table)
+        description = select_joints(robot, joints, table)
         reason = ""
-        if table and not joints and is_model(robot):
+        if table and not joints and is_model_path(robot):
             description, reason = selection.select_joints_of_table(description, table)
-        known = {"joints": f"likely: {reason}"} if reason else {}
-        return _with_doubts(propose(paths, description, known=True), known)
-    count = len(guess(table).columns["q"]) if table else 1
-    names = tuple(f"joint{k}" for k in range(1, count + 1))
-    stranger = RobotDescription(name="robot", model=Path("unknown"), joints=names)
-    return propose(paths, stranger, known=False)
+        reasons = {"joints": f"likely: {reason}"} if reason else {}
+        return _add_doubts(propose(paths, description, has_model=True), reasons)
+    joint_count = len(guess(table).columns["q"]) if table else 1
+    names = tuple(f"joint{k}" for k in range(1, joint_count + 1))
+    unknown_robot = RobotDescription(name="robot", model=Path("unknown"), joints=names)
+    return propose(paths, unknown_robot, has_model=False)
 
 
-def _with_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
+def _add_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
     """Return a proposal with reasons, whose findings begin with doubts about the model file."""
     findings = Robot(proposal.robot).doubts
-    own = proposal.examination
-    own = replace(own, findings=tuple(errors_first([*findings, *own.findings])))
-    first = errors_first([*findings, *proposal.first])
-    known = {**reasons, **proposal.reasons}
-    return replace(proposal, first=first, reasons=known, examination=own)
+    examination = proposal.examination
+    examination = replace(
+        examination, findings=tuple(sort_by_severity([*findings, *examination.findings]))
+    )
+    first_findings = sort_by_severity([*findings, *proposal.first])
+    all_reasons = {**reasons, **proposal.reasons}
+    return replace(proposal, first=first_findings, reasons=all_reasons, examination=examination)
 
 
-def propose(paths: Sequence[Path], description: RobotDescription, *, known: bool) -> Proposal:
-    """Find a description, with a model file if `known`, that passes the checks."""
+def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: bool) -> Proposal:
+    """Find a description, with a model file if `has_model`, that passes the checks."""
     reasons: dict[str, str] = {}
-    stated = description.log.torque_per_ampere is not None
+    has_stated_constants = description.log.torque_per_ampere is not None
 
-    def looked(description: RobotDescription) -> tuple[RobotDescription, list[Log], Examination]:
-        description, logs = _read(paths, description, reasons)
-        description = _with_cutoff(description, logs, reasons)
-        return description, logs, examine(logs, description, Robot(description) if known else None)
+    def read_and_examine(
+        description: RobotDescription,
+    ) -> tuple[RobotDescription, list[Log], Examination]:
+        description, logs = _read_logs(paths, description, reasons)
+        description = _limit_cutoff(description, logs, reasons)
+        return (
+            description,
+            logs,
+            examine(logs, description, Robot(description) if has_model else None),
+        )
 
-    description, logs, examination = looked(_with_columns(paths[0], description, reasons))
-    first = examination.findings
+    description, logs, examination = read_and_examine(
+        _guess_columns(paths[0], description, reasons)
+    )
+    first_findings = examination.findings
     for _ in range(_ROUNDS):
         findings = examination.findings
-        some_or_all = [
+        candidates = [
             finding for finding in findings if finding.check != "velocity-lag"
         ]  # its dq may be wanted
-        for some in (some_or_all, *([one] for one in some_or_all)):
-            changes, why = _changes(description, some)
-            tried = looked(changed(description, changes)) if changes else None
-            if tried and _mends(findings, some, tried[2].findings):
+        for targets in (candidates, *([single] for single in candidates)):
+            changes, change_reasons = _merge_changes(description, targets)
+            attempt = read_and_examine(apply_changes(description, changes)) if changes else None
+            if attempt and _is_improvement(findings, targets, attempt[2].findings):
                 break
         else:
-            why = {}
-            tried = None
-            if not stated and "log.torque_per_ampere" in reasons and known:
-                changes = _constants(description, examination, reasons)
-                tried = looked(changed(description, changes)) if changes else None
-        if tried is None:
+            change_reasons = {}
+            attempt = None
+            if not has_stated_constants and "log.torque_per_ampere" in reasons and has_model:
+                changes = _estimate_constants(description, examination, reasons)
+                attempt = read_and_examine(apply_changes(description, changes)) if changes else None
+        if attempt is None:
             break
-        description, logs, examination = tried
-        guessed = {k: reasons[k] for k in why if reasons.get(k, "").startswith("guess: ")}
-        reasons |= why | {k: f"{said}; {why[k]}" for k, said in guessed.items()}
-    if known and (rest := resting(description, examination.parts)):
-        reasons["locked"] = f"likely: {', '.join(rest)} rest{'s' * (len(rest) == 1)} in all logs"
-        heat = any(log.temperature is not None for log in logs)
-        description, logs, examination = looked(without(description, rest, temperatures=heat))
-    slides = enumerate(Robot(description).slides) if known else ()
+        description, logs, examination = attempt
+        guesses = {
+            k: reasons[k] for k in change_reasons if reasons.get(k, "").startswith("guess: ")
+        }
+        reasons |= change_reasons | {
+            k: f"{reason}; {change_reasons[k]}" for k, reason in guesses.items()
+        }
+    if has_model and (still_joints := find_resting_joints(description, examination.parts)):
+        reasons["locked"] = (
+            f"likely: {', '.join(still_joints)} rest{'s' * (len(still_joints) == 1)} in all logs"
+        )
+        has_temperature = any(log.temperature is not None for log in logs)
+        description, logs, examination = read_and_examine(
+            remove_joints(description, still_joints, temperatures=has_temperature)
+        )
+    prismatic_joints = enumerate(Robot(description).slides) if has_model else ()
     findings = examination.findings
-    left = tuple(
+    remaining_findings = tuple(
         finding
         if not finding.changes
         or (
             finding.check == "velocity-lag"
-            and _mends(
+            and _is_improvement(
                 findings,
                 [finding],
-                looked(changed(description, _changes(description, [finding])[0]))[2].findings,
+                read_and_examine(
+                    apply_changes(description, _merge_changes(description, [finding])[0])
+                )[2].findings,
             )
         )
         else replace(finding, remedy=_NO_REMEDY, changes={})
         for finding in findings
     )
-    examination = replace(examination, findings=left)
+    examination = replace(examination, findings=remaining_findings)
     return Proposal(
         robot=description,
         reasons=reasons,
         logs=logs,
         examination=examination,
-        first=first,
-        sliding=frozenset(j for j, slid in slides if slid),
+        first=first_findings,
+        sliding=frozenset(j for j, is_prismatic in prismatic_joints if is_prismatic),
     )
 
 
-def open_table(path: Path, log: LogFormat) -> LogTable | None:
+def open_table(path: Path, log_format: LogFormat) -> LogTable | None:
     """Open a log as a table, if its columns have names."""
-    table = format_of(path).table
-    return table(path, log) if table and path.is_file() else None
+    table = find_format(path).table
+    return table(path, log_format) if table and path.is_file() else None
 
 
-def _with_columns(
+def _guess_columns(
     path: Path, description: RobotDescription, reasons: dict[str, str]
 ) -> RobotDescription:
     table = open_table(path, description.log)
     if table is None or _has_columns(table, description):
         return description
-    found = guess(table, description.joints, timed=description.log.rate is None)
-    changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in found.columns.items()}
-    if "dq" not in found.columns:
+    guessed = guess(table, description.joints, timed=description.log.rate is None)
+    changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in guessed.columns.items()}
+    if "dq" not in guessed.columns:
         changes["log.columns.dq"] = ""
         reasons["log.columns.dq"] = "likely: no column looks like a velocity"
-    changes |= {f"log.units.{k}": v for k, v in found.units.items()}
-    reasons |= {f"log.units.{k}": f"likely: {found.reasons[k]}" for k in found.units}
+    changes |= {f"log.units.{k}": v for k, v in guessed.units.items()}
+    reasons |= {f"log.units.{k}": f"likely: {guessed.reasons[k]}" for k in guessed.units}
     reasons |= {
-        f"log.columns.{k}": f"likely: {found.reasons.get(k, 'it rises')}" for k in found.columns
+        f"log.columns.{k}": f"likely: {guessed.reasons.get(k, 'it rises')}" for k in guessed.columns
     }
-    log = description.log
-    if "tau" not in found.columns and log.torque_per_ampere is None and log.cylinder is None:
+    log_format = description.log
+    if (
+        "tau" not in guessed.columns
+        and log_format.torque_per_ampere is None
+        and log_format.cylinder is None
+    ):
         changes["log.torque_per_ampere"] = (1.0,) * len(description.joints)
         changes["sources.torque_per_ampere"] = "guessed"
         reasons["log.torque_per_ampere"] = "guess: only currents are logged"
-    return changed(description, changes)
+    return apply_changes(description, changes)
 
 
 def _has_columns(table: LogTable, description: RobotDescription) -> bool:
     columns = description.log.columns
-    log = description.log
-    wanted = [*([] if log.rate else [columns.t]), *column_names(columns.q, description.joints)]
-    if log.cylinder is None:
-        effort = columns.tau if log.torque_per_ampere is None else columns.current
-        wanted += column_names(effort, description.joints)
-    wanted += column_names(columns.dq, description.joints) if columns.dq else []
-    return set(wanted) <= set(table.names)
+    log_format = description.log
+    needed_columns = [
+        *([] if log_format.rate else [columns.t]),
+        *column_names(columns.q, description.joints),
+    ]
+    if log_format.cylinder is None:
+        effort = columns.tau if log_format.torque_per_ampere is None else columns.current
+        needed_columns += column_names(effort, description.joints)
+    needed_columns += column_names(columns.dq, description.joints) if columns.dq else []
+    return set(needed_columns) <= set(table.names)
 
 
-def _read(
+def _read_logs(
     paths: Sequence[Path], description: RobotDescription, reasons: dict[str, str]
 ) -> tuple[RobotDescription, list[Log]]:
     try:
         return description, [Log.read(path, description) for path in paths]
     except LogError as error:
-        said = str(error)
+        message = str(error)
         for words, key, value in _REMEDIES:
-            if words in said and key not in reasons:
-                reasons[key] = f"sure: {said.split(': ', 1)[-1].rstrip('.')}"
-                return _read(paths, changed(description, {key: value}), reasons)
+            if words in message and key not in reasons:
+                reasons[key] = f"sure: {message.split(': ', 1)[-1].rstrip('.')}"
+                return _read_logs(paths, apply_changes(description, {key: value}), reasons)
         raise
 
 
-def _with_cutoff(
+def _limit_cutoff(
     description: RobotDescription, logs: Sequence[Log], reasons: dict[str, str]
 ) -> RobotDescription:
-    slowest = 1.0 / max(log.period for log in logs)
-    if description.log.filter_cutoff <= 0.4 * slowest or slowest < 1.0:
+    slowest_rate = 1.0 / max(log.period for log in logs)
+    if description.log.filter_cutoff <= 0.4 * slowest_rate or slowest_rate < 1.0:
         return description
-    reasons["log.filter_cutoff"] = f"sure: the sample rate is only {slowest:.4g} Hz"
-    return changed(description, {"log.filter_cutoff": float(f"{_CUTOFF_SHARE * slowest:.2g}")})
+    reasons["log.filter_cutoff"] = f"sure: the sample rate is only {slowest_rate:.4g} Hz"
+    return apply_changes(
+        description, {"log.filter_cutoff": float(f"{_CUTOFF_SHARE * slowest_rate:.2g}")}
+    )
 
 
-def _changes(
+def _merge_changes(
     description: RobotDescription, findings: Sequence[Finding]
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return changes of the robot file with a reason each; two witnesses make one sure."""
-    wanted: dict[str, Any] = {}
+    new_values: dict[str, Any] = {}
     reasons: dict[str, dict[str, str]] = {}  # by key and check
     for finding in findings:
         for key, value in finding.changes.items():
-            wanted[key] = _merge_values(attrgetter(key)(description), wanted.get(key), value)
+            new_values[key] = _merge_values(
+                attrgetter(key)(description), new_values.get(key), value
+            )
             reasons.setdefault(key, {}).setdefault(finding.check, finding.found)
-    changes = {key: value for key, value in wanted.items() if value != attrgetter(key)(description)}
+    changes = {
+        key: value for key, value in new_values.items() if value != attrgetter(key)(description)
+    }
     marks = {key: "sure" if len(reasons[key]) > 1 else "likely" for key in changes}
-    why = {key: f"{mark}: {'; '.join(reasons[key].values())}" for key, mark in marks.items()}
-    return changes, why
+    change_reasons = {
+        key: f"{mark}: {'; '.join(reasons[key].values())}" for key, mark in marks.items()
+    }
+    return changes, change_reasons
 
 
-def _mends(before: Sequence[Finding], mended: Sequence[Finding], after: Sequence[Finding]) -> bool:
+def _is_improvement(
+    before: Sequence[Finding], targets: Sequence[Finding], after: Sequence[Finding]
+) -> bool:
     """Return whether findings with changes are gone, and none is new unless it was hidden."""
-    left = _places(after)
-    known = _places(before)
-    gone = _places(finding for finding in mended if finding.changes)
-    new = (
-        _places(
+    places_after = _collect_places(after)
+    places_before = _collect_places(before)
+    target_places = _collect_places(finding for finding in targets if finding.changes)
+    new_places = (
+        _collect_places(
             finding
             for finding in after
-            if finding.severity == "error" or finding.check not in _HIDDEN
+            if finding.severity == "error" or finding.check not in _HIDEABLE_CHECKS
         )
-        - known
+        - places_before
     )
-    hidden = hopeless(before) and ("time-unit", "") not in new
-    return not left & gone and (hidden or not new)
+    was_hidden = is_hopeless(before) and ("time-unit", "") not in new_places
+    return not places_after & target_places and (was_hidden or not new_places)
 
 
-def _places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
+def _collect_places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
     return {(finding.check, joint) for finding in findings for joint in finding.joints or ("",)}
 
 
@@ -258,7 +306,7 @@ def _merge_values(declared: Any, before: Any, value: Any) -> Any:
     return tuple(b if v == o else v for o, b, v in zip(old, before, value, strict=True))
 
 
-def _constants(
+def _estimate_constants(
     description: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
     slopes: dict[int, list[float]] = {}
@@ -267,35 +315,39 @@ def _constants(
             if fit.bears_gravity and abs(fit.gravity.t) > 10.0:
                 slopes.setdefault(j, []).append(abs(fit.gravity.value))
     gains = description.log.torque_per_ampere or ()
-    scale = {j: 1.0 / float(np.median(found)) for j, found in slopes.items()}
-    if not scale or all(abs(np.log(s)) < 0.2 for s in scale.values()):
+    scales = {j: 1.0 / float(np.median(joint_slopes)) for j, joint_slopes in slopes.items()}
+    if not scales or all(abs(np.log(scale)) < 0.2 for scale in scales.values()):
         return {}
-    rest = float(np.median(list(scale.values())))
+    median_scale = float(np.median(list(scales.values())))
     reasons["log.torque_per_ampere"] = (
         "guess: only currents are logged; from the model's gravity at joints "
-        f"{', '.join(description.joints[j] for j in sorted(scale))}, the median for the others; "
+        f"{', '.join(description.joints[j] for j in sorted(scales))}, the median for the others; "
         "replace "
         "them by the manufacturer's values if known"
     )
-    new = tuple(float(f"{gain * scale.get(j, rest):.4g}") for j, gain in enumerate(gains))
-    return {"log.torque_per_ampere": new}
+    constants = tuple(
+        float(f"{gain * scales.get(j, median_scale):.4g}") for j, gain in enumerate(gains)
+    )
+    return {"log.torque_per_ampere": constants}
 
 
-def with_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposal:
+def apply_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposal:
     """Return the proposal with the torque constants that were determined."""
     description = proposal.robot
-    constants = [one for one in constants if one.joint in description.joints]
+    constants = [constant for constant in constants if constant.joint in description.joints]
     gains = description.log.torque_per_ampere
-    if gains is None or not any(one.determined for one in constants):
+    if gains is None or not any(constant.determined for constant in constants):
         return proposal
     key = "torque_per_ampere"
-    sources = description.sources.each("torque_per_ampere", len(gains))
-    pairs = list(zip(constants, gains, sources, strict=True))
-    new = [float(f"{c.value:.4g}") if c.determined else gain for c, gain, _ in pairs]
-    known = ["identified" if c.determined else source for c, _, source in pairs]
-    description = changed(description, {f"log.{key}": tuple(new), f"sources.{key}": tuple(known)})
-    said = "identified: from known masses"
-    return replace(proposal, robot=description, reasons={**proposal.reasons, f"log.{key}": said})
+    sources = description.sources.expand_per_joint("torque_per_ampere", len(gains))
+    triples = list(zip(constants, gains, sources, strict=True))
+    new_gains = [float(f"{c.value:.4g}") if c.determined else gain for c, gain, _ in triples]
+    new_sources = ["identified" if c.determined else source for c, _, source in triples]
+    description = apply_changes(
+        description, {f"log.{key}": tuple(new_gains), f"sources.{key}": tuple(new_sources)}
+    )
+    reason = "identified: from known masses"
+    return replace(proposal, robot=description, reasons={**proposal.reasons, f"log.{key}": reason})
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:
@@ -309,24 +361,30 @@ def robot_text(
 ) -> str:
     """Return the text of a robot file at `path`, with a comment as its head and reasons by key."""
     reasons = reasons or {}
-    data = description.model_dump()
-    unusual = description.model_dump(exclude_defaults=True)
-    data["model"] = Path(relpath(description.model, path.resolve().parent)).as_posix()
-    log = unusual.pop("log", {})
+    document = description.model_dump()
+    non_defaults = description.model_dump(exclude_defaults=True)
+    document["model"] = Path(relpath(description.model, path.resolve().parent)).as_posix()
+    log_entries = non_defaults.pop("log", {})
     if description.log.cylinder is not None:  # with its usual unit
-        log["cylinder"] = data["log"]["cylinder"]
-    lines = [f"# {head}", "", *(_line(key, data[key], reasons.get(key, "")) for key in unusual)]
-    tables = {"log": {k: v for k, v in log.items() if not isinstance(v, dict)}}
-    tables |= {f"log.{k}": v for k, v in log.items() if isinstance(v, dict)}
+        log_entries["cylinder"] = document["log"]["cylinder"]
+    lines = [
+        f"# {head}",
+        "",
+        *(_format_line(key, document[key], reasons.get(key, "")) for key in non_defaults),
+    ]
+    tables = {"log": {k: v for k, v in log_entries.items() if not isinstance(v, dict)}}
+    tables |= {f"log.{k}": v for k, v in log_entries.items() if isinstance(v, dict)}
     for table, values in tables.items():
-        told = [_line(k, v, reasons.get(f"{table}.{k}", "")) for k, v in values.items()]
-        lines += ["", f"[{table}]", *told] if told else []
+        entry_lines = [
+            _format_line(k, v, reasons.get(f"{table}.{k}", "")) for k, v in values.items()
+        ]
+        lines += ["", f"[{table}]", *entry_lines] if entry_lines else []
     return "\n".join(lines) + "\n"
 
 
-def _line(key: str, value: Any, reason: str) -> str:
+def _format_line(key: str, value: Any, reason: str) -> str:
     comment = f"# {key}: {reason}\n" if reason else ""
-    return f"{comment}{key} = {toml(value)}"
+    return f"{comment}{key} = {to_toml(value)}"
 
 
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
@@ -334,21 +392,21 @@ def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
     examination = proposal.examination
     names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):
-        whole = names.count(part.log.name) == 1
+        is_only_part = names.count(part.log.name) == 1
         fits = examination.explained[k] if examination.explained else {}
         for j in np.flatnonzero(part.moves):
             fit = fits.get(int(j))
             v = part.v[:, j]
-            found = None if part.dq is None else match(v, part.dq[:, j], part.period)
+            joint_match = None if part.dq is None else match(v, part.dq[:, j], part.period)
             yield (
-                part.log.name if whole else f"{part.log.name} from {part.t[0]:.3g} s",
+                part.log.name if is_only_part else f"{part.log.name} from {part.t[0]:.3g} s",
                 proposal.robot.joints[j],
                 f"{part.q[:, j].min():.2f} to {part.q[:, j].max():.2f}",
                 f"{np.max(np.abs(v)):.2f}",
                 str(len(reversals(v))),
                 f"{100 * np.mean(~moving(v)):.0f}",
-                "–" if found is None else f"{found.slope:.3f}",
-                "–" if found is None else f"{1e3 * found.lag:.0f}",
+                "–" if joint_match is None else f"{joint_match.slope:.3f}",
+                "–" if joint_match is None else f"{1e3 * joint_match.lag:.0f}",
                 f"{fit.gravity.value:.2f} ± {fit.gravity.error:.2f}"
                 if fit and fit.bears_gravity
                 else "–",

@@ -14,34 +14,42 @@ import sympy
 
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Stop
-from hesr_model.findings import Finding, of_joint
-from hesr_model.health.evidence import Estimate, Motionwise, rubbing
+from hesr_model.findings import Finding, build_joint_finding
+from hesr_model.health.evidence import Estimate, Motionwise, friction_shape
 from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot
-from hesr_model.robots.transmission import onto
+from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
 
-_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
-_SLOW = 0.5  # share of the peak speed in which friction falls
-_LATEST = 0.25
-_STEP = 0.005  # searched delays, search step [s]
-_SHIFTS = _STEP * np.arange(-round(_LATEST / _STEP), round(_LATEST / _STEP) + 1)  # [s]
-_SMOOTH = 0.1
-_EVERY = 0.02
-_BODY = 5e-3  # averaging window, time between averages, bodies [s]
-_MOST = 40_000  # rows of a log, its middle ones
-_SYSTEMATIC = 0.04  # error of a joint's lag by memory of other shapes, over what memory explains
-_NARROW = 0.01
-_LATE = 0.06  # reported: half an interval of a small lag, a larger lag [s]
-_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)  # factors of inertial torque: squared stamp rates
-_OFF = 1.4  # reported factor of a wrong time-stamp rate
-_MENDED = 0.5  # left by the right rate of most joints' unexplained squares; a wrong zero leaves 0.6
-_SURE = 25.0  # twice the log-likelihood ratio: five standard errors
-_ERRORS = 3.0  # standard errors of a stated interval
-_SHORTEST = 8.0  # duration of a log over the largest delay
+_STOP_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
+_SLOW_SHARE = 0.5  # share of the peak speed in which friction falls
+_MAX_DELAY = 0.25
+_SEARCH_STEP = 0.005  # searched delays, search step [s]
+_SHIFTS = _SEARCH_STEP * np.arange(
+    -round(_MAX_DELAY / _SEARCH_STEP), round(_MAX_DELAY / _SEARCH_STEP) + 1
+)  # [s]
+_AVERAGING_WINDOW = 0.1
+_AVERAGE_SPACING = 0.02
+_BODY_SPACING = 5e-3  # averaging window, time between averages, bodies [s]
+_MAX_ROWS = 40_000  # rows of a log, its middle ones
+_SYSTEMATIC_SHARE = (
+    0.04  # error of a joint's lag by memory of other shapes, over what memory explains
+)
+_NARROW_HALF_INTERVAL = 0.01
+_MIN_REPORTED_LAG = 0.06  # reported: half an interval of a small lag, a larger lag [s]
+_INERTIA_SCALES = np.geomspace(
+    1.0 / 16.0, 16.0, 33
+)  # factors of inertial torque: squared stamp rates
+_MIN_REPORTED_RATE = 1.4  # reported factor of a wrong time-stamp rate
+_MAX_REMAINING_SQUARES = (
+    0.5  # left by the right rate of most joints' unexplained squares; a wrong zero leaves 0.6
+)
+_MIN_CERTAINTY = 25.0  # twice the log-likelihood ratio: five standard errors
+_INTERVAL_ERRORS = 3.0  # standard errors of a stated interval
+_MIN_DURATION_TO_DELAY = 8.0  # duration of a log over the largest delay
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,48 +66,52 @@ class LagRows:
     known: Mask  # (N, n) rows whose friction does not depend on what was before the log
 
     @classmethod
-    def of(cls, log: Log, robot: Robot, base: Sequence[int]) -> "LagRows":
+    def from_log(cls, log: Log, robot: Robot, base: Sequence[int]) -> "LagRows":
         """Evaluate the columns `base` of the regressor, and friction, along a log."""
         from scipy.interpolate import make_interp_spline
 
-        before = max(len(log.t) - _MOST, 0) // 2
-        log = replace(log.rows(slice(before, before + _MOST)), dq=None)
+        first_row = max(len(log.t) - _MAX_ROWS, 0) // 2
+        log = replace(log.rows(slice(first_row, first_row + _MAX_ROWS)), dq=None)
         motion = smooth(log, robot.description.log.filter_cutoff)
         logged = robot.description.logged
-        times = np.arange(log.t[0] + _LATEST, log.t[-1] - _LATEST, max(_EVERY, log.period))
-        some = slice(None, None, max(1, round(_BODY / log.period)))
-        q, dq, ddq = (values[some] for values in (motion.q, motion.dq, motion.ddq))
-        nothing = np.zeros_like(q)
-        still = robot.regressor(q, nothing, nothing)[:, :, list(base)]
-        whole = robot.regressor(q, dq, ddq)[:, :, list(base)]
+        times = np.arange(
+            log.t[0] + _MAX_DELAY, log.t[-1] - _MAX_DELAY, max(_AVERAGE_SPACING, log.period)
+        )
+        body_rows = slice(None, None, max(1, round(_BODY_SPACING / log.period)))
+        q, dq, ddq = (values[body_rows] for values in (motion.q, motion.dq, motion.ddq))
+        zeros = np.zeros_like(q)
+        still = robot.regressor(q, zeros, zeros)[:, :, list(base)]
+        total = robot.regressor(q, dq, ddq)[:, :, list(base)]
         tau = log.tau
         if logged is not None:
-            still, whole, tau = logged.torque(still), logged.torque(whole), logged.torque(tau)
-        u = onto(logged, log.q)
-        v = onto(logged, motion.dq)
+            still, total, tau = logged.torque(still), logged.torque(total), logged.torque(tau)
+        u = transform_motion(logged, log.q)
+        v = transform_motion(logged, motion.dq)
         travelled = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
-        mean = _means(log.t, times, log.period)
-        of_body = _means(log.t[some], times, log.period)
-        even = np.arange(log.t[0], log.t[-1], log.period)
-        torque = make_interp_spline(even, _means(log.t, even, log.period) @ tau, k=1)
+        averages = _build_averages(log.t, times, log.period)
+        body_averages = _build_averages(log.t[body_rows], times, log.period)
+        even_times = np.arange(log.t[0], log.t[-1], log.period)
+        torque = make_interp_spline(
+            even_times, _build_averages(log.t, even_times, log.period) @ tau, k=1
+        )
         return cls(
             torques=torque(times[:, None] + _SHIFTS),
-            still=_each(of_body, still),
-            moving=_each(of_body, whole - still),
-            rubs=tuple(mean @ _rubs(u[:, j], v[:, j]) for j in range(robot.n)),
-            known=mean @ (1.0 * (travelled > 2.0 * _WIDTHS[-1])) > 1.0 - 1e-9,
+            still=_average_rows(body_averages, still),
+            moving=_average_rows(body_averages, total - still),
+            rubs=tuple(averages @ _friction_shapes(u[:, j], v[:, j]) for j in range(robot.n)),
+            known=averages @ (1.0 * (travelled > 2.0 * _STOP_WIDTHS[-1])) > 1.0 - 1e-9,
         )
 
 
-def _each(means: Any, values: Array) -> Array:
-    return np.asarray(means @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+def _average_rows(averages: Any, values: Array) -> Array:
+    return np.asarray(averages @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
-def _means(t: Array, times: Array, period: float) -> Any:
+def _build_averages(t: Array, times: Array, period: float) -> Any:
     """Return the sparse weights (M, N) of averages around `times` (M,) of values between rows."""
     from scipy.sparse import csr_array
 
-    half = round(max(_SMOOTH, 3.0 * period) / period)
+    half = round(max(_AVERAGING_WINDOW, 3.0 * period) / period)
     kernel = np.convolve(np.ones(half), np.ones(half))[:, None] / half**2
     near = np.clip(times[:, None] + period * np.arange(1 - half, half), t[0], t[-1])
     row = np.clip(np.searchsorted(t, near) - 1, 0, len(t) - 2)
@@ -110,23 +122,23 @@ def _means(t: Array, times: Array, period: float) -> Any:
     return csr_array((weights.ravel(), indices.ravel(), starts), shape=(len(times), len(t)))
 
 
-def _rubs(u: Array, v: Array) -> Array:
+def _friction_shapes(u: Array, v: Array) -> Array:
     """Return friction of several shapes (N, K) along a position u (N,)."""
-    stops = KernelRun(_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
-    start = np.full(len(_WIDTHS), np.sign(v[0]))
-    held = stops.at(np.zeros(0), start, settled=True)
+    stops = KernelRun(_build_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
+    start = np.full(len(_STOP_WIDTHS), np.sign(v[0]))
+    held = stops.evaluate(np.zeros(0), start, settled=True)
     # Friction falls with speed.
-    slow = np.exp(-np.abs(v) / (_SLOW * np.max(np.abs(v), initial=1e-9)))
-    free = np.sign(v), rubbing(v), v, v * np.abs(v), np.ones_like(v)
+    slow = np.exp(-np.abs(v) / (_SLOW_SHARE * np.max(np.abs(v), initial=1e-9)))
+    free = np.sign(v), friction_shape(v), v, v * np.abs(v), np.ones_like(v)
     return np.column_stack([held, held * slow[:, None], *free])
 
 
 @cache
-def _stops() -> Kernel:
+def _build_stops() -> Kernel:
     displacement = sympy.Symbol("displacement", real=True)
     stops = [
         Stop(name=f"stop_{k}", unit="1", velocity=displacement, deflection=width, bound=1)
-        for k, width in enumerate(_WIDTHS.tolist())
+        for k, width in enumerate(_STOP_WIDTHS.tolist())
     ]
     return Kernel(stops, (), (displacement,), [stop.state for stop in stops], once=True)
 
@@ -139,120 +151,139 @@ def check_clocks(
     Returns findings, and joints whose torque lags; none for short logs and those slower than the
     averages.
     """
-    slow = np.median(np.diff(part.t)) > _SMOOTH
-    if slow or np.ptp(part.t) < _SHORTEST * _LATEST or not joints:
+    is_slow = np.median(np.diff(part.t)) > _AVERAGING_WINDOW
+    if is_slow or np.ptp(part.t) < _MIN_DURATION_TO_DELAY * _MAX_DELAY or not joints:
         return [], ()
-    rows = LagRows.of(part.log, robot, base_columns(robot))
-    late = lags(rows, joints)
+    rows = LagRows.from_log(part.log, robot, base_columns(robot))
+    joint_lags = find_lags(rows, joints)
     remedy = "torques were filtered or come from another clock; shift their columns in time"
     findings = []
-    for j, lag in late.items():
-        way = "late" if lag.value > 0 else "early"
-        sure = 1e3 * _ERRORS * lag.error
-        found = (
-            f"its torque is about {1e3 * abs(lag.value):.0f} ms {way} relative to the motion "
+    for j, lag in joint_lags.items():
+        direction = "late" if lag.value > 0 else "early"
+        sure = 1e3 * _INTERVAL_ERRORS * lag.error
+        observation = (
+            f"its torque is about {1e3 * abs(lag.value):.0f} ms {direction} relative to the motion "
             f"(+- {sure:.0f} ms)"
         )
-        findings.append(of_joint("torque-lag", robot.joints[j], found, remedy, "warning"))
-    rate, sure = stamps_rate(rows, joints)
-    if sure > _SURE and max(rate, 1.0 / rate) > _OFF:
-        findings.append(_wrong_rate(rate))
-    return findings, late
+        findings.append(
+            build_joint_finding("torque-lag", robot.joints[j], observation, remedy, "warning")
+        )
+    rate, sure = estimate_stamp_rate(rows, joints)
+    if sure > _MIN_CERTAINTY and max(rate, 1.0 / rate) > _MIN_REPORTED_RATE:
+        findings.append(_report_wrong_rate(rate))
+    return findings, joint_lags
 
 
-def _wrong_rate(rate: float) -> Finding:
-    way = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
-    found = f"compared with gravity, its inertial torques are those of a motion that is {way}"
+def _report_wrong_rate(rate: float) -> Finding:
+    speed_text = f"{rate:.2g} times slower" if rate > 1 else f"{1 / rate:.2g} times faster"
+    observation = (
+        f"compared with gravity, its inertial torques are those of a motion that is {speed_text}"
+    )
     remedy = "the time stamps come from a wrong sample rate, or their unit is wrong; see "
-    return of_joint("time-scale", "", found, f"{remedy}[log.units] t", "warning")
+    return build_joint_finding("time-scale", "", observation, f"{remedy}[log.units] t", "warning")
 
 
-def lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
+def find_lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
     """Return the lags [s] whose intervals exclude 0, by joint.
 
     Memory of friction absorbs a lag, and friction without it looks like one: the lag of a joint is
     between those of fits with and without it. Friction with memory comes close to the lag of most
     joints together.
     """
-    both = {j: delays(rows, j) for j in joints}
-    held, plain = ({j: of[k] for j, of in both.items()} for k in range(2))
-    wide = [_SYSTEMATIC * abs(plain[j].value - held[j].value) for j in joints]
-    late, other = (common_delay(list(lags.values()), wide) for lags in (held, plain))
-    early = max(late, other, key=lambda lag: lag.value)
-    if _told(late) if late.value > 0.0 else (early.value < 0.0 and _told(early)):
-        return dict.fromkeys(joints, late)
-    found = {}
+    lag_pairs = {j: estimate_delays(rows, j) for j in joints}
+    with_memory, without_memory = ({j: pair[k] for j, pair in lag_pairs.items()} for k in range(2))
+    systematic = [
+        _SYSTEMATIC_SHARE * abs(without_memory[j].value - with_memory[j].value) for j in joints
+    ]
+    common_lag, memoryless_lag = (
+        estimate_common_delay(list(lags.values()), systematic)
+        for lags in (with_memory, without_memory)
+    )
+    largest_lag = max(common_lag, memoryless_lag, key=lambda lag: lag.value)
+    if (
+        _is_reportable(common_lag)
+        if common_lag.value > 0.0
+        else (largest_lag.value < 0.0 and _is_reportable(largest_lag))
+    ):
+        return dict.fromkeys(joints, common_lag)
+    lag_of_joint = {}
     for j in joints:
-        middle = 0.5 * (held[j].value + plain[j].value)
-        half = 0.5 * abs(held[j].value - plain[j].value)
-        error = half / _ERRORS + max(held[j].error, plain[j].error)
-        if _LATE + _ERRORS * error < middle < _LATEST - 2.0 * _STEP:
-            found[j] = Estimate(value=middle, error=error)
-    return found
+        middle = 0.5 * (with_memory[j].value + without_memory[j].value)
+        half = 0.5 * abs(with_memory[j].value - without_memory[j].value)
+        error = half / _INTERVAL_ERRORS + max(with_memory[j].error, without_memory[j].error)
+        if _MIN_REPORTED_LAG + _INTERVAL_ERRORS * error < middle < _MAX_DELAY - 2.0 * _SEARCH_STEP:
+            lag_of_joint[j] = Estimate(value=middle, error=error)
+    return lag_of_joint
 
 
-def _told(lag: Estimate) -> bool:
+def _is_reportable(lag: Estimate) -> bool:
     """Return whether a lag is surely not 0, and known well or large."""
-    half = _ERRORS * lag.error
-    return abs(lag.value) > half + (0.0 if half < _NARROW else _LATE)
+    half = _INTERVAL_ERRORS * lag.error
+    return abs(lag.value) > half + (0.0 if half < _NARROW_HALF_INTERVAL else _MIN_REPORTED_LAG)
 
 
-def common_delay(lags: Sequence[Estimate], systematic: Sequence[float]) -> Estimate:
+def estimate_common_delay(lags: Sequence[Estimate], systematic: Sequence[float]) -> Estimate:
     """Return the weighted median of lags with `systematic` errors [s] in addition to their own.
 
     Its standard error includes their spread; it is infinite for fewer than three lags, whose spread
     is unknown.
     """
-    both = zip(lags, systematic, strict=True)
-    known = [(lag.value, np.hypot(lag.error, own)) for lag, own in both if np.isfinite(lag.error)]
-    if len(known) < 3:
+    pairs = zip(lags, systematic, strict=True)
+    finite_lags = [
+        (lag.value, np.hypot(lag.error, systematic_error))
+        for lag, systematic_error in pairs
+        if np.isfinite(lag.error)
+    ]
+    if len(finite_lags) < 3:
         return Estimate(value=0.0, error=np.inf)
-    values, errors = np.array(known).T
+    values, errors = np.array(finite_lags).T
     order = np.argsort(values)
     values, weights = values[order], errors[order] ** -2.0 / np.sum(errors**-2.0)
-    middle = float(np.interp(0.5, np.cumsum(weights) - 0.5 * weights, values))
-    spread = weights @ (values - middle) ** 2 / (len(known) - 1)
-    return Estimate(value=middle, error=float(np.sqrt(spread + 1.0 / np.sum(errors**-2.0))))
+    median = float(np.interp(0.5, np.cumsum(weights) - 0.5 * weights, values))
+    spread = weights @ (values - median) ** 2 / (len(finite_lags) - 1)
+    return Estimate(value=median, error=float(np.sqrt(spread + 1.0 / np.sum(errors**-2.0))))
 
 
-def delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
+def estimate_delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
     """Return the lag of a torque [s] with memory of friction, and with friction of velocity only.
 
     The error is infinite at an end of the search range.
     """
-    count = 2 * len(_WIDTHS) + 2
-    known = rows.known[:, j]
-    rubs, others = np.split(rows.rubs[j][known], [count], axis=1)
-    others = np.hstack([(rows.still + rows.moving)[known, j], others])
-    if len(others) <= others.shape[1] + count:
+    shape_count = 2 * len(_STOP_WIDTHS) + 2
+    is_known = rows.known[:, j]
+    rubs, other_columns = np.split(rows.rubs[j][is_known], [shape_count], axis=1)
+    other_columns = np.hstack([(rows.still + rows.moving)[is_known, j], other_columns])
+    if len(other_columns) <= other_columns.shape[1] + shape_count:
         return (Estimate(value=0.0, error=np.inf),) * 2
-    left = _project_out(others, np.hstack([rubs, rows.torques[known, :, j]]))
-    rubs, torques = np.split(left, [count], axis=1)
-    used = others.shape[1]
-    return _delay(rubs, torques, used), _delay(rubs[:, -2:], torques, used)
+    projected = _project_out(other_columns, np.hstack([rubs, rows.torques[is_known, :, j]]))
+    rubs, torques = np.split(projected, [shape_count], axis=1)
+    unknown_count = other_columns.shape[1]
+    return _fit_delay(rubs, torques, unknown_count), _fit_delay(
+        rubs[:, -2:], torques, unknown_count
+    )
 
 
-def _delay(rubs: Array, torques: Array, used: int) -> Estimate:
-    """Return the lag at which friction (N, K) fits torques (N, S) best, after `used` unknowns."""
+def _fit_delay(rubs: Array, torques: Array, fitted: int) -> Estimate:
+    """Return the lag at which friction (N, K) fits torques (N, S) best, after `fitted` unknowns."""
     from scipy.optimize import nnls
 
     # Friction of negative weight would imitate a lag.
-    q, corner = np.linalg.qr(rubs)
-    fits = np.array([nnls(corner, column, maxiter=1000)[0] for column in (q.T @ torques).T]).T
-    left = torques - rubs @ fits
-    squares = np.sum(left**2, axis=0)
+    basis, triangle = np.linalg.qr(rubs)
+    fits = np.array([nnls(triangle, column, maxiter=1000)[0] for column in (basis.T @ torques).T]).T
+    residuals = torques - rubs @ fits
+    squares = np.sum(residuals**2, axis=0)
     k = int(np.argmin(squares))
     if k in (0, len(squares) - 1):
         return Estimate(value=float(_SHIFTS[k]), error=np.inf)
-    free = max(len(left) - used - rubs.shape[1], 1)
-    independent = free / correlation_length(left[:, k])
-    before, at, after = 0.5 * independent * np.log(np.maximum(squares[k - 1 : k + 2], 1e-300))
-    bend = max(before - 2.0 * at + after, 1e-12)
-    vertex = _SHIFTS[k] + 0.5 * _STEP * (before - after) / bend
-    return Estimate(value=float(vertex), error=float(_STEP / np.sqrt(bend)))
+    degrees_of_freedom = max(len(residuals) - fitted - rubs.shape[1], 1)
+    independent_rows = degrees_of_freedom / correlation_length(residuals[:, k])
+    before, at, after = 0.5 * independent_rows * np.log(np.maximum(squares[k - 1 : k + 2], 1e-300))
+    curvature = max(before - 2.0 * at + after, 1e-12)
+    vertex = _SHIFTS[k] + 0.5 * _SEARCH_STEP * (before - after) / curvature
+    return Estimate(value=float(vertex), error=float(_SEARCH_STEP / np.sqrt(curvature)))
 
 
-def stamps_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, float]:
+def estimate_stamp_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, float]:
     """Return the ratio of a motion's duration to that of its stamps, and its certainty.
 
     With stamps r times too short, inertial torques are 1 / r^2 times as large. The result is (1, 0)
@@ -262,42 +293,59 @@ def stamps_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, float]:
     count = rows.still.shape[2]
     for j in joints:
         torque = rows.torques[:, len(_SHIFTS) // 2, [j]]
-        left = _project_out(rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]]))
-        body = left[:, 1 : 1 + count] + left[:, 1 + count :]
-        parts.append(left / max(float(np.std(_project_out(body, left[:, :1]))), 1e-12))
+        residuals = _project_out(
+            rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]])
+        )
+        body_columns = residuals[:, 1 : 1 + count] + residuals[:, 1 + count :]
+        parts.append(
+            residuals / max(float(np.std(_project_out(body_columns, residuals[:, :1]))), 1e-12)
+        )
     table = np.concatenate(parts)
     # The triangular factor suffices.
-    corner = np.asarray(np.linalg.qr(table, mode="r"))
-    left = np.stack([table[:, 0] - _bodies(table, s) @ _fitted(corner, s) for s in _SCALES], axis=1)
-    best = int(np.argmin(np.sum(left**2, axis=0)))
-    if best in (0, len(_SCALES) - 1):
+    triangle = np.asarray(np.linalg.qr(table, mode="r"))
+    residuals = np.stack(
+        [
+            table[:, 0] - _combine_regressors(table, scale) @ _fit_body(triangle, scale)
+            for scale in _INERTIA_SCALES
+        ],
+        axis=1,
+    )
+    best = int(np.argmin(np.sum(residuals**2, axis=0)))
+    if best in (0, len(_INERTIA_SCALES) - 1):
         return 1.0, 0.0
-    by_joint = left.reshape(len(joints), -1, len(_SCALES))
-    squares = np.sum(by_joint**2, axis=1)
-    independent = np.array([len(own) / correlation_length(own[:, best]) for own in by_joint])
-    now = int(np.argmin(np.abs(np.log(_SCALES))))
-    if np.median(squares[:, best] / squares[:, now]) > _MENDED:
+    residuals_by_joint = residuals.reshape(len(joints), -1, len(_INERTIA_SCALES))
+    squares = np.sum(residuals_by_joint**2, axis=1)
+    independent_rows = np.array(
+        [
+            len(joint_residuals) / correlation_length(joint_residuals[:, best])
+            for joint_residuals in residuals_by_joint
+        ]
+    )
+    unchanged = int(np.argmin(np.abs(np.log(_INERTIA_SCALES))))
+    if np.median(squares[:, best] / squares[:, unchanged]) > _MAX_REMAINING_SQUARES:
         return 1.0, 0.0
-    sure = independent @ np.log(squares[:, now] / squares[:, best])
-    return float(1.0 / np.sqrt(_SCALES[best])), float(sure)
+    certainty = independent_rows @ np.log(squares[:, unchanged] / squares[:, best])
+    return float(1.0 / np.sqrt(_INERTIA_SCALES[best])), float(certainty)
 
 
-def _bodies(table: Array, scale: float) -> Array:
+def _combine_regressors(table: Array, scale: float) -> Array:
     """Return regressors (N, P) from a table of torque, still, moving."""
     still, moving = np.split(table[:, 1:], 2, axis=1)
     return np.asarray(still + scale * moving)
 
 
-def _fitted(table: Array, scale: float) -> Array:
-    columns = _bodies(table, scale)
+def _fit_body(table: Array, scale: float) -> Array:
+    columns = _combine_regressors(table, scale)
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
     return np.asarray(np.linalg.lstsq(columns / size, table[:, 0], rcond=1e-6)[0] / size)
 
 
 def _project_out(columns: Array, targets: Array) -> Array:
     """Project `targets` (N, K) onto the orthogonal complement of `columns` (N, P)."""
-    size = np.linalg.norm(columns, axis=0)
-    used = columns[:, size > 1e-9 * size.max(initial=0.0)]
-    u, s, _ = np.linalg.svd(used / np.linalg.norm(used, axis=0), full_matrices=False)
-    u = u[:, s > 1e-6 * s.max(initial=0.0)]
-    return np.asarray(targets - u @ (u.T @ targets))
+    sizes = np.linalg.norm(columns, axis=0)
+    nonzero_columns = columns[:, sizes > 1e-9 * sizes.max(initial=0.0)]
+    basis, singular_values, _ = np.linalg.svd(
+        nonzero_columns / np.linalg.norm(nonzero_columns, axis=0), full_matrices=False
+    )
+    basis = basis[:, singular_values > 1e-6 * singular_values.max(initial=0.0)]
+    return np.asarray(targets - basis @ (basis.T @ targets))

@@ -19,17 +19,19 @@ from hesr_model.inference.covariance import correlation_length
 from hesr_model.support.arrays import Array, Mask
 
 Key = TypeVar("Key")
-BIN = 0.05  # length of a bin, whose rows are averaged [s]
+BIN_SECONDS = 0.05  # length of a bin, whose rows are averaged [s]
 SECONDS_PER_DEGREE = 8.0  # minimum duration per degree of freedom [s]
 _TIMES_PER_DEGREE = 3.0  # minimum duration per degree of freedom in correlation times
-LEAST_DEGREES = 4  # degrees of freedom below which no law is called worse: about 40 s of logs
-_BOTH_SETS = 2.0**0.5  # standard error of a difference between two sets of logs, over that of one
-LEAST_SECONDS = 40.0
-MOST_SECONDS = 1e7
-# Factor on p for up to `CALIBRATED` simultaneous comparisons and many degrees of freedom: a level
-# of 5 % is then at most 6.5 % from 40 s of logs on (`tests/benchmarks`).
+MIN_DEGREES = 4  # degrees of freedom below which no law is called worse: about 40 s of logs
+_BOTH_SETS_FACTOR = (
+    2.0**0.5
+)  # standard error of a difference between two sets of logs, over that of one
+MIN_SECONDS = 40.0
+MAX_SECONDS = 1e7
+# Factor on p for up to `CALIBRATED_COMPARISONS` simultaneous comparisons and many degrees of
+# freedom: a level of 5 % is then at most 6.5 % from 40 s of logs on (`tests/benchmarks`).
 CALIBRATION = 5.0
-CALIBRATED = 8
+CALIBRATED_COMPARISONS = 8
 SIGNIFICANCE = 0.05  # level of p after the factor, adjusted for all laws of a table
 POWER = 0.8  # probability with which the smallest detectable difference is found
 
@@ -97,7 +99,7 @@ class LawErrors:
     @property
     def too_short(self) -> bool:
         """Whether the logs are too short for any statement."""
-        return self.degrees < LEAST_DEGREES
+        return self.degrees < MIN_DEGREES
 
     @cached_property
     def best(self) -> int:
@@ -126,14 +128,16 @@ class LawErrors:
         p = np.minimum(1.0, factor * two_sided_probability(np.log(values) / errors, self.degrees))
         wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
         wider = self._widening_factors(k, wide)
-        found = np.exp(errors * detection_factor(self.degrees, self._level(family, self.degrees)))
+        detectable_ratios = np.exp(
+            errors * detection_factor(self.degrees, self._level(family, self.degrees))
+        )
         return {
             law: ErrorRatio(
                 value=float(values[i]),
                 low=float(values[i] / wide[i]),
                 high=float(values[i] * wide[i]),
                 p=float(p[i]),
-                detectable=float(found[i]),
+                detectable=float(detectable_ratios[i]),
                 others=None
                 if wider is None
                 else (float(values[i] / wider[i]), float(values[i] * wider[i])),
@@ -145,24 +149,24 @@ class LawErrors:
     def required_seconds(
         self, law: str, other: str, ratio: float, family: int | None = None
     ) -> float:
-        """Return the duration [s] of such logs, up to `MOST_SECONDS`, that would show a ratio."""
+        """Return the duration [s] of such logs, up to `MAX_SECONDS`, that would show a ratio."""
         difference = self.rows[:, self.laws.index(law)] - self.rows[:, self.laws.index(other)]
         error = float(self._deviation(difference[:, None])[0])
 
         def surplus(seconds: float) -> float:
             degrees = self.degrees * seconds / self.seconds
-            scaled = error * np.sqrt(self.seconds / seconds)
-            found = detection_factor(degrees, self._level(family, degrees))
-            return float(np.log(ratio) - scaled * found)
+            scaled_error = error * np.sqrt(self.seconds / seconds)
+            factor = detection_factor(degrees, self._level(family, degrees))
+            return float(np.log(ratio) - scaled_error * factor)
 
-        shortest = max(LEAST_SECONDS, LEAST_DEGREES * self.seconds / self.degrees)
+        shortest = max(MIN_SECONDS, MIN_DEGREES * self.seconds / self.degrees)
         if surplus(shortest) >= 0.0:
             return shortest
         longest = shortest
-        while surplus(longest) < 0.0 and longest < MOST_SECONDS:
+        while surplus(longest) < 0.0 and longest < MAX_SECONDS:
             longest *= 4.0
-        if longest >= MOST_SECONDS:
-            return MOST_SECONDS
+        if longest >= MAX_SECONDS:
+            return MAX_SECONDS
         return float(brentq(surplus, shortest, longest, rtol=1e-3))
 
     def _widening_factors(self, other: int, wide: Array) -> Array | None:
@@ -171,7 +175,7 @@ class LawErrors:
         if not len(apart):
             return None
         between = stdtrit(len(apart), 0.975) * np.sqrt((apart**2).mean(axis=0) / self.bins)
-        return np.asarray(np.exp(_BOTH_SETS * np.maximum(np.log(wide), between)))
+        return np.asarray(np.exp(_BOTH_SETS_FACTOR * np.maximum(np.log(wide), between)))
 
     def _level(self, family: int | None, degrees: float) -> float:
         comparisons = self._comparisons(family)
@@ -182,8 +186,8 @@ class LawErrors:
 
     def _deviation(self, differences: Array) -> Array:
         squares = differences**2
-        of = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
-        largest = np.max([squares[rows].mean(axis=0) for rows in of if rows.any()], axis=0)
+        row_sets = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
+        largest = np.max([squares[rows].mean(axis=0) for rows in row_sets if rows.any()], axis=0)
         return np.asarray(np.sqrt(largest / self.bins))
 
 
@@ -206,11 +210,11 @@ def law_errors(
         _average_over_bins(s / (2.0 * mean[:, None]), p)
         for s, p in zip(squares, periods, strict=True)
     ]
-    counted = [laws.index(law) for law in among] or list(range(len(laws)))
+    counted_laws = [laws.index(law) for law in among] or list(range(len(laws)))
     rows = []
     slow = []
     for psi, square, period in zip(binned, squares, periods, strict=True):
-        degrees = _degrees(psi[counted], square.shape[1] * period)
+        degrees = _degrees(psi[counted_laws], square.shape[1] * period)
         n = psi.shape[1]
         m = np.arange(1, degrees + 1)
         cosines = np.sqrt(2.0 / n) * np.cos(np.pi * m[:, None] * (np.arange(n) + 0.5) / n)
@@ -235,7 +239,7 @@ def law_errors(
 
 def _average_over_bins(values: Array, period: float) -> Array:
     """Return the means (L, n) of values (L, N) over bins; the last bin takes the rest."""
-    width = max(1, round(BIN / period))
+    width = max(1, round(BIN_SECONDS / period))
     count = max(1, values.shape[1] // width)
     starts = width * np.arange(count)
     lengths = np.diff(np.append(starts, values.shape[1]))
@@ -252,7 +256,7 @@ def _degrees(psi: Array, seconds: float) -> int:
 
 def calibration(comparisons: int, degrees: float) -> float:
     """Return the factor on p, proportional to the comparisons if many; higher for short logs."""
-    return CALIBRATION * (1.0 + 1.5 / degrees) * max(1.0, comparisons / CALIBRATED)
+    return CALIBRATION * (1.0 + 1.5 / degrees) * max(1.0, comparisons / CALIBRATED_COMPARISONS)
 
 
 def two_sided_probability(t: Array, degrees: float) -> Array:
@@ -267,11 +271,11 @@ def detection_factor(degrees: float, level: float) -> float:
     return float(t * np.sqrt(degrees / low))
 
 
-def holm(p: Mapping[Key, float]) -> dict[Key, float]:
+def adjust_by_holm(p: Mapping[Key, float]) -> dict[Key, float]:
     """Return probabilities adjusted for the number of comparisons (Holm 1979)."""
-    adjusted: dict[Key, float] = {}
-    least = 0.0
+    adjusted_p: dict[Key, float] = {}
+    running_maximum = 0.0
     for rank, key in enumerate(sorted(p, key=lambda k: p[k])):
-        least = max(least, min(1.0, (len(p) - rank) * p[key]))
-        adjusted[key] = least
-    return {key: adjusted[key] for key in p}
+        running_maximum = max(running_maximum, min(1.0, (len(p) - rank) * p[key]))
+        adjusted_p[key] = running_maximum
+    return {key: adjusted_p[key] for key in p}

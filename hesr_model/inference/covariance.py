@@ -7,8 +7,8 @@ gradient g_t of row t and the Hessian H of half the sum of squares:
 
 S is prewhitened by a first-order autoregression and weighted by Bartlett's kernel (Andrews and
 Monahan 1992). The factor is the additional spread of estimates with each log left out. With
-`ENOUGH` logs the influences of whole logs are summed instead (cluster-robust, Liang and Zeger
-1986). `carried` is the covariance of earlier estimates.
+`MIN_SCATTER_LOGS` logs the influences of whole logs are summed instead (cluster-robust, Liang and
+Zeger 1986). `carried` is the covariance of earlier estimates.
 """
 
 from collections import defaultdict
@@ -47,13 +47,13 @@ def correlation_length(residual: Array) -> float:
     return float(max(1.0, 1.0 + 2.0 * correlation[1:stop].sum()))
 
 
-ENOUGH = 20  # minimum number of logs for a covariance from their scatter
+MIN_SCATTER_LOGS = 20  # minimum number of logs for a covariance from their scatter
 BLOCKS = 4  # blocks of time that replace the logs of a single log
-_MOST_MEMORY = 0.995  # largest autoregression coefficient; above is a drift
-_MOST_LEVERAGE = 0.9  # largest leverage: a row that determines an unknown alone has no residual
-_UPPER = 0.975  # upper end of a 95 % interval
-_BY_CHANCE = 0.05  # significance level of the difference between logs
-_RANK = 1e-13  # relative rank tolerance of a scaled Hessian
+_MAX_AUTOREGRESSION = 0.995  # largest autoregression coefficient; above is a drift
+_MAX_LEVERAGE = 0.9  # largest leverage: a row that determines an unknown alone has no residual
+_UPPER_QUANTILE = 0.975  # upper end of a 95 % interval
+_CHANCE_LEVEL = 0.05  # significance level of the difference between logs
+_RANK_TOLERANCE = 1e-13  # relative rank tolerance of a scaled Hessian
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +92,7 @@ class Covariance:
         """Ratio of the scatter between logs to that of their rows; 1 if not significant."""
         if not self.degrees:
             return 1.0
-        by_chance = scipy.special.chdtri(self.degrees, _BY_CHANCE) / self.degrees
+        by_chance = scipy.special.chdtri(self.degrees, _CHANCE_LEVEL) / self.degrees
         return float(np.sqrt(self.between)) if self.between > by_chance else 1.0
 
     @property
@@ -110,7 +110,7 @@ class Covariance:
         """(P,) in the unknowns' units."""
         return np.sqrt(np.diag(self.matrix))
 
-    def mapped(self, names: Sequence[str], slopes: Array) -> "Covariance":
+    def transform(self, names: Sequence[str], slopes: Array) -> "Covariance":
         """Return the covariance of (Q,) functions with derivatives `slopes` (Q, P)."""
         return replace(
             self,
@@ -120,23 +120,23 @@ class Covariance:
         )
 
 
-def pooled(group: Sequence[Covariance]) -> list[Covariance]:
+def pool_covariances(covariances: Sequence[Covariance]) -> list[Covariance]:
     """Return covariances with a common between-log factor."""
-    degrees = sum(covariance.degrees for covariance in group)
+    degrees = sum(covariance.degrees for covariance in covariances)
     if not degrees:
-        return list(group)
-    between = sum(covariance.between * covariance.degrees for covariance in group) / degrees
-    return [replace(covariance, between=between, degrees=degrees) for covariance in group]
+        return list(covariances)
+    between = sum(covariance.between * covariance.degrees for covariance in covariances) / degrees
+    return [replace(covariance, between=between, degrees=degrees) for covariance in covariances]
 
 
-def left_out(jacobian: Array, residual: Array, hessian: Array) -> Array:
+def leave_out_rows(jacobian: Array, residual: Array, hessian: Array) -> Array:
     """Return the residual (N,) of each row by an estimate without it.
 
     A few rows around reversals determine some unknowns alone, which hides their errors (MacKinnon
     and White 1985, HC3). `hessian` (P, P) is that of half the sum of squares.
     """
     leverage = np.sum((jacobian @ _inverse(hessian, hessian)) * jacobian, axis=1)
-    return np.asarray(residual / (1.0 - np.minimum(leverage, _MOST_LEVERAGE)))
+    return np.asarray(residual / (1.0 - np.minimum(leverage, _MAX_LEVERAGE)))
 
 
 def blocks_of_time(logs: Integers) -> Integers:
@@ -150,20 +150,22 @@ def covariance(
     hessians: Sequence[Array] | Array,
     labels: Integers,
     *,
-    known: Array | None = None,
+    prior_hessian: Array | None = None,
     carried: Array | None = None,
 ) -> Covariance:
     """Return the covariance of a least-squares estimate of P unknowns.
 
-    `gradients` (N, P) are those of half the squared leave-one-out residual (`left_out`) of each row
-    in time order, `hessians` (P, P) the share of each label, `labels` (N,) each row's log or block.
-    `known` (P, P) is the Hessian of prior knowledge, `carried` (P, r) the summed gradients for one
-    standard deviation of each of r independent errors of earlier estimates.
+    `gradients` (N, P) are those of half the squared leave-one-out residual (`leave_out_rows`) of
+    each row in time order, `hessians` (P, P) the share of each label, `labels` (N,) each row's log
+    or block. `prior_hessian` (P, P) is the Hessian of prior knowledge, `carried` (P, r) the summed
+    gradients for one standard deviation of each of r independent errors of earlier estimates.
     """
-    own = np.sum(hessians, axis=0)
-    whole = own if known is None else own + known
+    data_hessian = np.sum(hessians, axis=0)
+    total_hessian = data_hessian if prior_hessian is None else data_hessian + prior_hessian
     parts = [(k, gradients[labels == k], hessian) for k, hessian in enumerate(hessians)]
-    return covariance_of_parts(names, lambda: parts, whole, known=known, carried=carried)
+    return covariance_of_parts(
+        names, lambda: parts, total_hessian, prior_hessian=prior_hessian, carried=carried
+    )
 
 
 Gradients = tuple[int, Array, Array]  # log, gradients (N, P) of its next rows, their Hessian (P, P)
@@ -172,34 +174,42 @@ Gradients = tuple[int, Array, Array]  # log, gradients (N, P) of its next rows, 
 def covariance_of_parts(
     names: Sequence[str],
     parts: Callable[[], Iterable[Gradients]],
-    whole: Array,
+    total_hessian: Array,
     *,
-    known: Array | None = None,
+    prior_hessian: Array | None = None,
     carried: Array | None = None,
 ) -> Covariance:
-    """Return `covariance` with the Hessian `whole` (P, P); `parts` is called once or twice."""
-    inverse = _inverse(whole, whole)
-    found: dict[int, Moments] = defaultdict(lambda: Moments(len(whole)))
-    hessians: dict[int, Array] = defaultdict(lambda: np.zeros_like(whole))
+    """Return `covariance` with `total_hessian` (P, P); `parts` is called once or twice."""
+    inverse = _inverse(total_hessian, total_hessian)
+    moments_by_log: dict[int, Moments] = defaultdict(lambda: Moments(len(total_hessian)))
+    hessians: dict[int, Array] = defaultdict(lambda: np.zeros_like(total_hessian))
     for label, rows, hessian in parts():
-        found[label].add(rows @ inverse)
+        moments_by_log[label].add(rows @ inverse)
         hessians[label] += hessian
-    logs = sorted(found)
-    moments = [found[k] for k in logs]
-    given = np.zeros_like(inverse) if known is None else inverse @ known @ inverse
-    if carried is not None:
-        spread = inverse @ carried
-        given = given + spread @ spread.T
-    covariance = Covariance(
-        names=tuple(names), within=np.zeros_like(inverse), between=1.0, degrees=0.0, carried=given
+    logs = sorted(moments_by_log)
+    moments = [moments_by_log[log_number] for log_number in logs]
+    carried_covariance = (
+        np.zeros_like(inverse) if prior_hessian is None else inverse @ prior_hessian @ inverse
     )
-    if len(logs) >= ENOUGH:
-        sums = np.array([log.total for log in moments])
+    if carried is not None:
+        carried_influences = inverse @ carried
+        carried_covariance = carried_covariance + carried_influences @ carried_influences.T
+    covariance = Covariance(
+        names=tuple(names),
+        within=np.zeros_like(inverse),
+        between=1.0,
+        degrees=0.0,
+        carried=carried_covariance,
+    )
+    if len(logs) >= MIN_SCATTER_LOGS:
+        sums = np.array([log_moments.total for log_moments in moments])
         return replace(covariance, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
     influences = ((logs.index(label), rows @ inverse) for label, rows, _ in parts())
-    variances = long_run(moments, influences)
-    between, degrees = _between(moments, variances, [hessians[k] for k in logs], whole)
-    within = np.sum(variances, axis=0) * _for_few_rows(moments)
+    variances = compute_long_run(moments, influences)
+    between, degrees = _compare_logs(
+        moments, variances, [hessians[log_number] for log_number in logs], total_hessian
+    )
+    within = np.sum(variances, axis=0) * _correct_few_rows(moments)
     return replace(covariance, within=within, between=between, degrees=degrees, logs=len(logs))
 
 
@@ -213,7 +223,7 @@ def covariance_of_fit(
 ) -> Covariance:
     """Return the covariance of an unweighted fit from its Jacobian (N, P); see `covariance`."""
     parts = [jacobian[labels == k] for k in range(int(labels[-1]) + 1)]
-    gradients = jacobian * left_out(jacobian, residual, jacobian.T @ jacobian)[:, None]
+    gradients = jacobian * leave_out_rows(jacobian, residual, jacobian.T @ jacobian)[:, None]
     hessians = [part.T @ part for part in parts]
     return covariance(names, gradients, hessians, labels, carried=carried)
 
@@ -239,20 +249,22 @@ class Moments:
 
     def whitened_products(self, memory: Array) -> tuple[Array, Array]:
         """Return the squares and lag-1 products of psi[k] - memory psi[k - 1]."""
-        before = self.squares - self.last[1] ** 2
-        squares = self.squares - 2.0 * memory * self.lag1 + memory**2 * before
+        earlier_squares = self.squares - self.last[1] ** 2
+        squares = self.squares - 2.0 * memory * self.lag1 + memory**2 * earlier_squares
         product = self.lag1 - self.last[0] * self.last[1]
-        return squares, self.lag1 - memory * (before + self.lag2) + memory**2 * product
+        return squares, self.lag1 - memory * (earlier_squares + self.lag2) + memory**2 * product
 
 
-def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]) -> list[Array]:
+def compute_long_run(
+    moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]
+) -> list[Array]:
     """Return each log's covariance (P, P) of the sum of its rows.
 
     The `influences` are numbers of logs with their next rows (N, P). Bartlett's kernel with weights
     1 - lag / width is the mean product of sums over windows of that width.
     """
-    memory = _memory([(log.squares, log.lag1) for log in moments])
-    width = 1 + _bandwidth([log.whitened_products(memory) for log in moments], moments)
+    memory = _estimate_autoregression([(log.squares, log.lag1) for log in moments])
+    width = 1 + _choose_bandwidth([log.whitened_products(memory) for log in moments], moments)
     size = len(memory)
     last = np.zeros((len(moments), 1, size))
     held = np.zeros((len(moments), width, size))
@@ -274,58 +286,66 @@ def long_run(moments: Sequence[Moments], influences: Iterable[tuple[int, Array]]
     return list(totals / width / np.outer(1.0 - memory, 1.0 - memory))
 
 
-def _for_few_rows(moments: Sequence[Moments]) -> Array:
+def _correct_few_rows(moments: Sequence[Moments]) -> Array:
     """Return the ratios (P, P) of Student's to normal quantiles (Bell and McCaffrey 2002)."""
-    squares = np.sum([log.squares for log in moments], axis=0)
-    fourths = np.sum([log.fourths for log in moments], axis=0)
+    squares = np.sum([log_moments.squares for log_moments in moments], axis=0)
+    fourths = np.sum([log_moments.fourths for log_moments in moments], axis=0)
     degrees = np.maximum(3.0 * squares**2 / np.maximum(fourths, 1e-300), 2.0)
-    ratio = scipy.special.stdtrit(degrees, _UPPER) / scipy.special.ndtri(_UPPER)
+    ratio = scipy.special.stdtrit(degrees, _UPPER_QUANTILE) / scipy.special.ndtri(_UPPER_QUANTILE)
     return np.outer(ratio, ratio)
 
 
-def _between(
+def _compare_logs(
     moments: Sequence[Moments],
-    parts: Sequence[Array],
+    log_variances: Sequence[Array],
     hessians: Sequence[Array],
-    whole: Array,
+    total_hessian: Array,
 ) -> tuple[float, float]:
     """Compare each log's estimate with that of the others by one Gauss-Newton step each.
 
-    Returns the mean square difference over its variance by `parts`, and the number of independent
-    differences.
+    Returns the mean square difference over its variance by `log_variances`, and the number of
+    independent differences.
     """
     if len(moments) < 2:
         return 1.0, 0.0
-    every = np.sum(parts, axis=0)
+    total_variance = np.sum(log_variances, axis=0)
     squares = []
-    for log, part, hessian in zip(moments, parts, hessians, strict=True):
-        alone, others = (_inverse(h, whole) @ whole for h in (hessian, whole - hessian))
-        difference = (alone + others) @ log.total
-        variance = np.diag(alone @ part @ alone.T + others @ (every - part) @ others.T)
+    for log_moments, log_variance, hessian in zip(moments, log_variances, hessians, strict=True):
+        log_step, other_step = (
+            _inverse(share, total_hessian) @ total_hessian
+            for share in (hessian, total_hessian - hessian)
+        )
+        difference = (log_step + other_step) @ log_moments.total
+        variance = np.diag(
+            log_step @ log_variance @ log_step.T
+            + other_step @ (total_variance - log_variance) @ other_step.T
+        )
         squares.append(difference**2 / np.maximum(variance, 1e-300))
-    size = np.sqrt(np.maximum(np.diag(every), 1e-300))
-    alike = every / np.outer(size, size)
-    np.fill_diagonal(alike, 1.0)
-    independent = len(size) ** 2 / float(np.sum(alike**2))
+    size = np.sqrt(np.maximum(np.diag(total_variance), 1e-300))
+    correlation = total_variance / np.outer(size, size)
+    np.fill_diagonal(correlation, 1.0)
+    independent = len(size) ** 2 / float(np.sum(correlation**2))
     return float(np.mean(squares)), (len(moments) - 1) * independent
 
 
-def _inverse(hessian: Array, whole: Array) -> Array:
-    size = np.sqrt(np.where(np.diag(whole) > 0.0, np.diag(whole), 1.0))
-    scaled = np.linalg.pinv(hessian / np.outer(size, size), hermitian=True, rcond=_RANK)
+def _inverse(hessian: Array, total_hessian: Array) -> Array:
+    size = np.sqrt(np.where(np.diag(total_hessian) > 0.0, np.diag(total_hessian), 1.0))
+    scaled = np.linalg.pinv(hessian / np.outer(size, size), hermitian=True, rcond=_RANK_TOLERANCE)
     return np.asarray(scaled / np.outer(size, size))
 
 
-def _memory(sums: Sequence[tuple[Array, Array]]) -> Array:
+def _estimate_autoregression(sums: Sequence[tuple[Array, Array]]) -> Array:
     """Return the first-order autoregression of each column (P,) from squares and products."""
-    below, above = np.sum(sums, axis=0)
-    return np.asarray(np.clip(above / np.maximum(below, 1e-300), -_MOST_MEMORY, _MOST_MEMORY))
+    squares, products = np.sum(sums, axis=0)
+    return np.asarray(
+        np.clip(products / np.maximum(squares, 1e-300), -_MAX_AUTOREGRESSION, _MAX_AUTOREGRESSION)
+    )
 
 
-def _bandwidth(white: Sequence[tuple[Array, Array]], moments: Sequence[Moments]) -> int:
+def _choose_bandwidth(white: Sequence[tuple[Array, Array]], moments: Sequence[Moments]) -> int:
     """Return the bandwidth of Bartlett's kernel [rows] (Andrews 1991, eq. 6.2 and 6.4)."""
-    rho = _memory(white)
+    rho = _estimate_autoregression(white)
     above = np.sum(4.0 * rho**2 * (1.0 - rho**2) ** 2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2))
     below = np.sum((1.0 - rho**2) ** 2 / (1.0 - rho) ** 4)
-    rows = np.mean([log.rows for log in moments])
+    rows = np.mean([log_moments.rows for log_moments in moments])
     return int(np.ceil(1.1447 * (above / below * rows) ** (1.0 / 3.0)))

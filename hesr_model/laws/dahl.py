@@ -20,16 +20,18 @@ DEFLECTIONS = np.geomspace(2e-4, 5e-2, 5)  # [rad] 1 / kappa: sharp to wide loop
 _ELEMENTS = range(1, len(DEFLECTIONS) + 1)
 
 
-def _of_each(name: str, unit: str, description: str) -> tuple[Coefficient, ...]:
+def _define_coefficients(name: str, unit: str, description: str) -> tuple[Coefficient, ...]:
     return tuple(
         Coefficient(name=f"{name}_{i}", unit=unit, description=description.format(element=i))
         for i in _ELEMENTS
     )
 
 
-_KAPPA = _of_each("kappa", "1/rad", "reciprocal of the sliding deflection of element {element}")
-_FORCE = _of_each("F", "N.m", "sliding friction of element {element}")
-_LOAD = _of_each("mu", "1", "sliding friction of element {element} per load")
+_KAPPA = _define_coefficients(
+    "kappa", "1/rad", "reciprocal of the sliding deflection of element {element}"
+)
+_FORCE = _define_coefficients("F", "N.m", "sliding friction of element {element}")
+_LOAD = _define_coefficients("mu", "1", "sliding friction of element {element} per load")
 
 
 @register
@@ -107,12 +109,12 @@ class DahlBasisBound(DahlBasis):
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
-        plain = super().core(structure)
+        unloaded_form = super().core(structure)
         bound = 1 + RISE.symbol * absolute(TAU_LOAD)
         return replace(
-            plain,
-            coefficients=(*plain.coefficients, RISE),
-            memory=tuple(replace(x, rate=x.rate / bound) for x in plain.relaxations),
+            unloaded_form,
+            coefficients=(*unloaded_form.coefficients, RISE),
+            memory=tuple(replace(x, rate=x.rate / bound) for x in unloaded_form.relaxations),
         )
 
     def space(self) -> SearchSpace:

@@ -34,9 +34,13 @@ def bristle_space(
 ) -> SearchSpace:
     """Search F_c / sigma_0, F_s / F_c and v_s within `bounds`: eq. 1 is linear in the others."""
     f_c, deflection, ratio = sympy.symbols("F_c deflection ratio", real=True)
-    usual = {"deflection": DEFLECTION_BOUNDS, "ratio": RATIO_TEXTBOOK, "v_s": VELOCITY_BOUNDS}
+    default_bounds = {
+        "deflection": DEFLECTION_BOUNDS,
+        "ratio": RATIO_TEXTBOOK,
+        "v_s": VELOCITY_BOUNDS,
+    }
     return SearchSpace(
-        bounds=tuple((usual | bounds).items()),
+        bounds=tuple((default_bounds | bounds).items()),
         linear=linear,
         non_negative=non_negative,
         values=(("sigma_0", f_c / deflection), ("F_s", ratio * f_c)),
@@ -51,8 +55,10 @@ _LUGRE = LawForm(
 )  # eq. 1 with an offset
 
 
-def _plus(term: sympy.Expr, *own: Coefficient) -> LawForm:
-    return replace(_LUGRE, coefficients=(*_LUGRE.coefficients, *own), output=_LUGRE.output + term)
+def _add_term(term: sympy.Expr, *coefficients: Coefficient) -> LawForm:
+    return replace(
+        _LUGRE, coefficients=(*_LUGRE.coefficients, *coefficients), output=_LUGRE.output + term
+    )
 
 
 @register
@@ -90,16 +96,16 @@ class LuGreLoad(LuGre):
     order = 40
     proposed = True
     adds = ("lugre", "load")
-    expressions = _plus(MU.symbol * SIGMA_0.symbol * _BRISTLE.state * absolute(TAU_LOAD), MU)
+    expressions = _add_term(MU.symbol * SIGMA_0.symbol * _BRISTLE.state * absolute(TAU_LOAD), MU)
 
     def space(self) -> SearchSpace:
         """Search the bristle; solve for F_c mu, in which the torque is linear."""
-        plain = super().space()
+        unloaded_space = super().space()
         product = sympy.Symbol("F_c_mu", real=True)
         return replace(
-            plain,
-            linear=(*plain.linear, product.name),
-            values=(*plain.values, (MU.name, product / F_C.symbol)),
+            unloaded_space,
+            linear=(*unloaded_space.linear, product.name),
+            values=(*unloaded_space.values, (MU.name, product / F_C.symbol)),
         )
 
 
@@ -133,7 +139,7 @@ class LuGreTextbook(LuGre):
     name = "lugre_textbook"
     title = "LuGre, shear thinning"
     order = 60
-    expressions = _plus(SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol), SIGMA_T, V_T)
+    expressions = _add_term(SIGMA_T.symbol * DQ / (1 + absolute(DQ) / V_T.symbol), SIGMA_T, V_T)
     linear = ("F_c", "sigma_1", "sigma_2", "sigma_t", "tau_0")
     searched: ClassVar[Mapping[str, tuple[float, float]]] = {"v_t": THINNING_BOUNDS}
 

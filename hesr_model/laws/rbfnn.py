@@ -25,10 +25,10 @@ from hesr_model.laws.parfam.family import hysteresis_state
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
-from hesr_model.support.progress import counted, step
+from hesr_model.support.progress import report_progress, step
 
-TRIED = 30  # maximum number for a torque in bounds
-_TINY = 1e-12
+MAX_TRIED_LAWS = 30  # maximum number for a torque in bounds
+_MIN_SPREAD = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,11 +41,11 @@ class Inputs:
     spread: Array  # (3,)
 
     @classmethod
-    def of(cls, features: HysteresisFeatures, cell: Cell) -> "Inputs":
+    def from_features(cls, features: HysteresisFeatures, cell: Cell) -> "Inputs":
         """Run the hysteresis state of eq. 9 over the rows of a joint."""
         x = features.columns(cell.alpha, cell.beta)[:, 1:]
         mean = x.mean(axis=0)
-        spread = np.maximum(x.std(axis=0), _TINY)
+        spread = np.maximum(x.std(axis=0), _MIN_SPREAD)
         return cls(cell=cell, z=(x - mean) / spread, mean=mean, spread=spread)
 
 
@@ -59,11 +59,13 @@ class NetworkEstimator(Estimator):
     sizes: ClassVar[tuple[int, int]]  # smallest fitted and largest one
 
     def __init__(self, tried: Sequence[int], cells: int, discretisation: Discretisation) -> None:
-        least, largest = self.sizes
-        if not tried or any(type(x) is not int or not least <= x <= largest for x in tried):
+        smallest, largest = self.sizes
+        if not tried or any(
+            type(size) is not int or not smallest <= size <= largest for size in tried
+        ):
             raise FitError(
                 f"law '{self.name}': '{self.key}' is {list(tried)}; expected whole numbers from "
-                f"{least} to {largest}."
+                f"{smallest} to {largest}."
             )
         self.tried = tuple(tried)
         self.cells = cells
@@ -72,33 +74,35 @@ class NetworkEstimator(Estimator):
     @classmethod
     def size(cls, structure: Mapping[str, Any]) -> int:
         """Return the size from a structure {key: size}; raises ArtifactError if it is invalid."""
-        found = structure.get(cls.key)
+        size = structure.get(cls.key)
         largest = cls.sizes[1]
-        if set(structure) != {cls.key} or type(found) is not int or not 1 <= found <= largest:
+        if set(structure) != {cls.key} or type(size) is not int or not 1 <= size <= largest:
             raise ArtifactError(
                 f"law '{cls.name}': structure is {dict(structure)}; expected only '{cls.key}', a "
                 f"whole number from 1 to {largest}.",
                 code="law.structure",
                 key="structure",
             )
-        return found
+        return size
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Cross-validate every choice and fit the best one (seeded by `rng`)."""
         largest = self.form({self.key: max(self.tried)})
-        rows = JointRows.of(records, coefficients=len(largest.coefficients))
+        rows = JointRows.from_records(records, coefficients=len(largest.coefficients))
         features = HysteresisFeatures(samples=rows, discretisation=self.discretisation)
-        return first_tame(self._best_first(candidates(features, self.cells), rows, rng), records)
+        return find_bounded_law(
+            self._rank_laws(find_candidates(features, self.cells), rows, rng), records
+        )
 
-    def _best_first(
+    def _rank_laws(
         self, inputs: Sequence[Inputs], rows: JointRows, rng: np.random.Generator
     ) -> Iterator[FrictionLaw]:
         costs_of, law_of = self._search(rows, rng)
         choices = list(product(inputs, self.tried))
-        costs = np.array([costs_of(*choice) for choice in counted(choices, step)])
-        for place in np.argsort(costs, axis=None):
-            i, *more = map(int, np.unravel_index(place, costs.shape))
-            yield law_of(*choices[i], *more)
+        costs = np.array([costs_of(*choice) for choice in report_progress(choices, step)])
+        for flat_index in np.argsort(costs, axis=None):
+            i, *cost_indices = map(int, np.unravel_index(flat_index, costs.shape))
+            yield law_of(*choices[i], *cost_indices)
 
     @abstractmethod
     def _search(
@@ -106,7 +110,7 @@ class NetworkEstimator(Estimator):
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         """Return the costs of inputs and a size, and the law of these and indices of a cost."""
 
-    def _of(self, size: int, values: Mapping[str, float]) -> FrictionLaw:
+    def _build_law(self, size: int, values: Mapping[str, float]) -> FrictionLaw:
         structure = {self.key: size}
         return FrictionLaw(
             name=self.name,
@@ -117,16 +121,16 @@ class NetworkEstimator(Estimator):
         )
 
 
-def candidates(features: HysteresisFeatures, count: int) -> list[Inputs]:
+def find_candidates(features: HysteresisFeatures, count: int) -> list[Inputs]:
     """Return the inputs at the best `count` distinct (alpha, beta) of stage 1."""
-    cells = calibrate.distinct(calibrate.profile(features), count)
-    return [Inputs.of(features, cell) for cell in cells]
+    cells = calibrate.select_distinct(calibrate.compute_profile(features), count)
+    return [Inputs.from_features(features, cell) for cell in cells]
 
 
-def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -> FrictionLaw:
-    """Return the first law with a bounded torque; raises FitError if the first `TRIED` explode."""
-    trained_range = TrainedRange.of(records)
-    for law in islice(laws, TRIED):
+def find_bounded_law(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -> FrictionLaw:
+    """Return the first law with a bounded torque; FitError if `MAX_TRIED_LAWS` explode."""
+    trained_range = TrainedRange.from_records(records)
+    for law in islice(laws, MAX_TRIED_LAWS):
         if not explodes(law, trained_range):
             return law
     raise FitError(
@@ -136,7 +140,7 @@ def first_tame(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -
 
 
 MAX_CENTRES = 40  # runs in microseconds
-FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
+WIDTH_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # widths, in mean distances of the centres
 # Added to the mean square of Gaussians with peak 1; sums of larger weights lose digits.
 RIDGES = tuple(float(x) for x in 10.0 ** np.arange(-8, -1))
 CLUSTERED_ROWS = 2400  # for k-means
@@ -172,7 +176,7 @@ class RbfnnH(NetworkEstimator):
     @classmethod
     def form(cls, structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions of {"centres": number of Gaussians}."""
-        hysteresis, own = hysteresis_state("paper")
+        hysteresis, state_coefficients = hysteresis_state("paper")
         inputs = (DQ, hysteresis.state, hysteresis.derivative)
         widths = [
             Coefficient(name=f"s_{x}", unit=unit, description=f"width of the Gaussians in {x}")
@@ -193,19 +197,21 @@ class RbfnnH(NetworkEstimator):
             )
             output += weight.symbol * sympy.exp(-square / 2)
             coefficients += [weight, *centre]
-        return LawForm(coefficients=(*coefficients, *own), memory=(hysteresis,), output=output)
+        return LawForm(
+            coefficients=(*coefficients, *state_coefficients), memory=(hysteresis,), output=output
+        )
 
     def _search(
         self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         def law(inputs: Inputs, count: int, factor: int, ridge: int) -> FrictionLaw:
             centres, spacing = cluster_centres(inputs.z, count, rng)
-            width = FACTORS[factor] * spacing
+            width = WIDTH_FACTORS[factor] * spacing
             columns = gaussians(inputs.z, centres, width)
             bias, weights = ridge_weights(columns, rows.tau, (RIDGES[ridge],))
             return self._law(inputs, centres, width, float(bias[0]), weights[:, 0])
 
-        return lambda inputs, count: left_out(inputs.z, rows, count, rng), law
+        return lambda inputs, count: cross_validate(inputs.z, rows, count, rng), law
 
     def _law(
         self, inputs: Inputs, centres: Array, width: float, bias: float, weights: Array
@@ -216,15 +222,15 @@ class RbfnnH(NetworkEstimator):
         for i, (x, _) in enumerate(_INPUTS):
             values[f"s_{x}"] = float(inputs.spread[i] * width)
             values |= {f"m{k}_{x}": float(m) for k, m in enumerate(places[:, i], start=1)}
-        return self._of(len(weights), values)
+        return self._build_law(len(weights), values)
 
 
-def left_out(z: Array, rows: JointRows, count: int, rng: np.random.Generator) -> Array:
+def cross_validate(z: Array, rows: JointRows, count: int, rng: np.random.Generator) -> Array:
     """Return (factors, ridges) mean square errors [N^2.m^2] of networks by cross-validation."""
-    total = np.zeros((len(FACTORS), len(RIDGES)))
+    total = np.zeros((len(WIDTH_FACTORS), len(RIDGES)))
     for fold in rows.folds:
         centres, spacing = cluster_centres(z[~fold], count, rng)
-        for i, factor in enumerate(FACTORS):
+        for i, factor in enumerate(WIDTH_FACTORS):
             columns = gaussians(z, centres, factor * spacing)
             bias, weights = ridge_weights(columns[~fold], rows.tau[~fold], RIDGES)
             error = columns[fold] @ weights + bias - rows.tau[fold, None]

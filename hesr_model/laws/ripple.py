@@ -27,15 +27,15 @@ from hesr_model.support.arrays import Array, Mask
 ORDERS = range(1, 17)  # per turn of the motor
 LAG_BOUNDS = (0.0, 0.012)  # [s]
 SMOOTHING_BOUNDS = (0.0, 0.02)  # [s]
-MOST = 6  # orders of a joint
-GAIN = 0.002  # smallest relative reduction of the left-out mean square by an order
-CHANCE = 18.0  # the same per row: the best of many orders gains by chance
+MAX_ORDERS = 6  # orders of a joint
+MIN_GAIN = 0.002  # smallest relative reduction of the left-out mean square by an order
+CHANCE_GAIN = 18.0  # the same per row: the best of many orders gains by chance
 LAG = Coefficient(name="lag", unit="s", description="lag behind the position")
 SMOOTHING = Coefficient(name="smoothing", unit="s", description="time constant over fast ripple")
 Times = tuple[float, float]  # lag and smoothing [s]
 _SMOOTHINGS = (0.0, 1e-3, 2e-3, 4e-3, 8e-3)
 _TIMES: list[Times] = [*product(map(float, np.linspace(*LAG_BOUNDS, 25)), _SMOOTHINGS)]
-_NEAR = 2e-3
+_NEAR_LAG = 2e-3
 _ATTEMPTS = 3
 
 
@@ -53,7 +53,7 @@ class Ripple:
     orders: tuple[int, ...]  # per turn of the motor
 
     @classmethod
-    def of_structure(cls, data: Any) -> "Ripple":
+    def from_structure(cls, data: Any) -> "Ripple":
         """Return the ripple of {"gear_ratio", "orders"}; raises ArtifactError if invalid."""
         try:
             return TypeAdapter(cls).validate_python(data)
@@ -97,12 +97,12 @@ class Ripple:
         lag, smoothing = times
         angle = self.gear_ratio * (rows.q - lag * rows.dq)
         fast = self.gear_ratio * smoothing * rows.dq
-        waves = {k: wave / (1.0 + (k * fast) ** 2) for k, wave in _powers(angle, self.orders)}
+        waves = {k: wave / (1.0 + (k * fast) ** 2) for k, wave in _yield_powers(angle, self.orders)}
         parts = [part for k in self.orders for part in (waves[k].real, waves[k].imag)]
         return np.stack(parts, axis=1)
 
 
-def _powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArray[Any]]]:
+def _yield_powers(angle: Array, orders: Collection[int]) -> Iterator[tuple[int, NDArray[Any]]]:
     turn = np.exp(1j * angle)
     rotated = np.ones_like(turn)
     for k in range(1, max(orders, default=0) + 1):
@@ -120,33 +120,35 @@ def select(
     error on left-out logs falls.
     """
     tau = rows.tau
-    gain = max(GAIN, CHANCE / len(tau))
+    gain = max(MIN_GAIN, CHANCE_GAIN / len(tau))
     chosen = Ripple(gear_ratio=gear_ratio, orders=())
     times = _TIMES[0]
     columns = base
     cost = left_out_cost(base, tau, folds)
 
-    def left_out(ripple: Ripple, at: Times) -> float:
-        return left_out_cost(np.hstack([base, ripple.columns(rows, at)]), tau, folds)
+    def cross_validate(ripple: Ripple, trial_times: Times) -> float:
+        return left_out_cost(np.hstack([base, ripple.columns(rows, trial_times)]), tau, folds)
 
-    while len(chosen.orders) < MOST:
+    while len(chosen.orders) < MAX_ORDERS:
         residual = tau - columns @ least_squares(columns, tau)
-        near = [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR] if chosen.orders else _TIMES
-        ranked = _ranking(rows, residual, chosen, [times] if chosen.orders else _TIMES)
-        for order, at in ranked[:_ATTEMPTS]:
+        near_times = (
+            [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR_LAG] if chosen.orders else _TIMES
+        )
+        ranked = _rank_orders(rows, residual, chosen, [times] if chosen.orders else _TIMES)
+        for order, trial_times in ranked[:_ATTEMPTS]:
             extended = replace(chosen, orders=(*chosen.orders, order))
-            if left_out(extended, at) < (1.0 - gain) * cost:
+            if cross_validate(extended, trial_times) < (1.0 - gain) * cost:
                 break
         else:
             break
         chosen = extended
-        times = min(near, key=lambda at: left_out(chosen, at))
-        cost = left_out(chosen, times)
+        times = min(near_times, key=lambda at: cross_validate(chosen, at))
+        cost = cross_validate(chosen, times)
         columns = np.hstack([base, chosen.columns(rows, times)])
     return (chosen, times) if chosen.orders else None
 
 
-def _ranking(
+def _rank_orders(
     rows: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
 ) -> list[tuple[int, Times]]:
     explained = []
@@ -154,20 +156,20 @@ def _ranking(
     weights = {order: _weights(rows, chosen.gear_ratio, order, candidates) for order in orders}
     for lag in dict.fromkeys(lag for lag, _ in candidates):
         angle = chosen.gear_ratio * (rows.q - lag * rows.dq)
-        for order, rotated in _powers(angle, weights):
-            smoothings, plain, squared = weights[order]
+        for order, rotated in _yield_powers(angle, weights):
+            smoothings, wave_sizes, squared = weights[order]
             # Cosine and sine, also of the doubled angle for their squares.
-            moments = (plain * residual) @ rotated.view(float).reshape(-1, 2)
+            moments = (wave_sizes * residual) @ rotated.view(float).reshape(-1, 2)
             doubled = squared @ (rotated * rotated).view(float).reshape(-1, 2)
             for i, smoothing in enumerate(smoothings):
                 if (lag, smoothing) not in candidates:
                     continue
-                both, (c, s), moment = squared[i].sum(), doubled[i], moments[i]
-                gram = 0.5 * np.array([[both + c, s], [s, both - c]]) + 1e-9 * np.eye(2)
+                weight_sum, (c, s), moment = squared[i].sum(), doubled[i], moments[i]
+                gram = 0.5 * np.array([[weight_sum + c, s], [s, weight_sum - c]]) + 1e-9 * np.eye(2)
                 share = float(moment @ np.linalg.solve(gram, moment))
                 explained.append((share, order, (lag, smoothing)))
     explained.sort(reverse=True)
-    return [(order, at) for _, order, at in explained]
+    return [(order, times) for _, order, times in explained]
 
 
 def starts(times: Times) -> Iterator[dict[str, float]]:
@@ -185,5 +187,5 @@ def _weights(
 ) -> tuple[list[float], Array, Array]:
     smoothings = list(dict.fromkeys(smoothing for _, smoothing in candidates))
     fast = order * gear_ratio * np.outer(smoothings, rows.dq)
-    plain = 1.0 / (1.0 + fast**2)
-    return smoothings, plain, plain**2
+    wave_sizes = 1.0 / (1.0 + fast**2)
+    return smoothings, wave_sizes, wave_sizes**2

@@ -22,28 +22,34 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_table import LogTable, TextCell, listed, most_bytes, require_columns
+from hesr_model.logs.log_table import (
+    LogTable,
+    TextCell,
+    compute_max_bytes,
+    join_names,
+    require_columns,
+)
 from hesr_model.support.arrays import Array
 
-_MOST_CSV = 2**31 - 2  # bytes
-_LONGEST_LINE = 2**24  # characters
+_MAX_CSV = 2**31 - 2  # bytes
+_MAX_LINE_LENGTH = 2**24  # characters
 _DELIMITERS = ",;\t "
-_MARKS = "#%"  # marks of comments, sometimes of a header
-_SEARCHED = 500  # lines searched for data
-_HEADERLESS = 20  # rows of data that prove the absence of a header
+_COMMENT_MARKS = "#%"  # marks of comments, sometimes of a header
+_MAX_SEARCHED_LINES = 500  # lines searched for data
+_MIN_HEADERLESS_ROWS = 20  # rows of data that prove the absence of a header
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
-_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # decimal comma
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # decimal comma
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
 _TIME = re.compile(
     r"(1[7-9]|2[01])\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?"
 )
-_EMPTY = {"", "#N/A", "#NA", "N/A", "NA", "NULL", "n/a", "null"}
+_EMPTY_CELLS = {"", "#N/A", "#NA", "N/A", "NA", "NULL", "n/a", "null"}
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0, "nan": float("nan")}
-_START = 2**16
-_CONTROL = re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that show the encoding
-_SWAPPED = str.maketrans(",.", ".,")  # a decimal comma excludes points
-_CHUNK = 2**18  # cells converted at once
-_EXACT = 2.0**53  # larger integers exceed the digits of a float
+_START_BYTES = 2**16
+_CONTROL_BYTES = re.compile(rb"[\0-\x08\x0e-\x1f]")  # bytes that show the encoding
+_SWAP_COMMA = str.maketrans(",.", ".,")  # a decimal comma excludes points
+_CHUNK_CELLS = 2**18  # cells converted at once
+_MAX_EXACT_INTEGER = 2.0**53  # larger integers exceed the digits of a float
 _UNPACKERS: Mapping[bytes, Callable[[Path], io.BufferedIOBase]] = {
     b"\x1f\x8b": gzip.GzipFile,
     b"BZh": bz2.BZ2File,
@@ -54,21 +60,21 @@ _UNPACKERS: Mapping[bytes, Callable[[Path], io.BufferedIOBase]] = {
 def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = None) -> LogTable:
     """Open a text file, or `content` instead, with `names` if it has no header; raises LogError."""
     _require_length(path, path.stat().st_size)
-    content = _content(path) if content is None else content
+    content = _read_content(path) if content is None else content
     _require_length(path, len(content or b""))
-    return _joined(path, _chunks(_dialect(path, content, names)))
+    return _join_chunks(path, _read_chunks(_find_dialect(path, content, names)))
 
 
 def text_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
     """Yield the tables of successive lines, up to `rows` each; raises LogError."""
-    text = _dialect(path, _content(path), names)
-    yield from (_joined(path, [chunk]) for chunk in _chunks(text, rows) if chunk.numbers)
+    text = _find_dialect(path, _read_content(path), names)
+    yield from (_join_chunks(path, [chunk]) for chunk in _read_chunks(text, rows) if chunk.numbers)
 
 
 def _require_length(path: Path, length: int) -> None:
-    if length > _MOST_CSV:
+    if length > _MAX_CSV:
         raise LogError(
-            f"{path}: is {length / 1e9:.1f} GB long; a CSV of up to {_MOST_CSV / 1e9:.1f} GB can "
+            f"{path}: is {length / 1e9:.1f} GB long; a CSV of up to {_MAX_CSV / 1e9:.1f} GB can "
             "be read; use Parquet, or split it.",
             code="log.too_large",
             where=path,
@@ -86,22 +92,22 @@ class _Text:
     data: int  # line of the first row
 
 
-def _as_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
+def _open_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
     file: BinaryIO = path.open("rb") if content is None else io.BytesIO(content)
     return io.TextIOWrapper(file, encoding="utf-8-sig", newline=newline)
 
 
-def _content(path: Path) -> bytes | None:
+def _read_content(path: Path) -> bytes | None:
     """Return packed text, or text that is not UTF-8, as UTF-8; None for any other file."""
     with path.open("rb") as file:
-        start = file.read(_START)
+        start = file.read(_START_BYTES)
         content = None
     unpack = next((f for magic, f in _UNPACKERS.items() if start.startswith(magic)), None)
     if unpack:
         _require_length(path, path.stat().st_size)
         try:
             with unpack(path) as packed:
-                content = packed.read(most_bytes(path) + 1)
+                content = packed.read(compute_max_bytes(path) + 1)
         except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
             raise LogError(
                 f"{path}: cannot be unpacked; it is truncated or damaged, so copy or record it "
@@ -109,13 +115,13 @@ def _content(path: Path) -> bytes | None:
                 code="file.unreadable",
                 where=path,
             ) from error
-        if len(content) > most_bytes(path):
+        if len(content) > compute_max_bytes(path):
             raise LogError(
-                f"{path}: unpacks to more than {most_bytes(path) / 1e6:.0f} MB.",
+                f"{path}: unpacks to more than {compute_max_bytes(path) / 1e6:.0f} MB.",
                 code="log.too_large",
                 where=path,
             )
-        start = content[:_START]
+        start = content[:_START_BYTES]
     marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     without_mark = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
     encoding = "utf-16" if marked else without_mark.get(bytes(map(bool, start[:4])))
@@ -123,78 +129,88 @@ def _content(path: Path) -> bytes | None:
         try:
             codecs.getincrementaldecoder("utf-8")().decode(start)
         except UnicodeDecodeError:  # a degree sign of Windows
-            encoding = None if _CONTROL.search(start) else "cp1252"
+            encoding = None if _CONTROL_BYTES.search(start) else "cp1252"
     if not encoding:
         return content
     _require_length(path, path.stat().st_size)
     try:
         return (path.read_bytes() if content is None else content).decode(encoding).encode()
     except UnicodeDecodeError as error:
-        raise _no_csv(path) from error
+        raise _csv_error(path) from error
 
 
-def _dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Text:
+def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Text:
     try:
-        with _as_text(path, content) as file:
-            numbered = ((k, line.strip()) for k, line in enumerate(_lines(file), start=1))
-            head = list(islice(((k, line) for k, line in numbered if line), _SEARCHED))
-            header, data, delimiter = _table_in(path, head, names)
+        with _open_text(path, content) as file:
+            numbered = ((k, line.strip()) for k, line in enumerate(_read_lines(file), start=1))
+            head = list(islice(((k, line) for k, line in numbered if line), _MAX_SEARCHED_LINES))
+            header, data, delimiter = _find_table(path, head, names)
             # A log may begin with zeros without decimal sign.
             commas = delimiter != "," and any(
-                _COMMA.fullmatch(cell.strip())
+                _DECIMAL_COMMA.fullmatch(cell.strip())
                 for _, line in chain(((k, line) for k, line in head if k >= data), numbered)
                 if "," in line
                 for cell in line.split(delimiter)
             )
     except (UnicodeDecodeError, csv.Error) as error:
-        raise _no_csv(path) from error
+        raise _csv_error(path) from error
     return _Text(path, content, tuple(names), delimiter, "," if commas else ".", header, data)
 
 
-def _table_in(
+def _find_table(
     path: Path, lines: Sequence[tuple[int, str]], names: Sequence[str]
 ) -> tuple[int, int, str]:
     """Return the lines of the header (else the first) and of the first row, and the delimiter."""
-    bare: list[tuple[int, list[str]]] = []  # rows without a header, and number of cells above
-    for at, (number, line) in enumerate(lines):
+    headerless_rows: list[
+        tuple[int, list[str]]
+    ] = []  # rows without a header, and number of cells above
+    for index, (number, line) in enumerate(lines):
         for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):
             if not _is_data(line, delimiter):
                 continue
-            cells = _cells(line, delimiter)
+            cells = _split_cells(line, delimiter)
             if len(cells) == len(names) and not _is_count(cells):
                 return 0, number, delimiter
-            above = [(k, text.lstrip(_MARKS + " ")) for k, text in reversed(lines[:at])]
-            fitting = [(k, text) for k, text in above if _count(text, delimiter) == len(cells)]
+            above = [(k, text.lstrip(_COMMENT_MARKS + " ")) for k, text in reversed(lines[:index])]
+            fitting = [
+                (k, text) for k, text in above if _count_cells(text, delimiter) == len(cells)
+            ]
             units = [k for k, text in fitting[:1] if _are_units(text, delimiter)]
             named = fitting[1:] if units and len(fitting) > 1 else fitting
             if named and not names and not _is_row(named[0][1], delimiter):
                 return named[0][0], number, delimiter
-            titled = at > 0 and lines[at - 1][1][0] not in _MARKS
-            bare.append((_count(lines[at - 1][1], delimiter) if titled else 1, cells))
-        if len(bare) >= _HEADERLESS:
+            titled = index > 0 and lines[index - 1][1][0] not in _COMMENT_MARKS
+            headerless_rows.append(
+                (_count_cells(lines[index - 1][1], delimiter) if titled else 1, cells)
+            )
+        if len(headerless_rows) >= _MIN_HEADERLESS_ROWS:
             break
-    if bare and (names or bare[0][0] == 1):
-        raise _headerless(path, bare[0][1], names)
+    if headerless_rows and (names or headerless_rows[0][0] == 1):
+        raise _headerless_error(path, headerless_rows[0][1], names)
     number, header = lines[0] if lines else (1, "")
     first = lines[1][1] if len(lines) > 1 else ""
-    header = header.lstrip(_MARKS + " ")
-    there = [d for d in _DELIMITERS if d in header] or [","]
+    header = header.lstrip(_COMMENT_MARKS + " ")
+    used_delimiters = [d for d in _DELIMITERS if d in header] or [","]
     # Names may contain other delimiters.
-    alike = [d for d in there if _count(header, d) == _count(first, d)] or there[:1]
-    return number, number + 1, max(alike, key=lambda d: _count(header, d))
+    alike = [
+        d for d in used_delimiters if _count_cells(header, d) == _count_cells(first, d)
+    ] or used_delimiters[:1]
+    return number, number + 1, max(alike, key=lambda d: _count_cells(header, d))
 
 
-def _headerless(path: Path, row: Sequence[str], names: Sequence[str]) -> LogError:
+def _headerless_error(path: Path, row: Sequence[str], names: Sequence[str]) -> LogError:
     if names:
         return LogError(
-            f"{path}: its rows have {len(row)} cells, such as {listed(row)}, but 'log.columns' of "
+            f"{path}: its rows have {len(row)} cells, such as {join_names(row)}, but "
+            "'log.columns' of "
             f"the robot file names {len(names)} columns; name them all.",
             code="log.names_count",
             where=path,
             key="log.columns.names",
         )
     return LogError(
-        f"{path}: has no header, its first row is {listed(row)}; name its {len(row)} columns under "
+        f"{path}: has no header, its first row is {join_names(row)}; name its {len(row)} "
+        "columns under "
         "'log.columns' of the robot file, such as columns = ['t', 'q1', 'dq1', 'tau1'].",
         code="log.no_header",
         where=path,
@@ -204,18 +220,18 @@ def _headerless(path: Path, row: Sequence[str], names: Sequence[str]) -> LogErro
 
 def _is_data(line: str, delimiter: str) -> bool:
     """Return whether a line has numbers, some may be missing."""
-    if line[0] in _MARKS or delimiter not in line:
+    if line[0] in _COMMENT_MARKS or delimiter not in line:
         return False
-    cells = _cells(line, delimiter)
+    cells = _split_cells(line, delimiter)
     numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
     return numbers > 0 and 2 * numbers >= len(cells)
 
 
 def _is_row(line: str, delimiter: str) -> bool:
     """Return whether a line has nothing but numbers; a header may count its columns."""
-    cells = _cells(line, delimiter)
-    plain = all(_NUMBER.fullmatch(cell) or cell.lower() in ("", "nan") for cell in cells)
-    return plain and not _is_count(cells)
+    cells = _split_cells(line, delimiter)
+    is_numeric = all(_NUMBER.fullmatch(cell) or cell.lower() in ("", "nan") for cell in cells)
+    return is_numeric and not _is_count(cells)
 
 
 def _is_count(cells: Sequence[str]) -> bool:
@@ -228,22 +244,22 @@ def _are_units(line: str, delimiter: str) -> bool:
     return all(_UNIT_CELL.fullmatch(cell.strip()) for cell in line.split(delimiter))
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
+def _split_cells(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
 
 
-def _count(line: str, delimiter: str) -> int:
-    return len(_cells(line, delimiter))
+def _count_cells(line: str, delimiter: str) -> int:
+    return len(_split_cells(line, delimiter))
 
 
-def _lines(file: TextIO) -> Iterator[str]:
-    while line := file.readline(_LONGEST_LINE):
-        if "\0" in line or (len(line) == _LONGEST_LINE and not line.endswith("\n")):
+def _read_lines(file: TextIO) -> Iterator[str]:
+    while line := file.readline(_MAX_LINE_LENGTH):
+        if "\0" in line or (len(line) == _MAX_LINE_LENGTH and not line.endswith("\n")):
             raise csv.Error("not a line of text")
         yield line
 
 
-def _no_csv(path: Path) -> LogError:
+def _csv_error(path: Path) -> LogError:
     return LogError(f"{path}: cannot be read as CSV text.", code="file.unreadable", where=path)
 
 
@@ -255,13 +271,13 @@ class _Chunk:
     decimal: str
 
 
-def _chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
+def _read_chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
     try:
-        with _as_text(text.path, text.content, newline="") as file:
-            lines = _lines(file)
+        with _open_text(text.path, text.content, newline="") as file:
+            lines = _read_lines(file)
             above = list(islice(lines, text.data - 1))[text.header - 1 :]
             header = csv.reader(above if text.header else [], delimiter=text.delimiter)
-            names = list(text.names) or _names(next(header, []))
+            names = list(text.names) or _parse_names(next(header, []))
             if not names:
                 raise LogError(
                     f"{text.path}: is empty; a log needs a header and rows of data.",
@@ -271,16 +287,18 @@ def _chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
             require_columns(text.path, len(names))
             yield _Chunk(names, [], [], text.decimal)
             below = enumerate(lines, start=text.data)
-            while chunk := list(islice(below, size or max(1, _CHUNK // len(names)))):
-                rows = {k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _MARKS}
+            while chunk := list(islice(below, size or max(1, _CHUNK_CELLS // len(names)))):
+                rows = {
+                    k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _COMMENT_MARKS
+                }
                 if rows:
-                    found = list(_cells_of(rows, text, len(names)))
-                    yield _Chunk(names, list(rows), found, text.decimal)
+                    columns = list(_parse_columns(rows, text, len(names)))
+                    yield _Chunk(names, list(rows), columns, text.decimal)
     except (UnicodeDecodeError, csv.Error) as error:
-        raise _no_csv(text.path) from error
+        raise _csv_error(text.path) from error
 
 
-def _joined(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
+def _join_chunks(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
     numbers = array("q")
     names = list[str]()
     columns: dict[int, Column] = defaultdict(Column)
@@ -289,21 +307,21 @@ def _joined(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
         for k, cells in enumerate(chunk.cells):
             columns[k].add(cells, len(numbers), chunk.decimal)
         numbers.extend(chunk.numbers)
-    arrays = {k: column.whole() for k, column in columns.items()}
+    arrays = {k: column.concatenate() for k, column in columns.items()}
     return LogTable(path, tuple(names), len(numbers), arrays.__getitem__, number=numbers)
 
 
-def _cells_of(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]:
+def _parse_columns(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]:
     """Return the columns of some lines, as arrays if all cells are numbers."""
     lines = list(rows.values())
-    plain = [line.translate(_SWAPPED) for line in lines] if text.decimal == "," else lines
-    read = partial(np.loadtxt, plain, delimiter=text.delimiter, comments=None, ndmin=2)
+    point_lines = [line.translate(_SWAP_COMMA) for line in lines] if text.decimal == "," else lines
+    read = partial(np.loadtxt, point_lines, delimiter=text.delimiter, comments=None, ndmin=2)
     with suppress(ValueError):
         values = read()
         if values.shape == (len(lines), width):
             columns = list(values.T)
-            for k in np.flatnonzero(np.any(np.abs(values) >= _EXACT, axis=0)):
-                columns[k] = _numbers(read(usecols=k, dtype=str)[:, 0].tolist(), ".")
+            for k in np.flatnonzero(np.any(np.abs(values) >= _MAX_EXACT_INTEGER, axis=0)):
+                columns[k] = _parse_numbers(read(usecols=k, dtype=str)[:, 0].tolist(), ".")
             return columns
     cells = list(csv.reader(lines, delimiter=text.delimiter))
     for number, row in zip(rows, cells, strict=False):
@@ -315,7 +333,7 @@ def _cells_of(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]
                 key=f"row {number}",
             )
     if len(cells) < len(lines):  # an open quotation mark
-        raise _no_csv(text.path)
+        raise _csv_error(text.path)
     return zip(*cells, strict=True)
 
 
@@ -330,17 +348,17 @@ class Column:
         """Append numbers, or the text from row `first`."""
         if self._parts and self._parts[-1] is None:
             return
-        part = cells if isinstance(cells, np.ndarray) else _numbers(cells, decimal)
+        part = cells if isinstance(cells, np.ndarray) else _parse_numbers(cells, decimal)
         if part is None:
-            cells = ["nan" if cell.strip() in _EMPTY else cell for cell in cells]
-            part = _numbers(cells, decimal)
+            cells = ["nan" if cell.strip() in _EMPTY_CELLS else cell for cell in cells]
+            part = _parse_numbers(cells, decimal)
         if part is None:
-            k = next(k for k, cell in enumerate(cells) if _numbers([cell], decimal) is None)
+            k = next(k for k, cell in enumerate(cells) if _parse_numbers([cell], decimal) is None)
             self._text = self._text or TextCell(index=first + k, text=cells[k])
-            part = _times_or_truths([cell.strip() for cell in cells])
+            part = _parse_times_or_truths([cell.strip() for cell in cells])
         self._parts.append(part)
 
-    def whole(self) -> Array | TextCell:
+    def concatenate(self) -> Array | TextCell:
         """Return all cells, or the first cell of text, also among times or truth values."""
         try:
             column = np.concatenate(self._parts)
@@ -350,24 +368,24 @@ class Column:
         return self._text if self._text and not fits else column
 
 
-def _numbers(cells: Sequence[str], decimal: str) -> Array | None:
+def _parse_numbers(cells: Sequence[str], decimal: str) -> Array | None:
     """Return floats, or integers if a float has too few digits; None for text."""
     joined = "\0".join(cells)
     if "_" in joined or not joined.isascii():  # allowed by Python
         return None
     if decimal == ",":
-        cells = joined.translate(_SWAPPED).split("\0")
+        cells = joined.translate(_SWAP_COMMA).split("\0")
     try:
         values: Array = np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:
         return None
-    if np.any(np.abs(values) >= _EXACT):
+    if np.any(np.abs(values) >= _MAX_EXACT_INTEGER):
         with suppress(ValueError, OverflowError):
             return np.fromiter(map(int, cells), np.int64, len(cells))
     return values
 
 
-def _times_or_truths(cells: Sequence[str]) -> Array | None:
+def _parse_times_or_truths(cells: Sequence[str]) -> Array | None:
     with suppress(KeyError):
         return np.array([_TRUTHS[cell.lower()] for cell in cells])
     if all(cell == "nan" or _TIME.fullmatch(cell) for cell in cells):
@@ -377,7 +395,7 @@ def _times_or_truths(cells: Sequence[str]) -> Array | None:
     return None
 
 
-def _names(header: Sequence[str]) -> list[str]:
+def _parse_names(header: Sequence[str]) -> list[str]:
     names = [name.strip() for name in header]
     if names[:1] == ["#"]:
         return names[1:]

@@ -9,12 +9,12 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from hesr_model.errors import RobotError, RuleError
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
-from hesr_model.units import KNOWN, fits, in_si
+from hesr_model.units import LOG_UNITS, find_si_factor, is_allowed_unit
 
 _PLACES = ("{}", "{1}", "{0}", "{name}")
 
 
-def _one_place_for_the_joint(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
+def _require_one_place(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
     if isinstance(columns, str) and sum(map(columns.count, _PLACES)) != 1:
         raise RuleError(
             "the pattern needs '{}' (joint number from 1), '{0}' (number from 0) or '{name}' once",
@@ -24,28 +24,28 @@ def _one_place_for_the_joint(columns: str | tuple[str, ...]) -> str | tuple[str,
 
 
 def _or_empty(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
-    return _one_place_for_the_joint(columns) if columns else columns
+    return _require_one_place(columns) if columns else columns
 
 
 UnitName = str | float
 _UnitNames = UnitName | tuple[UnitName, ...]
 
 
-def _known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
-    known = KNOWN[str(info.field_name)]
+def _require_known_unit(units: _UnitNames, info: ValidationInfo) -> _UnitNames:
+    known_units = LOG_UNITS[str(info.field_name)]
     for unit in units if isinstance(units, tuple) else (units,):
-        if isinstance(unit, str) and unit.removeprefix("-") not in known:
-            raise RuleError(f"known units are {', '.join(map(repr, known))}", code="log.unit")
+        if isinstance(unit, str) and unit.removeprefix("-") not in known_units:
+            raise RuleError(f"known units are {', '.join(map(repr, known_units))}", code="log.unit")
         if unit == 0.0:
             raise RuleError("a unit must not be 0", code="log.unit_zero")
     return units
 
 
-Columns = Annotated[str | tuple[str, ...], AfterValidator(_one_place_for_the_joint)]
+Columns = Annotated[str | tuple[str, ...], AfterValidator(_require_one_place)]
 """Pattern such as ``q{}`` or ``actual_q_{0}``, or one name per joint."""
-KnownUnit = Annotated[UnitName, AfterValidator(_known_unit)]
+KnownUnit = Annotated[UnitName, AfterValidator(_require_known_unit)]
 # Unit of all joints or one per joint: a name, or its size in SI
-Units = Annotated[_UnitNames, AfterValidator(_known_unit)]
+Units = Annotated[_UnitNames, AfterValidator(_require_known_unit)]
 
 
 def column_names(columns: str | tuple[str, ...], joints: Sequence[str]) -> list[str]:
@@ -106,7 +106,9 @@ class LogUnits(Config):
 
     def factors(self, quantity: str, joints: int) -> Array:
         """Return the size in SI of each joint's unit."""
-        return np.array([in_si(quantity, unit) for unit in self.each(quantity, joints)])
+        return np.array(
+            [find_si_factor(quantity, unit) for unit in self.expand_per_joint(quantity, joints)]
+        )
 
     @property
     def zero_of_temperature(self) -> float:
@@ -115,13 +117,13 @@ class LogUnits(Config):
 
     def require_fitting(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
         """Raise RobotError if a unit is not for sliding or turning joints."""
-        for quantity in KNOWN:
-            each = self.each(quantity, len(joints))
-            for joint, unit, sliding in zip(joints, each, slides, strict=True):
-                if not fits(quantity, unit, slides=sliding):
+        for quantity in LOG_UNITS:
+            joint_units = self.expand_per_joint(quantity, len(joints))
+            for joint, unit, prismatic in zip(joints, joint_units, slides, strict=True):
+                if not is_allowed_unit(quantity, unit, is_prismatic=prismatic):
                     raise RobotError(
                         f"key 'log.units.{quantity}' is '{unit}' for joint '{joint}', which "
-                        f"{'slides' if sliding else 'turns'}; give a list of one unit per joint.",
+                        f"{'slides' if prismatic else 'turns'}; give a list of one unit per joint.",
                         code="log.unit_of_joint",
                         key=f"log.units.{quantity}",
                     )
@@ -153,16 +155,18 @@ class LogCylinder(Config):
     @field_validator("pressures", "areas", mode="before")
     @classmethod
     def _pair_of_one_joint(cls, value: Any) -> Any:
-        several = isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple)
-        return value if several else (value,)
+        is_nested = isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple)
+        return value if is_nested else (value,)
 
     def forces(self, pressures: Array) -> tuple[Array, Array]:
         """Return forces and loads (N, n) [N] for p1 and p2 of each joint in turn, (N, 2 n)."""
         scale = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}[self.unit]
-        first = scale * pressures[:, ::2]
-        second = scale * pressures[:, 1::2]
-        one, other = np.array(self.areas).T
-        return one * first - other * second, 0.5 * (one + other) * (first - second)
+        first_pressure = scale * pressures[:, ::2]
+        second_pressure = scale * pressures[:, 1::2]
+        first_area, second_area = np.array(self.areas).T
+        return first_area * first_pressure - second_area * second_pressure, 0.5 * (
+            first_area + second_area
+        ) * (first_pressure - second_pressure)
 
 
 class LogFormat(Config):

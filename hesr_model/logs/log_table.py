@@ -12,9 +12,9 @@ import numpy as np
 from hesr_model.errors import LogError
 from hesr_model.support.arrays import Array
 
-_MOST_COLUMNS = 10_000
-_MOST_LISTED = 30  # names in a sentence
-_LONGEST_NAME = 60  # characters of a name
+_MAX_COLUMNS = 10_000
+_MAX_NAMES = 30  # names in a sentence
+_MAX_NAME_LENGTH = 60  # characters of a name
 _UNITS = {"D": 86400.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # of times [s]
 _SINCE_1970 = 1e8  # [s]; larger stamps count from an epoch
 
@@ -46,13 +46,13 @@ class LogTable:
     first: "LogTable | None" = None
 
     def __post_init__(self) -> None:
-        twice = [name for name, count in Counter(self.names).items() if count > 1]
-        if twice:
+        repeated_names = [name for name, count in Counter(self.names).items() if count > 1]
+        if repeated_names:
             raise LogError(
-                f"{self.path}: column '{twice[0]}' occurs twice; names must differ.",
+                f"{self.path}: column '{repeated_names[0]}' occurs twice; names must differ.",
                 code="log.columns_twice",
                 where=self.path,
-                key=twice[0],
+                key=repeated_names[0],
             )
         if self.rows == 0:
             raise LogError(
@@ -61,7 +61,7 @@ class LogTable:
                 where=self.path,
             )
 
-    def named(self, names: Sequence[str]) -> "LogTable":
+    def rename_columns(self, names: Sequence[str]) -> "LogTable":
         """Return the table with other names of its columns, if any; raises LogError."""
         if not names or tuple(names) == self.names:
             return self
@@ -82,32 +82,36 @@ class LogTable:
     @property
     def listing(self) -> str:
         """Columns of the file, for messages."""
-        return listed((*self.names, *self.others))
+        return join_names((*self.names, *self.others))
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
         """Return columns (N, len(names)), `missing` cells as NaN; raises LogError."""
-        columns = [(name, self._column(name)) for name in names]
-        return np.column_stack([self._floats(*column, missing=missing) for column in columns])
+        columns = [(name, self._find_column(name)) for name in names]
+        return np.column_stack([self._to_floats(*column, missing=missing) for column in columns])
 
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
         """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one."""
-        stamps, unit = self._stamps(name, unit, missing)
-        first = stamps if self.first is None else self.first._stamps(name, unit, missing)[0]
-        known = first[np.isfinite(first)]
-        since = known[0] if len(known) and abs(float(known[0])) * unit > _SINCE_1970 else 0
-        return np.asarray((stamps - since) * unit, dtype=float)
+        stamps, unit = self._read_stamps(name, unit, missing)
+        first = stamps if self.first is None else self.first._read_stamps(name, unit, missing)[0]
+        finite_stamps = first[np.isfinite(first)]
+        origin = (
+            finite_stamps[0]
+            if len(finite_stamps) and abs(float(finite_stamps[0])) * unit > _SINCE_1970
+            else 0
+        )
+        return np.asarray((stamps - origin) * unit, dtype=float)
 
-    def _stamps(self, name: str, unit: float, missing: bool) -> tuple[Any, float]:
-        cells: Any = self._column(name)
-        if _kind(cells) in "mM":
+    def _read_stamps(self, name: str, unit: float, missing: bool) -> tuple[Any, float]:
+        cells: Any = self._find_column(name)
+        if _find_kind(cells) in "mM":
             unit = _UNITS[np.datetime_data(cells.dtype)[0]]
-            empty, cells = np.isnat(cells), cells.astype(np.int64)
-            cells = np.where(empty, np.nan, cells) if empty.any() else cells
+            is_empty, cells = np.isnat(cells), cells.astype(np.int64)
+            cells = np.where(is_empty, np.nan, cells) if is_empty.any() else cells
         # Nanoseconds since 1970 exceed the digits of a float: subtract before.
-        whole = _kind(cells) in "iu"
-        return (cells if whole else self._floats(name, cells, missing=missing)), unit
+        is_integer = _find_kind(cells) in "iu"
+        return (cells if is_integer else self._to_floats(name, cells, missing=missing)), unit
 
-    def _column(self, name: str) -> Array | TextCell:
+    def _find_column(self, name: str) -> Array | TextCell:
         if name not in self.names:
             raise LogError(
                 f"{self.path}: column '{name}' is missing; it has {self.listing}.",
@@ -117,8 +121,8 @@ class LogTable:
             )
         return self.arrays(self.names.index(name))
 
-    def _floats(self, name: str, cells: Array | TextCell, *, missing: bool) -> Array:
-        if not isinstance(cells, TextCell) and _kind(cells) in "mM":
+    def _to_floats(self, name: str, cells: Array | TextCell, *, missing: bool) -> Array:
+        if not isinstance(cells, TextCell) and _find_kind(cells) in "mM":
             k = int(np.argmin(np.isnat(cells)))
             cells = TextCell(index=k, text=str(cells[k]))
         if isinstance(cells, TextCell):
@@ -130,12 +134,12 @@ class LogTable:
                 key=name,
             )
         values = np.asarray(cells, dtype=float)
-        good = ~np.isinf(values) if missing else np.isfinite(values)
-        if not np.all(good):
-            k = int(np.argmin(good))
-            found = "an empty cell or NaN" if np.isnan(values[k]) else "infinity"
+        is_good = ~np.isinf(values) if missing else np.isfinite(values)
+        if not np.all(is_good):
+            k = int(np.argmin(is_good))
+            content = "an empty cell or NaN" if np.isnan(values[k]) else "infinity"
             raise LogError(
-                f"{self.path}: column '{name}', row {self.row(k)}: {found} where a finite number "
+                f"{self.path}: column '{name}', row {self.row(k)}: {content} where a finite number "
                 "is needed.",
                 code="log.finite",
                 where=self.path,
@@ -144,15 +148,19 @@ class LogTable:
         return values
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Return names for a sentence, shortened if many."""
-    more = len(names) - _MOST_LISTED
-    shown = [name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..." for name in names]
-    return ", ".join((*shown[:_MOST_LISTED], *([f"and {more} more"] if more > 0 else [])))
+    more_count = len(names) - _MAX_NAMES
+    short_names = [
+        name if len(name) <= _MAX_NAME_LENGTH else f"{name[:_MAX_NAME_LENGTH]}..." for name in names
+    ]
+    return ", ".join(
+        (*short_names[:_MAX_NAMES], *([f"and {more_count} more"] if more_count > 0 else []))
+    )
 
 
 @contextmanager
-def readable(path: Path, what: str) -> Iterator[None]:
+def readable(path: Path, kind: str) -> Iterator[None]:
     """Raise LogError for errors of libraries, of many kinds, in the block."""
     try:
         yield
@@ -160,30 +168,32 @@ def readable(path: Path, what: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise LogError(
-            f"{path}: cannot be read as {what}.", code="file.unreadable", where=path
+            f"{path}: cannot be read as {kind}.", code="file.unreadable", where=path
         ) from error
 
 
-def most_bytes(path: Path) -> int:
+def compute_max_bytes(path: Path) -> int:
     """Return the allowed memory [B] of a packed file."""
     return 10 * path.stat().st_size + 300 * 2**20
 
 
-def table_of(path: Path, columns: Mapping[str, Array], others: Sequence[str] = ()) -> LogTable:
+def build_table(
+    path: Path, columns: Mapping[str, Array], other_names: Sequence[str] = ()
+) -> LogTable:
     """Make a table of columns (N,) of another format."""
     arrays = list(columns.values())
-    return LogTable(path, tuple(columns), len(arrays[0]), arrays.__getitem__, tuple(others))
+    return LogTable(path, tuple(columns), len(arrays[0]), arrays.__getitem__, tuple(other_names))
 
 
 def require_columns(path: Path, count: int) -> None:
     """Raise LogError above the largest number of columns."""
-    if count > _MOST_COLUMNS:
+    if count > _MAX_COLUMNS:
         raise LogError(
-            f"{path}: has {count} columns; at most {_MOST_COLUMNS} are allowed.",
+            f"{path}: has {count} columns; at most {_MAX_COLUMNS} are allowed.",
             code="log.most_columns",
             where=path,
         )
 
 
-def _kind(cells: Array | TextCell) -> str:
+def _find_kind(cells: Array | TextCell) -> str:
     return "text" if isinstance(cells, TextCell) else cells.dtype.kind

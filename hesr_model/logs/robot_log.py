@@ -9,24 +9,24 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.readers.formats import format_of
+from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.readers.samples import LogSamples
-from hesr_model.logs.tables import numbered, write_table
-from hesr_model.robots.robot import RobotDescription, RobotLike, description_of
+from hesr_model.logs.tables import number_columns, write_table
+from hesr_model.robots.robot import RobotDescription, RobotLike, to_description
 from hesr_model.support import frames
-from hesr_model.support.arrays import Array, Integers, arrays_of, some_rows
-from hesr_model.support.files import PathArg, path_of, sha256, written_whole
+from hesr_model.support.arrays import Array, Integers, get_arrays, select_rows
+from hesr_model.support.files import PathArg, sha256, to_path, written_whole
 
-LONGEST_GAP = 10.0  # gap in usual steps; friction states are unknown after it
-USUAL = 0.95  # share of the shortest steps, whose mean is usual
+MIN_GAP_STEPS = 10.0  # gap in usual steps; friction states are unknown after it
+USUAL_SHARE = 0.95  # share of the shortest steps, whose mean is usual
 SHORTEST_PART = 1.0  # minimum duration of a part [s]
 _RATE_MARGIN = 1.25
-_LARGEST = 1e20  # in any unit; nanoseconds since 1970 are 2e18
-_LEAST_TWIST = 1e-12
-_MOST_TWIST = 0.1  # of a gear [rad], and over the joint's motion
+_MAX_NUMBER = 1e20  # in any unit; nanoseconds since 1970 are 2e18
+_MIN_TWIST = 1e-12
+_MAX_TWIST = 0.1  # of a gear [rad], and over the joint's motion
 _UNITS = {"q": "rad", "dq": "rad/s", "tau": "N.m", "temperature": "degC"}
 _UNITS |= {"q_link": "rad", "q_cmd": "rad", "dq_cmd": "rad/s"}
-_LEAST_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
+_MIN_TRAVEL = 5e-3  # minimum travel of a joint [rad or m]; encoder noise is smaller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,8 +100,8 @@ class Log:
     def longest_step(self) -> float:
         """Step [s] above which there is a gap: ten usual steps."""
         steps = np.diff(self.t)
-        usual = steps[steps <= np.quantile(steps, USUAL, method="lower")]
-        return LONGEST_GAP * max(self.period, float(np.mean(usual)))
+        usual = steps[steps <= np.quantile(steps, USUAL_SHARE, method="lower")]
+        return MIN_GAP_STEPS * max(self.period, float(np.mean(usual)))
 
     @property
     def rate(self) -> float:
@@ -125,7 +125,7 @@ class Log:
 
     def rows(self, rows: slice | Integers) -> "Log":
         """Return the log of some rows, a slice or (K,) indices."""
-        return some_rows(self, rows)
+        return select_rows(self, rows)
 
     def split(self, longest: float) -> "list[Log]":
         """Return the logs between steps above `longest` [s]."""
@@ -139,7 +139,7 @@ class Log:
             return (self,)
         logs = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
         if not logs:
-            raise without_parts(self.where, len(parts) - 1, self.longest_step)
+            raise no_parts_error(self.where, len(parts) - 1, self.longest_step)
         return logs
 
     @classmethod
@@ -164,12 +164,12 @@ class Log:
         RobotError
             If a list of the robot file has not one entry per joint.
         """
-        path, robot = path_of(path, "a log"), description_of(robot)
+        path, robot = to_path(path, "a log"), to_description(robot)
         robot.require_one_per_joint()
-        logged = format_of(path).read(path, robot)
+        logged = find_format(path).read(path, robot)
         samples = logged.sort_samples(robot.log)
         dropped = len(logged.t) - len(samples.t)
-        log = replace(log_of(path, samples, robot), sha256=sha256(path), dropped=dropped)
+        log = replace(convert_samples(path, samples, robot), sha256=sha256(path), dropped=dropped)
         require_rows(log.where, len(log.t))
         require_increase(log, samples)
         require_rate(f"{log.where}: {samples.time}", log.period, 1.0 / log.rate, robot)
@@ -177,11 +177,11 @@ class Log:
 
     @property
     def _signals(self) -> dict[str, Array]:
-        return {name: values for name, values in arrays_of(self).items() if name in _UNITS}
+        return {name: values for name, values in get_arrays(self).items() if name in _UNITS}
 
     @property
     def _columns(self) -> dict[str, Array]:
-        return {"t": self.t} | numbered(**self._signals)
+        return {"t": self.t} | number_columns(**self._signals)
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` of ``q1.., dq1.., tau1..`` (SI) over ``t`` [s].
@@ -193,7 +193,7 @@ class Log:
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` over time [s] and joint; ConfigError if xarray is missing."""
         of_joints = self._signals.items()
-        return frames.library("xarray").Dataset(
+        return frames.import_library("xarray").Dataset(
             {name: (("t", "joint"), x, {"units": _UNITS[name]}) for name, x in of_joints},
             coords={"t": ("t", self.t, {"units": "s"}), "joint": list(self.joints)},
             attrs={"name": self.name},
@@ -205,11 +205,11 @@ class Log:
         The columns ``t, q1.., dq1.., tau1.., temperature1..`` are the defaults of a robot file.
         Raises ArtifactError if the file cannot be written.
         """
-        with written_whole(path_of(path, "a log")) as temporary:
+        with written_whole(to_path(path, "a log")) as temporary:
             write_table(temporary, self._columns)
 
 
-def log_of(path: Path, samples: LogSamples, description: RobotDescription) -> Log:
+def convert_samples(path: Path, samples: LogSamples, description: RobotDescription) -> Log:
     """Convert samples of a file to SI; errors as `Log.read`, but for time stamps."""
     units = description.log.units
     n = len(description.joints)
@@ -219,12 +219,12 @@ def log_of(path: Path, samples: LogSamples, description: RobotDescription) -> Lo
         if values is None:
             return None
         zero = (quantity == "q" and description.log.zero) or 0.0
-        return _of_joints(values * units.factors(quantity, n), description) + zero
+        return _to_joints(values * units.factors(quantity, n), description) + zero
 
     load = None
     temperature = samples.temperature
     if description.log.cylinder is None:
-        tau = _torque(path, samples, description)
+        tau = _convert_torque(path, samples, description)
     else:
         tau, load = description.log.cylinder.forces(samples.effort)
     if temperature is not None:
@@ -240,21 +240,21 @@ def log_of(path: Path, samples: LogSamples, description: RobotDescription) -> Lo
         tau=tau,
         load=load,
         temperature=temperature,
-        q_link=_q_link(path, samples, q, description),
+        q_link=_convert_q_link(path, samples, q, description),
         path=path,
         robot=description,
     )
 
 
-def parts_of(logs: Iterable[Log]) -> list[Log]:
+def collect_parts(logs: Iterable[Log]) -> list[Log]:
     """Return the parts of all logs; see `Log.parts`."""
     return [part for log in logs for part in log.parts()]
 
 
-def without_parts(where: str, gaps: int, longest: float) -> LogError:
+def no_parts_error(where: str, gaps: int, longest: float) -> LogError:
     """Return the error of a log whose gaps of more than `longest` [s] leave nothing."""
     return LogError(
-        f"{where}: its {gaps} gaps of more than {longest:.4g} s, {LONGEST_GAP:g} usual steps, "
+        f"{where}: its {gaps} gaps of more than {longest:.4g} s, {MIN_GAP_STEPS:g} usual steps, "
         f"leave no part of {SHORTEST_PART:g} s.",
         code="log.gaps",
         where=where,
@@ -264,16 +264,16 @@ def without_parts(where: str, gaps: int, longest: float) -> LogError:
 
 def require_different(logs: Sequence[Log]) -> None:
     """Raise LogError if a log is given twice, as it would count double."""
-    seen: dict[tuple[str, float, float], Log] = {}
+    by_key: dict[tuple[str, float, float], Log] = {}
     for log in logs:
-        rows = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
-        if log.sha256 and rows in seen:
+        key = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
+        if log.sha256 and key in by_key:
             raise LogError(
-                f"{log.where}: has the same content as {seen[rows].where}; leave one of them out.",
+                f"{log.where}: has the same content as {by_key[key].where}; leave one of them out.",
                 code="log.same",
                 where=log.where,
             )
-        seen[rows] = log
+        by_key[key] = log
 
 
 def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
@@ -284,24 +284,24 @@ def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
 
 def require_travel(where: str, travel: Array, joints: Sequence[str]) -> None:
     """Raise LogError if the `travel` (n,) [rad, m] of a joint is that of noise."""
-    for joint, moved in zip(joints, travel, strict=True):
-        if moved < _LEAST_TRAVEL:
+    for joint, joint_travel in zip(joints, travel, strict=True):
+        if joint_travel < _MIN_TRAVEL:
             raise LogError(
                 f"{where}: the position of joint '{joint}' is "
-                f"constant (it moves by {moved:.2g} rad); at least one log must move it.",
+                f"constant (it moves by {joint_travel:.2g} rad); at least one log must move it.",
                 code="log.still",
                 where=where,
                 key=joint,
             )
 
 
-def _of_joints(motion: Array, description: RobotDescription) -> Array:
+def _to_joints(motion: Array, description: RobotDescription) -> Array:
     if description.transmission is None or description.transmission.logs == "joint":
         return motion
     return np.asarray(np.linalg.solve(np.array(description.transmission.matrix), motion.T).T)
 
 
-def _torque(path: Path, samples: LogSamples, description: RobotDescription) -> Array:
+def _convert_torque(path: Path, samples: LogSamples, description: RobotDescription) -> Array:
     gains = description.log.torque_per_ampere
     unit = "current" if samples.is_current else "tau"
     torque: Array = samples.effort * description.log.units.factors(unit, len(description.joints))
@@ -320,7 +320,7 @@ def _torque(path: Path, samples: LogSamples, description: RobotDescription) -> A
     return np.asarray(torque @ np.array(description.transmission.matrix))
 
 
-def _q_link(
+def _convert_q_link(
     path: Path, samples: LogSamples, q: Array, description: RobotDescription
 ) -> Array | None:
     if not description.log.columns.q_link:
@@ -335,13 +335,13 @@ def _q_link(
         )
     factors = description.log.units.factors("q_link", len(description.joints))
     link: Array = samples.q_link * factors + (description.log.zero or 0.0)
-    for joint, twist, moved in zip(
+    for joint, twist, q_std in zip(
         description.joints, np.std(q - link, 0), np.std(q, 0), strict=True
     ):
-        if not _LEAST_TWIST < twist < max(_MOST_TWIST * moved, _LEAST_TRAVEL):
+        if not _MIN_TWIST < twist < max(_MAX_TWIST * q_std, _MIN_TRAVEL):
             raise LogError(
                 f"{path}: the link encoder of joint '{joint}' does not show the twist of a gear "
-                f"(difference to the motor {twist:.2g} rad RMS, motion {moved:.2g}); check columns "
+                f"(difference to the motor {twist:.2g} rad RMS, motion {q_std:.2g}); check columns "
                 "and units.",
                 code="log.twist",
                 where=path,
@@ -351,23 +351,23 @@ def _q_link(
 
 
 def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
-    for what in ("q", "dq", "effort", "temperature", "q_link"):
-        values = getattr(samples, what)
-        if values is not None and not np.all(usable := np.abs(values) <= _LARGEST):
-            k, joint = np.argwhere(~usable)[0]
+    for quantity in ("q", "dq", "effort", "temperature", "q_link"):
+        values = getattr(samples, quantity)
+        if values is not None and not np.all(is_usable := np.abs(values) <= _MAX_NUMBER):
+            k, joint = np.argwhere(~is_usable)[0]
             raise LogError(
-                f"{path}: {samples.place(k)}: {what} of joint "
+                f"{path}: {samples.place(k)}: {quantity} of joint "
                 f"'{joints[joint * len(joints) // values.shape[1]]}' is "
-                f"{values[k, joint]:g}; numbers up to {_LARGEST:g} can be used.",
+                f"{values[k, joint]:g}; numbers up to {_MAX_NUMBER:g} can be used.",
                 code="log.too_large_number",
                 where=path,
-                key=what,
+                key=quantity,
             )
-    if not np.all(usable := np.abs(samples.t) <= _LARGEST):
-        k = int(np.argmin(usable))
+    if not np.all(is_usable := np.abs(samples.t) <= _MAX_NUMBER):
+        k = int(np.argmin(is_usable))
         raise LogError(
             f"{path}: {samples.time}, {samples.place(k)}: the time is {samples.t[k]:g}; numbers up "
-            f"to {_LARGEST:g} can be used.",
+            f"to {_MAX_NUMBER:g} can be used.",
             code="log.too_large_number",
             where=path,
             key=samples.time,
@@ -407,8 +407,8 @@ def require_rate(where: str, median: float, mean: float, description: RobotDescr
     """Raise LogError if the time between rows [s] is not that of the robot file."""
     nominal = description.log.sample_rate or description.log.rate
     # The mean is robust against jitter, the median against missing rows.
-    found = [nominal * period for period in (median, mean) if nominal]
-    if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in found):
+    ratios = [nominal * period for period in (median, mean) if nominal]
+    if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in ratios):
         raise LogError(
             f"{where}: rows are {median:.4g} s apart, but the robot file's "
             f"sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; give the unit of time, "

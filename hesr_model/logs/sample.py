@@ -15,13 +15,13 @@ from itertools import count, groupby, pairwise
 import numpy as np
 
 from hesr_model.logs.signals import MOVING, Motion, near_reversals
-from hesr_model.support.arrays import Array, joined
+from hesr_model.support.arrays import Array, join_records
 
 Stratum = tuple[int, str, int]  # joint, kind of condition, and octave
 WINDOW = 1.0  # length [s]; friction forgets its initial state
-_FASTEST = 8  # octaves of speed above `MOVING`; the last one is open
-_LEAST = -3
-_MOST = 5  # octaves of torque around the first root mean square
+_MAX_SPEED_OCTAVE = 8  # octaves of speed above `MOVING`; the last one is open
+_MIN_TORQUE_OCTAVE = -3
+_MAX_TORQUE_OCTAVE = 5  # octaves of torque around the first root mean square
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class _Window:
 class Sample:
     """A sample of at most `most` rows, by `seed` and order."""
 
-    def __init__(self, most: int, seed: int) -> None:
-        self._most = most
+    def __init__(self, max_rows: int, seed: int) -> None:
+        self._most = max_rows
         self._seed = seed
         self._windows: list[_Window] = []
         self._seen: Counter[Stratum] = Counter()
@@ -60,30 +60,34 @@ class Sample:
         """Return the kept motions in order; adjacent windows are joined."""
         # Successive numbers less their places in the list are equal.
         groups = groupby(enumerate(self._windows), lambda at: (at[1].part, at[1].number - at[0]))
-        return [joined([window.motion for _, window in group]) for _, group in groups]
+        return [join_records([window.motion for _, window in group]) for _, group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:
         t = motion.t
-        n = motion.q.shape[1]
-        places = np.floor((t - t[0]) / WINDOW).astype(int)
-        places = np.minimum(places, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
-        near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
+        joint_count = motion.q.shape[1]
+        window_numbers = np.floor((t - t[0]) / WINDOW).astype(int)
+        window_numbers = np.minimum(window_numbers, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
+        is_near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
         speed = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
-        speed = np.clip(speed, -1, _FASTEST).astype(int)  # -1 is rest
-        size = np.maximum(np.abs(motion.tau), 1e-12) / self._size
-        octave = np.clip(np.floor(np.log2(size)), _LEAST, _MOST) - _LEAST + 1
+        speed = np.clip(speed, -1, _MAX_SPEED_OCTAVE).astype(int)  # -1 is rest
+        relative_torque = np.maximum(np.abs(motion.tau), 1e-12) / self._size
+        octave = (
+            np.clip(np.floor(np.log2(relative_torque)), _MIN_TORQUE_OCTAVE, _MAX_TORQUE_OCTAVE)
+            - _MIN_TORQUE_OCTAVE
+            + 1
+        )
         torque = (np.sign(motion.tau) * octave).astype(int)
-        ends = [0, *(np.flatnonzero(np.diff(places)) + 1).tolist(), len(t)]
+        ends = [0, *(np.flatnonzero(np.diff(window_numbers)) + 1).tolist(), len(t)]
         for first, last in pairwise(ends):
             rows: dict[Stratum, int] = {}
-            for joint in range(n):
-                for kind, codes in (("speed", speed), ("torque", torque), ("near", near)):
-                    found = np.unique(codes[first:last, joint], return_counts=True)
-                    for code, k in zip(*found, strict=True):
+            for j in range(joint_count):
+                for kind, codes in (("speed", speed), ("torque", torque), ("near", is_near)):
+                    code_counts = np.unique(codes[first:last, j], return_counts=True)
+                    for code, row_count in zip(*code_counts, strict=True):
                         if kind != "near" or code:
-                            rows[joint, kind, int(code)] = int(k)
+                            rows[j, kind, int(code)] = int(row_count)
             # A view would keep the whole log in memory.
-            yield joined([motion.rows(slice(first, last))]), rows
+            yield join_records([motion.rows(slice(first, last))]), rows
 
     def _shrink(self) -> None:
         if sum(len(window.motion.t) for window in self._windows) <= self._most:
@@ -98,22 +102,22 @@ class Sample:
             )
             for stratum in sorted(self._seen, key=lambda s: (self._seen[s], s))
         }
-        kept: dict[int, _Window] = {}
-        left = self._most
+        chosen_windows: dict[int, _Window] = {}
+        rows_left = self._most
         while queues:
             for stratum, queue in list(queues.items()):
-                window = next((w for w in queue if w.number not in kept), None)
+                window = next((w for w in queue if w.number not in chosen_windows), None)
                 if window is None:
                     del queues[stratum]
                     continue
-                left -= len(window.motion.t)
-                if left < 0 and kept:
+                rows_left -= len(window.motion.t)
+                if rows_left < 0 and chosen_windows:
                     queues.clear()
                     break
-                kept[window.number] = window
-        self._windows = [window for window in self._windows if window.number in kept]
+                chosen_windows[window.number] = window
+        self._windows = [window for window in self._windows if window.number in chosen_windows]
 
 
-def _uniform(seed: int, log: str, t: float) -> float:
-    digest = hashlib.sha256(f"{seed} {log} {float(t)!r}".encode()).digest()
+def _uniform(seed: int, log_name: str, t: float) -> float:
+    digest = hashlib.sha256(f"{seed} {log_name} {float(t)!r}".encode()).digest()
     return (int.from_bytes(digest[:6], "big") + 0.5) / 2.0**48

@@ -8,9 +8,9 @@ import numpy as np
 
 from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import LogError
-from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.robots.robot import Robot
-from hesr_model.support.arrays import Array, Integers, Mask, some_rows
+from hesr_model.support.arrays import Array, Integers, Mask, select_rows
 
 MOVING = 0.02  # speed [rad/s] below which a joint rests
 REVERSAL_WINDOW = 0.1  # half width [s] of the window around a reversal
@@ -37,7 +37,7 @@ def near_reversals(t: Array, dq: Array) -> Mask:
     return near
 
 
-_ORDER = 2
+_FILTER_ORDER = 2
 _HIGHEST_SHARE_OF_NYQUIST = 0.8
 _PADDING_PERIODS = 3.0  # mirrored ends in periods of the cut-off
 
@@ -67,7 +67,7 @@ class Motion:
 
     def rows(self, rows: slice | Mask) -> "Motion":
         """Return the motion of some rows, a slice or a mask (N,)."""
-        return some_rows(self, rows)
+        return select_rows(self, rows)
 
     @property
     def states(self) -> tuple[Array, ...]:
@@ -90,12 +90,12 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
             where=log.where,
             key="t",
         )
-    grid = Grid.of(log.t)
-    grid.require(log.where, len(log.t), cutoff)
-    return filtered(log, cutoff, grid)
+    grid = Grid.from_times(log.t)
+    grid.require_filter(log.where, len(log.t), cutoff)
+    return filter_log(log, cutoff, grid)
 
 
-def filtered(log: Log, cutoff: float, grid: "Grid") -> Motion:
+def filter_log(log: Log, cutoff: float, grid: "Grid") -> Motion:
     """Filter rows of a log without gaps on `grid`, unchecked."""
     position = zero_phase(log.t, log.q, cutoff, grid)
     velocity = position.derivative() if log.dq is None else zero_phase(log.t, log.dq, cutoff, grid)
@@ -126,7 +126,7 @@ class Grid:
     end: float
 
     @classmethod
-    def of(cls, t: Array) -> "Grid":
+    def from_times(cls, t: Array) -> "Grid":
         """Return the grid over the time stamps t (N,) [s]."""
         return cls(period=float(np.median(np.diff(t))), start=float(t[0]), end=float(t[-1]))
 
@@ -135,7 +135,7 @@ class Grid:
         """Number of steps."""
         return max(int(np.ceil((self.end - self.start) / self.period)), 1)
 
-    def within(self, t: Array) -> Array:
+    def select_stamps(self, t: Array) -> Array:
         """Return the stamps [s] from t[0] to t[-1], with the digits of `np.linspace`."""
         length = self.end - self.start
         steps = self.steps
@@ -147,7 +147,7 @@ class Grid:
         """Return the number of mirrored rows for a low pass [Hz]."""
         return int(np.ceil(_PADDING_PERIODS / (cutoff * self.period)))
 
-    def require(self, where: str, rows: int, cutoff: float) -> None:
+    def require_filter(self, where: str, rows: int, cutoff: float) -> None:
         """Raise LogError unless rows at this rate are enough for a low pass [Hz]."""
         period = self.period
         padding = self.padding(cutoff)
@@ -175,14 +175,20 @@ def zero_phase(t: Array, values: Array, cutoff: float, grid: Grid | None = None)
     from scipy.interpolate import make_interp_spline
     from scipy.signal import butter, sosfiltfilt
 
-    grid = grid or Grid.of(t)
-    stamps = grid.within(t)
+    grid = grid or Grid.from_times(t)
+    stamps = grid.select_stamps(t)
     padding = grid.padding(cutoff)
-    sos = butter(_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
-    even = make_interp_spline(t, values, k=3)(stamps)
-    longer = np.concatenate([_before(even, padding), even, _before(even[::-1], padding)[::-1]])
-    found = sosfiltfilt(sos, longer, axis=0, padlen=0)[padding:-padding]
-    return make_interp_spline(stamps, found, k=5)
+    sos = butter(_FILTER_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
+    even_values = make_interp_spline(t, values, k=3)(stamps)
+    padded = np.concatenate(
+        [
+            _mirror_start(even_values, padding),
+            even_values,
+            _mirror_start(even_values[::-1], padding)[::-1],
+        ]
+    )
+    low_passed = sosfiltfilt(sos, padded, axis=0, padlen=0)[padding:-padding]
+    return make_interp_spline(stamps, low_passed, k=5)
 
 
 def measured_velocity(log: Log) -> Array:
@@ -193,13 +199,13 @@ def measured_velocity(log: Log) -> Array:
     return np.vstack([speed[:1], speed])
 
 
-def smoothed(logs: Iterable[Log], robot: Robot) -> list[Motion]:
+def smooth_logs(logs: Iterable[Log], robot: Robot) -> list[Motion]:
     """Return the smooth motions of all parts of logs."""
     cutoff = robot.description.log.filter_cutoff
-    return [smooth(part, cutoff) for part in parts_of(logs)]
+    return [smooth(part, cutoff) for part in collect_parts(logs)]
 
 
-def _before(values: Array, rows: int) -> Array:
+def _mirror_start(values: Array, rows: int) -> Array:
     """Return the rows (rows, n) before the first, mirrored at the start of a fitted parabola.
 
     Mirrored at the first value, intervals of a static friction cover the truth in only 60 of 100

@@ -10,11 +10,17 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.csv_text import Column, read_text, text_pieces
-from hesr_model.logs.log_table import LogTable, TextCell, most_bytes, readable, require_columns
+from hesr_model.logs.log_table import (
+    LogTable,
+    TextCell,
+    compute_max_bytes,
+    readable,
+    require_columns,
+)
 from hesr_model.support.arrays import Array
 
-_CHUNK = 10_000  # rows written at once
-_BATCH = 2**16  # rows read at once
+_CHUNK_ROWS = 10_000  # rows written at once
+_BATCH_ROWS = 2**16  # rows read at once
 _KINDS = dict.fromkeys((".parquet", ".pq"), "Parquet")
 _KINDS |= dict.fromkeys((".feather", ".arrow", ".ipc"), "Feather")
 
@@ -29,7 +35,7 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     require_content(path)
     kind = _KINDS.get(path.suffix.lower())
     if kind:
-        return _table(path, arrow().concat_tables(_batches(path, kind)))
+        return _build_table(path, import_arrow().concat_tables(_read_batches(path, kind)))
     return read_text(path, names)
 
 
@@ -38,13 +44,17 @@ def table_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTab
     require_content(path)
     kind = _KINDS.get(path.suffix.lower())
     if kind:
-        yield from (_table(path, data) for data in _batches(path, kind, rows) if data.num_rows)
+        yield from (
+            _build_table(path, data) for data in _read_batches(path, kind, rows) if data.num_rows
+        )
     else:
         yield from text_pieces(path, names, rows)
 
 
-def _table(path: Path, data: Any) -> LogTable:
-    return LogTable(path, tuple(data.column_names), data.num_rows, lambda k: _array(data.column(k)))
+def _build_table(path: Path, data: Any) -> LogTable:
+    return LogTable(
+        path, tuple(data.column_names), data.num_rows, lambda k: _to_array(data.column(k))
+    )
 
 
 def require_content(path: Path) -> None:
@@ -59,7 +69,7 @@ def require_content(path: Path) -> None:
         )
 
 
-def numbered(**signals: Array) -> dict[str, Array]:
+def number_columns(**signals: Array) -> dict[str, Array]:
     """Return columns (N,) of signals (N, n) by name, ``q1, q2..`` of `q`."""
     return {f"{s}{k}": x for s, values in signals.items() for k, x in enumerate(values.T, start=1)}
 
@@ -72,17 +82,17 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         return
     if _KINDS.get(path.suffix.lower()) == "Parquet":
         arrays = {name: np.ascontiguousarray(values) for name, values in columns.items()}
-        arrow().parquet.write_table(arrow().table(arrays), path)
+        import_arrow().parquet.write_table(import_arrow().table(arrays), path)
         return
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
         cells = [np.where(x, "true", "false") if x.dtype == bool else x for x in columns.values()]
-        for k in range(0, len(cells[0]), _CHUNK):
-            part = zip(*(x[k : k + _CHUNK].tolist() for x in cells), strict=True)
+        for k in range(0, len(cells[0]), _CHUNK_ROWS):
+            part = zip(*(x[k : k + _CHUNK_ROWS].tolist() for x in cells), strict=True)
             csv.writer(file, lineterminator="\n").writerows(part)
 
 
-def arrow() -> Any:
+def import_arrow() -> Any:
     """Return pyarrow with `pyarrow.parquet`; raises LogError if it is not installed."""
     try:
         import pyarrow.parquet
@@ -91,8 +101,8 @@ def arrow() -> Any:
     return pyarrow
 
 
-def _array(cells: Any) -> Array | TextCell:
-    pa = arrow()
+def _to_array(cells: Any) -> Array | TextCell:
+    pa = import_arrow()
     kind = cells.type
     is_time = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
     if is_time or (pa.types.is_integer(kind) and not cells.null_count):
@@ -104,12 +114,12 @@ def _array(cells: Any) -> Array | TextCell:
         column.add(["" if cell is None else str(cell) for cell in cells.to_pylist()])
     except Exception:  # Python cannot show every date
         return TextCell(index=0, text=str(kind))
-    return column.whole()
+    return column.concatenate()
 
 
-def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
+def _read_batches(path: Path, kind: str, rows: int = _BATCH_ROWS) -> Iterator[Any]:
     """Yield tables of up to `rows` rows, the first one maybe empty."""
-    pa = arrow()
+    pa = import_arrow()
     count = 0
     with readable(path, kind):
         if kind == "Parquet":
@@ -131,5 +141,5 @@ def _batches(path: Path, kind: str, rows: int = _BATCH) -> Iterator[Any]:
 
 def _require_size(path: Path, rows: int, width: int) -> None:
     require_columns(path, width)
-    if 8 * rows * width > most_bytes(path):
+    if 8 * rows * width > compute_max_bytes(path):
         raise LogError(f"{path}: has {rows} rows of {width} columns, more than fits into the file.")

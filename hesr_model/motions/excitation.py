@@ -10,18 +10,20 @@ from threadpoolctl import threadpool_limits
 
 from hesr_model.errors import FitError, RuleError
 from hesr_model.motions.limits import Limits, MotionLimits, Positive, peak_torque
-from hesr_model.motions.trajectories import Fourier, one_period
+from hesr_model.motions.trajectories import Fourier, sample_one_period
 from hesr_model.rigid_body.base_parameters import base_columns
-from hesr_model.rigid_body.identification import LEAST_PEAK
+from hesr_model.rigid_body.identification import MIN_PEAK_SPEED
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 from hesr_model.support.typed_files import Config
 
-_INSTANTS = 12  # instants per cycle of the highest harmonic; at least 120 per period
-_STEP = 1e-6  # step of finite differences; the regressor is linear in ddq and quadratic in dq
-_ORDER = 8.0  # order of the eigenvalue norms, smooth bounds of the extreme eigenvalues
-_SINGULAR = 1e-14
+_INSTANTS_PER_CYCLE = 12  # instants per cycle of the highest harmonic; at least 120 per period
+_DIFFERENCE_STEP = (
+    1e-6  # step of finite differences; the regressor is linear in ddq and quadratic in dq
+)
+_NORM_ORDER = 8.0  # order of the eigenvalue norms, smooth bounds of the extreme eigenvalues
+_MIN_EIGENVALUE_RATIO = 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,32 +61,35 @@ class Search:
     @cached_property
     def _series(self) -> tuple[Array, Array, Array]:
         """Position less offset, dq and ddq for each coordinate of one joint, period 2 pi s."""
-        count = max(_INSTANTS * self.harmonics, 120)
+        count = max(_INSTANTS_PER_CYCLE * self.harmonics, 120)
         orders = np.arange(1.0, self.harmonics + 1)
         phase = np.outer(2 * np.pi * np.arange(count) / count, orders)
         cos = np.cos(phase)
         sin = np.sin(phase)
-        of_a, of_b = self._at_rest
+        basis_a, basis_b = self._at_rest
         return (
-            np.hstack([sin / orders @ of_a, -cos / orders @ of_b]),
-            np.hstack([cos @ of_a, sin @ of_b]),
-            np.hstack([-sin * orders @ of_a, cos * orders @ of_b]),
+            np.hstack([sin / orders @ basis_a, -cos / orders @ basis_b]),
+            np.hstack([cos @ basis_a, sin @ basis_b]),
+            np.hstack([-sin * orders @ basis_a, cos * orders @ basis_b]),
         )
 
     def pack(self, motion: Fourier) -> Array:
         """Return the coordinates of a motion."""
-        of_a, of_b = self._at_rest
-        shape = np.hstack([motion.a @ of_a, motion.b @ of_b]) / self.limits.velocity[:, None]
+        basis_a, basis_b = self._at_rest
+        shape = np.hstack([motion.a @ basis_a, motion.b @ basis_b]) / self.limits.velocity[:, None]
         place = (motion.offset - self._middle) / self._reach
         return np.concatenate([shape.ravel(), place, [np.log(motion.period)]])
 
     def unpack(self, x: Array) -> Fourier:
         """Return the motion of coordinates."""
         shape, offset, period = self._split(x)
-        of_a, of_b = self._at_rest
+        basis_a, basis_b = self._at_rest
         free = self.harmonics - 1
         return Fourier(
-            offset=offset, a=shape[:, :free] @ of_a.T, b=shape[:, free:] @ of_b.T, period=period
+            offset=offset,
+            a=shape[:, :free] @ basis_a.T,
+            b=shape[:, free:] @ basis_b.T,
+            period=period,
         )
 
     def value_and_gradient(self, x: Array, weight: float) -> tuple[float, Array]:
@@ -99,7 +104,7 @@ class Search:
         dq = series[1] @ shape.T
         ddq = series[2] @ shape.T * rate
         state = (path + offset, dq, ddq)
-        value, slopes = self._of_regressor(state, weight)
+        value, slopes = self._differentiate_regressor(state, weight)
         centred = (state[0] - self._middle, dq, ddq)
         for k, limit in enumerate((self._reach, self.limits.velocity, self.limits.acceleration)):
             excess, slope = _excess(centred[k], limit)
@@ -111,7 +116,7 @@ class Search:
         of_sizes = (of_shape * self.limits.velocity[:, None]).ravel()
         return value, np.concatenate([of_sizes, of_q.sum(axis=0) * self._reach, [of_log_period]])
 
-    def _of_regressor(
+    def _differentiate_regressor(
         self, state: tuple[Array, Array, Array], weight: float
     ) -> tuple[float, list[Array]]:
         base = list(self.base)
@@ -125,12 +130,12 @@ class Search:
         slopes = []
         for k, values in enumerate(state):
             slope = np.empty_like(values)
-            for joint in range(self.model.n):
-                moved = list(state)
-                moved[k] = values.copy()
-                moved[k][:, joint] += _STEP
-                change = self.model.regressor(*moved) - regressor
-                slope[:, joint] = np.sum(upstream * change, axis=(1, 2)) / _STEP
+            for j in range(self.model.n):
+                shifted = list(state)
+                shifted[k] = values.copy()
+                shifted[k][:, j] += _DIFFERENCE_STEP
+                change = self.model.regressor(*shifted) - regressor
+                slope[:, j] = np.sum(upstream * change, axis=(1, 2)) / _DIFFERENCE_STEP
             slopes.append(slope)
         return value + weight * excess, slopes
 
@@ -166,22 +171,24 @@ def _log_condition(columns: Array) -> tuple[float, Array]:
     """
     rows = columns.reshape(-1, columns.shape[2])
     values, vectors = np.linalg.eigh(rows.T @ rows)
-    values = np.maximum(values, _SINGULAR * values[-1])
-    high = (values / values[-1]) ** _ORDER
-    low = (values / values[0]) ** -_ORDER
-    span = np.log(values[-1] / values[0]) + np.log(high.sum() * low.sum()) / _ORDER
+    values = np.maximum(values, _MIN_EIGENVALUE_RATIO * values[-1])
+    high = (values / values[-1]) ** _NORM_ORDER
+    low = (values / values[0]) ** -_NORM_ORDER
+    span = np.log(values[-1] / values[0]) + np.log(high.sum() * low.sum()) / _NORM_ORDER
     of_values = 0.5 / values * (high / high.sum() - low / low.sum())
     slopes = 2.0 * rows @ ((vectors * of_values) @ vectors.T)
     return 0.5 * float(span), slopes.reshape(columns.shape)
 
 
-_SAMPLES = 400  # per period; with 100 or more the condition number of W_b changes by a per cent
-_COARSE = 1e2
-_FINE = 1e4  # weights of exceeded limits, in the first descents and the last one
+_SAMPLES_PER_PERIOD = (
+    400  # per period; with 100 or more the condition number of W_b changes by a per cent
+)
+_COARSE_WEIGHT = 1e2
+_FINE_WEIGHT = 1e4  # weights of exceeded limits, in the first descents and the last one
 _COARSE_STEPS = 100
 _FINE_STEPS = 300
-_USUAL_RATE = 200.0
-_LARGE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
+_DEFAULT_RATE = 200.0
+_INITIAL_SIZE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
 
 
 class ExcitationSettings(Config):
@@ -221,7 +228,7 @@ class Excitation:
 
 def condition(robot: Robot, base: tuple[int, ...], motion: Fourier) -> float:
     """Return the condition number of W_b: `base` columns over one period, in SI, unscaled."""
-    t = np.linspace(0.0, motion.period, _SAMPLES, endpoint=False)
+    t = np.linspace(0.0, motion.period, _SAMPLES_PER_PERIOD, endpoint=False)
     columns = robot.regressor(*motion.sample(t))[:, :, list(base)]
     return float(np.linalg.cond(columns.reshape(-1, columns.shape[2])))
 
@@ -235,28 +242,28 @@ def design(
     refined. Raises RobotError if the limits do not fit the robot, FitError if they admit no motion.
     """
     settings = settings or ExcitationSettings()
-    rate = settings.sample_rate or robot.description.log.sample_rate or _USUAL_RATE
-    limits = Limits.of(robot, settings.limits)
-    rest = limits.rest(robot)
+    rate = settings.sample_rate or robot.description.log.sample_rate or _DEFAULT_RATE
+    limits = Limits.from_settings(robot, settings.limits)
+    rest_q = limits.find_rest_position(robot)
     search = Search(
         model=robot, limits=limits, harmonics=settings.harmonics, period=settings.period
     )
     with threadpool_limits(1):
         starts = random_motions(robot, settings, settings.starts, settings.seed)
         rough = [
-            _descend(search, start, rest, _COARSE, _COARSE_STEPS)
-            for start in counted(starts, progress)
+            _descend(search, start, rest_q, _COARSE_WEIGHT, _COARSE_STEPS)
+            for start in report_progress(starts, progress)
         ]
         best = min(rough, key=lambda motion: condition(robot, search.base, motion))
         period = round(best.period * rate) / rate
         search = replace(search, period=(period, period))
-        motion = replace(_descend(search, best, rest, _FINE, _FINE_STEPS), period=period)
-    _, dq, _ = one_period(motion)
+        motion = replace(_descend(search, best, rest_q, _FINE_WEIGHT, _FINE_STEPS), period=period)
+    _, dq, _ = sample_one_period(motion)
     for joint, peak in zip(robot.description.joints, np.abs(dq).max(axis=0), strict=True):
-        if not peak > LEAST_PEAK:
+        if not peak > MIN_PEAK_SPEED:
             raise FitError(
                 f"robot '{robot.description.name}': the limits allow joint '{joint}' at most "
-                f"{peak:.2g} rad/s; widen them, identification needs {LEAST_PEAK:g} rad/s."
+                f"{peak:.2g} rad/s; widen them, identification needs {MIN_PEAK_SPEED:g} rad/s."
             )
     return Excitation(
         motion=replace(motion, periods=settings.periods),
@@ -267,8 +274,8 @@ def design(
     )
 
 
-def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps: int) -> Fourier:
-    found = minimize(
+def _descend(search: Search, motion: Fourier, rest_q: Array, weight: float, steps: int) -> Fourier:
+    minimum = minimize(
         search.value_and_gradient,
         search.pack(motion),
         args=(weight,),
@@ -277,22 +284,22 @@ def _descend(search: Search, motion: Fourier, rest: Array, weight: float, steps:
         bounds=search.bounds,
         options={"maxiter": steps},
     )
-    return search.limits.shrink(search.unpack(found.x), search.model, rest)
+    return search.limits.shrink(search.unpack(minimum.x), search.model, rest_q)
 
 
 def random_motions(
     robot: Robot, settings: ExcitationSettings, count: int, seed: int
 ) -> list[Fourier]:
     """Draw random motions as large as the limits allow, as references for `design`."""
-    limits = Limits.of(robot, settings.limits)
-    rest = limits.rest(robot)
+    limits = Limits.from_settings(robot, settings.limits)
+    rest_q = limits.find_rest_position(robot)
     rng = np.random.default_rng(seed)
     shape = (2, robot.n, settings.harmonics)
     motions = []
     for _ in range(count):
-        a, b = _LARGE * limits.velocity[:, None] * rng.standard_normal(shape)
+        a, b = _INITIAL_SIZE * limits.velocity[:, None] * rng.standard_normal(shape)
         offset = rng.uniform(limits.lower, limits.upper)
         period = rng.uniform(*settings.period)
         motion = Fourier.from_rest(a, b, offset=offset, period=period)
-        motions.append(limits.shrink(motion, robot, rest))
+        motions.append(limits.shrink(motion, robot, rest_q))
     return motions

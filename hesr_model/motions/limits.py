@@ -8,17 +8,17 @@ from pydantic import Field, model_validator
 from scipy.optimize import minimize
 
 from hesr_model.errors import FitError, RobotError, RuleError
-from hesr_model.motions.trajectories import Fourier, one_period
+from hesr_model.motions.trajectories import Fourier, sample_one_period
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
 
 Positive = Annotated[float, Field(gt=0)]
-KEPT_FREE = 0.05  # default margin at either end of a joint's range: no arm follows exactly
+RANGE_MARGIN = 0.05  # default margin at either end of a joint's range: no arm follows exactly
 _SECONDS_TO_FULL_SPEED = 1.0  # default time to a joint's speed [s]; files have no acceleration
 _MARGIN = 1e-3  # margin of every limit for peaks between the evaluated points
 _HALVINGS = 12
-_RESTS = 4000
+_REST_CANDIDATES = 4000
 
 
 class MotionLimits(Config):
@@ -62,69 +62,71 @@ class Limits:
     torque: Array
 
     @classmethod
-    def of(cls, robot: Robot, given: MotionLimits) -> Self:
+    def from_settings(cls, robot: Robot, stated_limits: MotionLimits) -> Self:
         """Return the limits, by default the model's; raises RobotError if they do not fit it."""
-        for key, entries in given:
+        for key, entries in stated_limits:
             if entries is not None and len(entries) != robot.n:
                 raise RobotError(
                     f"key 'limits.{key}' has {len(entries)} entries; the {robot.n} joints of robot "
                     f"'{robot.description.name}' need one each."
                 )
         lowest, highest, speed = robot.limits
-        if given.position is None:
+        if stated_limits.position is None:
             _require_stated(robot, "position", highest - lowest)
-        free = KEPT_FREE * (highest - lowest)
-        position = np.array(given.position or np.column_stack([lowest + free, highest - free]))
-        for k, joint in enumerate(robot.description.joints):
-            if position[k, 0] < lowest[k] or position[k, 1] > highest[k]:
+        margin = RANGE_MARGIN * (highest - lowest)
+        position = np.array(
+            stated_limits.position or np.column_stack([lowest + margin, highest - margin])
+        )
+        for j, joint in enumerate(robot.description.joints):
+            if position[j, 0] < lowest[j] or position[j, 1] > highest[j]:
                 raise RobotError(
-                    f"key 'limits.position' of joint '{joint}' is {position[k, 0]:g} to "
-                    f"{position[k, 1]:g}; the model allows {lowest[k]:g} to {highest[k]:g}."
+                    f"key 'limits.position' of joint '{joint}' is {position[j, 0]:g} to "
+                    f"{position[j, 1]:g}; the model allows {lowest[j]:g} to {highest[j]:g}."
                 )
-        if given.velocity is None:
+        if stated_limits.velocity is None:
             _require_stated(robot, "velocity", speed)
-        velocity = np.array(given.velocity or speed)
+        velocity = np.array(stated_limits.velocity or speed)
         effort = np.where(robot.torque_limits > 0, robot.torque_limits, np.inf)
         return cls(
             lower=position[:, 0],
             upper=position[:, 1],
             velocity=velocity,
-            acceleration=np.array(given.acceleration or velocity / _SECONDS_TO_FULL_SPEED),
-            torque=np.array(given.torque or effort),
+            acceleration=np.array(stated_limits.acceleration or velocity / _SECONDS_TO_FULL_SPEED),
+            torque=np.array(stated_limits.torque or effort),
         )
 
-    def shrink(self, motion: Fourier, robot: Robot, rest: Array) -> Fourier:
-        """Shrink a motion until it keeps all limits, for torque towards `rest` (n,) [rad]."""
-        inner = 1.0 - _MARGIN
-        q, dq, ddq = one_period(motion)
+    def shrink(self, motion: Fourier, robot: Robot, rest_q: Array) -> Fourier:
+        """Shrink a motion until it keeps all limits, for torque towards `rest_q` (n,) [rad]."""
+        inner_share = 1.0 - _MARGIN
+        q, dq, ddq = sample_one_period(motion)
         path = q - motion.offset
-        factor = inner * np.minimum.reduce(
+        factor = inner_share * np.minimum.reduce(
             [
-                np.full(robot.n, 1.0 / inner),
+                np.full(robot.n, 1.0 / inner_share),
                 (self.upper - self.lower) / np.ptp(path, axis=0),
                 self.velocity / np.abs(dq).max(axis=0),
                 self.acceleration / np.abs(ddq).max(axis=0),
             ]
         )
         path = factor * path
-        free = 0.5 * _MARGIN * (self.upper - self.lower)
+        margin = 0.5 * _MARGIN * (self.upper - self.lower)
         offset = np.clip(
             motion.offset,
-            self.lower + free - path.min(axis=0),
-            self.upper - free - path.max(axis=0),
+            self.lower + margin - path.min(axis=0),
+            self.upper - margin - path.max(axis=0),
         )
         fitting = replace(
             motion, offset=offset, a=factor[:, None] * motion.a, b=factor[:, None] * motion.b
         )
-        return self._shrunk_for_torque(fitting, robot, rest)
+        return self._shrink_for_torque(fitting, robot, rest_q)
 
-    def _shrunk_for_torque(self, motion: Fourier, robot: Robot, rest: Array) -> Fourier:
-        def towards_rest(share: float) -> Fourier:
-            offset = rest + share * (motion.offset - rest)
+    def _shrink_for_torque(self, motion: Fourier, robot: Robot, rest_q: Array) -> Fourier:
+        def shrink_to_share(share: float) -> Fourier:
+            offset = rest_q + share * (motion.offset - rest_q)
             return replace(motion, offset=offset, a=share * motion.a, b=share * motion.b)
 
         def keeps(share: float) -> bool:
-            peak = peak_torque(robot, towards_rest(share))
+            peak = peak_torque(robot, shrink_to_share(share))
             return bool(np.all(peak <= (1.0 - _MARGIN) * self.torque))
 
         if not np.any(np.isfinite(self.torque)) or keeps(1.0):
@@ -139,33 +141,35 @@ class Limits:
                 f"robot '{robot.description.name}': the limits allow no motion: gravity exceeds "
                 "limits.torque in every position."
             )
-        return towards_rest(low)
+        return shrink_to_share(low)
 
-    def rest(self, robot: Robot) -> Array:
+    def find_rest_position(self, robot: Robot) -> Array:
         """Return the position (n,) [rad] of least gravity over limits; FitError if too large."""
-        places = np.random.default_rng(0).uniform(self.lower, self.upper, (_RESTS, robot.n))
-        places[0] = 0.5 * (self.lower + self.upper)
+        candidates = np.random.default_rng(0).uniform(
+            self.lower, self.upper, (_REST_CANDIDATES, robot.n)
+        )
+        candidates[0] = 0.5 * (self.lower + self.upper)
 
         def gravity(q: Array) -> Array:
             still = np.zeros_like(q)
             return np.abs(robot.torque(robot.nominal_parameters, q, still, still))
 
-        found = minimize(
+        minimum = minimize(
             lambda q: np.max(gravity(q[None, :]) / self.torque),
-            places[int(np.argmin(np.max(gravity(places) / self.torque, axis=1)))],
+            candidates[int(np.argmin(np.max(gravity(candidates) / self.torque, axis=1)))],
             method="Nelder-Mead",
             bounds=np.column_stack([self.lower, self.upper]),
         )
-        rest: Array = found.x
-        needed = gravity(rest[None, :])[0]
-        joint = int(np.argmax(needed / self.torque))
-        if needed[joint] >= self.torque[joint]:
+        rest_q: Array = minimum.x
+        gravity_torque = gravity(rest_q[None, :])[0]
+        j = int(np.argmax(gravity_torque / self.torque))
+        if gravity_torque[j] >= self.torque[j]:
             raise FitError(
                 f"robot '{robot.description.name}': the limits allow no motion: joint "
-                f"'{robot.description.joints[joint]}' needs {needed[joint]:.3g} N.m against "
-                f"gravity, but limits.torque is {self.torque[joint]:g} N.m."
+                f"'{robot.description.joints[j]}' needs {gravity_torque[j]:.3g} N.m against "
+                f"gravity, but limits.torque is {self.torque[j]:g} N.m."
             )
-        return rest
+        return rest_q
 
 
 def _require_stated(robot: Robot, key: str, limits: Array) -> None:
@@ -179,5 +183,5 @@ def _require_stated(robot: Robot, key: str, limits: Array) -> None:
 
 def peak_torque(robot: Robot, motion: Fourier) -> Array:
     """Return the largest torque (n,) [N.m] of the model file's rigid body, without friction."""
-    q, dq, ddq = one_period(motion)
+    q, dq, ddq = sample_one_period(motion)
     return np.asarray(np.abs(robot.torque(robot.nominal_parameters, q, dq, ddq)).max(axis=0))

@@ -33,7 +33,7 @@ class Trajectory(ABC):
         Before 0 and after `duration` periodic motions continue and others rest.
         """
 
-    def time_reversed(self) -> "Trajectory":
+    def reverse_time(self) -> "Trajectory":
         """Return the same path run backwards: q(duration - t)."""
         return Reversed(forward=self)
 
@@ -54,7 +54,7 @@ class Reversed(Trajectory):
         q, dq, ddq = self.forward.sample(self.duration - np.asarray(t))
         return q, -dq, ddq
 
-    def time_reversed(self) -> Trajectory:
+    def reverse_time(self) -> Trajectory:
         """Return the original motion."""
         return self.forward
 
@@ -91,13 +91,13 @@ class Fourier(Trajectory):
             )
 
     @classmethod
-    def from_rest(cls, a: Array, b: Array, **others: Any) -> Self:
+    def from_rest(cls, a: Array, b: Array, **fields: Any) -> Self:
         """Return the nearest motion that starts at rest."""
         orders = np.arange(1.0, a.shape[1] + 1)
         return cls(
             a=a - a.mean(axis=1, keepdims=True),
             b=b - np.outer(b @ orders, orders) / (orders @ orders),
-            **others,
+            **fields,
         )
 
     @property
@@ -115,12 +115,12 @@ class Fourier(Trajectory):
         dq = cos @ self.a.T + sin @ self.b.T
         return q, dq, cos @ (self.b * rates).T - sin @ (self.a * rates).T
 
-    def time_reversed(self) -> "Fourier":
+    def reverse_time(self) -> "Fourier":
         """Return the same path run backwards, again a Fourier series."""
         return replace(self, a=-self.a)
 
 
-def one_period(motion: Fourier) -> tuple[Array, Array, Array]:
+def sample_one_period(motion: Fourier) -> tuple[Array, Array, Array]:
     """Return q, dq and ddq (N, n) on a grid that resolves peaks."""
     points = _POINTS_PER_CYCLE * motion.a.shape[1]
     return motion.sample(np.linspace(0.0, motion.period, points, endpoint=False))
@@ -208,12 +208,12 @@ class Sweep(Trajectory):
 
 def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: float) -> Sweep:
     """Return a sweep of constant peak velocity: dq = amplitude sin(phi(t))."""
-    none = np.zeros_like(amplitude)
+    zeros = np.zeros_like(amplitude)
     return Sweep(
         start=start,
         amplitude=amplitude,
-        swing=none,
-        swing_phase=none,
+        swing=zeros,
+        swing_phase=zeros,
         swing_period=length,
         first=first,
         last=last,
@@ -241,7 +241,7 @@ def random_fourier(
     a = standard_normal(seed, 2 * joints, counters)
     b = standard_normal(seed, 2 * joints + 1, counters)
     raw = Fourier.from_rest(a, b, offset=offset, period=period, periods=periods)
-    scale = (np.asarray(peak_velocity) / np.abs(one_period(raw)[1]).max(axis=0))[:, None]
+    scale = (np.asarray(peak_velocity) / np.abs(sample_one_period(raw)[1]).max(axis=0))[:, None]
     return replace(raw, a=scale * raw.a, b=scale * raw.b)
 
 

@@ -29,14 +29,14 @@ class Streamed:
     Rows slower than `slow` (n,) [rad/s] are dropped, which depends on all motions: check `fits`.
     """
 
-    def __init__(self, model: Robot, slow: Array | None = None) -> None:
-        self._model = model
-        self._base = unknown_columns(model)
-        self._friction = observations.friction_columns(model, self._base)
-        self._used = np.full(model.n, observations.SLOW) if slow is None else slow
-        self._peaks = np.zeros(model.n)
+    def __init__(self, robot: Robot, slow: Array | None = None) -> None:
+        self._model = robot
+        self._base = unknown_columns(robot)
+        self._friction = observations.friction_columns(robot, self._base)
+        self._used = np.full(robot.n, observations.SLOW) if slow is None else slow
+        self._peaks = np.zeros(robot.n)
         columns = len(self._base) + int(np.sum(self._friction))
-        self._factors = [Factor(triangle=np.zeros((0, columns + 1)))] * model.n
+        self._factors = [Factor(triangle=np.zeros((0, columns + 1)))] * robot.n
         self._logs: dict[str, None] = {}
         self.rows = 0
 
@@ -56,10 +56,12 @@ class Streamed:
         self._logs[motion.name] = None
         self.rows += len(motion.t)
         with threadpool_limits(1):
-            for first in range(0, len(motion.t), identification.AT_ONCE):
-                blocks = self._blocks([motion.rows(slice(first, first + identification.AT_ONCE))])
+            for first in range(0, len(motion.t), identification.ROWS_AT_ONCE):
+                blocks = self._build_blocks(
+                    [motion.rows(slice(first, first + identification.ROWS_AT_ONCE))]
+                )
                 rows = zip(self._factors, blocks, strict=True)
-                self._factors = [factor.with_rows(block) for factor, block in rows]
+                self._factors = [factor.add_rows(block) for factor, block in rows]
 
     def body(
         self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
@@ -70,19 +72,19 @@ class Streamed:
         friction = self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         identification.require_speed(where, self._peaks, robot)
-        scale = identification.scale_of(robot, base, friction)
+        scale = identification.compute_scale(robot, base, friction)
         with threadpool_limits(1):
-            loose = identification.loose_of(robot, base, friction)
+            loose = identification.find_loose_columns(robot, base, friction)
             factors = self._factors
             solution = least_squares.solve_factors(factors, scale=scale, weighted=True, loose=loose)
-            identification.tell_ridge(where, solution)
+            identification.warn_of_ridge(where, solution)
             if callable(motions):
-                covariance = self._covariance(motions, solution)
+                covariance = self._estimate_covariance(motions, solution)
             else:
-                blocks = self._blocks(motions)
-                labels = observations.logs_of(motions)
-                covariance = least_squares.covariance_of(blocks, solution, labels)
-        return identification.body_of(
+                blocks = self._build_blocks(motions)
+                labels = observations.label_samples(motions)
+                covariance = least_squares.estimate_covariance(blocks, solution, labels)
+        return identification.build_body(
             solution,
             covariance,
             robot,
@@ -94,34 +96,36 @@ class Streamed:
             weighting="wls",
         )
 
-    def _blocks(self, motions: Sequence[Motion]) -> list[least_squares.Block]:
-        left = observations.remove_known_torque(motions, self._model)
-        return observations.stacked(left, self._model, self._base, self._friction, self._used)
+    def _build_blocks(self, motions: Sequence[Motion]) -> list[least_squares.Block]:
+        reduced_motions = observations.remove_known_torque(motions, self._model)
+        return observations.stack_blocks(
+            reduced_motions, self._model, self._base, self._friction, self._used
+        )
 
-    def _covariance(
+    def _estimate_covariance(
         self, motions: Callable[[], Iterable[Motion]], solution: Solution
     ) -> Covariance:
-        known = np.diag(solution.pull**2)
+        prior = np.diag(solution.pull**2)
         weighted = zip(self._factors, solution.weights, strict=True)
         rows = np.concatenate([weight * factor.triangle[:, :-1] for factor, weight in weighted])
-        whole = rows.T @ rows + known
-        parts = partial(self._parts, motions, solution, whole)
-        return covariance_of_parts(("",) * len(whole), parts, whole, known=known)
+        hessian = rows.T @ rows + prior
+        parts = partial(self._compute_parts, motions, solution, hessian)
+        return covariance_of_parts(("",) * len(hessian), parts, hessian, prior_hessian=prior)
 
-    def _parts(
-        self, motions: Callable[[], Iterable[Motion]], solution: Solution, whole: Array
+    def _compute_parts(
+        self, motions: Callable[[], Iterable[Motion]], solution: Solution, hessian: Array
     ) -> Iterator[Gradients]:
         logs = list(self._logs)
         row = 0
         for motion in motions():
-            for first in range(0, len(motion.t), identification.AT_ONCE):
-                some = motion.rows(slice(first, first + identification.AT_ONCE))
-                labels = (row + np.arange(len(some.t))) * BLOCKS // self.rows
+            for first in range(0, len(motion.t), identification.ROWS_AT_ONCE):
+                chunk = motion.rows(slice(first, first + identification.ROWS_AT_ONCE))
+                labels = (row + np.arange(len(chunk.t))) * BLOCKS // self.rows
                 if len(logs) > 1:
-                    labels = np.full(len(some.t), logs.index(motion.name))
-                blocks = self._blocks([some])
-                yield from least_squares.parts_of_blocks(blocks, solution, labels, whole)
-                row += len(some.t)
+                    labels = np.full(len(chunk.t), logs.index(motion.name))
+                blocks = self._build_blocks([chunk])
+                yield from least_squares.compute_gradients(blocks, solution, labels, hessian)
+                row += len(chunk.t)
 
 
 def identify_long(logs: Sequence[LongLog], robot: Robot) -> identification.RigidBody:

@@ -11,21 +11,23 @@ from hesr_model.support.arrays import Array, Mask
 
 _RANK_TOLERANCE = 1e-8
 _RANDOM_STATES = 300
-_LATER = 1e3  # springs replace no mass: their columns are chosen after those of masses
+_SPRING_LENGTH_FACTOR = (
+    1e3  # springs replace no mass: their columns are chosen after those of masses
+)
 
 
-def base_columns(robot: Robot, known: Sequence[int] = ()) -> tuple[int, ...]:
+def base_columns(robot: Robot, known_indices: Sequence[int] = ()) -> tuple[int, ...]:
     """Return indices of a largest set of independent columns, by pivoted QR at random states.
 
-    Columns that are `known` are in none.
+    Columns that are `known_indices` are in none.
     """
-    columns = at_random_states(robot)
-    columns[:, list(known)] = 0.0
+    columns = sample_regressor(robot)
+    columns[:, list(known_indices)] = 0.0
     lengths = np.linalg.norm(columns, axis=0)
     # Round-off must not be scaled up to a full column.
     columns[:, lengths < _RANK_TOLERANCE * np.max(lengths)] = 0.0
     lengths[lengths == 0.0] = 1.0
-    lengths[robot.inertial :] *= _LATER
+    lengths[robot.inertial :] *= _SPRING_LENGTH_FACTOR
     _, r, order = scipy.linalg.qr(columns / lengths, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(r))
     rank = int(np.sum(sizes > _RANK_TOLERANCE * sizes[0]))
@@ -46,28 +48,33 @@ def known_columns(robot: Robot) -> list[int]:
 
 def unknown_columns(robot: Robot, *, rotors: bool = False) -> tuple[int, ...]:
     """Return a largest set of independent unknown columns; `rotors` add those behind gears."""
-    known = known_columns(robot)
-    own = range(10 * robot.links, robot.inertial) if rotors else ()
-    return tuple(sorted({*base_columns(robot, [*known, *own]), *own} - {*known}))
+    known_indices = known_columns(robot)
+    rotor_columns = range(10 * robot.links, robot.inertial) if rotors else ()
+    return tuple(
+        sorted(
+            {*base_columns(robot, [*known_indices, *rotor_columns]), *rotor_columns}
+            - {*known_indices}
+        )
+    )
 
 
 def dependence(robot: Robot, base: tuple[int, ...]) -> Array:
     """Return K (len(base), P), which maps all onto base parameters: Y = Y_b K."""
-    columns = at_random_states(robot)
+    columns = sample_regressor(robot)
     return np.asarray(np.linalg.lstsq(columns[:, list(base)], columns, rcond=None)[0], dtype=float)
 
 
-def offsets_apart(robot: Robot, base: tuple[int, ...]) -> Mask:
+def find_independent_offsets(robot: Robot, base: tuple[int, ...]) -> Mask:
     """Return whether constant torques are independent of `base`, as with a vertical weight."""
-    columns = at_random_states(robot)[:, list(base)]
+    columns = sample_regressor(robot)[:, list(base)]
     coupling = robot.description.coupling
-    each = np.eye(robot.n) if coupling is None else coupling.forward.T
-    constant = np.tile(each, (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
-    left = constant - columns @ np.linalg.lstsq(columns, constant, rcond=None)[0]
-    return np.asarray(np.linalg.norm(left, axis=0) > np.sqrt(_RANK_TOLERANCE))
+    unit_torques = np.eye(robot.n) if coupling is None else coupling.forward.T
+    constant = np.tile(unit_torques, (_RANDOM_STATES, 1)) / np.sqrt(_RANDOM_STATES)
+    residual = constant - columns @ np.linalg.lstsq(columns, constant, rcond=None)[0]
+    return np.asarray(np.linalg.norm(residual, axis=0) > np.sqrt(_RANK_TOLERANCE))
 
 
-def at_random_states(robot: Robot) -> Array:
+def sample_regressor(robot: Robot) -> Array:
     """Return the regressor at random states, (samples * n, P)."""
     rng = np.random.default_rng(0)
     lower, upper, speed = robot.reach

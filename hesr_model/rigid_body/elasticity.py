@@ -20,13 +20,22 @@ from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers, Mask
 
-_OF_GEAR = ("stiffness", "damping", "offset", "motor_coulomb", "motor_load", "motor_viscous")
-_OF_LINK = ("link_coulomb", "link_viscous")
-FIXED = len(_OF_GEAR)
+_GEAR_PARAMETERS = (
+    "stiffness",
+    "damping",
+    "offset",
+    "motor_coulomb",
+    "motor_load",
+    "motor_viscous",
+)
+_LINK_PARAMETERS = ("link_coulomb", "link_viscous")
+FIXED = len(_GEAR_PARAMETERS)
 # Widths tried, over the largest deflection; those of softer zones are negative.
-_WIDTHS = np.concatenate([2.0 ** (-0.5 * np.arange(1, 13)), -(2.0 ** -np.arange(3.0, 7.0))])
+_RELATIVE_WIDTHS = np.concatenate(
+    [2.0 ** (-0.5 * np.arange(1, 13)), -(2.0 ** -np.arange(3.0, 7.0))]
+)
 _ROUNDS = 3  # of zero, and of the torque in the load
-_LEAST = 1e-3  # torque of an element over that of the gear
+_MIN_TORQUE_SHARE = 1e-3  # torque of an element over that of the gear
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,12 +65,14 @@ class GearForm:
     signals: dict[str, Array]
 
 
-def gear_forms(motions: Sequence[Motion], robot: Robot, used: Sequence[Mask]) -> list[GearForm]:
+def gear_forms(
+    motions: Sequence[Motion], robot: Robot, fast_rows: Sequence[Mask]
+) -> list[GearForm]:
     """Return the forms of elastic gears, low-passed as the motions; none without link encoders."""
     if not motions or any(motion.q_link is None for motion in motions):
         return []
     names = ("q", "dq", "ddq", "tau", "q_link", "dq_link")
-    data = {n: np.concatenate([getattr(motion, n) for motion in motions]) for n in names}
+    signals = {n: np.concatenate([getattr(motion, n) for motion in motions]) for n in names}
     ends = np.cumsum([0, *(len(motion.t) for motion in motions)]).tolist()
     parts = [slice(*pair) for pair in pairwise(ends)]
 
@@ -72,59 +83,69 @@ def gear_forms(motions: Sequence[Motion], robot: Robot, used: Sequence[Mask]) ->
             [zero_phase(motion.t, values[rows], cutoff)(motion.t) for motion, rows in pairs]
         )
 
-    data |= {"smooth": smooth(data["tau"]), "link": smooth(np.sign(data["dq_link"]))}
-    each = [{n: x[:, j] for n, x in data.items()} for j in range(robot.n)]
-    return [_form(own, parts, rows, smooth) for own, rows in zip(each, used, strict=True)]
+    signals |= {"smooth": smooth(signals["tau"]), "link": smooth(np.sign(signals["dq_link"]))}
+    signals_by_joint = [{n: x[:, j] for n, x in signals.items()} for j in range(robot.n)]
+    return [
+        _fit_form(joint_signals, parts, rows, smooth)
+        for joint_signals, rows in zip(signals_by_joint, fast_rows, strict=True)
+    ]
 
 
-def _form(
-    data: dict[str, Array],
+def _fit_form(
+    signals: dict[str, Array],
     parts: Sequence[slice],
-    used: Mask,
+    is_fast: Mask,
     smooth: Callable[[Array], Array],
 ) -> GearForm:
-    twist = data["q"] - data["q_link"]
-    rate = data["dq"] - data["dq_link"]
-    zero = float(np.mean(twist[used]))
+    twist = signals["q"] - signals["q_link"]
+    twist_rate = signals["dq"] - signals["dq_link"]
+    zero = float(np.mean(twist[is_fast]))
     torque = np.zeros_like(twist)
-    widths = np.max(np.abs(twist[used] - zero)) * _WIDTHS
-    free = np.full(FIXED + 1, np.inf)
-    most = np.concatenate([free, np.where(widths > 0.0, np.inf, 0.0)])
-    least = np.concatenate([-free, np.where(widths > 0.0, 0.0, -np.inf)])
-    elements = np.arange(FIXED + 1, len(most))
+    widths = np.max(np.abs(twist[is_fast] - zero)) * _RELATIVE_WIDTHS
+    unbounded = np.full(FIXED + 1, np.inf)
+    upper_bounds = np.concatenate([unbounded, np.where(widths > 0.0, np.inf, 0.0)])
+    lower_bounds = np.concatenate([-unbounded, np.where(widths > 0.0, 0.0, -np.inf)])
+    elements = np.arange(FIXED + 1, len(upper_bounds))
     for _ in range(_ROUNDS):
-        d = twist - zero
-        sign = np.sign(data["dq"])
-        shapes = [_stop(d / w, parts) if w > 0 else np.clip(-d / w, -1, 1) for w in widths]
-        bent = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
-        ones = np.ones_like(d)
-        dq = data["dq"]
-        ddq = data["ddq"]
-        columns = np.column_stack([d, rate, ones, bent[:, :2], dq, ddq, bent[:, 2:]])
-        rows = np.column_stack([columns, data["smooth"]])[used]
-        size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-        r: Array = np.asarray(np.linalg.qr(rows / size, mode="r"))
-        bounded = scipy.optimize.lsq_linear(r[:, :-1], r[:, -1], (least, most), method="bvls")
-        x = bounded.x / size[:-1] * size[-1]
+        deflection = twist - zero
+        sign = np.sign(signals["dq"])
+        shapes = [
+            _run_stop(deflection / w, parts) if w > 0 else np.clip(-deflection / w, -1, 1)
+            for w in widths
+        ]
+        smoothed = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
+        ones = np.ones_like(deflection)
+        dq = signals["dq"]
+        ddq = signals["ddq"]
+        columns = np.column_stack(
+            [deflection, twist_rate, ones, smoothed[:, :2], dq, ddq, smoothed[:, 2:]]
+        )
+        rows = np.column_stack([columns, signals["smooth"]])[is_fast]
+        sizes = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+        triangle: Array = np.asarray(np.linalg.qr(rows / sizes, mode="r"))
+        solution = scipy.optimize.lsq_linear(
+            triangle[:, :-1], triangle[:, -1], (lower_bounds, upper_bounds), method="bvls"
+        )
+        coefficients = solution.x / sizes[:-1] * sizes[-1]
         elastic = [0, 1, *elements]
-        torque = columns[:, elastic] @ x[elastic]
-        zero += float(-x[2] / x[0])
-    kept = np.abs(x[elements]) > _LEAST * np.std(torque[used])
+        torque = columns[:, elastic] @ coefficients[elastic]
+        zero += float(-coefficients[2] / coefficients[0])
+    is_significant = np.abs(coefficients[elements]) > _MIN_TORQUE_SHARE * np.std(torque[is_fast])
     return GearForm(
         zero=zero,
-        widths=widths[kept],
-        columns=columns[:, [*range(FIXED), *elements[kept]]],
-        signals=data,
+        widths=widths[is_significant],
+        columns=columns[:, [*range(FIXED), *elements[is_significant]]],
+        signals=signals,
     )
 
 
-def _stop(x: Array, parts: Sequence[slice]) -> Array:
+def _run_stop(x: Array, parts: Sequence[slice]) -> Array:
     steps = [np.diff(x[rows], prepend=x[rows][0]).tolist() for rows in parts]
-    found = [accumulate(part, lambda s, dx: min(max(s + dx, -1.0), 1.0)) for part in steps]
-    return np.array([state for part in found for state in part])
+    states_by_part = [accumulate(part, lambda s, dx: min(max(s + dx, -1.0), 1.0)) for part in steps]
+    return np.array([state for part in states_by_part for state in part])
 
 
-def with_gears(
+def add_gears(
     blocks: Sequence[Block],
     forms: Sequence[GearForm],
     base: tuple[int, ...],
@@ -132,41 +153,51 @@ def with_gears(
     links: Integers,
 ) -> list[Block]:
     """Return blocks with motor friction; `links` (n, 2) are the columns of each link's friction."""
-    first = blocks[0].matrix.shape[1]
-    places = first + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
-    whole = []
-    motors = []
+    body_count = blocks[0].matrix.shape[1]
+    places = body_count + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
+    body_blocks = []
+    motor_blocks = []
     for j, (block, form) in enumerate(zip(blocks, forms, strict=True)):
-        k = block.samples
-        at = places[j]
+        samples = block.samples
+        first_column = places[j]
         rotor = 10 * robot.links + j
-        tau, smooth, turning = (form.signals[n][k] for n in ("tau", "smooth", "ddq"))
-        both, motor = np.zeros((2, len(k), places[-1]))
-        both[:, :first] = block.matrix
-        both[:, links[j, 0]] = form.signals["link"][k]
-        both[:, at + 3 : at + FIXED] = form.columns[k, 3:FIXED]
-        motor[:, at : places[j + 1]] = form.columns[k]
-        whole.append(Block(matrix=both, target=block.target + smooth - tau, samples=k))
+        tau, smooth, acceleration = (form.signals[n][samples] for n in ("tau", "smooth", "ddq"))
+        body_matrix, motor_matrix = np.zeros((2, len(samples), places[-1]))
+        body_matrix[:, :body_count] = block.matrix
+        body_matrix[:, links[j, 0]] = form.signals["link"][samples]
+        body_matrix[:, first_column + 3 : first_column + FIXED] = form.columns[samples, 3:FIXED]
+        motor_matrix[:, first_column : places[j + 1]] = form.columns[samples]
+        body_blocks.append(
+            Block(matrix=body_matrix, target=block.target + smooth - tau, samples=samples)
+        )
         if rotor in base:
-            motor[:, base.index(rotor)] = turning
+            motor_matrix[:, base.index(rotor)] = acceleration
         else:
-            smooth = smooth - robot.nominal_parameters[rotor] * turning
-        motors.append(Block(matrix=motor, target=smooth, samples=k))
-    return [*whole, *motors]
+            smooth = smooth - robot.nominal_parameters[rotor] * acceleration
+        motor_blocks.append(Block(matrix=motor_matrix, target=smooth, samples=samples))
+    return [*body_blocks, *motor_blocks]
 
 
-def gears_of(
-    forms: Sequence[GearForm], joints: Sequence[str], x: Array, errors: Array, links: Integers
+def build_gears(
+    forms: Sequence[GearForm], joints: Sequence[str], x: Array, std_errors: Array, links: Integers
 ) -> tuple[ElasticGear, ...]:
-    """Return the gears in the last columns of a solution `x` (P,); `links` as in `with_gears`."""
-    at = len(x) - sum(form.columns.shape[1] for form in forms)
-    found = []
+    """Return the gears in the last columns of a solution `x` (P,); `links` as in `add_gears`."""
+    first_column = len(x) - sum(form.columns.shape[1] for form in forms)
+    gears = []
     for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
-        places = dict(zip((*_OF_GEAR, *_OF_LINK), [*range(at, at + FIXED), *link], strict=True))
+        places = dict(
+            zip(
+                (*_GEAR_PARAMETERS, *_LINK_PARAMETERS),
+                [*range(first_column, first_column + FIXED), *link],
+                strict=True,
+            )
+        )
         del places["offset"]
-        own = {n: (float(x[k]), float(errors[k])) for n, k in places.items()}
-        torques = x[at + FIXED :][: len(form.widths)].tolist()
+        parameters = {n: (float(x[k]), float(std_errors[k])) for n, k in places.items()}
+        torques = x[first_column + FIXED :][: len(form.widths)].tolist()
         elements = tuple(zip(form.widths.tolist(), torques, strict=True))
-        found.append(ElasticGear(joint=joint, zero=form.zero, parameters=own, elements=elements))
-        at += form.columns.shape[1]
-    return tuple(found)
+        gears.append(
+            ElasticGear(joint=joint, zero=form.zero, parameters=parameters, elements=elements)
+        )
+        first_column += form.columns.shape[1]
+    return tuple(gears)

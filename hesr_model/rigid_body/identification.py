@@ -12,24 +12,24 @@ from threadpoolctl import threadpool_limits
 from hesr_model.errors import FitError, RobotError, RuleError
 from hesr_model.inference.covariance import Covariance
 from hesr_model.logs.robot_log import Log, require_moving
-from hesr_model.logs.signals import Motion, smoothed
+from hesr_model.logs.signals import Motion, smooth_logs
 from hesr_model.rigid_body import observations
 from hesr_model.rigid_body import physical as consistent
-from hesr_model.rigid_body.base_parameters import at_random_states, known_columns, unknown_columns
-from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, gear_forms, gears_of, with_gears
-from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
+from hesr_model.rigid_body.base_parameters import known_columns, sample_regressor, unknown_columns
+from hesr_model.rigid_body.elasticity import FIXED, ElasticGear, add_gears, build_gears, gear_forms
+from hesr_model.rigid_body.least_squares import Block, Solution, estimate_covariance, solve
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers, Mask
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.frames import html_table
 from hesr_model.support.typed_files import Numbers, from_json, read_json, to_json, write_json
 
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
-LEAST_PEAK = 0.02  # peak speed that determines an inertia [rad/s, m/s]
-_MATTERS = 1e-2  # share of the largest torque error to propagate
-AT_ONCE = 4096  # samples per evaluation of the regressor
+MIN_PEAK_SPEED = 0.02  # peak speed that determines an inertia [rad/s, m/s]
+_MIN_ERROR_SHARE = 1e-2  # share of the largest torque error to propagate
+ROWS_AT_ONCE = 4096  # samples per evaluation of the regressor
 _log = logging.getLogger(__name__)
 
 
@@ -83,12 +83,12 @@ class RigidBody:
 
         Raises ArtifactError if the file cannot be read, or a key or value is missing or invalid.
         """
-        path = path_of(path, "a rigid body")
+        path = to_path(path, "a rigid body")
         return from_json(cls, read_json(path, RIGID_BODY_FORMAT), path, "a rigid body")
 
     def write(self, path: PathArg) -> None:
         """Write the rigid body as JSON, all digits; ArtifactError if the file cannot be written."""
-        write_json(path_of(path, "a rigid body"), {"format": RIGID_BODY_FORMAT, **to_json(self)})
+        write_json(to_path(path, "a rigid body"), {"format": RIGID_BODY_FORMAT, **to_json(self)})
 
     def __repr__(self) -> str:
         return (
@@ -130,11 +130,14 @@ class RigidBody:
         values, vectors = np.linalg.eigh(self.covariance.matrix)
         spread = vectors * np.sqrt(np.maximum(values, 0.0))
         columns = list(self.base)
-        _, s, vt = np.linalg.svd(at_random_states(model)[:, columns] @ spread, full_matrices=False)
-        spread = spread @ vt[s > _MATTERS * s[0]].T
+        _, s, vt = np.linalg.svd(sample_regressor(model)[:, columns] @ spread, full_matrices=False)
+        spread = spread @ vt[s > _MIN_ERROR_SHARE * s[0]].T
         parts = [
             model.regressor(*(state[k] for state in motion.states))[:, :, columns] @ spread
-            for k in (slice(at, at + AT_ONCE) for at in range(0, len(motion.t), AT_ONCE))
+            for k in (
+                slice(first, first + ROWS_AT_ONCE)
+                for first in range(0, len(motion.t), ROWS_AT_ONCE)
+            )
         ]
         return np.concatenate(parts)
 
@@ -182,11 +185,11 @@ def identify(
     """Identify rigid-body parameters from logs; errors as `identify_motions`, LogError."""
     require_moving([*logs, *reversed_logs], robot.description.joints)
     return identify_motions(
-        smoothed(logs, robot),
+        smooth_logs(logs, robot),
         robot,
         method=method,
         weighting=weighting,
-        reversed_motions=smoothed(reversed_logs, robot),
+        reversed_motions=smooth_logs(reversed_logs, robot),
         physical=physical,
     )
 
@@ -217,9 +220,9 @@ def identify_motions(
         raise FitError(
             f"robot '{robot.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
-    everything = [*motions, *reversed_motions]
-    used = observations.used_rows(everything, robot) if everything else []
-    forms = gear_forms(everything, robot, used)
+    all_motions = [*motions, *reversed_motions]
+    fast_rows = observations.find_fast_rows(all_motions, robot) if all_motions else []
+    forms = gear_forms(all_motions, robot, fast_rows)
     if forms and (physical or method == "paper"):
         raise FitError(
             f"robot '{robot.name}': link encoders ('log.columns.q_link') exclude 'physical' and "
@@ -228,83 +231,85 @@ def identify_motions(
     motions, reversed_motions = (
         observations.remove_known_torque(m, robot) for m in (motions, reversed_motions)
     )
-    everything = [*motions, *reversed_motions]
+    all_motions = [*motions, *reversed_motions]
     base = unknown_columns(robot, rotors=bool(forms))
     friction = observations.friction_columns(robot, base) & (method == "stacked")
-    where = "log " + ", ".join(motion.name for motion in everything)
+    where = "log " + ", ".join(motion.name for motion in all_motions)
     links = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
-    rows = sum(len(motion.t) for motion in everything)
+    rows = sum(len(motion.t) for motion in all_motions)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
-    require_speed(where, observations.peak_speeds(everything, robot), robot)
+    require_speed(where, observations.peak_speeds(all_motions, robot), robot)
 
-    def blocks_of(columns: tuple[int, ...]) -> list[Block]:
+    def build_blocks(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
-            return observations.averaged(motions, reversed_motions, robot, columns)
-        blocks = observations.stacked(everything, robot, columns, friction)
-        return with_gears(blocks, forms, columns, robot, links) if forms else blocks
+            return observations.average_blocks(motions, reversed_motions, robot, columns)
+        blocks = observations.stack_blocks(all_motions, robot, columns, friction)
+        return add_gears(blocks, forms, columns, robot, links) if forms else blocks
 
-    blocks = blocks_of(base)
+    blocks = build_blocks(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
     columns = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
-    scale = np.concatenate([scale_of(robot, base, friction), *columns])
+    scale = np.concatenate([compute_scale(robot, base, friction), *columns])
     elements = [np.arange(len(size)) >= FIXED for size in columns]
-    loose = np.concatenate([loose_of(robot, base, friction), *elements])
+    loose = np.concatenate([find_loose_columns(robot, base, friction), *elements])
     solution = solve(blocks, scale=scale, weighted=weighting == "wls", loose=loose)
     if not physical:
-        tell_ridge(where, solution)
-    labels = observations.logs_of(motions if method == "paper" else everything)
-    covariance = covariance_of(blocks, solution, labels)
-    body = body_of(
+        warn_of_ridge(where, solution)
+    labels = observations.label_samples(motions if method == "paper" else all_motions)
+    covariance = estimate_covariance(blocks, solution, labels)
+    body = build_body(
         solution,
         covariance,
         robot,
         base,
         friction,
         rows=rows,
-        logs=tuple(dict.fromkeys(motion.name for motion in everything)),
+        logs=tuple(dict.fromkeys(motion.name for motion in all_motions)),
         method=method,
         weighting=weighting,
     )
     if forms:
-        found = solution.x, covariance.standard_errors
-        return replace(body, gears=gears_of(forms, robot.joints, *found, links))
+        estimates = solution.x, covariance.standard_errors
+        return replace(body, gears=build_gears(forms, robot.joints, *estimates, links))
     if not physical:
         return body
-    return _consistent(body, blocks_of(tuple(range(len(body.names)))), robot, friction, labels)
+    return _make_consistent(
+        body, build_blocks(tuple(range(len(body.names)))), robot, friction, labels
+    )
 
 
-def _consistent(
+def _make_consistent(
     body: RigidBody, blocks: Sequence[Block], robot: Robot, friction: Mask, labels: Integers
 ) -> RigidBody:
     with threadpool_limits(1):
-        found = consistent.fit(
+        physical_fit = consistent.fit(
             blocks, robot, body.base, labels, rmse=body.rmse, weighted=body.weighting == "wls"
         )
     return replace(
         body,
-        parameters=found.parameters,
-        standard_errors=found.covariance.standard_errors,
-        covariance=found.covariance,
+        parameters=physical_fit.parameters,
+        standard_errors=physical_fit.covariance.standard_errors,
+        covariance=physical_fit.covariance,
         ridge=0.0,
-        friction=observations.per_joint(found.friction, friction),
-        rmse=found.rmse,
+        friction=observations.arrange_by_joint(physical_fit.friction, friction),
+        rmse=physical_fit.rmse,
         physical=True,
     )
 
 
-def scale_of(robot: Robot, base: tuple[int, ...], friction: Mask) -> Array:
+def compute_scale(robot: Robot, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m]; that of friction columns is 1."""
-    rigid = np.sqrt(np.mean(at_random_states(robot)[:, list(base)] ** 2, axis=0))
+    rigid = np.sqrt(np.mean(sample_regressor(robot)[:, list(base)] ** 2, axis=0))
     return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
 
 
-def loose_of(robot: Robot, base: tuple[int, ...], friction: Mask) -> Mask:
+def find_loose_columns(robot: Robot, base: tuple[int, ...], friction: Mask) -> Mask:
     """Return whether each column is that of a spring."""
     columns = np.array([*base, *[-1] * int(np.sum(friction))], dtype=int)
     return columns >= robot.inertial
 
 
-def body_of(
+def build_body(
     solution: Solution,
     covariance: Covariance,
     robot: Robot,
@@ -318,11 +323,11 @@ def body_of(
 ) -> RigidBody:
     """Return the rigid body of a solution."""
     names = [robot.parameter_names[k] for k in base]
-    covariance = covariance.mapped(names, np.eye(len(base), len(solution.x)))
+    covariance = covariance.transform(names, np.eye(len(base), len(solution.x)))
     parameters = np.zeros(len(robot.parameter_names))
     parameters[list(base)] = solution.x[: len(base)]
-    known = known_columns(robot)
-    parameters[known] = robot.nominal_parameters[known]
+    known_indices = known_columns(robot)
+    parameters[known_indices] = robot.nominal_parameters[known_indices]
     return RigidBody(
         robot=robot.description.name,
         joints=robot.description.joints,
@@ -332,7 +337,9 @@ def body_of(
         standard_errors=covariance.standard_errors,
         condition=solution.condition,
         ridge=solution.ridge,
-        friction=observations.per_joint(solution.x[len(base) :][: np.sum(friction)], friction),
+        friction=observations.arrange_by_joint(
+            solution.x[len(base) :][: np.sum(friction)], friction
+        ),
         rmse=solution.rmse[: robot.n],
         rows=rows,
         logs=logs,
@@ -342,7 +349,7 @@ def body_of(
     )
 
 
-def tell_ridge(where: str, solution: Solution) -> None:
+def warn_of_ridge(where: str, solution: Solution) -> None:
     """Warn if a ridge was needed."""
     if solution.ridge:
         _log.warning(
@@ -366,8 +373,8 @@ def require_samples(where: str, rows: int, unknowns: int) -> None:
 def require_speed(where: str, peaks: Array, robot: Robot) -> None:
     """Raise FitError if a joint's peak speed is too small."""
     for joint, peak in zip(robot.description.joints, peaks, strict=True):
-        if not peak > LEAST_PEAK:
+        if not peak > MIN_PEAK_SPEED:
             raise FitError(
                 f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; at least one log "
-                f"must exceed {LEAST_PEAK:g} rad/s."
+                f"must exceed {MIN_PEAK_SPEED:g} rad/s."
             )

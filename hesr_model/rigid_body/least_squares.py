@@ -7,12 +7,17 @@ import numpy as np
 import scipy
 
 from hesr_model.inference import covariance
-from hesr_model.inference.covariance import Covariance, Gradients, covariance_of_parts, left_out
+from hesr_model.inference.covariance import (
+    Covariance,
+    Gradients,
+    covariance_of_parts,
+    leave_out_rows,
+)
 from hesr_model.support.arrays import Array, Integers, Mask
 
 _REWEIGHTINGS = 2
 _HUGE_CONDITION = 1e3  # identification motions have some hundreds
-_LOOSE = 1e-4  # likewise, of loose columns alone
+_LOOSE_RIDGE = 1e-4  # likewise, of loose columns alone
 _RIDGE = 3e-3  # over the largest singular value; best on poor logs
 
 
@@ -32,13 +37,13 @@ class Factor:
     triangle: Array
     rows: int = 0
 
-    def with_rows(self, block: Block) -> "Factor":
+    def add_rows(self, block: Block) -> "Factor":
         """Return the factor with further rows."""
-        below = np.column_stack([block.matrix, block.target])
-        both = np.concatenate([self.triangle, below])
-        rows = self.rows + len(below)
-        (factor,) = scipy.linalg.qr(both, mode="r", check_finite=False)
-        return Factor(triangle=np.asarray(factor[: below.shape[1]]), rows=rows)
+        block_rows = np.column_stack([block.matrix, block.target])
+        stacked_rows = np.concatenate([self.triangle, block_rows])
+        rows = self.rows + len(block_rows)
+        (factor,) = scipy.linalg.qr(stacked_rows, mode="r", check_finite=False)
+        return Factor(triangle=np.asarray(factor[: block_rows.shape[1]]), rows=rows)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +68,7 @@ def solve(
     that are `loose` (P,), such as harmonics over a small angle, only these have a weaker one.
     """
     empty = Factor(triangle=np.zeros((0, len(scale) + 1)))
-    factors = [empty.with_rows(block) for block in blocks]
+    factors = [empty.add_rows(block) for block in blocks]
     return solve_factors(factors, scale=scale, weighted=weighted, loose=loose)
 
 
@@ -82,7 +87,9 @@ def solve_factors(
     return solution
 
 
-def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers) -> Covariance:
+def estimate_covariance(
+    blocks: Sequence[Block], solution: Solution, labels: Integers
+) -> Covariance:
     """Return the covariance from residuals summed by sample; `labels` are log numbers."""
     labels = covariance.blocks_of_time(labels)
     hessian = sum(
@@ -92,26 +99,28 @@ def covariance_of(blocks: Sequence[Block], solution: Solution, labels: Integers)
         ),
         start=np.diag(solution.pull**2),
     )
-    parts = parts_of_blocks(blocks, solution, labels, hessian)
+    parts = compute_gradients(blocks, solution, labels, hessian)
     names = ("",) * len(hessian)
-    return covariance_of_parts(names, lambda: parts, hessian, known=np.diag(solution.pull**2))
+    return covariance_of_parts(
+        names, lambda: parts, hessian, prior_hessian=np.diag(solution.pull**2)
+    )
 
 
-def parts_of_blocks(
+def compute_gradients(
     blocks: Sequence[Block], solution: Solution, labels: Integers, hessian: Array
 ) -> list[Gradients]:
     """Return gradients and Hessians of each log or block of time, given the `hessian` of all."""
     gradients = np.zeros((len(labels), len(solution.x)))
-    found = np.unique(labels)
-    hessians = np.zeros((len(found), *hessian.shape))
+    log_numbers = np.unique(labels)
+    hessians = np.zeros((len(log_numbers), *hessian.shape))
     for block, weight in zip(blocks, solution.weights, strict=True):
         rows = weight * block.matrix
         residual = weight * (block.target - block.matrix @ solution.x)
-        gradients[block.samples] += rows * left_out(rows, residual, hessian)[:, None]
+        gradients[block.samples] += rows * leave_out_rows(rows, residual, hessian)[:, None]
         own = labels[block.samples]
-        for k, log in enumerate(found):
+        for k, log in enumerate(log_numbers):
             hessians[k] += rows[own == log].T @ rows[own == log]
-    logs = zip(found.tolist(), hessians, strict=True)
+    logs = zip(log_numbers.tolist(), hessians, strict=True)
     return [(log, gradients[labels == log], own) for log, own in logs]
 
 
@@ -121,13 +130,13 @@ def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask)
     matrix = rows[:, :-1] / scale
     target = rows[:, -1]
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
-    own = np.zeros(len(scale))
+    loose_pull = np.zeros(len(scale))
     judged = s
     if loose.any() and s[0] > _HUGE_CONDITION * s[-1]:
-        own[loose] = _LOOSE * s[0]
-        judged = np.linalg.svd(np.vstack([matrix, np.diag(own / _LOOSE * _RIDGE)]))[1]
-        u, s, vt = np.linalg.svd(np.vstack([matrix, np.diag(own)]), full_matrices=False)
-        target = np.concatenate([target, np.zeros(len(own))])
+        loose_pull[loose] = _LOOSE_RIDGE * s[0]
+        judged = np.linalg.svd(np.vstack([matrix, np.diag(loose_pull / _LOOSE_RIDGE * _RIDGE)]))[1]
+        u, s, vt = np.linalg.svd(np.vstack([matrix, np.diag(loose_pull)]), full_matrices=False)
+        target = np.concatenate([target, np.zeros(len(loose_pull))])
     condition = float(judged[0] / max(judged[-1], np.finfo(float).eps * judged[0]))
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]
@@ -137,7 +146,7 @@ def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask)
         x=x,
         condition=condition,
         ridge=ridge,
-        pull=np.hypot(pull, own) * scale,
+        pull=np.hypot(pull, loose_pull) * scale,
         weights=np.asarray(weights),
         rmse=np.sqrt(squares / np.array([factor.rows for factor in factors])),
     )

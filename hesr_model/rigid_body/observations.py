@@ -8,27 +8,27 @@ import numpy as np
 
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.base_parameters import known_columns, offsets_apart
+from hesr_model.rigid_body.base_parameters import find_independent_offsets, known_columns
 from hesr_model.rigid_body.least_squares import Block
 from hesr_model.robots.robot import Robot
-from hesr_model.robots.transmission import onto
+from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Integers, Mask
 
-_LONGEST_SHIFT = 0.5  # latency [s] of command and measurement, which reversal keeps
-_LARGEST_MISMATCH = 0.1  # position mismatch [rad]; 20 mrad are harmless
+_MAX_SHIFT = 0.5  # latency [s] of command and measurement, which reversal keeps
+_MAX_MISMATCH = 0.1  # position mismatch [rad]; 20 mrad are harmless
 
 
-def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
+def match_motions(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
     """Match a motion with its counterpart at the best mirrored time; raises FitError."""
     from scipy.interpolate import make_interp_spline  # slow to import
 
     period = float(np.median(np.diff(forward.t)))
-    count = int(_LONGEST_SHIFT / period)
+    count = int(_MAX_SHIFT / period)
     position = make_interp_spline(backward.t, backward.q, k=1)
     mirror = backward.t[-1] - (forward.t - forward.t[0])
 
     def mismatch(shift: float) -> float:
-        rows = _covered(mirror + shift, backward.t)
+        rows = _is_covered(mirror + shift, backward.t)
         if np.sum(rows) < 0.5 * len(mirror):
             return float("inf")
         distance = forward.q[rows] - position(mirror[rows] + shift)
@@ -37,44 +37,46 @@ def matched(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
     shifts = period * np.arange(-count, count + 1)
     distances = [mismatch(shift) for shift in shifts]
     best = int(np.argmin(distances))
-    if not distances[best] <= _LARGEST_MISMATCH:
+    if not distances[best] <= _MAX_MISMATCH:
         raise FitError(
             f"log {backward.name}: is not the time-reversed counterpart of {forward.name}; "
             f"positions differ by {distances[best]:.3g} rad on average; at most "
-            f"{_LARGEST_MISMATCH:g} rad is allowed."
+            f"{_MAX_MISMATCH:g} rad is allowed."
         )
     times = mirror + shifts[best]
-    rows = _covered(times, backward.t)
-    return forward.rows(rows), _at(backward, times[rows])
+    rows = _is_covered(times, backward.t)
+    return forward.rows(rows), _resample(backward, times[rows])
 
 
-def _covered(times: Array, t: Array) -> Mask:
+def _is_covered(times: Array, t: Array) -> Mask:
     return np.asarray((times >= t[0]) & (times <= t[-1]))
 
 
-def _at(motion: Motion, times: Array) -> Motion:
+def _resample(motion: Motion, times: Array) -> Motion:
     from scipy.interpolate import make_interp_spline
 
     orders = {"q": 3, "dq": 3, "ddq": 3, "tau": 1, "q_raw": 1}
-    read: dict[str, Any] = {
+    signals: dict[str, Any] = {
         name: make_interp_spline(motion.t, getattr(motion, name), k=order)(times)
         for name, order in orders.items()
     }
-    return replace(motion, t=times, **read)
+    return replace(motion, t=times, **signals)
 
 
 SLOW = 0.1  # [rad/s, m/s]; slow friction depends on more than velocity
 SLOW_SHARE = 0.25  # bound of `SLOW` over the peak speed, for slow joints such as lifts
 
 
-def rubbing_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
+def friction_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
     """Return the velocities of friction coordinates, (N, n)."""
-    return onto(robot.description.coupling, np.concatenate([motion.dq for motion in motions]))
+    return transform_motion(
+        robot.description.coupling, np.concatenate([motion.dq for motion in motions])
+    )
 
 
 def peak_speeds(motions: Sequence[Motion], robot: Robot) -> Array:
     """Return the peak speeds (n,) of friction coordinates."""
-    return np.asarray(np.max(np.abs(rubbing_speeds(motions, robot)), axis=0))
+    return np.asarray(np.max(np.abs(friction_speeds(motions, robot)), axis=0))
 
 
 def slow_speeds(peaks: Array) -> Array:
@@ -84,44 +86,47 @@ def slow_speeds(peaks: Array) -> Array:
 
 def remove_known_torque(motions: Sequence[Motion], robot: Robot) -> list[Motion]:
     """Return motions without the torque of known parameters."""
-    known = known_columns(robot)
-    if not known:
+    known_indices = known_columns(robot)
+    if not known_indices:
         return list(motions)
-    own = np.zeros_like(robot.nominal_parameters)
-    own[known] = robot.nominal_parameters[known]
+    known_parameters = np.zeros_like(robot.nominal_parameters)
+    known_parameters[known_indices] = robot.nominal_parameters[known_indices]
     return [
-        replace(motion, tau=motion.tau - robot.torque(own, *motion.states)) for motion in motions
+        replace(motion, tau=motion.tau - robot.torque(known_parameters, *motion.states))
+        for motion in motions
     ]
 
 
-def used_rows(motions: Sequence[Motion], robot: Robot, slow: Array | None = None) -> list[Mask]:
+def find_fast_rows(
+    motions: Sequence[Motion], robot: Robot, slow: Array | None = None
+) -> list[Mask]:
     """Return whether each friction coordinate is faster than `slow` (n,) in each row."""
     slow = slow_speeds(peak_speeds(motions, robot)) if slow is None else slow
-    return list(slow[:, None] < np.abs(rubbing_speeds(motions, robot)).T)
+    return list(slow[:, None] < np.abs(friction_speeds(motions, robot)).T)
 
 
 def friction_columns(robot: Robot, base: tuple[int, ...]) -> Mask:
     """Return the Coulomb, viscous and offset columns (n, 3); no offset is a weight."""
     columns = np.ones((robot.n, 3), dtype=bool)
-    columns[:, 2] = offsets_apart(robot, base)
+    columns[:, 2] = find_independent_offsets(robot, base)
     return columns
 
 
-def logs_of(motions: Sequence[Motion]) -> Integers:
+def label_samples(motions: Sequence[Motion]) -> Integers:
     """Return the log number (N,) of each sample, shared by parts."""
     names = list(dict.fromkeys(motion.name for motion in motions))
     numbers = [names.index(motion.name) for motion in motions]
     return np.repeat(numbers, [len(motion.t) for motion in motions])
 
 
-def per_joint(found: Array, friction: Mask) -> Array:
+def arrange_by_joint(column_coefficients: Array, friction: Mask) -> Array:
     """Return coefficients of the columns `friction` (n, 3), else 0."""
     coefficients = np.zeros(friction.shape)
-    coefficients[friction] = found
+    coefficients[friction] = column_coefficients
     return coefficients
 
 
-def stacked(
+def stack_blocks(
     motions: Sequence[Motion],
     robot: Robot,
     base: tuple[int, ...],
@@ -138,16 +143,16 @@ def stacked(
     if coupling is not None:
         dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
     blocks = []
-    for joint, rows in enumerate(used_rows(motions, robot, slow)):
-        speed = dq[rows, joint]
-        rubbing = np.zeros((len(speed), n, 3))
-        rubbing[:, joint] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
-        matrix = np.hstack([rigid[rows, joint], rubbing[:, friction]])
-        blocks.append(Block(matrix=matrix, target=tau[rows, joint], samples=np.flatnonzero(rows)))
+    for j, rows in enumerate(find_fast_rows(motions, robot, slow)):
+        speed = dq[rows, j]
+        friction_rows = np.zeros((len(speed), n, 3))
+        friction_rows[:, j] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
+        matrix = np.hstack([rigid[rows, j], friction_rows[:, friction]])
+        blocks.append(Block(matrix=matrix, target=tau[rows, j], samples=np.flatnonzero(rows)))
     return blocks
 
 
-def averaged(
+def average_blocks(
     motions: Sequence[Motion], counterparts: Sequence[Motion], robot: Robot, base: tuple[int, ...]
 ) -> list[Block]:
     """Return one block per friction coordinate: means of forward and reversed rows.
@@ -159,26 +164,30 @@ def averaged(
             f"{len(motions)} logs come with {len(counterparts)} time-reversed ones; "
             "the paper's method needs one for each."
         )
-    pairs = [matched(*pair) for pair in zip(motions, counterparts, strict=True)]
-    both = ([robot.regressor(*motion.states) for motion in pair] for pair in pairs)
-    matrix = np.concatenate([0.5 * (a + b) for a, b in both])[:, :, list(base)]
+    pairs = [match_motions(*pair) for pair in zip(motions, counterparts, strict=True)]
+    regressor_pairs = ([robot.regressor(*motion.states) for motion in pair] for pair in pairs)
+    matrix = np.concatenate([0.5 * (a + b) for a, b in regressor_pairs])[:, :, list(base)]
     target = np.concatenate([0.5 * (a.tau + b.tau) for a, b in pairs])
     coupling = robot.description.coupling
     if coupling is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
-    forward, backward = (rubbing_speeds(each, robot) for each in zip(*pairs, strict=True))
+    forward, backward = (friction_speeds(side, robot) for side in zip(*pairs, strict=True))
     slow = slow_speeds(peak_speeds([*motions, *counterparts], robot))
-    kept = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
-    for joint, rows in zip(robot.description.joints, kept.T, strict=True):
+    is_used = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
+    for joint, rows in zip(robot.description.joints, is_used.T, strict=True):
         if not np.any(rows):
             raise FitError(
                 f"log {', '.join(motion.name for motion in motions)}: joint '{joint}' never moves "
                 "against its time-reversed counterpart; both logs must move it."
             )
-    first = np.cumsum([0, *(len(motion.t) for motion in motions)])
-    used = (np.flatnonzero(np.isin(m.t, a.t)) for m, (a, _) in zip(motions, pairs, strict=True))
-    samples = np.concatenate([start + own for start, own in zip(first, used, strict=False)])
+    first_samples = np.cumsum([0, *(len(motion.t) for motion in motions)])
+    matched_rows = (
+        np.flatnonzero(np.isin(m.t, a.t)) for m, (a, _) in zip(motions, pairs, strict=True)
+    )
+    samples = np.concatenate(
+        [start + log_rows for start, log_rows in zip(first_samples, matched_rows, strict=False)]
+    )
     return [
         Block(matrix=matrix[rows, joint], target=target[rows, joint], samples=samples[rows])
-        for joint, rows in enumerate(kept.T)
+        for joint, rows in enumerate(is_used.T)
     ]

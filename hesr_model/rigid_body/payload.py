@@ -15,19 +15,19 @@ import numpy as np
 
 from hesr_model.errors import FitError
 from hesr_model.logs.robot_log import Log, require_moving
-from hesr_model.logs.signals import Motion, smoothed
+from hesr_model.logs.signals import Motion, smooth_logs
 from hesr_model.rigid_body import observations
 from hesr_model.rigid_body.base_parameters import dependence
-from hesr_model.rigid_body.identification import RigidBody, scale_of
+from hesr_model.rigid_body.identification import RigidBody, compute_scale
 from hesr_model.rigid_body.least_squares import Block, Solution, solve
 from hesr_model.robots.robot import LINK_PARAMETERS, Robot
 from hesr_model.support.arrays import Array, Integers
 
 # Duration after which residuals count as independent [s]: the mass without payload is then within
 # 1.1 standard errors of zero on measured logs, with single rows within 5.
-_SEGMENT = 1.0
-_LEAST_SEGMENTS = 10
-_SIGNIFICANT = 4.0  # mass in standard errors; twin logs without payload had 3.4
+_SEGMENT_DURATION = 1.0
+_MIN_SEGMENTS = 10
+_MIN_MASS_SIGNIFICANCE = 4.0  # mass in standard errors; twin logs without payload had 3.4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,69 +68,73 @@ class Payload:
 def identify_payload(logs: Sequence[Log], robot: Robot, unloaded: RigidBody) -> Payload:
     """Identify the payload from logs; errors as `identify_payload_motions`, LogError."""
     require_moving(logs, robot.description.joints)
-    return identify_payload_motions(smoothed(logs, robot), robot, unloaded)
+    return identify_payload_motions(smooth_logs(logs, robot), robot, unloaded)
 
 
 def identify_payload_motions(
     motions: Sequence[Motion], robot: Robot, unloaded: RigidBody
 ) -> Payload:
     """Identify the payload on the last link; raises RobotError, FitError."""
-    name = "log " + ", ".join(motion.name for motion in motions)
-    segments = _segments(motions)
-    if len(np.unique(segments)) < _LEAST_SEGMENTS:
+    where = "log " + ", ".join(motion.name for motion in motions)
+    segments = _number_segments(motions)
+    if len(np.unique(segments)) < _MIN_SEGMENTS:
         raise FitError(
-            f"{name}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
-            f"payload needs at least {_LEAST_SEGMENTS * _SEGMENT:g} s."
+            f"{where}: lasts {sum(motion.t[-1] - motion.t[0] for motion in motions):.3g} s; a "
+            f"payload needs at least {_MIN_SEGMENTS * _SEGMENT_DURATION:g} s."
         )
-    added = [replace(motion, tau=motion.tau - unloaded.torque(robot, motion)) for motion in motions]
-    columns = _last_link(robot)
+    payload_motions = [
+        replace(motion, tau=motion.tau - unloaded.torque(robot, motion)) for motion in motions
+    ]
+    columns = _last_link_columns(robot)
     friction = observations.friction_columns(robot, columns)
-    blocks = observations.stacked(added, robot, columns, friction)
-    solution = solve(blocks, scale=scale_of(robot, columns, friction), weighted=True)
+    blocks = observations.stack_blocks(payload_motions, robot, columns, friction)
+    solution = solve(blocks, scale=compute_scale(robot, columns, friction), weighted=True)
     if solution.ridge:
         raise FitError(
-            f"{name}: the motion does not determine the payload (condition number "
+            f"{where}: the motion does not determine the payload (condition number "
             f"{solution.condition:.2g}); all joints must move fast and far at once."
         )
     carried = [
         block.matrix[:, : len(unloaded.base)]
-        for block in observations.stacked(motions, robot, unloaded.base, friction)
+        for block in observations.stack_blocks(motions, robot, unloaded.base, friction)
     ]
-    covariance = _covariance(blocks, solution, [segments[block.samples] for block in blocks])
+    covariance = _estimate_covariance(
+        blocks, solution, [segments[block.samples] for block in blocks]
+    )
     covariance += _propagate_errors(blocks, solution, carried, unloaded.standard_errors)
     payload = Payload(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
         condition=solution.condition,
-        friction=observations.per_joint(solution.x[10:], friction),
+        friction=observations.arrange_by_joint(solution.x[10:], friction),
         rmse=solution.rmse,
         rows=len(segments),
         logs=tuple(motion.name for motion in motions),
     )
     error = float(payload.standard_errors[0])
-    if not payload.mass > _SIGNIFICANT * error:
+    if not payload.mass > _MIN_MASS_SIGNIFICANCE * error:
         raise FitError(
-            f"{name}: no significant payload; its mass is {payload.mass:.3g} kg with a standard "
-            f"error of {error:.2g} kg (at least {_SIGNIFICANT:g} standard errors needed)."
+            f"{where}: no significant payload; its mass is {payload.mass:.3g} kg with a standard "
+            f"error of {error:.2g} kg (at least {_MIN_MASS_SIGNIFICANCE:g} standard errors needed)."
         )
     return payload
 
 
-def loaded(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
+def add_payload(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
     """Return the rigid body with the payload in its last link."""
-    columns = list(_last_link(robot))
+    columns = list(_last_link_columns(robot))
     parameters = unloaded.parameters.copy()
     parameters[columns] += payload.parameters
     carried = dependence(robot, unloaded.base)[:, columns]
-    more = carried @ payload.covariance @ carried.T
+    payload_covariance = carried @ payload.covariance @ carried.T
     covariance = unloaded.covariance
     return replace(
         unloaded,
         parameters=parameters,
-        standard_errors=np.sqrt(unloaded.standard_errors**2 + np.diag(more)),
+        standard_errors=np.sqrt(unloaded.standard_errors**2 + np.diag(payload_covariance)),
         covariance=None
         if covariance is None
-        else replace(covariance, carried=covariance.carried + more),
+        else replace(covariance, carried=covariance.carried + payload_covariance),
         physical=False,
         friction=payload.friction,
         rmse=payload.rmse,
@@ -139,43 +143,49 @@ def loaded(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
     )
 
 
-def _last_link(robot: Robot) -> tuple[int, ...]:
+def _last_link_columns(robot: Robot) -> tuple[int, ...]:
     return tuple(range(10 * (robot.links - 1), 10 * robot.links))
 
 
-def _segments(motions: Sequence[Motion]) -> Integers:
+def _number_segments(motions: Sequence[Motion]) -> Integers:
     parts: list[Integers] = []
     first = 0
     for motion in motions:
-        parts.append(first + ((motion.t - motion.t[0]) // _SEGMENT).astype(int))
+        parts.append(first + ((motion.t - motion.t[0]) // _SEGMENT_DURATION).astype(int))
         first = parts[-1][-1] + 1
     return np.concatenate(parts)
 
 
-def _covariance(blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]) -> Array:
+def _estimate_covariance(
+    blocks: Sequence[Block], solution: Solution, segments: Sequence[Integers]
+) -> Array:
     """Return the covariance with residuals correlated in segments (Liang and Zeger 1986)."""
-    gradients = np.zeros((1 + max(int(np.max(own)) for own in segments), len(solution.x)))
-    for block, size, own in zip(blocks, solution.rmse, segments, strict=True):
+    gradients = np.zeros(
+        (1 + max(int(np.max(block_segments)) for block_segments in segments), len(solution.x))
+    )
+    for block, size, block_segments in zip(blocks, solution.rmse, segments, strict=True):
         residual = (block.target - block.matrix @ solution.x) / size**2
-        np.add.at(gradients, own, block.matrix * residual[:, None])
+        np.add.at(gradients, block_segments, block.matrix * residual[:, None])
     inverse = _inverse_hessian(blocks, solution)
     count = len(gradients)
     return np.asarray(inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1)))
 
 
 def _propagate_errors(
-    blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], errors: Array
+    blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], std_errors: Array
 ) -> Array:
-    spread = _inverse_hessian(blocks, solution) @ _products(blocks, solution, carried) * errors
-    return np.asarray(spread @ spread.T)
+    deviations = (
+        _inverse_hessian(blocks, solution) @ _products(blocks, solution, carried) * std_errors
+    )
+    return np.asarray(deviations @ deviations.T)
 
 
 def _inverse_hessian(blocks: Sequence[Block], solution: Solution) -> Array:
-    own = [block.matrix for block in blocks]
-    return np.asarray(np.linalg.inv(_products(blocks, solution, own)))
+    matrices = [block.matrix for block in blocks]
+    return np.asarray(np.linalg.inv(_products(blocks, solution, matrices)))
 
 
 def _products(blocks: Sequence[Block], solution: Solution, columns: Sequence[Array]) -> Array:
     parts = zip(blocks, columns, solution.rmse, strict=True)
-    products = [block.matrix.T @ own / size**2 for block, own, size in parts]
+    products = [block.matrix.T @ block_columns / size**2 for block, block_columns, size in parts]
     return np.asarray(np.sum(products, axis=0))

@@ -18,23 +18,26 @@ import numpy as np
 import scipy
 
 from hesr_model.inference.covariance import Covariance
-from hesr_model.rigid_body.base_parameters import at_random_states, dependence
-from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of
+from hesr_model.rigid_body.base_parameters import dependence, sample_regressor
+from hesr_model.rigid_body.least_squares import Block, Solution, estimate_covariance
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Integers
 
 # Cost of one unit of a coordinate, in residual standard deviations per square root of rows; 0.1 to
 # 0.3 are equally good on measured logs left out in turn.
 _PULL = 0.2
-_WEAK = 1e-2  # share of the pull that chooses among equal torques
+_WEAK_SHARE = 1e-2  # share of the pull that chooses among equal torques
 _TINY = 1e-12
 _ROUNDING = 1e-9
-_LEAST_PULL = 1e-4  # pull of unknown rotors, which makes them unique
+_MIN_PULL = 1e-4  # pull of unknown rotors, which makes them unique
 _REWEIGHTINGS = 2
-_SMALLEST_RADIUS = 5e-3  # radius of gyration [m] at the start
+_MIN_RADIUS = 5e-3  # radius of gyration [m] at the start
 _UNKNOWN_LINK = np.array([1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
 """Start of a link without mass in the model file: 1 kg with radii of gyration of 0.1 m."""
-_PLACES = (0, 1, 2, 3, 0, 0, 1, 0, 1, 2), (0, 1, 2, 3, 1, 2, 2, 3, 3, 3)  # of an upper triangle
+_TRIANGLE_PLACES = (
+    (0, 1, 2, 3, 0, 0, 1, 0, 1, 2),
+    (0, 1, 2, 3, 1, 2, 2, 3, 3, 3),
+)  # of an upper triangle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,44 +86,51 @@ def fit(
     number of each sample, `rmse` (blocks,) [N.m] the residual of the unconstrained fit, for first
     weights.
     """
-    chart = _Chart.of(robot)
+    chart = _Chart.from_robot(robot)
     count = sum(len(block.target) for block in blocks)
-    size = robot.inertial
+    inertial_count = robot.inertial
     x = chart.start
     for _ in range(_REWEIGHTINGS):
-        weights = _weights(blocks, rmse, weighted)
-        factor, free = _eliminate_parameters(blocks, weights, size)
-        problem = _Problem(chart=chart, rows=free, pull=chart.pull * np.sqrt(count))
+        weights = _compute_weights(blocks, rmse, weighted)
+        factor, remaining = _eliminate_parameters(blocks, weights, inertial_count)
+        problem = _Problem(chart=chart, rows=remaining, pull=chart.pull * np.sqrt(count))
         x = scipy.optimize.least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
         inertial = chart.parameters(x)
-        others = factor.shape[1] - size - 1
-        freely = scipy.linalg.solve_triangular(
-            factor[:others, :others], factor[:others, -1] - factor[:others, others:-1] @ inertial
+        free_count = factor.shape[1] - inertial_count - 1
+        free_coefficients = scipy.linalg.solve_triangular(
+            factor[:free_count, :free_count],
+            factor[:free_count, -1] - factor[:free_count, free_count:-1] @ inertial,
         )
-        every = np.concatenate([inertial, freely])
-        rmse = np.array([np.sqrt(np.mean((b.target - b.matrix @ every) ** 2)) for b in blocks])
-    slopes = np.eye(len(every), len(x) + others)
-    slopes[:size, : len(x)] = chart.slopes(x)
-    slopes[size:, len(x) :] = np.eye(others)
-    moved = [
-        Block(matrix=b.matrix @ slopes, target=b.target - b.matrix @ every, samples=b.samples)
+        all_coefficients = np.concatenate([inertial, free_coefficients])
+        rmse = np.array(
+            [np.sqrt(np.mean((b.target - b.matrix @ all_coefficients) ** 2)) for b in blocks]
+        )
+    slopes = np.eye(len(all_coefficients), len(x) + free_count)
+    slopes[:inertial_count, : len(x)] = chart.slopes(x)
+    slopes[inertial_count:, len(x) :] = np.eye(free_count)
+    moved_blocks = [
+        Block(
+            matrix=b.matrix @ slopes,
+            target=b.target - b.matrix @ all_coefficients,
+            samples=b.samples,
+        )
         for b in blocks
     ]
-    at = Solution(
-        x=np.zeros(len(x) + others),
+    local_solution = Solution(
+        x=np.zeros(len(x) + free_count),
         condition=1.0,
         ridge=0.0,
-        pull=np.concatenate([problem.pull, np.zeros(others)]),
+        pull=np.concatenate([problem.pull, np.zeros(free_count)]),
         weights=weights,
         rmse=rmse,
     )
-    standard = len(robot.parameter_names)
-    to_base = dependence(robot, base) @ slopes[:standard]
-    covariance = covariance_of(moved, at, labels)
+    parameter_count = len(robot.parameter_names)
+    to_base = dependence(robot, base) @ slopes[:parameter_count]
+    covariance = estimate_covariance(moved_blocks, local_solution, labels)
     return PhysicalFit(
-        parameters=every[:standard],
-        friction=every[standard:],
-        covariance=covariance.mapped([robot.parameter_names[k] for k in base], to_base),
+        parameters=all_coefficients[:parameter_count],
+        friction=all_coefficients[parameter_count:],
+        covariance=covariance.transform([robot.parameter_names[k] for k in base], to_base),
         rmse=rmse,
     )
 
@@ -128,30 +138,35 @@ def fit(
 def is_possible(robot: Robot, parameters: Array) -> bool:
     """Return whether bodies can have these parameters (P,), without mass included."""
     links = parameters[: 10 * robot.links].reshape(-1, 10)
-    least = [np.linalg.eigvalsh(p)[0] / max(np.trace(p), _TINY) for p in map(pseudo_inertia, links)]
+    lowest_ratios = [
+        np.linalg.eigvalsh(p)[0] / max(np.trace(p), _TINY) for p in map(pseudo_inertia, links)
+    ]
     rotors = parameters[10 * robot.links : robot.inertial]
-    return min(least) > -_ROUNDING and bool(np.all(rotors >= 0.0))
+    return min(lowest_ratios) > -_ROUNDING and bool(np.all(rotors >= 0.0))
 
 
-def nearest(robot: Robot, parameters: Array) -> tuple[Array, Array, Array]:
+def find_nearest(robot: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     """Return the physically consistent parameters (P,) with torques closest to those of others.
 
     Also returns the largest difference and the largest torque per joint, (n,) [N.m], at random
     states.
     """
-    size = robot.inertial
-    rows = at_random_states(robot)
+    inertial_count = robot.inertial
+    rows = sample_regressor(robot)
     torque = (rows @ parameters).reshape(-1, robot.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
-    own = rows[:, :size]
-    (factor,) = scipy.linalg.qr(weights * np.column_stack([own, own @ parameters[:size]]), mode="r")
-    chart = _Chart.of(robot)
-    scaled = factor[: size + 1] / np.sqrt(len(rows))
-    task = _Problem(chart=chart, rows=scaled, pull=_WEAK * chart.pull)
+    inertial_rows = rows[:, :inertial_count]
+    (factor,) = scipy.linalg.qr(
+        weights * np.column_stack([inertial_rows, inertial_rows @ parameters[:inertial_count]]),
+        mode="r",
+    )
+    chart = _Chart.from_robot(robot)
+    scaled = factor[: inertial_count + 1] / np.sqrt(len(rows))
+    task = _Problem(chart=chart, rows=scaled, pull=_WEAK_SHARE * chart.pull)
     x = scipy.optimize.least_squares(task.residuals, chart.start, jac=task.slopes, method="lm").x
-    found = np.concatenate([chart.parameters(x), parameters[size:]])
-    off = np.abs((rows @ found).reshape(-1, robot.n) - torque)
-    return found, off.max(axis=0), np.abs(torque).max(axis=0)
+    consistent_parameters = np.concatenate([chart.parameters(x), parameters[inertial_count:]])
+    difference = np.abs((rows @ consistent_parameters).reshape(-1, robot.n) - torque)
+    return consistent_parameters, difference.max(axis=0), np.abs(torque).max(axis=0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,18 +178,18 @@ class _Chart:
     pull: Array  # (10 n + r,) residual per unit and square root of rows
 
     @classmethod
-    def of(cls, robot: Robot) -> Self:
+    def from_robot(cls, robot: Robot) -> Self:
         nominal = robot.nominal_parameters[: robot.inertial]
         links = 10 * robot.links
-        factors = [_upper_factor(_start(link)) for link in nominal[:links].reshape(-1, 10)]
+        factors = [_upper_factor(_start_inertia(link)) for link in nominal[:links].reshape(-1, 10)]
         rotors = nominal[links:]
-        known = rotors > 0
-        roots = np.sqrt(np.where(known, rotors, 1.0))
-        of_rotors = np.where(known, 2 * _PULL / roots, _LEAST_PULL)
+        is_known = rotors > 0
+        roots = np.sqrt(np.where(is_known, rotors, 1.0))
+        rotor_pulls = np.where(is_known, 2 * _PULL / roots, _MIN_PULL)
         return cls(
             factors=np.array(factors),
             start=np.concatenate([np.zeros(links), roots]),
-            pull=np.concatenate([np.full(links, _PULL), of_rotors]),
+            pull=np.concatenate([np.full(links, _PULL), rotor_pulls]),
         )
 
     def parameters(self, x: Array) -> Array:
@@ -182,15 +197,15 @@ class _Chart:
         links = 10 * len(self.factors)
         b = self.factors
         u = _triangles(x[:links].reshape(-1, 10))
-        own = link_parameters(b @ u @ u.mT @ b.mT)
-        return np.concatenate([own.ravel(), x[links:] ** 2])
+        parameters_by_link = link_parameters(b @ u @ u.mT @ b.mT)
+        return np.concatenate([parameters_by_link.ravel(), x[links:] ** 2])
 
     def slopes(self, x: Array) -> Array:
         """Return the derivatives (P, 10 n + r) of the parameters."""
         links = 10 * len(self.factors)
         u = _triangles(x[:links].reshape(-1, 10))
         changes = np.zeros((len(self.factors), 10, 4, 4))
-        changes[:, range(10), *_PLACES] = 1.0
+        changes[:, range(10), *_TRIANGLE_PLACES] = 1.0
         changes[:, range(4), range(4), range(4)] = u[:, range(4), range(4)]
         b, u = self.factors[:, None], u[:, None]
         half = b @ changes @ u.mT @ b.mT
@@ -214,7 +229,7 @@ class _Problem:
 
 def _triangles(x: Array) -> Array:
     u = np.zeros((len(x), 4, 4))
-    u[:, *_PLACES] = np.hstack([np.exp(x[:, :4]), x[:, 4:]])
+    u[:, *_TRIANGLE_PLACES] = np.hstack([np.exp(x[:, :4]), x[:, 4:]])
     return u
 
 
@@ -222,18 +237,18 @@ def _upper_factor(matrix: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
-def _start(link: Array) -> Array:
+def _start_inertia(link: Array) -> Array:
     pseudo = pseudo_inertia(link if link[0] > 0 else _UNKNOWN_LINK)
     m = pseudo[3, 3]
     centre = pseudo[:3, 3] / pseudo[3, 3]
     about_centre = pseudo[:3, :3] - m * np.outer(centre, centre)
     values, vectors = np.linalg.eigh(about_centre)
-    values = np.maximum(values, m * _SMALLEST_RADIUS**2)
+    values = np.maximum(values, m * _MIN_RADIUS**2)
     pseudo[:3, :3] = (vectors * values) @ vectors.T + m * np.outer(centre, centre)
     return pseudo
 
 
-def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
+def _compute_weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
     if not weighted:
         counts = np.array([len(block.target) for block in blocks])
         rmse = np.full(len(blocks), np.sqrt(np.sum(counts * rmse**2) / np.sum(counts)))
@@ -242,13 +257,16 @@ def _weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Array:
 
 
 def _eliminate_parameters(
-    blocks: Sequence[Block], weights: Array, size: int
+    blocks: Sequence[Block], weights: Array, inertial_count: int
 ) -> tuple[Array, Array]:
     parts = [
-        weight * np.column_stack([block.matrix[:, size:], block.matrix[:, :size], block.target])
+        weight
+        * np.column_stack(
+            [block.matrix[:, inertial_count:], block.matrix[:, :inertial_count], block.target]
+        )
         for weight, block in zip(weights, blocks, strict=True)
     ]
     (factor,) = scipy.linalg.qr(np.concatenate(parts), mode="r", check_finite=False)
     factor = np.asarray(factor[: factor.shape[1]])
-    others = factor.shape[1] - size - 1
-    return factor, factor[others:, others:]
+    free_count = factor.shape[1] - inertial_count - 1
+    return factor, factor[free_count:, free_count:]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
@@ -31,6 +31,8 @@ def identify_again(
         records = friction_records(log, robot, body)
         return replace(log, tau=log.tau - model.predict(records))
 
-    logs, others = (list(map(without_friction, parts_of(some))) for some in (logs, reversed_logs))
+    logs, reversed_parts = (
+        list(map(without_friction, collect_parts(log_group))) for log_group in (logs, reversed_logs)
+    )
     # The law is that of both sides of a gear, whose own friction would be left out.
-    return replace(identify(logs, robot, reversed_logs=others), gears=body.gears)
+    return replace(identify(logs, robot, reversed_logs=reversed_parts), gears=body.gears)

@@ -12,7 +12,7 @@ from hesr_model.logs.signals import MOVING, Motion, reversals, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 from hesr_model.robots.transmission import Coupling
-from hesr_model.support.arrays import Array, Mask, some_rows
+from hesr_model.support.arrays import Array, Mask, select_rows
 from hesr_model.units import unit_of_joint
 
 
@@ -65,33 +65,37 @@ class FrictionRecord:
 
     def rows(self, rows: slice | Mask) -> "FrictionRecord":
         """Return some of the rows."""
-        return some_rows(self, rows)
+        return select_rows(self, rows)
 
 
-def at_friction(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
+def transform_records(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     """Transform the records of one log to friction coordinates, as laws need."""
     coupling = records[0].coupling if records else None
     if coupling is None:
         return list(records)
 
-    ways = dict.fromkeys(("dq", "dq_causal", "q"), coupling.motion)
-    ways |= dict.fromkeys(("tau_load", "tau", "tau_load_spread"), coupling.torque)
-    moved: dict[str, Array | None] = {}
-    for name, way in ways.items():
+    transforms = dict.fromkeys(("dq", "dq_causal", "q"), coupling.motion)
+    transforms |= dict.fromkeys(("tau_load", "tau", "tau_load_spread"), coupling.torque)
+    transformed: dict[str, Array | None] = {}
+    for name, transform in transforms.items():
         columns = [getattr(record, name) for record in records]
-        known = all(column is not None for column in columns)
-        moved[name] = way(np.stack(columns, axis=1)) if known else None
+        is_known = all(column is not None for column in columns)
+        transformed[name] = transform(np.stack(columns, axis=1)) if is_known else None
 
-    def own(k: int) -> dict[str, Any]:
-        return {n: None if x is None else np.ascontiguousarray(x[:, k]) for n, x in moved.items()}
+    def select_joint(j: int) -> dict[str, Any]:
+        return {
+            n: None if x is None else np.ascontiguousarray(x[:, j]) for n, x in transformed.items()
+        }
 
-    return [replace(record, **own(k), coupling=None) for k, record in enumerate(records)]
+    return [replace(record, **select_joint(k), coupling=None) for k, record in enumerate(records)]
 
 
-def all_at_friction(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
+def transform_all_records(
+    records: Sequence[Sequence[FrictionRecord]],
+) -> list[list[FrictionRecord]]:
     """Transform records [joint][log] to friction coordinates; see `at_friction`."""
-    moved = [at_friction(log) for log in zip(*records, strict=True)]
-    return [list(of_joint) for of_joint in zip(*moved, strict=True)]
+    transformed = [transform_records(log_records) for log_records in zip(*records, strict=True)]
+    return [list(joint_records) for joint_records in zip(*transformed, strict=True)]
 
 
 def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
@@ -106,29 +110,29 @@ def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[Fricti
     spread = None if motion.load is not None else body.torque_spread(robot, motion)
     ratios = robot.description.gear_ratio or (None,) * robot.n
     columns = {"dq": motion.dq, "q": motion.q_raw, "tau_load": load, "dq_causal": motion.dq_causal}
-    known = {name: values for name, values in columns.items() if values is not None}
+    known_columns = {name: values for name, values in columns.items() if values is not None}
     return [
         FrictionRecord(
             log=motion.name,
             joint=joint,
             t=motion.t,
-            tau=motion.tau[:, k] - torque[:, k],
-            tau_body=None if motion.load is None else torque[:, k],
-            tau_load_spread=None if spread is None else spread[:, k],
-            gear_ratio=ratios[k],
-            sliding=robot.slides[k],
-            temperature=None if motion.temperature is None else motion.temperature[:, k],
+            tau=motion.tau[:, j] - torque[:, j],
+            tau_body=None if motion.load is None else torque[:, j],
+            tau_load_spread=None if spread is None else spread[:, j],
+            gear_ratio=ratios[j],
+            sliding=robot.slides[j],
+            temperature=None if motion.temperature is None else motion.temperature[:, j],
             coupling=robot.description.coupling,
-            **{name: np.ascontiguousarray(values[:, k]) for name, values in known.items()},
+            **{name: np.ascontiguousarray(values[:, j]) for name, values in known_columns.items()},
         )
-        for k, joint in enumerate(robot.description.joints)
+        for j, joint in enumerate(robot.description.joints)
     ]
 
 
 def require_reversals(records: Sequence[FrictionRecord]) -> None:
     """Raise LogError if the velocity of a joint never reverses."""
     if not any(len(reversals(record.dq)) for record in records):
-        unit = unit_of_joint("rad/s", slides=records[0].sliding)
+        unit = unit_of_joint("rad/s", is_prismatic=records[0].sliding)
         raise LogError(
             f"log {', '.join(record.log for record in records)}: the velocity of joint "
             f"'{records[0].joint}' never reverses between speeds of more than {MOVING:g} {unit}; "

@@ -17,12 +17,12 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Numbers
 
-_LATEST = 0.1  # longest latency [s]
-_COARSE = 5e-4
-_FINE = 10  # least step of a first search [s], and its parts in a second
-_SURE = 2.0  # least size of a kept integral gain, in standard errors
-_LEAST = 0.8  # least share of the torque without gravity that the servo explains
-_TERMS = 3
+_MAX_LATENCY = 0.1  # longest latency [s]
+_MIN_COARSE_STEP = 5e-4
+_FINE_PARTS = 10  # least step of a first search [s], and its parts in a second
+_MIN_GAIN_SIGNIFICANCE = 2.0  # least size of a kept integral gain, in standard errors
+_MIN_EXPLAINED_SHARE = 0.8  # least share of the torque without gravity that the servo explains
+_FACTOR_COUNT = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,10 +46,12 @@ class ServoFit:
     gravity_share: Numbers
     explained: Numbers
 
-    def drawn(self, generator: np.random.Generator) -> Array:
+    def draw(self, generator: np.random.Generator) -> Array:
         """Return factors (n, 3) as likely as the identified ones; none is negative."""
-        spread = [generator.multivariate_normal(np.zeros(_TERMS), c) for c in self.covariance]
-        return np.maximum(self.factors + np.array(spread), 1e-9 * self.factors)
+        deviations = [
+            generator.multivariate_normal(np.zeros(_FACTOR_COUNT), c) for c in self.covariance
+        ]
+        return np.maximum(self.factors + np.array(deviations), 1e-9 * self.factors)
 
 
 def cascade(factors: Array) -> tuple[Array, Array, Array]:
@@ -79,21 +81,24 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
     if robot.description.coupling is not None:
         raise FitError("servos of coupled motors are not identified")
     dq = smooth(log).dq if log.dq is None else log.dq
-    log = replace(log, dq=dq, dq_cmd=commanded(log)[1])  # once, for all latencies
-    still = np.zeros_like(log.q)
-    gravity = robot.torque(parameters, log.q, still, still)
+    log = replace(log, dq=dq, dq_cmd=compute_commands(log)[1])  # once, for all latencies
+    zeros = np.zeros_like(log.q)
+    gravity = robot.torque(parameters, log.q, zeros, zeros)
     span = log.t[-1] - log.t[0]
-    step = max(0.25 * log.period, _COARSE)
-    coarse = np.arange(0.0, min(_LATEST, 0.1 * span), step)
-    tried = [(held, latency) for held in (True, False) for latency in coarse]
-    held, middle = min(tried, key=lambda one: _misfit(log, gravity, *one))
-    near = middle + step * np.arange(-_FINE, _FINE + 1) / _FINE
-    fine = [(held, latency) for latency in near[near >= 0.0]]
-    held, latency = min(fine, key=lambda one: _misfit(log, gravity, *one))
-    found = [_solved(*one) for one in zip(*_problems(log, gravity, held, latency), strict=True)]
-    factors, covariances, shares, explained = map(np.array, zip(*found, strict=True))
+    step = max(0.25 * log.period, _MIN_COARSE_STEP)
+    coarse = np.arange(0.0, min(_MAX_LATENCY, 0.1 * span), step)
+    trials = [(held, latency) for held in (True, False) for latency in coarse]
+    held, coarse_latency = min(trials, key=lambda arguments: _misfit(log, gravity, *arguments))
+    near_latencies = coarse_latency + step * np.arange(-_FINE_PARTS, _FINE_PARTS + 1) / _FINE_PARTS
+    fine = [(held, latency) for latency in near_latencies[near_latencies >= 0.0]]
+    held, latency = min(fine, key=lambda arguments: _misfit(log, gravity, *arguments))
+    fits = [
+        _fit_joint_servo(*arguments)
+        for arguments in zip(*_build_problems(log, gravity, held, latency), strict=True)
+    ]
+    factors, covariances, shares, explained = map(np.array, zip(*fits, strict=True))
     for joint, factor, share in zip(robot.joints, factors, explained, strict=True):
-        if factor[0] <= 0.0 or share < _LEAST:
+        if factor[0] <= 0.0 or share < _MIN_EXPLAINED_SHARE:
             raise FitError(
                 f"the torque of joint '{joint}' does not follow from its commands (a PI or PID "
                 f"servo explains {100 * max(share, 0.0):.0f} % of it)"
@@ -108,76 +113,91 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
     )
 
 
-def commanded(log: Log) -> tuple[Array, Array]:
+def compute_commands(log: Log) -> tuple[Array, Array]:
     """Return desired positions and velocities (N, n) of a log with commands."""
     if log.q_cmd is None:  # integrate from the first measured position
         assert log.dq_cmd is not None
-        moved = np.cumsum(log.dq_cmd[:-1] * np.diff(log.t)[:, None], axis=0)
-        return log.q[0] + np.vstack([np.zeros(log.q.shape[1]), moved]), log.dq_cmd
+        displacement = np.cumsum(log.dq_cmd[:-1] * np.diff(log.t)[:, None], axis=0)
+        return log.q[0] + np.vstack([np.zeros(log.q.shape[1]), displacement]), log.dq_cmd
     return log.q_cmd, np.gradient(log.q_cmd, log.t, axis=0) if log.dq_cmd is None else log.dq_cmd
 
 
-def _problems(log: Log, gravity: Array, held: bool, late: float) -> tuple[list[Array], list[Array]]:
+def _build_problems(
+    log: Log, gravity: Array, held: bool, latency: float
+) -> tuple[list[Array], list[Array]]:
     """Return columns (N, 5) and torques (N,) of each joint once the first commands act."""
     t = log.t - log.t[0]
-    position, speed = commanded(log)
-    past = t - late
-    rows = t >= min(_LATEST, 0.1 * t[-1])
-    place = np.maximum(np.searchsorted(t, past + 1e-9, side="right") - 1, 0)
+    position, speed = compute_commands(log)
+    past = t - latency
+    rows = t >= min(_MAX_LATENCY, 0.1 * t[-1])
+    last_command = np.maximum(np.searchsorted(t, past + 1e-9, side="right") - 1, 0)
     assert log.dq is not None
 
-    def acting(values: Array, joint: int) -> Array:
-        one = values[:, joint]
-        return np.asarray(one[place] if held else np.interp(past, t, one))
+    def acting(values: Array, j: int) -> Array:
+        signal = values[:, j]
+        return np.asarray(signal[last_command] if held else np.interp(past, t, signal))
 
     columns = []
     targets = []
     for j in range(log.q.shape[1]):
         # A held velocity moves its integral along a line, a held position does not.
-        own = position[:, j]
-        line = log.q_cmd is None or not held
-        error = (np.interp(past, t, own) if line else own[place]) - log.q[:, j]
+        joint_position = position[:, j]
+        is_linear = log.q_cmd is None or not held
+        error = (
+            np.interp(past, t, joint_position) if is_linear else joint_position[last_command]
+        ) - log.q[:, j]
         steps = 0.5 * (error[1:] + error[:-1]) * np.diff(t)
         sums = np.append(0.0, np.cumsum(steps)) * (log.q_cmd is not None)
         rate = acting(speed, j) - log.dq[:, j]
-        every = [rate, error, sums, np.ones_like(t), gravity[:, j]]
-        columns.append(np.column_stack(every)[rows])
+        terms = [rate, error, sums, np.ones_like(t), gravity[:, j]]
+        columns.append(np.column_stack(terms)[rows])
         targets.append(log.tau[rows, j])
     return columns, targets
 
 
 def _misfit(log: Log, gravity: Array, held: bool, latency: float) -> float:
-    problems = zip(*_problems(log, gravity, held, latency), strict=True)
-    return sum(float(np.log(_residual(*one).std() + 1e-12)) for one in problems)
+    problems = zip(*_build_problems(log, gravity, held, latency), strict=True)
+    return sum(float(np.log(_residual(*problem).std() + 1e-12)) for problem in problems)
 
 
 def _residual(columns: Array, torque: Array) -> Array:
     scale = np.abs(columns).max(axis=0)
-    some = columns[:, scale > 0.0] / scale[scale > 0.0]
-    return np.asarray(torque - some @ np.linalg.lstsq(some, torque, rcond=None)[0])
+    scaled = columns[:, scale > 0.0] / scale[scale > 0.0]
+    return np.asarray(torque - scaled @ np.linalg.lstsq(scaled, torque, rcond=None)[0])
 
 
-def _solved(columns: Array, torque: Array) -> tuple[Array, Array, float, float]:
+def _fit_joint_servo(columns: Array, torque: Array) -> tuple[Array, Array, float, float]:
     """Return factors (3,), their covariance (3, 3), share of gravity, and explained variance."""
-    weight = columns[:, -1]
-    used = [0, 1, 2, 3, 4] if np.ptp(weight) > 1e-3 * np.ptp(torque) else [0, 1, 2, 3]
+    gravity = columns[:, -1]
+    active = [0, 1, 2, 3, 4] if np.ptp(gravity) > 1e-3 * np.ptp(torque) else [0, 1, 2, 3]
     while True:
-        used = [k for k in used if np.any(columns[:, k])]
-        some = columns[:, used]
-        x = np.linalg.lstsq(some, torque, rcond=None)[0]
-        residual = torque - some @ x
+        active = [k for k in active if np.any(columns[:, k])]
+        active_columns = columns[:, active]
+        solution = np.linalg.lstsq(active_columns, torque, rcond=None)[0]
+        residual = torque - active_columns @ solution
         labels = np.zeros(len(torque), dtype=int)
-        matrix = covariance_of_fit([str(k) for k in used], some, residual, labels).matrix
-        unsure = x < _SURE * np.sqrt(np.diag(matrix))
-        drop = [k for k, small in zip(used, unsure, strict=True) if small and k in (1, 2)]
+        matrix = covariance_of_fit(
+            [str(k) for k in active], active_columns, residual, labels
+        ).matrix
+        is_insignificant = solution < _MIN_GAIN_SIGNIFICANCE * np.sqrt(np.diag(matrix))
+        drop = [
+            k
+            for k, insignificant in zip(active, is_insignificant, strict=True)
+            if insignificant and k in (1, 2)
+        ]
         if not drop:
             break
-        used.remove(drop[-1])
-    whole = np.zeros(len(columns.T))
-    spread = np.zeros((_TERMS, _TERMS))
-    whole[used] = x
-    gains = [k for k in used if k < _TERMS]
-    spread[np.ix_(gains, gains)] = matrix[: len(gains), : len(gains)]
-    share = whole[4] if 4 in used else 1.0
-    beside = np.var(torque - share * weight)
-    return whole[:_TERMS], spread, float(share), float(1.0 - residual.var() / beside)
+        active.remove(drop[-1])
+    coefficients = np.zeros(len(columns.T))
+    covariance = np.zeros((_FACTOR_COUNT, _FACTOR_COUNT))
+    coefficients[active] = solution
+    gains = [k for k in active if k < _FACTOR_COUNT]
+    covariance[np.ix_(gains, gains)] = matrix[: len(gains), : len(gains)]
+    gravity_share = coefficients[4] if 4 in active else 1.0
+    variance = np.var(torque - gravity_share * gravity)
+    return (
+        coefficients[:_FACTOR_COUNT],
+        covariance,
+        float(gravity_share),
+        float(1.0 - residual.var() / variance),
+    )

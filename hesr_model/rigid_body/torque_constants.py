@@ -22,17 +22,17 @@ from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.least_squares import Block
-from hesr_model.rigid_body.observations import friction_columns, stacked
+from hesr_model.rigid_body.observations import friction_columns, stack_blocks
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-_DETERMINED = 0.2  # relative standard error of a determined constant
-_FEIGNED = 0.2  # friction that a wrong law may add to a weight
-_CHANGED = 0.02  # the same for a payload
-_LEAST_ARM = 0.05  # smallest distance of a centre of mass [m]
-_OPEN = 3.0  # standard deviation of inertia tensors over their size
-_ROTOR = 3.0  # standard deviation of rotor inertias [kg.m2]
-_SPRING = 1e4  # standard deviation of springs [N.m, N.m/rad]: they are unknown
+_MAX_RELATIVE_ERROR = 0.2  # relative standard error of a determined constant
+_WEIGHT_FRICTION_SHARE = 0.2  # friction that a wrong law may add to a weight
+_PAYLOAD_FRICTION_SHARE = 0.02  # the same for a payload
+_MIN_ARM = 0.05  # smallest distance of a centre of mass [m]
+_INERTIA_DEVIATION = 3.0  # standard deviation of inertia tensors over their size
+_ROTOR_DEVIATION = 3.0  # standard deviation of rotor inertias [kg.m2]
+_SPRING_DEVIATION = 1e4  # standard deviation of springs [N.m, N.m/rad]: they are unknown
 _ROUNDS = 3
 
 
@@ -77,24 +77,26 @@ def torque_constants(
         )
     if bool(loaded) != (payload is not None):
         raise FitError("motions under a payload need its parameters, and vice versa.")
-    every = tuple(range(len(robot.parameter_names)))
+    all_columns = tuple(range(len(robot.parameter_names)))
     columns = friction_columns(robot, base_columns(robot))
-    kinds = [(stacked(motions, robot, every, columns), np.zeros(10))]
+    kinds = [(stack_blocks(motions, robot, all_columns, columns), np.zeros(10))]
     if payload is not None:
-        kinds.append((stacked(loaded, robot, every, columns), np.array(payload, dtype=float)))
-    weight = np.zeros(len(every))  # weights and first moments
+        kinds.append(
+            (stack_blocks(loaded, robot, all_columns, columns), np.array(payload, dtype=float))
+        )
+    weight = np.zeros(len(all_columns))  # weights and first moments
     for k in range(robot.links):
         weight[10 * k : 10 * k + 4] = 1.0
-    spread = _spread(robot, mass_error)
-    found = []
+    deviations = _prior_deviations(robot, mass_error)
+    constants = []
     for j, (joint, constant) in enumerate(zip(robot.description.joints, assumed, strict=True)):
-        own = [(blocks[j], carried) for blocks, carried in kinds]
-        kappa, relative = _Problem.of(own, robot, weight, spread).solve()
+        joint_kinds = [(blocks[j], carried) for blocks, carried in kinds]
+        kappa, relative = _Problem.from_blocks(joint_kinds, robot, weight, deviations).solve()
         value = float(constant / kappa) if kappa > 0.0 else np.inf
-        known = bool(kappa > 0.0 and relative < _DETERMINED)
+        is_determined = bool(kappa > 0.0 and relative < _MAX_RELATIVE_ERROR)
         error = value * relative
-        found.append(Constant(joint=joint, value=value, error=error, determined=known))
-    return tuple(found)
+        constants.append(Constant(joint=joint, value=value, error=error, determined=is_determined))
+    return tuple(constants)
 
 
 def point_payload(mass: float, centre: Sequence[float]) -> Array:
@@ -125,7 +127,7 @@ class _Problem:
     known: float  # trusted torque [N.m] of the payload or the weights
 
     @classmethod
-    def of(
+    def from_blocks(
         cls, kinds: Sequence[tuple[Block, Array]], robot: Robot, weight: Array, spread: Array
     ) -> "_Problem":
         size = len(spread)
@@ -134,29 +136,35 @@ class _Problem:
         rows = []
         for block, carried in kinds:
             rigid = block.matrix[:, :size]
-            rest = block.matrix[:, size:]
-            own = rest[:, np.any(rest != 0.0, axis=0)]
+            friction_block = block.matrix[:, size:]
+            joint_friction = friction_block[:, np.any(friction_block != 0.0, axis=0)]
             load = rigid[:, last] @ carried
-            columns = np.column_stack([rigid @ nominal + load, own])
+            columns = np.column_stack([rigid @ nominal + load, joint_friction])
             fitted = columns @ np.linalg.lstsq(columns, block.target, rcond=None)[0]
-            whole = np.column_stack([rigid, load, own, block.target])
-            (factor,) = qr(whole, mode="r", check_finite=False)
+            table = np.column_stack([rigid, load, joint_friction, block.target])
+            (factor,) = qr(table, mode="r", check_finite=False)
             length = correlation_length(block.target - fitted)
-            rows.append(_Rows(np.asarray(factor[: whole.shape[1]]), len(own), length))
+            rows.append(_Rows(np.asarray(factor[: table.shape[1]]), len(joint_friction), length))
             heavy = rigid @ (weight * nominal)
-        known = float(np.std(load if len(kinds) > 1 else heavy))
-        n = own.shape[1]
-        return cls(kinds=tuple(rows), nominal=nominal, spread=spread, friction=n, known=known)
+        trusted_torque = float(np.std(load if len(kinds) > 1 else heavy))
+        friction_count = joint_friction.shape[1]
+        return cls(
+            kinds=tuple(rows),
+            nominal=nominal,
+            spread=spread,
+            friction=friction_count,
+            known=trusted_torque,
+        )
 
     def solve(self) -> tuple[float, float]:
         """Return kappa and its relative standard error."""
         size = len(self.nominal)
         x = self._start()
         for _ in range(_ROUNDS):
-            lefts = [self._left(x, k) for k in range(len(self.kinds))]
+            residuals = [self._compute_residual(x, k) for k in range(len(self.kinds))]
             scales = [
-                float(np.sqrt(rows.count / max(float(left @ left), 1e-12) / rows.length))
-                for rows, left in zip(self.kinds, lefts, strict=True)
+                float(np.sqrt(rows.count / max(float(residual @ residual), 1e-12) / rows.length))
+                for rows, residual in zip(self.kinds, residuals, strict=True)
             ]
             x = least_squares(self._residuals, x, jac=self._slopes, x_scale="jac", args=(scales,)).x
         slopes = self._slopes(x, scales)
@@ -165,9 +173,11 @@ class _Problem:
         error = float(np.linalg.norm(vt[:, 0] / np.maximum(s, 1e-12 * s[0]))) / norms[0]
         rows = self.kinds[0]
         columns = rows.factor[:, size + 1 : -1]
-        rubbing = float(np.linalg.norm(columns @ x[self._own(0)])) / np.sqrt(rows.count)
-        share = _FEIGNED if len(self.kinds) == 1 else _CHANGED
-        feigned = share * rubbing / max(abs(x[0]) * self.known, 1e-12)
+        friction_size = float(np.linalg.norm(columns @ x[self._friction_slice(0)])) / np.sqrt(
+            rows.count
+        )
+        share = _WEIGHT_FRICTION_SHARE if len(self.kinds) == 1 else _PAYLOAD_FRICTION_SHARE
+        feigned = share * friction_size / max(abs(x[0]) * self.known, 1e-12)
         return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), feigned))
 
     def _start(self) -> Array:
@@ -178,22 +188,22 @@ class _Problem:
         x[free] = np.linalg.lstsq(rows[:, free], targets, rcond=None)[0]
         return x
 
-    def _own(self, k: int) -> slice:
+    def _friction_slice(self, k: int) -> slice:
         first = 1 + len(self.nominal) + k * self.friction
         return slice(first, first + self.friction)
 
-    def _torque(self, x: Array, k: int) -> Array:
+    def _compute_torque(self, x: Array, k: int) -> Array:
         size = len(self.nominal)
         factor = self.kinds[k].factor
         return np.asarray(factor[:, :size] @ x[1 : 1 + size] + factor[:, size])
 
-    def _left(self, x: Array, k: int) -> Array:
+    def _compute_residual(self, x: Array, k: int) -> Array:
         factor = self.kinds[k].factor
-        friction = factor[:, len(self.nominal) + 1 : -1] @ x[self._own(k)]
-        return np.asarray(x[0] * self._torque(x, k) + friction - factor[:, -1])
+        friction = factor[:, len(self.nominal) + 1 : -1] @ x[self._friction_slice(k)]
+        return np.asarray(x[0] * self._compute_torque(x, k) + friction - factor[:, -1])
 
     def _residuals(self, x: Array, scales: Sequence[float]) -> Array:
-        rows = [scale * self._left(x, k) for k, scale in enumerate(scales)]
+        rows = [scale * self._compute_residual(x, k) for k, scale in enumerate(scales)]
         prior = (x[1 : 1 + len(self.nominal)] - self.nominal) / self.spread
         return np.concatenate([*rows, prior])
 
@@ -202,28 +212,28 @@ class _Problem:
         parts = []
         for k, scale in enumerate(scales):
             factor = self.kinds[k].factor
-            own = np.zeros((len(factor), len(x)))
-            own[:, 0] = self._torque(x, k)
-            own[:, 1 : 1 + size] = x[0] * factor[:, :size]
-            own[:, self._own(k)] = factor[:, size + 1 : -1]
-            parts.append(scale * own)
+            kind_rows = np.zeros((len(factor), len(x)))
+            kind_rows[:, 0] = self._compute_torque(x, k)
+            kind_rows[:, 1 : 1 + size] = x[0] * factor[:, :size]
+            kind_rows[:, self._friction_slice(k)] = factor[:, size + 1 : -1]
+            parts.append(scale * kind_rows)
         prior = np.zeros((size, len(x)))
         prior[:, 1 : 1 + size] = np.diag(1.0 / self.spread)
         return np.vstack([*parts, prior])
 
 
-def _spread(robot: Robot, mass_error: float) -> Array:
+def _prior_deviations(robot: Robot, mass_error: float) -> Array:
     """Return the standard deviations (P,) of the model file."""
     nominal = robot.nominal_parameters
-    spread = np.full(len(nominal), _ROTOR)
-    spread[robot.inertial :] = _SPRING
+    deviations = np.full(len(nominal), _ROTOR_DEVIATION)
+    deviations[robot.inertial :] = _SPRING_DEVIATION
     heaviest = max(float(np.max(nominal[: 10 * robot.links : 10])), 1e-3)
     for k in range(robot.links):
-        m, *rest = nominal[10 * k : 10 * k + 10]
+        m, *moments = nominal[10 * k : 10 * k + 10]
         mass = max(m, 1e-3 * heaviest)
-        arm = max(float(np.linalg.norm(rest[:3])) / mass, _LEAST_ARM)
-        spread[10 * k] = mass_error * mass
-        spread[10 * k + 1 : 10 * k + 4] = mass_error * mass * arm
-        inertia = max(float(np.max(np.abs(rest[3:]))), mass * arm**2)
-        spread[10 * k + 4 : 10 * k + 10] = _OPEN * inertia
-    return spread
+        arm = max(float(np.linalg.norm(moments[:3])) / mass, _MIN_ARM)
+        deviations[10 * k] = mass_error * mass
+        deviations[10 * k + 1 : 10 * k + 4] = mass_error * mass * arm
+        inertia = max(float(np.max(np.abs(moments[3:]))), mass * arm**2)
+        deviations[10 * k + 4 : 10 * k + 10] = _INERTIA_DEVIATION * inertia
+    return deviations

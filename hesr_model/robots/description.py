@@ -12,14 +12,14 @@ from pydantic import Field, model_validator
 from hesr_model.errors import RobotError, RuleError
 from hesr_model.logs.log_format import LogFormat
 from hesr_model.robots.transmission import BALANCER, LINEAR, Coupling, SpringTerm, Transmission
-from hesr_model.support.files import PathArg, path_of
+from hesr_model.support.files import PathArg, to_path
 from hesr_model.support.owner import Owner
 from hesr_model.support.typed_files import Config, PrintableName, RelativePath, from_json, to_json
 
 SourceKind = Literal["measured", "datasheet", "identified", "guessed", "not stated"]
 """Only the first three are evidence against a log."""
-_KEY = "constants"  # of provenance
-_SAID: Mapping[SourceKind, str] = {
+_CONSTANTS_KEY = "constants"  # of provenance
+_SOURCE_PHRASES: Mapping[SourceKind, str] = {
     "measured": "measured",
     "datasheet": "taken from a data sheet",
     "identified": "identified from known masses",
@@ -47,13 +47,16 @@ class SourcedConstant:
 
 def statements(provenance: Mapping[str, Any], *only: SourceKind) -> list[str]:
     """Return a sentence per constant and source in a provenance, maybe of some sources only."""
-    entries = provenance.get(_KEY) or ()
-    found = [from_json(SourcedConstant, one, Path("provenance"), "a constant") for one in entries]
+    entries = provenance.get(_CONSTANTS_KEY) or ()
+    constants = [
+        from_json(SourcedConstant, constant, Path("provenance"), "a constant")
+        for constant in entries
+    ]
     groups: dict[tuple[SourceKind, str], list[str]] = {}
-    for one in found:
-        groups.setdefault((one.source, one.name), []).append(one.joint)
+    for constant in constants:
+        groups.setdefault((constant.source, constant.name), []).append(constant.joint)
     return [
-        f"{name[0].upper()}{name[1:]} of {', '.join(joints)} {_SAID[source]}."
+        f"{name[0].upper()}{name[1:]} of {', '.join(joints)} {_SOURCE_PHRASES[source]}."
         for (source, name), joints in groups.items()
         if not only or source in only
     ]
@@ -151,12 +154,12 @@ class RobotDescription(Config):
     @property
     def coupling(self) -> Coupling | None:
         """Friction coordinates over joints, if coupled."""
-        return Coupling.of(self.transmission.coordinates) if self.transmission else None
+        return Coupling.from_matrix(self.transmission.coordinates) if self.transmission else None
 
     @property
     def motors(self) -> Coupling | None:
         """Motors over joints, divided by their gear ratios; None if nothing is coupled."""
-        return Coupling.of(self.transmission.motors) if self.transmission else None
+        return Coupling.from_matrix(self.transmission.motors) if self.transmission else None
 
     @property
     def logged(self) -> Coupling | None:
@@ -170,20 +173,20 @@ class RobotDescription(Config):
         sources = self.sources
         if gains is None:
             return {}
-        known = sources.each("torque_per_ampere", len(gains))
+        source_kinds = sources.expand_per_joint("torque_per_ampere", len(gains))
         constant = partial(SourcedConstant, name="torque constant", unit="N.m/A")
-        each = zip(self.joints, gains, known, strict=True)
-        return {_KEY: [to_json(constant(joint=j, value=x, source=s)) for j, x, s in each]}
+        rows = zip(self.joints, gains, source_kinds, strict=True)
+        return {_CONSTANTS_KEY: [to_json(constant(joint=j, value=x, source=s)) for j, x, s in rows]}
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
         """Read a robot file; raises ConfigError, or RobotError for a list of wrong length."""
-        path = path_of(path, "a robot")
+        path = to_path(path, "a robot")
         description = super().read(path)
         try:
             description.require_one_per_joint()
         except RobotError as error:
-            raise error.at(path) from error
+            raise error.add_place(path) from error
         return description
 
     def require_one_per_joint(self) -> None:

@@ -16,16 +16,16 @@ import numpy as np
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.robots.urdf import UNLIMITED, read_urdf
 from hesr_model.support.arrays import Array
-from hesr_model.support.cache import kept
+from hesr_model.support.cache import compute_once
 from hesr_model.support.text import on_one_line
 
-_MOST_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
-_LEAST = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
-_STATES = 8  # random states of the check
+_MAX_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
+_MIN_INERTIA = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
+_STATE_COUNT = 8  # random states of the check
 Compiled = dict[str, Any]  # a compiled file as JSON; see `_described`
 
 
-def engine() -> Any:
+def import_engine() -> Any:
     """Import MuJoCo without its log, a file in the current folder."""
     import mujoco  # slow to import
 
@@ -35,26 +35,26 @@ def engine() -> Any:
     return mujoco
 
 
-def compiled(path: Path) -> Any:
+def compile_model(path: Path) -> Any:
     """Return the MuJoCo model of an MJCF or URDF; ConfigError if it is missing or invalid."""
     if not path.is_file():
         raise ConfigError(f"{path}: no such model file.")
     if is_urdf(path):
-        return compiled_spec(path)
+        return compile_spec(path)
     _require_an_end(path)
-    with _refused(path):
-        return engine().MjModel.from_xml_path(str(path))
+    with _report_refusal(path):
+        return import_engine().MjModel.from_xml_path(str(path))
 
 
-def compiled_spec(path: Path, change: Callable[[Any], None] = lambda _: None) -> Any:
+def compile_spec(path: Path, change: Callable[[Any], None] = lambda _: None) -> Any:
     """Return the changed MuJoCo model of a file; a URDF has no appearance and no contacts."""
-    with _refused(path), warnings.catch_warnings(action="ignore"):  # deprecated attributes
+    with _report_refusal(path), warnings.catch_warnings(action="ignore"):  # deprecated attributes
         if is_urdf(path):
-            spec = engine().MjSpec.from_string(read_urdf(path, path.read_bytes()).text)
+            spec = import_engine().MjSpec.from_string(read_urdf(path, path.read_bytes()).text)
             spec.compiler.balanceinertia = True  # MuJoCo refuses what rounding makes impossible
-            spec.compiler.boundmass = spec.compiler.boundinertia = _LEAST
+            spec.compiler.boundmass = spec.compiler.boundinertia = _MIN_INERTIA
         else:
-            spec = engine().MjSpec.from_file(str(path))
+            spec = import_engine().MjSpec.from_file(str(path))
         change(spec)
         return spec.compile()
 
@@ -65,32 +65,32 @@ def is_urdf(path: Path) -> bool:
 
 
 @contextmanager
-def _refused(path: Path) -> Iterator[None]:
+def _report_refusal(path: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, RuntimeError) as error:  # RuntimeError: out of memory
         kind = "a URDF" if is_urdf(path) else "an MJCF"
-        said = f"{path}: cannot be compiled as {kind} ({on_one_line(error)})."
-        raise ConfigError(said) from error
+        message = f"{path}: cannot be compiled as {kind} ({on_one_line(error)})."
+        raise ConfigError(message) from error
 
 
-def compiled_robot(path: Path) -> Compiled:
+def compile_robot(path: Path) -> Compiled:
     """Return an MJCF without its appearance; RobotError if MuJoCo cannot compile it."""
     try:
         _require_an_end(path)
-        found = _kept(_content(path), lambda: _strip_mjcf(path))
+        compiled_tree = _compile_once(_list_content(path), lambda: _strip_mjcf(path))
     except ConfigError as error:
         raise RobotError(str(error)) from error
-    if "refusal" in found:
-        raise RobotError(f"{path}: cannot be compiled as an MJCF ({found['refusal']}).")
-    return found
+    if "refusal" in compiled_tree:
+        raise RobotError(f"{path}: cannot be compiled as an MJCF ({compiled_tree['refusal']}).")
+    return compiled_tree
 
 
-def torques_of_urdf(text: str) -> Compiled | None:
+def compute_urdf_torques(text: str) -> Compiled | None:
     """Return MuJoCo's torques of a URDF without meshes, None if MuJoCo cannot compile it."""
 
     def read() -> Any:
-        spec = engine().MjSpec.from_string(text)
+        spec = import_engine().MjSpec.from_string(text)
         # MuJoCo splits a planar joint into three, which the file does not name: they stay at rest.
         for body in spec.bodies:
             if len(body.joints) > 1:
@@ -98,33 +98,33 @@ def torques_of_urdf(text: str) -> Compiled | None:
                     spec.delete(joint)
         return spec
 
-    return _kept([text], read).get("check")
+    return _compile_once([text], read).get("check")
 
 
-def _kept(content: Iterable[str | bytes], read: Callable[[], Any]) -> Compiled:
+def _compile_once(content: Iterable[str | bytes], read: Callable[[], Any]) -> Compiled:
     def make() -> bytes:
         try:
             with warnings.catch_warnings(action="ignore"):  # deprecated attributes
                 spec = read()
                 spec.compiler.fusestatic = False
-                found = _described(spec.compile())
+                compiled_tree = _describe_model(spec.compile())
         except (ValueError, RuntimeError) as error:
-            found = {"refusal": on_one_line(error)}
-        return json.dumps(found).encode()
+            compiled_tree = {"refusal": on_one_line(error)}
+        return json.dumps(compiled_tree).encode()
 
     key: list[str | bytes] = [Path(__file__).read_bytes(), version("mujoco"), *content]
-    found: Compiled = json.loads(kept("robots", key, make))
-    return found
+    compiled_tree: Compiled = json.loads(compute_once("robots", key, make))
+    return compiled_tree
 
 
-def _content(path: Path) -> Iterator[str | bytes]:
-    yield (data := with_includes(path))
-    root = _root(path, data)
-    for _, file in _files(root, path.parent) if root is not None else ():
+def _list_content(path: Path) -> Iterator[str | bytes]:
+    yield (data := resolve_includes(path))
+    root = _parse_root(path, data)
+    for _, file in _find_files(root, path.parent) if root is not None else ():
         yield f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}"
 
 
-def _root(path: Path, data: bytes) -> Element | None:
+def _parse_root(path: Path, data: bytes) -> Element | None:
     try:
         return ElementTree.fromstring(data)
     except ElementTree.ParseError:
@@ -133,29 +133,29 @@ def _root(path: Path, data: bytes) -> Element | None:
         raise ConfigError(f"{path}: cannot be parsed as an MJCF ({on_one_line(error)}).") from error
 
 
-def with_includes(path: Path) -> bytes:
+def resolve_includes(path: Path) -> bytes:
     """Return an MJCF with the content of the files that it includes."""
-    root = _root(path, data := path.read_bytes())
+    root = _parse_root(path, data := path.read_bytes())
     if root is None or root.find(".//include") is None:
         return data
     _include(root, path.parent, {path})
     return ElementTree.tostring(root)
 
 
-def _include(element: Element, base: Path, seen: set[Path]) -> None:
+def _include(element: Element, base: Path, included: set[Path]) -> None:
     for k, child in reversed(list(enumerate(element))):
         file = base / child.get("file", "")
         inner = child
-        if child.tag == "include" and file.is_file() and file not in seen:
-            seen.add(file)  # MuJoCo refuses a second time
-            found = _root(file, file.read_bytes())
-            inner = child if found is None else found
-        _include(inner, base, seen)
+        if child.tag == "include" and file.is_file() and file not in included:
+            included.add(file)  # MuJoCo refuses a second time
+            included_root = _parse_root(file, file.read_bytes())
+            inner = child if included_root is None else included_root
+        _include(inner, base, included)
         if inner is not child:
             element[k : k + 1] = list(inner)
 
 
-def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
+def _find_files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
     places = ("assetdir", "meshdir", "texturedir")
     folders = {e.get(kind, "") for e in root.iter("compiler") for kind in places}
     for element in root.iter():
@@ -167,27 +167,27 @@ def _files(root: Element, base: Path) -> Iterator[tuple[Element, Path]]:
 
 def _require_an_end(path: Path) -> None:
     """Reject endless copies and special files: MuJoCo cannot be interrupted."""
-    root = _root(path, path.read_bytes())
+    root = _parse_root(path, path.read_bytes())
     if root is None:
         return
-    parts = _parts(root)
-    if parts > _MOST_PARTS:
-        raise ConfigError(f"{path}: has {parts} elements; at most {_MOST_PARTS} can be compiled.")
-    for element, file in _files(root, path.parent):
+    parts = _count_parts(root)
+    if parts > _MAX_PARTS:
+        raise ConfigError(f"{path}: has {parts} elements; at most {_MAX_PARTS} can be compiled.")
+    for element, file in _find_files(root, path.parent):
         if not file.is_file():
             name = element.get("file")
             raise ConfigError(f"{path}: names the file '{name}', which is not a regular file.")
 
 
-def _parts(element: Element) -> int:
+def _count_parts(element: Element) -> int:
     count = element.get("count", "") if element.tag == "replicate" else ""
     copies = int(count) if re.fullmatch(r"\d{1,18}", count) else 1
-    return 1 + copies * sum(map(_parts, element))
+    return 1 + copies * sum(map(_count_parts, element))
 
 
 def _strip_mjcf(path: Path) -> Any:
     """Read what has effects on rigid-body torques, with meshes if inertias need them."""
-    mujoco = engine()
+    mujoco = import_engine()
     spec = mujoco.MjSpec.from_file(str(path))
     at_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     parts = [*spec.sensors, *spec.keys, *spec.pairs, *spec.excludes, *spec.tuples, *spec.skins]
@@ -216,7 +216,7 @@ def _strip_mjcf(path: Path) -> Any:
 def _find_shaped_bodies(spec: Any) -> set[str]:
     by_geoms = spec.compiler.inertiafromgeom
     total = spec.compiler.settotalmass > 0.0
-    kinds = engine().mjtInertiaFromGeom
+    kinds = import_engine().mjtInertiaFromGeom
     moving: set[str] = set()
     for number, body in enumerate(spec.bodies[1:], start=1):
         body.name = body.name or f"body{number}"
@@ -238,157 +238,178 @@ def _require_mesh(spec: Any, geom: Any, path: Path) -> None:
         )
 
 
-def _described(model: Any) -> Compiled:
+def _describe_model(mj_model: Any) -> Compiled:
     """Return the tree as a URDF, what a URDF cannot state, and torques to compare."""
-    names = [model.joint(j).name or f"joint{j}" for j in range(model.njnt)]
-    if model.opt.disableflags & int(engine().mjtDisableBit.mjDSBL_GRAVITY):
-        model.opt.gravity[:] = 0.0
-    followers, held, loops = _equalities(model, names)
-    armature = model.dof_armature[model.jnt_dofadr]
-    for j in np.flatnonzero(model.jnt_actuatorid >= 0):
-        motor = model.jnt_actuatorid[j]
-        armature[j] += model.actuator_gear[motor, 0] ** 2 * model.actuator_armature[motor]
-    single = {name: j for j, name in enumerate(names) if model.jnt_type[j] >= 2}  # slide, hinge
+    names = [mj_model.joint(j).name or f"joint{j}" for j in range(mj_model.njnt)]
+    if mj_model.opt.disableflags & int(import_engine().mjtDisableBit.mjDSBL_GRAVITY):
+        mj_model.opt.gravity[:] = 0.0
+    followers, held, loops = _read_equalities(mj_model, names)
+    armature = mj_model.dof_armature[mj_model.jnt_dofadr]
+    for j in np.flatnonzero(mj_model.jnt_actuatorid >= 0):
+        motor = mj_model.jnt_actuatorid[j]
+        armature[j] += mj_model.actuator_gear[motor, 0] ** 2 * mj_model.actuator_armature[motor]
+    single = {name: j for j, name in enumerate(names) if mj_model.jnt_type[j] >= 2}  # slide, hinge
     return {
-        "urdf": _urdf(model, names, followers, held),
-        "gravity": model.opt.gravity.tolist(),
-        "rest": {n: float(model.qpos0[model.jnt_qposadr[j]]) for n, j in single.items()} | held,
+        "urdf": _write_urdf(mj_model, names, followers, held),
+        "gravity": mj_model.opt.gravity.tolist(),
+        "rest": {n: float(mj_model.qpos0[mj_model.jnt_qposadr[j]]) for n, j in single.items()}
+        | held,
         "armature": {name: float(armature[j]) for name, j in single.items()},
         "springs": {
-            name: (float(k), -float(k * model.qpos_spring[model.jnt_qposadr[j]]))
+            name: (float(k), -float(k * mj_model.qpos_spring[mj_model.jnt_qposadr[j]]))
             for name, j in single.items()
-            if (k := model.jnt_stiffness[j]) > 0.0 and name not in held
+            if (k := mj_model.jnt_stiffness[j]) > 0.0 and name not in held
         },
         "loops": loops,
-        "check": _torques(model, single, held),
+        "check": _compute_torques(mj_model, single, held),
     }
 
 
-def _urdf(model: Any, names: list[str], followers: dict[str, Any], held: dict[str, float]) -> str:
+def _write_urdf(
+    mj_model: Any, names: list[str], followers: dict[str, Any], held: dict[str, float]
+) -> str:
     """Write a compiled model as a URDF with the same positions; every joint carries a link."""
     import pinocchio as pin  # slow to import
 
     robot = Element("robot", name="mjcf")
-    links = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
+    links = [mj_model.body(b).name or f"body{b}" for b in range(mj_model.nbody)]
     SubElement(robot, "link", name=links[0])
 
     def joint(name: str, kind: str, ends: tuple[str, str], place: Any) -> tuple[Element, Element]:
-        own = SubElement(robot, "joint", name=name, type=kind)
-        SubElement(own, "parent", link=ends[0])
-        SubElement(own, "child", link=ends[1])
+        joint_element = SubElement(robot, "joint", name=name, type=kind)
+        SubElement(joint_element, "parent", link=ends[0])
+        SubElement(joint_element, "child", link=ends[1])
         rpy = pin.rpy.matrixToRpy(place.rotation)
-        SubElement(own, "origin", xyz=_words(place.translation), rpy=_words(rpy))
-        return own, SubElement(robot, "link", name=ends[1])
+        SubElement(
+            joint_element,
+            "origin",
+            xyz=_format_numbers(place.translation),
+            rpy=_format_numbers(rpy),
+        )
+        return joint_element, SubElement(robot, "link", name=ends[1])
 
-    for b in range(1, model.nbody):
-        parent = links[model.body_parentid[b]]
-        place = _pose(model.body_pos[b], model.body_quat[b])
-        for j in np.flatnonzero(model.jnt_bodyid == b):
+    for b in range(1, mj_model.nbody):
+        parent = links[mj_model.body_parentid[b]]
+        place = _build_pose(mj_model.body_pos[b], mj_model.body_quat[b])
+        for j in np.flatnonzero(mj_model.jnt_bodyid == b):
             name = names[j]
-            anchor = _pose(model.jnt_pos[j])
-            axis = model.jnt_axis[j]
-            kind = ("floating", "floating", "prismatic", "revolute")[model.jnt_type[j]]
-            back = held.get(name, 0.0) - float(model.qpos0[model.jnt_qposadr[j]])
+            anchor = _build_pose(mj_model.jnt_pos[j])
+            axis = mj_model.jnt_axis[j]
+            kind = ("floating", "floating", "prismatic", "revolute")[mj_model.jnt_type[j]]
+            back = held.get(name, 0.0) - float(mj_model.qpos0[mj_model.jnt_qposadr[j]])
             if kind == "prismatic":
                 anchor = anchor * pin.SE3(np.eye(3), back * axis)
             elif kind == "revolute":
                 anchor = anchor * pin.SE3(pin.exp3(back * axis), np.zeros(3))
             kind, child = "fixed" if name in held else kind, f"{links[b]} of {name}"
-            own, _ = joint(name, kind, (parent, child), place * anchor)
+            joint_element, _ = joint(name, kind, (parent, child), place * anchor)
             if kind in ("prismatic", "revolute"):
-                SubElement(own, "axis", xyz=_words(_scale_unit_vector(axis)))
-                SubElement(own, "limit", _limit(model, int(j)))
+                SubElement(joint_element, "axis", xyz=_format_numbers(_scale_unit_vector(axis)))
+                SubElement(joint_element, "limit", _format_limit(mj_model, int(j)))
             if name in followers:
                 leader, slope, offset = followers[name]
-                factor = _words([slope])
-                shift = _words([offset])
-                SubElement(own, "mimic", joint=leader, multiplier=factor, offset=shift)
+                factor = _format_numbers([slope])
+                shift = _format_numbers([offset])
+                SubElement(joint_element, "mimic", joint=leader, multiplier=factor, offset=shift)
             parent = child
-            place = _pose(-model.jnt_pos[j])
+            place = _build_pose(-mj_model.jnt_pos[j])
         _, link = joint(f"{links[b]} (fixed)", "fixed", (parent, links[b]), place)
         inertial = SubElement(link, "inertial")
-        SubElement(inertial, "origin", xyz=_words(model.body_ipos[b]))
-        SubElement(inertial, "mass", value=_words([model.body_mass[b]]))
-        axes = _pose(model.body_ipos[b], model.body_iquat[b]).rotation
-        about = (axes @ np.diag(model.body_inertia[b]) @ axes.T)[np.triu_indices(3)]
+        SubElement(inertial, "origin", xyz=_format_numbers(mj_model.body_ipos[b]))
+        SubElement(inertial, "mass", value=_format_numbers([mj_model.body_mass[b]]))
+        axes = _build_pose(mj_model.body_ipos[b], mj_model.body_iquat[b]).rotation
+        about = (axes @ np.diag(mj_model.body_inertia[b]) @ axes.T)[np.triu_indices(3)]
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        SubElement(inertial, "inertia", {k: _words([x]) for k, x in zip(keys, about, strict=True)})
+        SubElement(
+            inertial, "inertia", {k: _format_numbers([x]) for k, x in zip(keys, about, strict=True)}
+        )
     return ElementTree.tostring(robot, encoding="unicode")
 
 
 def _scale_unit_vector(axis: Array) -> Array:
     """Return a multiple of a unit vector that Pinocchio normalises to the same bits, if any."""
-    scaled = [scale * axis for scale in np.linspace(1.0, 2.0, 20)]
-    return next((one for one in scaled if np.array_equal(one / np.sqrt(one @ one), axis)), axis)
+    multiples = [scale * axis for scale in np.linspace(1.0, 2.0, 20)]
+    return next(
+        (
+            multiple
+            for multiple in multiples
+            if np.array_equal(multiple / np.sqrt(multiple @ multiple), axis)
+        ),
+        axis,
+    )
 
 
-def _limit(model: Any, j: int) -> dict[str, str]:
-    low, high = model.jnt_range[j].tolist() if model.jnt_limited[j] else (-UNLIMITED, UNLIMITED)
-    effort = np.abs(model.jnt_actfrcrange[j]).max() if model.jnt_actfrclimited[j] else 0.0
-    numbers = {"lower": low, "upper": high, "effort": effort, "velocity": 0.0}
-    return {key: _words([value]) for key, value in numbers.items()}
+def _format_limit(mj_model: Any, j: int) -> dict[str, str]:
+    lower, upper = (
+        mj_model.jnt_range[j].tolist() if mj_model.jnt_limited[j] else (-UNLIMITED, UNLIMITED)
+    )
+    effort = np.abs(mj_model.jnt_actfrcrange[j]).max() if mj_model.jnt_actfrclimited[j] else 0.0
+    numbers = {"lower": lower, "upper": upper, "effort": effort, "velocity": 0.0}
+    return {key: _format_numbers([value]) for key, value in numbers.items()}
 
 
-def _words(values: Any) -> str:
+def _format_numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _pose(position: Any, quaternion: Any = (1.0, 0.0, 0.0, 0.0)) -> Any:
+def _build_pose(position: Any, quaternion: Any = (1.0, 0.0, 0.0, 0.0)) -> Any:
     import pinocchio as pin  # slow to import
 
     return pin.SE3(pin.Quaternion(*quaternion).matrix(), np.array(position))
 
 
-def _equalities(
-    model: Any, names: list[str]
+def _read_equalities(
+    mj_model: Any, names: list[str]
 ) -> tuple[dict[str, tuple[str, float, float]], dict[str, float], list[list[str]]]:
     """Return q1 = slope q2 + offset as {q1: (q2, slope, offset)}, constant joints, and loops."""
-    kinds = engine().mjtEq
+    kinds = import_engine().mjtEq
     followers = {}
     fixed = {}
     loops = []
-    for k in np.flatnonzero(model.eq_active0):
-        own = int(model.eq_obj1id[k])
-        leader = int(model.eq_obj2id[k])
-        if kinds(model.eq_type[k]) in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
-            if model.eq_objtype[k] == engine().mjtObj.mjOBJ_SITE:
-                own, leader = int(model.site_bodyid[own]), int(model.site_bodyid[leader])
-            if np.all(model.body_mocapid[[own, leader]] < 0):
-                loops.append([model.body(own).name, model.body(leader).name])
-        elif model.eq_type[k] == kinds.mjEQ_JOINT:
-            constant, slope, *higher = model.eq_data[k][:5].tolist()
-            constant += float(model.qpos0[model.jnt_qposadr[own]])
+    for k in np.flatnonzero(mj_model.eq_active0):
+        obj1 = int(mj_model.eq_obj1id[k])
+        leader = int(mj_model.eq_obj2id[k])
+        if kinds(mj_model.eq_type[k]) in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            if mj_model.eq_objtype[k] == import_engine().mjtObj.mjOBJ_SITE:
+                obj1, leader = int(mj_model.site_bodyid[obj1]), int(mj_model.site_bodyid[leader])
+            if np.all(mj_model.body_mocapid[[obj1, leader]] < 0):
+                loops.append([mj_model.body(obj1).name, mj_model.body(leader).name])
+        elif mj_model.eq_type[k] == kinds.mjEQ_JOINT:
+            constant, slope, *higher = mj_model.eq_data[k][:5].tolist()
+            constant += float(mj_model.qpos0[mj_model.jnt_qposadr[obj1]])
             if leader < 0:
-                fixed[names[own]] = constant
+                fixed[names[obj1]] = constant
                 continue
             if any(higher):
                 raise ValueError(
-                    f"joint '{names[own]}' follows '{names[leader]}' by a polynomial; only linear "
+                    f"joint '{names[obj1]}' follows '{names[leader]}' by a polynomial; only linear "
                     "equalities can be used"
                 )
-            constant -= slope * float(model.qpos0[model.jnt_qposadr[leader]])
-            followers[names[own]] = names[leader], slope, constant
+            constant -= slope * float(mj_model.qpos0[mj_model.jnt_qposadr[leader]])
+            followers[names[obj1]] = names[leader], slope, constant
     return followers, fixed, loops
 
 
-def _torques(model: Any, single: dict[str, int], held: dict[str, float]) -> dict[str, Any]:
+def _compute_torques(
+    mj_model: Any, single: dict[str, int], held: dict[str, float]
+) -> dict[str, Any]:
     """Return torques (8, n) of free single joints at random states, without passive forces."""
-    mujoco = engine()
-    place = model.jnt_qposadr
+    mujoco = import_engine()
+    place = mj_model.jnt_qposadr
     joints = [j for name, j in single.items() if name not in held]
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    model.opt.enableflags = 0
-    model.dof_damping[:] = 0.0  # sums with large ones lose digits
-    data = mujoco.MjData(model)
+    mj_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    mj_model.opt.enableflags = 0
+    mj_model.dof_damping[:] = 0.0  # sums with large ones lose digits
+    data = mujoco.MjData(mj_model)
     torques = []
     for name, position in held.items():
         data.qpos[place[single[name]]] = position
-    q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, len(joints)))
-    q += model.qpos0[place[joints]]
-    dofs = model.jnt_dofadr[joints]
+    q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATE_COUNT, len(joints)))
+    q += mj_model.qpos0[place[joints]]
+    dofs = mj_model.jnt_dofadr[joints]
     for state in zip(q, dq, ddq, strict=True):
         data.qpos[place[joints]], data.qvel[dofs], data.qacc[dofs] = state
-        mujoco.mj_inverse(model, data)
+        mujoco.mj_inverse(mj_model, data)
         torques.append((data.qfrc_inverse + data.qfrc_passive)[dofs].tolist())
     states = {"q": q.tolist(), "dq": dq.tolist(), "ddq": ddq.tolist()}
     return {"joints": [name for name in single if name not in held], **states, "torques": torques}

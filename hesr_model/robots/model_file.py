@@ -12,14 +12,14 @@ import numpy as np
 from hesr_model.errors import RobotError
 from hesr_model.findings import Finding
 from hesr_model.robots.description import RobotDescription
-from hesr_model.robots.mjcf import compiled_robot, torques_of_urdf
-from hesr_model.robots.urdf import doubts_of_model, position_limits, read_urdf
+from hesr_model.robots.mjcf import compile_robot, compute_urdf_torques
+from hesr_model.robots.urdf import find_model_doubts, position_limits, read_urdf
 from hesr_model.support.arrays import Array
 from hesr_model.support.text import on_one_line
 
-_SHORT = 0.1  # range of fingers [m]
-_FINGER = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
-_ALIKE = 1e-6  # allowed difference from MuJoCo over the largest torque
+_MAX_FINGER_RANGE = 0.1  # range of fingers [m]
+_FINGER_NAME = re.compile(r"finger|gripper|thumb|knuckle|jaw|(^|_)hand(_|$)", re.IGNORECASE)
+_MAX_TORQUE_DIFFERENCE = 1e-6  # allowed difference from MuJoCo over the largest torque
 Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, offset
 
 
@@ -42,15 +42,15 @@ class RobotModel:
     loops: Mapping[str, frozenset[str]]
     doubts: tuple[Finding, ...]
 
-    def _below(self, root: str | None) -> list[str]:
+    def _select_names(self, root: str | None) -> list[str]:
         names = list(self.model.names)[1:]
-        found = names if root is None else [name for name in names if root in self.above[name]]
-        if not found and root is not None:
+        selected = names if root is None else [name for name in names if root in self.above[name]]
+        if not selected and root is not None:
             raise RobotError(
                 f"{self.path}: 'root' is '{root}', and no body of that name carries a joint; it is "
                 "the last body or link before the first joint of the arm."
             )
-        return found
+        return selected
 
     def geometry(self, description: RobotDescription) -> Any:
         """Return Pinocchio's collision geometry of the reduced model; None if it is incomplete."""
@@ -59,63 +59,65 @@ class RobotModel:
         folders = [str(folder) for folder in self.path.resolve().parents]
         try:
             if self.path.suffix.lower() == ".xml":
-                found = pin.buildGeomFromMJCF(self.model, str(self.path), pin.COLLISION)
+                geometry = pin.buildGeomFromMJCF(self.model, str(self.path), pin.COLLISION)
             else:
-                found = pin.buildGeomFromUrdf(
+                geometry = pin.buildGeomFromUrdf(
                     self.model, str(self.path), pin.COLLISION, package_dirs=folders
                 )
         except Exception:  # of many kinds: meshes or packages are missing, or names differ
             return None
-        return self.reduced(description, found) if found.ngeoms else None
+        return self.reduce_model(description, geometry) if geometry.ngeoms else None
 
-    def reduced(self, description: RobotDescription, geometry: Any = None) -> Any:
+    def reduce_model(self, description: RobotDescription, geometry: Any = None) -> Any:
         """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
-        model = self.model
+        pin_model = self.model
         path = self.path
-        known = self._below(description.root)
+        known_names = self._select_names(description.root)
         joints = description.joints
         locked = description.locked
         for name in (*joints, *locked):
-            if name not in known:
-                raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known)}.")
+            if name not in known_names:
+                raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(known_names)}.")
             if name in self.followers:
                 raise RobotError(
                     f"{path}: joint '{name}' follows joint '{self.followers[name][0]}', whose "
                     "torque contains its own; leave it out of 'joints' and 'locked'."
                 )
-        both = [name for name in joints if name in locked]
-        if both:
+        shared = [name for name in joints if name in locked]
+        if shared:
             raise RobotError(
-                f"{path}: joint '{both[0]}' is in both 'joints' and 'locked'; remove it from one."
+                f"{path}: joint '{shared[0]}' is in both 'joints' and 'locked'; remove it from one."
             )
-        if tuple(name for name in known if name in joints) != joints:
+        if tuple(name for name in known_names if name in joints) != joints:
             raise RobotError(
                 f"{path}: the joints {', '.join(joints)} must be listed once each, "
-                f"in the order of the model, {', '.join(known)}."
+                f"in the order of the model, {', '.join(known_names)}."
             )
-        rest = {**self.rest, **locked}
+        positions = {**self.rest, **locked}
         moving = set(joints)
-        neutral = pin.neutral(model)
+        neutral = pin.neutral(pin_model)
         for name, (leader, slope, offset) in self.followers.items():
-            rest[name] = slope * rest.get(leader, 0.0) + offset
+            positions[name] = slope * positions.get(leader, 0.0) + offset
             moving |= {name} if leader in joints else set()
-        for name, value in rest.items():
-            joint = model.joints[model.getJointId(name)]
+        for name, value in positions.items():
+            joint = pin_model.joints[pin_model.getJointId(name)]
             require_one_axis(name, joint.nv, path)
             set_joint(joint, neutral, np.array(value))
-        for ends, others in self.loops.items():
-            moved = sorted(moving & others)
-            if moved:
+        for ends, loop_joints in self.loops.items():
+            movable = sorted(moving & loop_joints)
+            if movable:
                 raise RobotError(
                     f"{path}: the bodies {ends} are tied to each other, which closes a chain over "
-                    f"joint '{moved[0]}', whose torque is then undetermined; remove the equality."
+                    f"joint '{movable[0]}', whose torque is then undetermined; remove the equality."
                 )
-        still = [k for k, name in enumerate(model.names) if k and name not in moving]
+        fixed_numbers = [k for k, name in enumerate(pin_model.names) if k and name not in moving]
         if geometry is not None:
-            return pin.buildReducedModel(model, geometry, still, neutral)[1]
-        reduced = pin.buildReducedModel(model, still, neutral) if still else model
+            return pin.buildReducedModel(pin_model, geometry, fixed_numbers, neutral)[1]
+        reduced = (
+            pin.buildReducedModel(pin_model, fixed_numbers, neutral) if fixed_numbers else pin_model
+        )
         for joint, name in zip(list(reduced.joints)[1:], list(reduced.names)[1:], strict=True):
             require_one_axis(name, joint.nv, path)
         return reduced
@@ -148,41 +150,43 @@ def load(path: Path) -> RobotModel:
     pin = dynamics_engine()
     if not path.is_file():
         raise RobotError(f"{path}: no such model file.")
-    compiled = compiled_robot(path) if path.suffix.lower() == ".xml" else {}
+    compiled = compile_robot(path) if path.suffix.lower() == ".xml" else {}
     urdf = read_urdf(path, compiled.get("urdf") or path.read_bytes())
     try:
-        model = pin.buildModelFromXML(urdf.text)
+        pin_model = pin.buildModelFromXML(urdf.text)
     except Exception as error:  # many kinds
         raise RobotError(f"{path}: cannot be parsed as a URDF ({on_one_line(error)}).") from error
-    for frame in model.frames:  # a body named as a joint, which Pinocchio cannot reduce
-        if frame.type == pin.FrameType.BODY and model.existJointName(frame.name):
+    for frame in pin_model.frames:  # a body named as a joint, which Pinocchio cannot reduce
+        if frame.type == pin.FrameType.BODY and pin_model.existJointName(frame.name):
             frame.name = f"{frame.name} (link)"
-    names = set(model.names)
+    names = set(pin_model.names)
     for name, armature in compiled.get("armature", {}).items():
         if name in names:
-            model.armature[model.joints[model.getJointId(name)].idx_v] = armature
-    chains = {link: _chain(link, urdf.parents) for link in urdf.parents}
-    found = RobotModel(
+            pin_model.armature[pin_model.joints[pin_model.getJointId(name)].idx_v] = armature
+    chains = {link: _trace_chain(link, urdf.parents) for link in urdf.parents}
+    robot_model = RobotModel(
         path=path,
-        model=model,
+        model=pin_model,
         gravity=tuple(compiled.get("gravity", (0.0, 0.0, -9.81))),
         springs=compiled.get("springs", {}),
         rest={name: x for name, x in compiled.get("rest", {}).items() if name in names and x},
-        followers=_resolved(path, urdf.followers, names),
-        above={own: frozenset(chains[link][0]) - {link} for link, (_, own) in urdf.parents.items()},
+        followers=_resolve_followers(path, urdf.followers, names),
+        above={
+            joint: frozenset(chains[link][0]) - {link} for link, (_, joint) in urdf.parents.items()
+        },
         loops={
             f"'{a}' and '{b}'": frozenset(set(chains[a][1]) ^ set(chains.get(b, ((), ()))[1]))
             for a, b in compiled.get("loops", ())
         },
-        doubts=(*urdf.doubts, *doubts_of_model(path, model)),
+        doubts=(*urdf.doubts, *find_model_doubts(path, pin_model)),
     )
-    check = compiled["check"] if compiled else torques_of_urdf(urdf.text)
+    check = compiled["check"] if compiled else compute_urdf_torques(urdf.text)
     if check is not None:
-        _require_agreement(found, check)
-    return found
+        _require_agreement(robot_model, check)
+    return robot_model
 
 
-def _chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
+def _trace_chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
     links = [link]
     joints = list[str]()
     while links[-1] in parents and len(joints) < len(parents):
@@ -192,51 +196,51 @@ def _chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str]
     return links, joints
 
 
-def _resolved(path: Path, followers: Followers, names: set[str]) -> Followers:
+def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Followers:
     resolved = {}
     for name in followers.keys() & names:
         leader, slope, offset = followers[name]
-        seen = {name}
-        while leader in followers and leader not in seen:
-            seen.add(leader)
+        visited = {name}
+        while leader in followers and leader not in visited:
+            visited.add(leader)
             further, factor, shift = followers[leader]
             leader, slope, offset = further, slope * factor, offset + slope * shift
-        if leader in seen or leader not in names:
-            why = "which follows it" if leader in seen else "which does not move"
+        if leader in visited or leader not in names:
+            cause = "which follows it" if leader in visited else "which does not move"
             raise RobotError(
-                f"{path}: joint '{name}' follows joint '{leader}', {why}; correct its <mimic> or "
+                f"{path}: joint '{name}' follows joint '{leader}', {cause}; correct its <mimic> or "
                 "equality."
             )
         resolved[name] = leader, slope, offset
     return resolved
 
 
-def _require_agreement(found: RobotModel, check: Mapping[str, Any]) -> None:
+def _require_agreement(robot_model: RobotModel, check: Mapping[str, Any]) -> None:
     import pinocchio as pin  # slow to import
 
-    model = found.model.copy()
+    pin_model = robot_model.model.copy()
     names = check["joints"]
-    joints = [model.joints[model.getJointId(name)] for name in names]
-    model.gravity.linear = np.array(found.gravity)
-    data = model.createData()
+    joints = [pin_model.joints[pin_model.getJointId(name)] for name in names]
+    pin_model.gravity.linear = np.array(robot_model.gravity)
+    data = pin_model.createData()
     dofs = [joint.idx_v for joint in joints]
     expected = np.array(check["torques"])
     torques = []
     for q, dq, ddq in zip(check["q"], check["dq"], check["ddq"], strict=True):
-        state = pin.neutral(model)
-        velocity = np.zeros(model.nv)
-        acceleration = np.zeros(model.nv)
+        state = pin.neutral(pin_model)
+        velocity = np.zeros(pin_model.nv)
+        acceleration = np.zeros(pin_model.nv)
         for joint, position in zip(joints, q, strict=True):
             set_joint(joint, state, position)
         velocity[dofs] = dq
         acceleration[dofs] = ddq
-        torques.append(pin.rnea(model, data, state, velocity, acceleration)[dofs])
+        torques.append(pin.rnea(pin_model, data, state, velocity, acceleration)[dofs])
     differences = np.abs(np.array(torques).reshape(expected.shape) - expected)
     largest = float(np.abs(expected).max(initial=0.0))
-    if differences.max(initial=0.0) > _ALIKE * largest:
+    if differences.max(initial=0.0) > _MAX_TORQUE_DIFFERENCE * largest:
         worst = int(np.argmax(differences.max(axis=0)))
         raise RobotError(
-            f"{found.path}: the torque of joint '{names[worst]}' differs from MuJoCo's by "
+            f"{robot_model.path}: the torque of joint '{names[worst]}' differs from MuJoCo's by "
             f"{100 * differences.max() / largest:.2g} % of the largest torque, so the file is read "
             "in two ways; simplify the joint or the links after it, and report the file."
         )
@@ -254,18 +258,18 @@ class JointFrame:
     prismatic: bool  # slides along the axis
 
 
-def joint_frames(model: Any, neutral: Array) -> Iterator[JointFrame]:
+def joint_frames(pin_model: Any, neutral: Array) -> Iterator[JointFrame]:
     """Yield the frames of a model's joints, from base to tip."""
-    for k, name in enumerate(list(model.names)[1:], start=1):
-        placement = model.jointPlacements[k]
-        joint = model.joints[k]
+    for k, name in enumerate(list(pin_model.names)[1:], start=1):
+        placement = pin_model.jointPlacements[k]
+        joint = pin_model.joints[k]
         data = joint.createData()
         joint.calc(data, neutral)
         subspace = np.asarray(data.S, dtype=float).ravel()
         prismatic = bool(np.any(subspace[:3]))
         yield JointFrame(
             name=name,
-            parent=int(model.parents[k]) - 1,
+            parent=int(pin_model.parents[k]) - 1,
             rotation=np.array(placement.rotation),
             translation=np.array(placement.translation),
             axis=subspace[:3] if prismatic else subspace[3:],
@@ -285,23 +289,27 @@ class ModelJoint:
     parent: str = field(default="", repr=False)  # name of the joint before it
 
 
-def joints_of(path: Path) -> tuple[ModelJoint, ...]:
+def read_joints(path: Path) -> tuple[ModelJoint, ...]:
     """Return the moving joints from base to tip."""
-    found = load(path)
-    model = found.model
+    robot_model = load(path)
+    pin_model = robot_model.model
     joints = []
-    for number, (name, joint) in enumerate(zip(model.names, model.joints, strict=True)):
-        low, high = position_limits(model, joint) if number else (-np.inf, np.inf)
-        short = _slides(joint) and high - low < _SHORT and number not in list(model.parents)
-        own = ModelJoint(
-            name=name,
-            freedom=0 if name in found.followers else joint.nv,
-            slides=_slides(joint),
-            finger=short or bool(_FINGER.search(name)),
-            rest=min(max(found.rest.get(name, 0.0), low), high),
-            parent=model.names[model.parents[number]],
+    for number, (name, joint) in enumerate(zip(pin_model.names, pin_model.joints, strict=True)):
+        lower, upper = position_limits(pin_model, joint) if number else (-np.inf, np.inf)
+        is_short = (
+            _slides(joint)
+            and upper - lower < _MAX_FINGER_RANGE
+            and number not in list(pin_model.parents)
         )
-        joints.append(own)
+        model_joint = ModelJoint(
+            name=name,
+            freedom=0 if name in robot_model.followers else joint.nv,
+            slides=_slides(joint),
+            finger=is_short or bool(_FINGER_NAME.search(name)),
+            rest=min(max(robot_model.rest.get(name, 0.0), lower), upper),
+            parent=pin_model.names[pin_model.parents[number]],
+        )
+        joints.append(model_joint)
     return tuple(joints[1:])
 
 
@@ -310,10 +318,10 @@ def _slides(joint: Any) -> bool:
     return joint.nv == 1 and str(joint.shortname()).startswith("JointModelP")
 
 
-def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
+def find_driven_joints(path: Path, names: Sequence[str] = ()) -> tuple[ModelJoint, ...]:
     """Return the wanted joints, or all usable ones but fingers; RobotError without any."""
-    joints = {joint.name: joint for joint in joints_of(path)}
-    for name in wanted:
+    joints = {joint.name: joint for joint in read_joints(path)}
+    for name in names:
         if name not in joints:
             raise RobotError(f"{path}: has no joint '{name}'; it has {', '.join(joints)}.")
         if joints[name].freedom == 0:
@@ -321,18 +329,18 @@ def driven_joints(path: Path, wanted: Sequence[str] = ()) -> tuple[ModelJoint, .
                 f"{path}: joint '{name}' follows another (mimic); only driven joints can be used."
             )
         require_one_axis(name, joints[name].freedom, path)
-    found = tuple(j for j in joints.values() if (j.name in wanted if wanted else j.freedom == 1))
-    if not found:
+    driven = tuple(j for j in joints.values() if (j.name in names if names else j.freedom == 1))
+    if not driven:
         raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
-    others = tuple(joint for joint in found if not joint.finger)
-    return others if others and not wanted else found
+    non_fingers = tuple(joint for joint in driven if not joint.finger)
+    return non_fingers if non_fingers and not names else driven
 
 
-def arm(path: Path) -> tuple[ModelJoint, ...]:
+def find_arm(path: Path) -> tuple[ModelJoint, ...]:
     """Return the driven joints from the base to the end of the longest chain without branches."""
-    driven = {joint.name: joint for joint in driven_joints(path)}
+    driven = {joint.name: joint for joint in find_driven_joints(path)}
     chains: dict[str, list[str]] = {}
-    for joint in joints_of(path):
+    for joint in read_joints(path):
         above = chains.get(joint.parent, [])
         chains[joint.name] = [*above, joint.name] if joint.name in driven else above
     before = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven}
@@ -343,9 +351,11 @@ def arm(path: Path) -> tuple[ModelJoint, ...]:
     return tuple(driven[name] for name in chains[max(driven, key=lambda name: lengths[name])])
 
 
-def locked(joints: Iterable[ModelJoint], used: Collection[str] = ()) -> dict[str, float]:
-    """Return the rest positions [rad or m] of joints that are not `used`."""
-    return {j.name: j.rest for j in joints if j.freedom == 1 and j.name not in used}
+def find_rest_positions(
+    joints: Iterable[ModelJoint], used_joints: Collection[str] = ()
+) -> dict[str, float]:
+    """Return the rest positions [rad or m] of joints that are not `used_joints`."""
+    return {j.name: j.rest for j in joints if j.freedom == 1 and j.name not in used_joints}
 
 
 def require_one_axis(name: str, freedom: int, path: Path) -> None:

@@ -13,9 +13,9 @@ from hesr_model.findings import Finding
 from hesr_model.robots import model_file
 from hesr_model.robots.description import RobotDescription as RobotDescription
 from hesr_model.robots.transmission import LINEAR
-from hesr_model.robots.urdf import chain_limits, doubts_of_chain
+from hesr_model.robots.urdf import chain_limits, find_chain_doubts
 from hesr_model.support.arrays import Array, Mask
-from hesr_model.support.files import path_of
+from hesr_model.support.files import to_path
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Mass, first moments, and inertia about the origin of the link's joint frame."""
@@ -41,12 +41,12 @@ class Robot:
     """
 
     def __init__(self, source: "RobotLike") -> None:
-        description = description_of(source)
+        description = to_description(source)
         description.require_one_per_joint()
         self.description = description
         self._pin: Any = model_file.dynamics_engine()
         self._file = model_file.load(description.model)
-        self._model: Any = self._file.reduced(description)
+        self._model: Any = self._file.reduce_model(description)
         self._data: Any = self._model.createData()
         slopes = self.follow[0] if self.follow else np.eye(self.n)
         self.rotor_nominal: Array = np.array(self._model.armature) @ slopes**2
@@ -64,7 +64,7 @@ class Robot:
         return f"Robot('{self.name}', {self.n} joints, {self.description.model.name})"
 
     @property
-    def _own(self) -> list[int]:
+    def _joint_numbers(self) -> list[int]:
         """Numbers of the joints in the model."""
         return [self._model.getJointId(name) for name in self.joints]
 
@@ -93,15 +93,19 @@ class Robot:
         """Doubtful numbers of the model file, without placeholders; errors first."""
         if self.description.known is not None:
             return tuple(finding for finding in self._file.doubts if finding.check == "odd-limits")
-        low, high, _ = self.reach
-        q = np.random.default_rng(0).uniform(low, high, (8, self.n))
+        lower, upper, _ = self.reach
+        q = np.random.default_rng(0).uniform(lower, upper, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
         terms = {*self.description.springs, *self.description.balancers}
-        left = [f.name for f in self.tree if f.name in self._file.springs and f.name not in terms]
-        findings = doubts_of_chain(self._file.path, self.joints, masses, self._limits[3], left)
+        missing_springs = [
+            f.name for f in self.tree if f.name in self._file.springs and f.name not in terms
+        ]
+        findings = find_chain_doubts(
+            self._file.path, self.joints, masses, self._limits[3], missing_springs
+        )
         rounded = {f.joints for f in self._file.doubts if f.check == "rounded-inertia"}
-        kept = (f for f in findings if f.check != "no-inertia" or f.joints not in rounded)
-        return (*kept, *self._file.doubts)
+        remaining = (f for f in findings if f.check != "no-inertia" or f.joints not in rounded)
+        return (*remaining, *self._file.doubts)
 
     @cached_property
     def gravity(self) -> Array:
@@ -142,13 +146,15 @@ class Robot:
         """Parameters (P,) of the model file, 0 for springs that it lacks."""
         links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
-        own = [dict(zip(LINEAR, self._file.springs.get(j, ()), strict=False)) for j in self.joints]
-        springs = [own[term.joint].get(term.name, 0.0) for term in self.springs]
+        springs_by_joint = [
+            dict(zip(LINEAR, self._file.springs.get(j, ()), strict=False)) for j in self.joints
+        ]
+        springs = [springs_by_joint[term.joint].get(term.name, 0.0) for term in self.springs]
         return np.concatenate([*links, *rotors, springs])
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Mask]:
-        return chain_limits(self._model, self._own, self.follow)
+        return chain_limits(self._model, self._joint_numbers, self.follow)
 
     @cached_property
     def limits(self) -> tuple[Array, Array, Array]:
@@ -167,7 +173,7 @@ class Robot:
     @property
     def torque_limits(self) -> Array:
         """Largest torques (n,) [N.m or N] of the model file; 0 if unknown."""
-        dofs = [self._model.joints[number].idx_v for number in self._own]
+        dofs = [self._model.joints[number].idx_v for number in self._joint_numbers]
         return np.array(self._model.effortLimit)[dofs]
 
     @cached_property
@@ -178,7 +184,10 @@ class Robot:
     @property
     def bodies(self) -> list[tuple[float, Array, Array]]:
         """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg.m2] of each link."""
-        return [(one.mass, one.lever, one.inertia) for one in list(self._model.inertias)[1:]]
+        return [
+            (link_inertia.mass, link_inertia.lever, link_inertia.inertia)
+            for link_inertia in list(self._model.inertias)[1:]
+        ]
 
     @property
     def kinematics(self) -> tuple[Any, Any, Any, Callable[[Array], Array]]:
@@ -193,7 +202,10 @@ class Robot:
     def places(self, q: Array) -> list[tuple[Array, Array]]:
         """Return rotation (3, 3) and origin (3,) [m] of each joint's frame at a position (n,)."""
         self._pin.forwardKinematics(self._model, self._data, self._configurations(q[None])[0])
-        return [(one.rotation.copy(), one.translation.copy()) for one in list(self._data.oMi)[1:]]
+        return [
+            (placement.rotation.copy(), placement.translation.copy())
+            for placement in list(self._data.oMi)[1:]
+        ]
 
     def regressor(self, q: Array, dq: Array, ddq: Array, rotors: Array | None = None) -> Array:
         """Return the regressor Y (N, n, P) of eq. 5, P = len(parameter_names).
@@ -215,11 +227,11 @@ class Robot:
             out[k, :, :links] = rows if slopes is None else slopes.T @ rows
         if self.description.rotor_inertia:
             motors = self.description.motors
-            own = np.eye(self.n) if motors is None else motors.forward
-            turning = (ddq if rotors is None else rotors) @ own.T
-            out[:, :, links : self.inertial] = turning[:, None, :] * own.T
+            rotor_matrix = np.eye(self.n) if motors is None else motors.forward
+            rotor_acceleration = (ddq if rotors is None else rotors) @ rotor_matrix.T
+            out[:, :, links : self.inertial] = rotor_acceleration[:, None, :] * rotor_matrix.T
         for column, term in enumerate(self.springs, start=self.inertial):
-            out[:, term.joint, column] = term.over(q[:, term.joint])
+            out[:, term.joint, column] = term.compute_torque(q[:, term.joint])
         return out
 
     def torque(
@@ -236,8 +248,8 @@ class Robot:
         for start in range(0, len(q), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
             regressor = self.regressor(*(x[rows] for x in (q, dq, ddq, rotors) if x is not None))
-            own = parameters if parameters.ndim == 1 else parameters[rows, :, None]
-            parts.append((regressor @ own).reshape(-1, self.n))
+            row_parameters = parameters if parameters.ndim == 1 else parameters[rows, :, None]
+            parts.append((regressor @ row_parameters).reshape(-1, self.n))
         return np.concatenate(parts)
 
     def dynamics(self, parameters: Array, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -250,14 +262,14 @@ class Robot:
         """
         rows, n = q.shape
         units = np.vstack([np.zeros((1, n)), np.eye(n)])
-        each = self.torque(
+        torques = self.torque(
             parameters if parameters.ndim == 1 else np.repeat(parameters, n + 1, axis=0),
             np.repeat(q, n + 1, axis=0),
             np.repeat(dq, n + 1, axis=0),
             np.tile(units, (rows, 1)),
         ).reshape(rows, n + 1, n)
-        bias = each[:, 0]
-        return np.swapaxes(each[:, 1:] - bias[:, None], 1, 2), bias
+        bias = torques[:, 0]
+        return np.swapaxes(torques[:, 1:] - bias[:, None], 1, 2), bias
 
     @contextmanager
     def under_gravity(self) -> Iterator[Callable[[Sequence[float]], None]]:
@@ -285,27 +297,31 @@ RobotLike = RobotDescription | Robot | str | PathLike[str]
 """A robot, its description, or the path of a robot file (TOML), URDF or MJCF."""
 
 
-def description_of(robot: RobotLike) -> RobotDescription:
+def to_description(robot: RobotLike) -> RobotDescription:
     """Return the description of a robot, or of a whole URDF or MJCF."""
     if isinstance(robot, Robot):
         return robot.description
     if isinstance(robot, RobotDescription):
         return robot
-    path = path_of(robot, "a robot")
+    path = to_path(robot, "a robot")
     is_robot_file = path.suffix.lower() == ".toml"
-    return RobotDescription.read(path) if is_robot_file else description_of_model(path)
+    return RobotDescription.read(path) if is_robot_file else describe_model(path)
 
 
-def description_of_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:
+def describe_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:
     """Return the description of a URDF or MJCF whose other joints, by default fingers, rest."""
-    used = tuple(joint.name for joint in model_file.driven_joints(path, joints))
-    rest = model_file.locked(model_file.joints_of(path), used)
-    sprung = tuple(name for name in used if name in model_file.load(path).springs)
+    joint_names = tuple(joint.name for joint in model_file.find_driven_joints(path, joints))
+    rest_positions = model_file.find_rest_positions(model_file.read_joints(path), joint_names)
+    sprung = tuple(name for name in joint_names if name in model_file.load(path).springs)
     return RobotDescription(
-        name=path.stem, model=path.resolve(), joints=used, locked=rest, springs=sprung
+        name=path.stem,
+        model=path.resolve(),
+        joints=joint_names,
+        locked=rest_positions,
+        springs=sprung,
     )
 
 
-def model_of(robot: RobotLike) -> Robot:
+def to_robot(robot: RobotLike) -> Robot:
     """Return the dynamics of a robot."""
     return robot if isinstance(robot, Robot) else Robot(robot)

@@ -20,7 +20,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import Config
 
 Side = Literal["motor", "joint"]
-_MOST_CONDITION = 1e8  # matrix with rows divided by gear ratios
+_MAX_CONDITION = 1e8  # matrix with rows divided by gear ratios
 
 
 class Transmission(Config):
@@ -57,9 +57,9 @@ class Transmission(Config):
                 code="transmission.friction_entries",
                 key="friction",
             )
-        for what, matrix in (("matrix", self.motors), ("friction", self.coordinates)):
-            if np.linalg.cond(matrix) > _MOST_CONDITION:
-                raise RuleError(f"its {what} is singular", code="transmission.singular", key=what)
+        for key, matrix in (("matrix", self.motors), ("friction", self.coordinates)):
+            if np.linalg.cond(matrix) > _MAX_CONDITION:
+                raise RuleError(f"its {key} is singular", code="transmission.singular", key=key)
         return self
 
     @property
@@ -76,7 +76,7 @@ class Transmission(Config):
     def coordinates(self) -> Array:
         """Friction coordinates over joint angles (n, n)."""
         n = len(self.matrix)
-        at_motor = np.array([side == "motor" for side in self.each("friction", n)])
+        at_motor = np.array([side == "motor" for side in self.expand_per_joint("friction", n)])
         return np.where(at_motor[:, None], self.motors, np.eye(n))
 
     def require_turning(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
@@ -98,13 +98,13 @@ class Coupling:
     def __post_init__(self) -> None:
         n = len(self.matrix)
         square = n > 0 and all(len(row) == n for row in self.matrix)
-        if not square or not np.linalg.cond(self.forward) < _MOST_CONDITION:
+        if not square or not np.linalg.cond(self.forward) < _MAX_CONDITION:
             raise ArtifactError(
                 f"a coupling of joints must be a regular square matrix; found is {self.matrix}."
             )
 
     @classmethod
-    def of(cls, matrix: Array) -> "Coupling | None":
+    def from_matrix(cls, matrix: Array) -> "Coupling | None":
         """Return the coupling of a matrix (n, n), if any."""
         if np.array_equal(matrix, np.eye(len(matrix))):
             return None
@@ -128,7 +128,7 @@ class Coupling:
         """Return torques (N, n), or regressor rows (N, n, P), at u from q."""
         return np.asarray(np.einsum("ij,kj...->ki...", self.backward, joints))
 
-    def at_joints(self, torque: Array) -> Array:
+    def to_joints(self, torque: Array) -> Array:
         """Return torques (N, n) at q from u."""
         return np.asarray(torque @ self.forward)
 
@@ -136,14 +136,14 @@ class Coupling:
         """Return the ends (N, n) at q of independent bands around torques (N, n) at u."""
         below, above = (np.maximum(x, 0.0) ** 2 for x in (torque - lower, upper - torque))
         square = self.forward**2
-        same = self.forward > 0.0
-        middle = self.at_joints(torque)
-        down = below @ (square * same) + above @ (square * ~same)
-        up = above @ (square * same) + below @ (square * ~same)
+        is_positive = self.forward > 0.0
+        middle = self.to_joints(torque)
+        down = below @ (square * is_positive) + above @ (square * ~is_positive)
+        up = above @ (square * is_positive) + below @ (square * ~is_positive)
         return middle - np.sqrt(down), middle + np.sqrt(up)
 
 
-def onto(coupling: Coupling | None, motion: Array) -> Array:
+def transform_motion(coupling: Coupling | None, motion: Array) -> Array:
     """Return the motion (N, n) of friction coordinates."""
     return motion if coupling is None else coupling.motion(motion)
 
@@ -179,7 +179,7 @@ class SpringTerm:
         """Multiple of the angle; 0 for a constant."""
         return BALANCER.get(self.name, 0)
 
-    def over(self, q: Array) -> Array:
+    def compute_torque(self, q: Array) -> Array:
         """Return the torque at positions [rad or m] of its joint."""
         angle = self.harmonic * q
         return q if self.linear else np.sin(angle) if self.sine else np.cos(angle)

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from hesr_model.errors import RobotError
-from hesr_model.findings import Finding, caution, of_joint
+from hesr_model.findings import Finding, build_joint_finding, caution
 from hesr_model.support.arrays import Array, Mask
 
 UNLIMITED = 1e9  # position limit of a joint without one, which Pinocchio's URDF parser would refuse
@@ -23,8 +23,8 @@ _NUMBERS = {
     "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
     "mimic": {"multiplier": 1, "offset": 1},
 }
-_MOVING = ("revolute", "continuous", "prismatic", "planar")
-_SLACK = 1e-6  # relative violation of the triangle inequality by rounded inertias
+_MOVING_TYPES = ("revolute", "continuous", "prismatic", "planar")
+_ROUNDING_SLACK = 1e-6  # relative violation of the triangle inequality by rounded inertias
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,21 +48,21 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
         raise RobotError(f"{path}: cannot be parsed as a URDF ({error}).") from error
     if any(_XACRO in element.tag for element in root.iter() if isinstance(element.tag, str)):
         raise RobotError(f"{path}: is a xacro template; expand it first: xacro FILE > robot.urdf.")
-    plain = Element("robot", name=root.get("name", "robot"))
+    plain_root = Element("robot", name=root.get("name", "robot"))
     followers = {}
     parents = {}
     findings: list[Finding] = []
     for link in root.iterfind("link"):
-        kept = SubElement(plain, "link", name=link.get("name", ""))
+        plain_link = SubElement(plain_root, "link", name=link.get("name", ""))
         inertial = link.find("inertial")
         if inertial is not None:
             _require_numbers(path, link, inertial)
-            kept.append(inertial)
-            findings += _inertia_doubts(path, link.get("name", ""), inertial)
+            plain_link.append(inertial)
+            findings += _find_inertia_doubts(path, link.get("name", ""), inertial)
     for joint in root.iterfind("joint"):
         _require_numbers(path, joint, joint)
-        _complete(path, joint)
-        plain.append(joint)
+        _complete_joint(path, joint)
+        plain_root.append(joint)
         name = joint.get("name", "")
         ends = (joint.find("parent"), joint.find("child"))
         if ends[0] is not None and ends[1] is not None:
@@ -72,7 +72,7 @@ def read_urdf(path: Path, text: str | bytes) -> Urdf:
             factor = mimic.get("multiplier", "1")
             offset = mimic.get("offset", "0")
             followers[name] = mimic.get("joint", ""), float(factor), float(offset)
-    plain_text = ElementTree.tostring(plain, encoding="unicode")
+    plain_text = ElementTree.tostring(plain_root, encoding="unicode")
     return Urdf(text=plain_text, followers=followers, parents=parents, doubts=tuple(findings))
 
 
@@ -83,10 +83,10 @@ def _require_numbers(path: Path, owner: Element, parent: Element) -> None:
             if text is None:
                 continue
             try:
-                found = [float(word) for word in text.split()]
+                numbers = [float(word) for word in text.split()]
             except ValueError:
-                found = []
-            if len(found) != count or np.any(np.isnan(found)):
+                numbers = []
+            if len(numbers) != count or np.any(np.isnan(numbers)):
                 needed = f"{count} numbers" if count > 1 else "a number"
                 raise RobotError(
                     f"{path}: {key} = '{text}' in <{element.tag}> of {owner.tag} "
@@ -94,10 +94,14 @@ def _require_numbers(path: Path, owner: Element, parent: Element) -> None:
                 )
 
 
-def _complete(path: Path, joint: Element) -> None:
+def _complete_joint(path: Path, joint: Element) -> None:
     kind = joint.get("type")
     axis = joint.find("axis")
-    if kind in _MOVING and axis is not None and not any(map(float, axis.get("xyz", "1").split())):
+    if (
+        kind in _MOVING_TYPES
+        and axis is not None
+        and not any(map(float, axis.get("xyz", "1").split()))
+    ):
         raise RobotError(
             f"{path}: the axis of joint '{joint.get('name', '')}' is 0 0 0, which is no direction; "
             "give its <axis> a unit vector."
@@ -112,7 +116,7 @@ def _complete(path: Path, joint: Element) -> None:
         limit.set(key, limit.get(key, "0") if abs(value) < UNLIMITED else f"{value:g}")
 
 
-def _inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Finding]:
+def _find_inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Finding]:
     mass = inertial.find("mass")
     inertia = inertial.find("inertia")
     if mass is not None and float(mass.get("value", "0")) < 0.0:
@@ -125,7 +129,7 @@ def _inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Findin
     xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in _NUMBERS["inertia"])
     principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     excess = principal[2] - principal[0] - principal[1]
-    if principal[0] < -_SLACK * principal[2] or excess > _SLACK * principal[2]:
+    if principal[0] < -_ROUNDING_SLACK * principal[2] or excess > _ROUNDING_SLACK * principal[2]:
         numbers = ", ".join(f"{value:.3g}" for value in principal)
         yield caution(
             check="impossible-inertia",
@@ -135,78 +139,87 @@ def _inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[Findin
         )
 
 
-def doubts_of_model(path: Path, model: Any) -> Iterator[Finding]:
+def find_model_doubts(path: Path, pin_model: Any) -> Iterator[Finding]:
     """Yield doubts about single joints of a model file."""
     urdf = path.suffix.lower() != ".xml"
-    doubt = partial(of_joint, where=str(path))
-    for name, joint, link in list(zip(model.names, model.joints, model.inertias, strict=True))[1:]:
+    doubt = partial(build_joint_finding, where=str(path))
+    for name, joint, link in list(
+        zip(pin_model.names, pin_model.joints, pin_model.inertias, strict=True)
+    )[1:]:
         if joint.nv != 1:
-            found = "has several degrees of freedom and is held at its reference position"
-            yield doubt("held-joint", name, found, "leave it out if it moves", "advice")
+            observation = "has several degrees of freedom and is held at its reference position"
+            yield doubt("held-joint", name, observation, "leave it out if it moves", "advice")
             continue
-        low, high = position_limits(model, joint, valid=False)
+        lower, upper = position_limits(pin_model, joint, valid=False)
         if urdf and not link.mass > 0.0:
-            needs = "give the link an <inertial> if it is a real part"
-            yield doubt("massless-link", name, "its link has no mass", needs, "warning")
+            remedy = "give the link an <inertial> if it is a real part"
+            yield doubt("massless-link", name, "its link has no mass", remedy, "warning")
         if urdf and link.mass > 0.0 and not np.any(link.inertia):
-            found = f"its link of {link.mass:.3g} kg has no inertia, as if it was rounded"
-            needs = "write more digits of its <inertia>"
-            yield doubt("rounded-inertia", name, found, needs, "warning")
-        if joint.nq != 1 or not np.isfinite(low + high):
+            observation = f"its link of {link.mass:.3g} kg has no inertia, as if it was rounded"
+            remedy = "write more digits of its <inertia>"
+            yield doubt("rounded-inertia", name, observation, remedy, "warning")
+        if joint.nq != 1 or not np.isfinite(lower + upper):
             if joint.nq == 1 and urdf:
-                needs = "state them in its <limit>; hesr excite needs them"
-                yield doubt("no-limits", name, "has no limits", needs, "advice")
-        elif low >= high:
-            way = "equal" if low == high else "reversed"
-            found = f"its position limits are {way}, {low:g} and {high:g}, and count as none"
-            yield doubt("odd-limits", name, found, "correct its limits", "warning")
-        elif 4 * np.pi < max(-low, high) <= 720.0 and "JointModelP" not in joint.shortname():
-            found = f"its limits {low:g} and {high:g} rad look like degrees"
-            yield doubt("odd-limits", name, found, "write radians", "warning")
+                remedy = "state them in its <limit>; hesr excite needs them"
+                yield doubt("no-limits", name, "has no limits", remedy, "advice")
+        elif lower >= upper:
+            relation = "equal" if lower == upper else "reversed"
+            observation = (
+                f"its position limits are {relation}, {lower:g} and {upper:g}, and count as none"
+            )
+            yield doubt("odd-limits", name, observation, "correct its limits", "warning")
+        elif 4 * np.pi < max(-lower, upper) <= 720.0 and "JointModelP" not in joint.shortname():
+            observation = f"its limits {lower:g} and {upper:g} rad look like degrees"
+            yield doubt("odd-limits", name, observation, "write radians", "warning")
 
 
-def doubts_of_chain(
+def find_chain_doubts(
     path: Path, joints: Sequence[str], masses: Array, bare: Mask, sprung: Iterable[str]
 ) -> Iterator[Finding]:
     """Yield doubts about mass matrices (N, n, n), joints without range (n,) and `sprung` ones."""
-    doubt = partial(of_joint, where=str(path))
+    doubt = partial(build_joint_finding, where=str(path))
     for name in sprung:
-        found = "has a spring, which its torque leaves out"
-        yield doubt("no-spring", name, found, "list it in 'springs' of the robot file", "warning")
-    least = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
-    for j in np.flatnonzero(least <= 1e-12 * np.abs(masses).max()).tolist():
-        found = (
-            f"moves an inertia of {least[j]:.3g} kg.m2 (kg if it slides), which makes its torques "
+        observation = "has a spring, which its torque leaves out"
+        yield doubt(
+            "no-spring", name, observation, "list it in 'springs' of the robot file", "warning"
+        )
+    lowest = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
+    for j in np.flatnonzero(lowest <= 1e-12 * np.abs(masses).max()).tolist():
+        observation = (
+            f"moves an inertia of {lowest[j]:.3g} kg.m2 (kg if it slides), which makes its torques "
             "meaningless"
         )
         remedy = "correct the <inertial> of the links after it"
-        yield doubt("no-inertia", joints[j], found, remedy)
+        yield doubt("no-inertia", joints[j], observation, remedy)
     for j in np.flatnonzero(bare).tolist():
-        found = "joints that follow it leave it no range, and their limits count as none"
+        observation = "joints that follow it leave it no range, and their limits count as none"
         remedy = "correct their limits or their <mimic> or equality"
-        yield doubt("odd-limits", joints[j], found, remedy, "warning")
+        yield doubt("odd-limits", joints[j], observation, remedy, "warning")
 
 
-def position_limits(model: Any, joint: Any, *, valid: bool = True) -> tuple[float, float]:
+def position_limits(pin_model: Any, joint: Any, *, valid: bool = True) -> tuple[float, float]:
     """Return the position limits, infinite if absent or, if `valid`, equal or reversed."""
-    low = float(model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.inf
-    high = float(model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.inf
-    low, high = (low if low > -UNLIMITED else -np.inf), (high if high < UNLIMITED else np.inf)
-    return (-np.inf, np.inf) if valid and not low < high else (low, high)
+    lower = float(pin_model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.inf
+    upper = float(pin_model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.inf
+    lower, upper = (
+        (lower if lower > -UNLIMITED else -np.inf),
+        (upper if upper < UNLIMITED else np.inf),
+    )
+    return (-np.inf, np.inf) if valid and not lower < upper else (lower, upper)
 
 
 def chain_limits(
-    model: Any, own: Sequence[int], follow: tuple[Array, Array] | None
+    pin_model: Any, numbers: Sequence[int], follow: tuple[Array, Array] | None
 ) -> tuple[Array, Array, Array, Mask]:
-    """Return lowest and highest position [rad or m] and highest speed (n,) of the joints `own`.
+    """Return lowest and highest position [rad or m] and highest speed (n,) of the joints `numbers`.
 
     `follow` is G and b of q_all = G q + b. Joints that follow a leader also limit it, unless they
     leave it no range: there the mask (n,) is true.
     """
-    joints = list(model.joints)[1:]
-    n = len(own)
-    ranges = np.array([position_limits(model, joint) for joint in joints])
-    speeds = np.array([float(model.velocityLimit[joint.idx_v]) for joint in joints])
+    joints = list(pin_model.joints)[1:]
+    n = len(numbers)
+    ranges = np.array([position_limits(pin_model, joint) for joint in joints])
+    speeds = np.array([float(pin_model.velocityLimit[joint.idx_v]) for joint in joints])
     speeds = np.where((speeds > 0.0) & (speeds < UNLIMITED), speeds, np.inf)
     slopes, offsets = follow or (np.eye(n), np.zeros(n))
     moved = slopes != 0.0
@@ -215,7 +228,7 @@ def chain_limits(
     lower = np.where(moved, ends[0], -np.inf).max(axis=0)
     upper = np.where(moved, ends[1], np.inf).min(axis=0)
     bare = lower >= upper
-    alone = ranges[np.array(own) - 1].T
+    alone = ranges[np.array(numbers) - 1].T
     lower, upper = np.where(bare, alone, [lower, upper])
     speed = np.where(moved, speeds[:, None] / np.abs(scale), np.inf).min(axis=0)
     return lower, upper, speed, bare

@@ -13,25 +13,27 @@ Integers = NDArray[np.int_]
 Record = TypeVar("Record")
 
 
-def arrays_of(record: Any) -> dict[str, Any]:
+def get_arrays(record: Any) -> dict[str, Any]:
     """Return the arrays of a data class by name."""
-    found = {field.name: getattr(record, field.name) for field in fields(record)}
-    return {name: values for name, values in found.items() if isinstance(values, np.ndarray)}
+    field_values = {field.name: getattr(record, field.name) for field in fields(record)}
+    return {name: values for name, values in field_values.items() if isinstance(values, np.ndarray)}
 
 
-def some_rows(record: Record, rows: slice | Mask | Integers) -> Record:
+def select_rows(record: Record, rows: slice | Mask | Integers) -> Record:
     """Return a data class with some rows of its arrays."""
-    whole: Any = record
-    some: Record = replace(whole, **{k: values[rows] for k, values in arrays_of(record).items()})
-    return some
+    original: Any = record
+    selected: Record = replace(
+        original, **{k: values[rows] for k, values in get_arrays(record).items()}
+    )
+    return selected
 
 
-def joined(records: Sequence[Record]) -> Record:
+def join_records(records: Sequence[Record]) -> Record:
     """Return the first data class with its arrays followed by those of the others."""
     first: Any = records[0]
-    parts = {k: [getattr(record, k) for record in records] for k in arrays_of(first)}
-    whole: Record = replace(first, **{k: np.concatenate(part) for k, part in parts.items()})
-    return whole
+    parts = {k: [getattr(record, k) for record in records] for k in get_arrays(first)}
+    combined: Record = replace(first, **{k: np.concatenate(part) for k, part in parts.items()})
+    return combined
 
 
 def rms(errors: Array, axis: int | tuple[int, ...] | None = 0) -> Array:

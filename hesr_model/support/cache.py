@@ -21,16 +21,16 @@ LIMIT = 256 * 1024 * 1024  # [B] per kind, some thousand FMUs
 USED: Counter[tuple[str, bool]] = Counter()  # hits (True) and misses by kind, with workers
 _SHELVES = 256  # folders per kind, by the first byte of names
 _DIGEST = hashlib.sha256().digest_size
-_OTHERS = 0o077  # permissions of group and others
+_OTHERS_PERMISSIONS = 0o077  # permissions of group and others
 _log = logging.getLogger(__name__)
 
 
-def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
+def compute_once(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) -> bytes:
     """Return the result of `make`, computed once for all processes of a user.
 
     `inputs` have a fixed order. Concurrent calls wait for the first; damaged entries are rebuilt.
     """
-    name = _name(inputs)
+    name = _hash_inputs(inputs)
     from filelock import FileLock  # slow to import
 
     # Lock files remain, so many entries share one.
@@ -39,30 +39,30 @@ def kept(kind: str, inputs: Iterable[str | bytes], make: Callable[[], bytes]) ->
     try:
         for place in (shelf.parent, shelf):
             _make_private(place)
-        found = _read(shelf / name)
-        if found is None:
+        content = _read_entry(shelf / name)
+        if content is None:
             lock.acquire()
     except OSError:
         return make()
-    if found is not None:
+    if content is not None:
         USED[kind, True] += 1
-        return found
+        return content
     try:
-        found = _read(shelf / name)  # made meanwhile
-        USED[kind, found is not None] += 1
-        if found is None:
-            found = make()
+        content = _read_entry(shelf / name)  # made meanwhile
+        USED[kind, content is not None] += 1
+        if content is None:
+            content = make()
             with suppress(OSError):
-                _replace(shelf / name, _digest(shelf / name, found) + found)
+                _replace(shelf / name, _digest(shelf / name, content) + content)
                 # Shelves fill evenly: if this one is below its share, the cache is not full.
-                if sum(size for _, size, _ in _files(shelf)) > LIMIT / _SHELVES:
+                if sum(size for _, size, _ in _list_entries(shelf)) > LIMIT / _SHELVES:
                     _prune(shelf.parent)
     finally:
         lock.release()
-    return found
+    return content
 
 
-def _name(inputs: Iterable[str | bytes]) -> str:
+def _hash_inputs(inputs: Iterable[str | bytes]) -> str:
     key = hashlib.sha256()
     for part in inputs:
         data = part.encode() if isinstance(part, str) else part
@@ -70,57 +70,57 @@ def _name(inputs: Iterable[str | bytes]) -> str:
     return key.hexdigest()
 
 
-def found(kind: str, inputs: Iterable[str | bytes]) -> bytes | None:
+def find_result(kind: str, inputs: Iterable[str | bytes]) -> bytes | None:
     """Return the result kept for these inputs, if there is one."""
-    name = _name(inputs)
-    return _read(folder() / kind / name[:2] / name)
+    name = _hash_inputs(inputs)
+    return _read_entry(folder() / kind / name[:2] / name)
 
 
-def since(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
+def count_hits(earlier: Counter[tuple[str, bool]]) -> dict[str, tuple[int, int]]:
     """Return hits and requests by kind since an earlier state."""
-    used = USED - earlier
-    kinds = sorted({kind for kind, _ in used})
-    return {kind: (used[kind, True], used[kind, True] + used[kind, False]) for kind in kinds}
+    uses = USED - earlier
+    kinds = sorted({kind for kind, _ in uses})
+    return {kind: (uses[kind, True], uses[kind, True] + uses[kind, False]) for kind in kinds}
 
 
 def folder() -> Path:
     """Return a writable folder: in XDG_CACHE_HOME, .cache of HOME, or a private one."""
-    return _own("XDG_CACHE_HOME", ".cache")
+    return _choose_folder("XDG_CACHE_HOME", ".cache")
 
 
 def key_with_secret(kind: str, content: bytes) -> bytes:
     """Return a hash of content that only this user can compute."""
-    key = _key(_own("XDG_CONFIG_HOME", ".config"))
+    key = _load_key(_choose_folder("XDG_CONFIG_HOME", ".config"))
     return hmac.digest(key, kind.encode() + b"\0" + content, "sha256")
 
 
 @cache
-def _key(place: Path) -> bytes:
+def _load_key(place: Path) -> bytes:
     file = place / "key"
     size = _DIGEST
 
-    def stored() -> bytes | None:
-        found = _content(file)
-        return found if found and len(found) == size else None  # else perhaps known to others
+    def read_key() -> bytes | None:
+        secret = _read_private(file)
+        return secret if secret and len(secret) == size else None  # else perhaps known to others
 
-    found = stored()
-    if found:
-        return found
+    secret = read_key()
+    if secret:
+        return secret
     from filelock import FileLock  # slow to import
 
     try:
         with FileLock(place / "lock", mode=0o600):
-            found = stored()
-            if not found:
-                found = secrets.token_bytes(size)
-                _replace(file, found)
+            secret = read_key()
+            if not secret:
+                secret = secrets.token_bytes(size)
+                _replace(file, secret)
     except OSError as error:
         _log.info("%s: cannot be written (%s); nothing is reused.", file, error)
         return secrets.token_bytes(size)
-    return found
+    return secret
 
 
-def _own(variable: str, default: str) -> Path:
+def _choose_folder(variable: str, default: str) -> Path:
     named = Path(os.environ.get(variable, ""))
     home = Path(os.environ.get("HOME", ""))
     places = []
@@ -137,7 +137,7 @@ def _own(variable: str, default: str) -> Path:
                 break
             if os.access(path, os.W_OK | os.X_OK):
                 return path
-    return _temporary()
+    return _temporary_folder()
 
 
 @cache
@@ -149,23 +149,29 @@ def _warn(path: Path) -> None:
     )
 
 
-def _is_private(of: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
-    own = not hasattr(os, "getuid") or (of.st_uid == os.getuid() and not of.st_mode & _OTHERS)
-    return is_kind(of.st_mode) and own
+def _is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
+    is_owned = not hasattr(os, "getuid") or (
+        status.st_uid == os.getuid() and not status.st_mode & _OTHERS_PERMISSIONS
+    )
+    return is_kind(status.st_mode) and is_owned
 
 
 def _make_private(path: Path) -> None:
     """Make a folder within a private one; raise OSError for links and those of others."""
     path.mkdir(mode=0o700, exist_ok=True)
-    found = path.lstat()
-    if stat.S_ISDIR(found.st_mode) and found.st_mode & _OTHERS and hasattr(os, "getuid"):
+    status = path.lstat()
+    if (
+        stat.S_ISDIR(status.st_mode)
+        and status.st_mode & _OTHERS_PERMISSIONS
+        and hasattr(os, "getuid")
+    ):
         path.chmod(0o700)
-        found = path.lstat()
-    if not _is_private(found, stat.S_ISDIR):
+        status = path.lstat()
+    if not _is_private(status, stat.S_ISDIR):
         raise PermissionError(f"{path} is not private")
 
 
-def _temporary() -> Path:
+def _temporary_folder() -> Path:
     user = os.getuid() if hasattr(os, "getuid") else 0
     path = Path(tempfile.gettempdir(), f"hesr-cache-{user}")
     with suppress(OSError):
@@ -180,7 +186,7 @@ def _new_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="hesr-cache-"))
 
 
-def _content(file: Path) -> bytes | None:
+def _read_private(file: Path) -> bytes | None:
     """Return the content of a private file that is no link; None for others."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -191,8 +197,8 @@ def _content(file: Path) -> bytes | None:
         return opened.read() if _is_private(os.fstat(handle), stat.S_ISREG) else None
 
 
-def _read(entry: Path) -> bytes | None:
-    data = _content(entry)
+def _read_entry(entry: Path) -> bytes | None:
+    data = _read_private(entry)
     if data is None:
         return None
     content = data[_DIGEST:]
@@ -218,7 +224,7 @@ def _digest(entry: Path, content: bytes) -> bytes:
 
 
 def _prune(kind: Path) -> None:
-    files = sorted(file for shelf in kind.iterdir() for file in _files(shelf))
+    files = sorted(file for shelf in kind.iterdir() for file in _list_entries(shelf))
     total = sum(size for _, size, _ in files)
     for _, size, path in files:
         if total <= LIMIT:
@@ -228,9 +234,9 @@ def _prune(kind: Path) -> None:
             total -= size
 
 
-def _files(shelf: Path) -> Iterator[tuple[float, int, str]]:
+def _list_entries(shelf: Path) -> Iterator[tuple[float, int, str]]:
     """Yield time of last use, size and path of entries, quicker than `Path` would."""
     for entry in os.scandir(shelf):
         with suppress(FileNotFoundError):
-            found = entry.stat()
-            yield found.st_mtime, found.st_size, entry.path
+            status = entry.stat()
+            yield status.st_mtime, status.st_size, entry.path

@@ -10,8 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from hesr_model.errors import ExportError
+from hesr_model.support.cache import compute_once
 from hesr_model.support.cache import folder as cache_folder
-from hesr_model.support.cache import kept
 from hesr_model.support.files import scratch_folder
 
 PREBUILT = Path(__file__).with_name("binaries")  # kernels of a wheel, named by `digest`
@@ -28,25 +28,27 @@ def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[s
         output.write_bytes(prebuilt.read_bytes())
     else:
         key = f"ziglang {version('ziglang')}", name
-        output.write_bytes(kept("binaries", key, lambda: _compiled(source, flags, output, last)))
+        output.write_bytes(
+            compute_once("binaries", key, lambda: _run_compiler(source, flags, output, last))
+        )
     output.chmod(0o755)
 
 
 def digest(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> str:
     """Return a hash of all that determines a binary, except for the version of the compiler."""
     named = [source.name, output.name, *(f"flag {flag}" for flag in (*flags, "|", *last))]
-    text = "\n".join([*named, *_contents(source, (*flags, *last))])
+    text = "\n".join([*named, *_hash_contents(source, (*flags, *last))])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILINE)
 
 
-def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
+def _hash_contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
     home = source.parent
     folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
     todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]
-    seen = set(todo)
+    visited = set(todo)
     while todo:
         file = todo.pop()
         data = file.read_bytes()
@@ -56,12 +58,12 @@ def _contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
         for name in _INCLUDE.findall(data):
             places = (place / name.decode() for place in (file.parent, *folders))
             found = next((place for place in places if place.is_file()), None)
-            if found and found not in seen:
-                seen.add(found)
+            if found and found not in visited:
+                visited.add(found)
                 todo.append(found)
 
 
-def _compiled(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
+def _run_compiler(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
     # A linker interprets percent signs in its output path, so the path is relative.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
         written = folder / output.name

@@ -23,24 +23,27 @@ from hesr_model.support.progress import deferred
 
 _TEMPORARY = ".hesr-"
 _LOCK = f"{_TEMPORARY}lock"
-_WHOLE = f"{_TEMPORARY}whole"  # folder of a complete result, which is moved into place
-_HERE = f"{zlib.crc32(platform.node().encode()) & 0xFFFF:04x}"
-_OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_HERE}-(\d+)-\w{{8}}(\.\w+|-\w{{16}})?")
+_COMPLETE = f"{_TEMPORARY}whole"  # folder of a complete result, which is moved into place
+_MACHINE = f"{zlib.crc32(platform.node().encode()) & 0xFFFF:04x}"
+_OF_A_PROCESS = re.compile(rf"(\..+\.|hesr-){_MACHINE}-(\d+)-\w{{8}}(\.\w+|-\w{{16}})?")
 """Temporary names, with machine and process, and those of parts during removal."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the writer; others may come from files that the block reads."""
 PathArg = str | os.PathLike[str]
 _log = logging.getLogger(__name__)
-_VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
+_VERSIONED_PACKAGES = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
-def provenance(*, files: Sequence[Path], seed: int | None = None, **more: Any) -> dict[str, Any]:
+def provenance(*, files: Sequence[Path], seed: int | None = None, **entries: Any) -> dict[str, Any]:
     """Return the provenance of a result as JSON data."""
     return {
         "files": [{"name": file.name, "sha256": sha256(file)} for file in files],
         "seed": seed,
-        "versions": {"python": platform.python_version(), **{p: version(p) for p in _VERSIONED}},
-        **more,
+        "versions": {
+            "python": platform.python_version(),
+            **{p: version(p) for p in _VERSIONED_PACKAGES},
+        },
+        **entries,
     }
 
 
@@ -50,12 +53,12 @@ def newest(files: Sequence[Path]) -> str:
     return datetime.fromtimestamp(seconds, tz=UTC).isoformat()
 
 
-def path_of(value: object, what: str) -> Path:
-    """Return a path from text or a path, or raise ConfigError about `what`."""
+def to_path(value: object, subject: str) -> Path:
+    """Return a path from text or a path, or raise ConfigError about `subject`."""
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise ConfigError(
-        f"{what} is given as {type(value).__name__}; expected a path, as text or as a Path."
+        f"{subject} is given as {type(value).__name__}; expected a path, as text or as a Path."
     )
 
 
@@ -99,7 +102,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
                 if target.exists() and target.is_dir() != file.is_dir():
                     code = errno.EISDIR if target.is_dir() else errno.ENOTDIR
                     raise _unwritable(target, OSError(code, os.strerror(code)))
-            temporary.rename(path / _WHOLE)  # from here on all files, even if killed
+            temporary.rename(path / _COMPLETE)  # from here on all files, even if killed
             _move(path)
 
 
@@ -154,9 +157,9 @@ def _take(path: Path, cleanup: ExitStack) -> None:
     cleanup.callback(lock.release)
     cleanup.callback((path / _LOCK).unlink, missing_ok=True)
     _move(path)
-    for left in path.glob(f"{_TEMPORARY}*/"):
-        _log.info("removing %s, left behind by a killed run", left)
-        shutil.rmtree(left, ignore_errors=True)
+    for leftover in path.glob(f"{_TEMPORARY}*/"):
+        _log.info("removing %s, left behind by a killed run", leftover)
+        shutil.rmtree(leftover, ignore_errors=True)
     for folder in (path, *path.glob("*/")):
         _sweep(folder)
 
@@ -168,8 +171,8 @@ def _sweep(folder: Path) -> None:
 
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            found = _OF_A_PROCESS.fullmatch(entry.name)
-            if not found or psutil.pid_exists(int(found[2])):
+            match = _OF_A_PROCESS.fullmatch(entry.name)
+            if not match or psutil.pid_exists(int(match[2])):
                 continue
             with suppress(OSError):
                 owner = entry.stat(follow_symlinks=False).st_uid
@@ -188,16 +191,16 @@ def _remove_empty(folder: Path) -> None:
 
 def _move(path: Path) -> None:
     """Move all files of a complete result into place; may be repeated."""
-    whole = path / _WHOLE
-    for file in sorted(p for p in whole.rglob("*") if p.is_file()):
-        target = path / file.relative_to(whole)
+    complete_folder = path / _COMPLETE
+    for file in sorted(p for p in complete_folder.rglob("*") if p.is_file()):
+        target = path / file.relative_to(complete_folder)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             file.replace(target)
         except OSError as error:
             raise _unwritable(target, error) from error
-    if whole.is_dir():
-        _remove_whatever(whole)
+    if complete_folder.is_dir():
+        _remove_whatever(complete_folder)
 
 
 @contextmanager
@@ -207,8 +210,8 @@ def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterato
         with deferred():
             if parent is None:
                 _sweep(Path(tempfile.gettempdir()))
-            own = f"{prefix}{_HERE}-{os.getpid()}-"
-            folder = Path(tempfile.mkdtemp(prefix=own, dir=parent))
+            name_prefix = f"{prefix}{_MACHINE}-{os.getpid()}-"
+            folder = Path(tempfile.mkdtemp(prefix=name_prefix, dir=parent))
             cleanup.callback(_remove_folder, folder)
         yield folder
 
@@ -225,8 +228,8 @@ def _remove_whatever(folder: Path) -> None:
         path = piled.pop()
         path.chmod(0o700)
         with os.scandir(path) as entries:
-            found = list(entries)
-        for entry in found:
+            entries_found = list(entries)
+        for entry in entries_found:
             if entry.is_dir(follow_symlinks=False):
                 near = folder.with_name(f"{folder.name}-{token_hex(8)}")
                 piled.append(Path(entry.path).rename(near))
@@ -251,8 +254,10 @@ def written_whole(path: Path) -> Iterator[Path]:
             _sweep(path.parent)
             _sweep(Path(tempfile.gettempdir()))
             with deferred():
-                own = f".{path.name}.{_HERE}-{os.getpid()}-"
-                handle, name = tempfile.mkstemp(dir=path.parent, prefix=own, suffix=path.suffix)
+                name_prefix = f".{path.name}.{_MACHINE}-{os.getpid()}-"
+                handle, name = tempfile.mkstemp(
+                    dir=path.parent, prefix=name_prefix, suffix=path.suffix
+                )
                 temporary = Path(name)
                 cleanup.callback(temporary.unlink, missing_ok=True)
             os.close(handle)
@@ -270,12 +275,12 @@ def written_whole(path: Path) -> Iterator[Path]:
 def written_together(main: Path) -> Iterator[Callable[[Path], Path]]:
     """Yield `written_whole` for several paths; a killed process leaves no new files with `main`."""
     with ExitStack() as cleanup:
-        made = {main: cleanup.enter_context(written_whole(main))}
+        temporaries = {main: cleanup.enter_context(written_whole(main))}
 
         def temporary(path: Path) -> Path:
-            if path not in made:
-                made[path] = cleanup.enter_context(written_whole(path))
-            return made[path]
+            if path not in temporaries:
+                temporaries[path] = cleanup.enter_context(written_whole(path))
+            return temporaries[path]
 
         yield temporary
         with deferred():

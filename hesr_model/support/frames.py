@@ -11,11 +11,11 @@ from hesr_model.errors import ConfigError
 
 def pandas_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
     """Return columns (N,) as a `pandas.DataFrame`."""
-    frame = library("pandas").DataFrame(dict(columns))
+    frame = import_library("pandas").DataFrame(dict(columns))
     return frame if index is None else frame.set_index(index)
 
 
-def library(name: str) -> Any:
+def import_library(name: str) -> Any:
     """Import pandas or xarray; raise ConfigError if it is not installed."""
     try:
         return import_module(name)
@@ -26,12 +26,12 @@ def library(name: str) -> Any:
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return an HTML table with escaped cells; numbers get four digits."""
     lines = [Markup("<table><caption>{}</caption>").format(caption)]
-    lines.append(_row("th", head))
-    lines += [_row("td", row) for row in rows]
+    lines.append(_format_row("th", head))
+    lines += [_format_row("td", row) for row in rows]
     return str(Markup("\n").join([*lines, Markup("</table>")]))
 
 
-def _row(kind: str, cells: Iterable[object]) -> Markup:
+def _format_row(kind: str, cells: Iterable[object]) -> Markup:
     shown = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in cells)
     written = Markup("").join(Markup(f"<{kind}>{{}}</{kind}>").format(cell) for cell in shown)
     return Markup("<tr>{}</tr>").format(written)

@@ -26,14 +26,14 @@ class Owner(Config):
         return self.known
 
     @classmethod
-    def of(cls, provenance: Mapping[str, Any]) -> Self:
+    def from_provenance(cls, provenance: Mapping[str, Any]) -> Self:
         """Return the owner of a provenance; raises ArtifactError."""
-        found = provenance.get("owner", {})
+        entries = provenance.get("owner", {})
         try:
-            return cls.model_validate(found)
+            return cls.model_validate(entries)
         except ValidationError as error:
             raise ArtifactError(
-                f"the provenance's 'owner' is {found!r}; expected texts for author, copyright "
+                f"the provenance's 'owner' is {entries!r}; expected texts for author, copyright "
                 "and license, of printable characters.",
                 code="owner.texts",
                 key="owner",

@@ -33,13 +33,13 @@ from hesr_model.support import cache
 from hesr_model.support.cache import USED
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.lazy import collect_seldom
-from hesr_model.support.process import ChildProcess, kill_marked, new_mark
+from hesr_model.support.process import ChildProcess, kill_by_mark, new_mark
 from hesr_model.support.progress import current, deferred, running
 
 JOBS = "jobs"  # prefix of files with pickled jobs
 JobAnswer = tuple[BaseException | None, Any, Counter[tuple[str, bool]]]
-_GROWTH = 1 << 30  # memory growth after which a worker starts afresh [B]
-_ORPHANED = 1.0  # period of checks for the parent [s]
+_MAX_GROWTH = 1 << 30  # memory growth after which a worker starts afresh [B]
+_PARENT_CHECK_PERIOD = 1.0  # period of checks for the parent [s]
 
 
 def work(folder: Path, parent: int) -> None:
@@ -51,7 +51,7 @@ def work(folder: Path, parent: int) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    threading.Thread(target=_end_with, args=(parent, folder), daemon=True).start()
+    threading.Thread(target=_exit_after_parent, args=(parent, folder), daemon=True).start()
     collect_seldom()
     for name in (cache.__name__, "fmu_src.run.sandbox_rights"):  # the parent has warned
         logging.getLogger(name).setLevel(logging.ERROR)
@@ -65,26 +65,26 @@ def work(folder: Path, parent: int) -> None:
     first_size = process.memory_info().rss
     for request in requests:
         batch, k = request.decode().split()
-        data = _answer(folder / f"{JOBS}{batch}", int(k))
+        data = _make_answer(folder / f"{JOBS}{batch}", int(k))
         answers.write(f"{len(data)}\n".encode() + data)
         answers.flush()
-        if process.memory_info().rss > first_size + _GROWTH and os.name == "posix":
+        if process.memory_info().rss > first_size + _MAX_GROWTH and os.name == "posix":
             os.dup2(requests.fileno(), 0)
             os.dup2(answers.fileno(), 1)
             os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 @lru_cache(maxsize=1)
-def _batch(file: Path) -> Sequence[Callable[[], Any]]:
+def _load_batch(file: Path) -> Sequence[Callable[[], Any]]:
     jobs: Sequence[Callable[[], Any]] = cloudpickle.loads(file.read_bytes())
     return jobs
 
 
-def _answer(file: Path, k: int) -> bytes:
+def _make_answer(file: Path, k: int) -> bytes:
     before = USED.copy()
     answer: JobAnswer
     try:
-        answer = None, _batch(file)[k](), USED - before
+        answer = None, _load_batch(file)[k](), USED - before
         return bytes(cloudpickle.dumps(answer))
     except BaseException as error:
         error.add_note("".join(traceback.format_exception(error)))
@@ -105,9 +105,9 @@ def read_answer(answers: IO[bytes]) -> JobAnswer:
     return answer
 
 
-def _end_with(parent: int, folder: Path) -> None:
+def _exit_after_parent(parent: int, folder: Path) -> None:
     while os.getppid() == parent:
-        time.sleep(_ORPHANED)
+        time.sleep(_PARENT_CHECK_PERIOD)
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
 
@@ -137,7 +137,7 @@ def results_of(
     """
     count = min(workers or os.cpu_count() or 1, len(jobs))
     if count <= 1:
-        yield _here(jobs, names)
+        yield _run_in_process(jobs, names)
         return
     with ExitStack() as cleanup:
         if _sharing is None or workers is not None:
@@ -145,7 +145,7 @@ def results_of(
         else:
             cleanup.push(_sharing.stop_on_error)
             pool = _sharing
-        yield (_result(future) for future in pool.submit(jobs, costs, names))
+        yield (_unpack_answer(future) for future in pool.submit(jobs, costs, names))
 
 
 @contextmanager
@@ -168,7 +168,7 @@ def one_pool(*modules: str, first: Sequence[Callable[[], object]] = ()) -> Itera
             _sharing = None
 
 
-def shared() -> bool:
+def is_sharing() -> bool:
     """Return whether blocks share processes here."""
     return _sharing is not None
 
@@ -274,7 +274,7 @@ class _Pool:
     def _kill(self) -> None:
         for child in self._children:
             child.process.kill()
-        kill_marked(self._mark)
+        kill_by_mark(self._mark)
 
 
 _sharing: _Pool | None = None
@@ -284,16 +284,18 @@ def _display(names: Sequence[str], k: int) -> AbstractContextManager[None]:
     return running(names[k], current()) if names else nullcontext()
 
 
-def _here(jobs: Sequence[Callable[[], Returned]], names: Sequence[str]) -> Iterator[Returned]:
+def _run_in_process(
+    jobs: Sequence[Callable[[], Returned]], names: Sequence[str]
+) -> Iterator[Returned]:
     for k, job in enumerate(jobs):
         with _display(names, k):
             result = job()
         yield result
 
 
-def _result(future: "Future[JobAnswer]") -> Any:
-    error, result, used = future.result()
-    USED.update(used)
+def _unpack_answer(future: "Future[JobAnswer]") -> Any:
+    error, result, cache_use = future.result()
+    USED.update(cache_use)
     if error is not None:
         raise error
     return result

@@ -31,7 +31,7 @@ GROUPS = {
     "hesr.chapters": "chapter",  # Chapter of a run's report
     "hesr.commands": "command",  # workflow function of a verb
 }  # Groups of entry points, with the word for one plug-in in messages
-_OWN = "hesr"
+_OWN_PACKAGE = "hesr"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Plugin:
     @property
     def own(self) -> bool:
         """Whether HESR itself registers it."""
-        return self.package == _OWN
+        return self.package == _OWN_PACKAGE
 
     @property
     def label(self) -> str:
@@ -67,28 +67,34 @@ class Plugin:
 
 def load(group: str) -> Mapping[str, Plugin]:
     """Return the plug-ins of a group by name, HESR's own first; raises ConfigError."""
-    every = [plugin for plugin in _installed(tuple(sys.path)) if plugin.entry.group == group]
-    found: dict[str, Plugin] = {}
-    for plugin in sorted(every, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)):
+    entry_points = [plugin for plugin in _installed(tuple(sys.path)) if plugin.entry.group == group]
+    plugins: dict[str, Plugin] = {}
+    for plugin in sorted(
+        entry_points, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)
+    ):
         if plugin.own and not _exists(plugin.entry.module):
             continue
-        other = found.get(plugin.name)
+        other = plugins.get(plugin.name)
         if other:
             raise ConfigError(
                 f"{plugin.label} has the name of one of '{other.package}'; names must differ."
             )
-        found[plugin.name] = plugin
-    return found
+        plugins[plugin.name] = plugin
+    return plugins
 
 
 @cache
 def _installed(_path: tuple[str, ...]) -> list[Plugin]:
     """Return all plug-ins; only their metadata are parsed."""
-    found: dict[str, list[EntryPoint]] = {}
-    for one in distributions():
-        if "[hesr." in (one.read_text("entry_points.txt") or ""):
-            found.setdefault(one.name, list(one.entry_points))
-    return [Plugin(name=e.name, package=p, entry=e) for p, every in found.items() for e in every]
+    entries_by_package: dict[str, list[EntryPoint]] = {}
+    for distribution in distributions():
+        if "[hesr." in (distribution.read_text("entry_points.txt") or ""):
+            entries_by_package.setdefault(distribution.name, list(distribution.entry_points))
+    return [
+        Plugin(name=e.name, package=p, entry=e)
+        for p, entries in entries_by_package.items()
+        for e in entries
+    ]
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -98,11 +104,11 @@ def names(group: str) -> tuple[str, ...]:
 
 def find(group: str, name: str) -> Any:
     """Import and return a plug-in's object, or raise ConfigError."""
-    known = load(group)
-    if name not in known:
-        others = f"unknown; known are {', '.join(known)}" if known else "not installed"
-        raise ConfigError(f"{GROUPS[group]} '{name}' is {others}.")
-    return known[name].load()
+    plugins = load(group)
+    if name not in plugins:
+        reason = f"unknown; known are {', '.join(plugins)}" if plugins else "not installed"
+        raise ConfigError(f"{GROUPS[group]} '{name}' is {reason}.")
+    return plugins[name].load()
 
 
 def _exists(module: str) -> bool:

@@ -12,9 +12,9 @@ from secrets import token_hex
 from subprocess import CompletedProcess
 from typing import Any
 
-_MOST_OUTPUT = 4 << 20
+_MAX_OUTPUT = 4 << 20
 # 1 is PR_SET_PDEATHSIG, 9 is SIGKILL.
-_TIED = """import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9)
+_TIED_SCRIPT = """import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9)
 os.getppid() == int(sys.argv[1]) or sys.exit(1); os.execvp(sys.argv[2], sys.argv[2:])"""
 _ROUNDS = 10  # a process may start others before it is killed
 
@@ -34,7 +34,7 @@ class ChildProcess:
         mark: str = "",
         environment: Mapping[str, str] | None = None,
         start_new_session: bool = True,
-        **more: Any,
+        **popen_options: Any,
     ) -> None:
         self._mark = mark or new_mark()
         try:
@@ -43,7 +43,7 @@ class ChildProcess:
                 cwd=folder,
                 env=os.environ | {self._mark: "1"} | dict(environment or {}),
                 start_new_session=start_new_session,
-                **more,
+                **popen_options,
             )
         except OSError as error:
             raise FailedError(f"it cannot be started ({error.strerror})") from error
@@ -57,7 +57,7 @@ class ChildProcess:
                     os.killpg(self.process.pid, signal.SIGKILL)
             self.process.kill()
             self.process.wait()
-        kill_marked(self._mark)
+        kill_by_mark(self._mark)
 
 
 def new_mark() -> str:
@@ -65,28 +65,28 @@ def new_mark() -> str:
     return f"HESR_PROCESS_{token_hex(8)}"
 
 
-def kill_marked(mark: str) -> None:
+def kill_by_mark(mark: str) -> None:
     """Kill all other processes with a mark."""
     import psutil
 
     for _ in range(_ROUNDS):
-        found = [
+        marked_processes = [
             other
             for other in psutil.process_iter(["environ"])
             if mark in (other.info["environ"] or ()) and other.pid != os.getpid()
         ]
-        if not found:
+        if not marked_processes:
             return
-        for other in found:
+        for other in marked_processes:
             with contextlib.suppress(psutil.Error):
                 other.kill()
-        psutil.wait_procs(found, timeout=1.0)
+        psutil.wait_procs(marked_processes, timeout=1.0)
 
 
-def tied(command: Sequence[str]) -> Sequence[str]:
+def tie_command(command: Sequence[str]) -> Sequence[str]:
     """Return a command whose program ends with this process, also if it is killed (Linux)."""
-    own = (sys.executable, "-ISc", _TIED, str(os.getpid()))
-    return (*own, *command) if sys.platform == "linux" else command
+    prefix = (sys.executable, "-ISc", _TIED_SCRIPT, str(os.getpid()))
+    return (*prefix, *command) if sys.platform == "linux" else command
 
 
 def run(command: Sequence[str], folder: Path, seconds: float) -> CompletedProcess[str]:
@@ -102,7 +102,7 @@ def run(command: Sequence[str], folder: Path, seconds: float) -> CompletedProces
         finally:
             child.end()
         output.seek(0)
-        text = output.read(_MOST_OUTPUT).decode("utf-8", "replace")
+        text = output.read(_MAX_OUTPUT).decode("utf-8", "replace")
         return CompletedProcess(command, code, text)
 
 

@@ -45,7 +45,7 @@ def running(name: str, listed: list[str]) -> Iterator[None]:
         listed.remove(name)
 
 
-def counted(
+def report_progress(
     items: Collection[Item], progress: Progress, name: Callable[[Item], str] | None = None
 ) -> Iterator[Item]:
     """Yield items; report the number of finished ones, and the `name` of the current one."""
@@ -57,8 +57,8 @@ def counted(
 
 
 _steps: ContextVar[Progress] = ContextVar("_steps", default=silent)
-PARTS = 100  # units of one job among several
-_LOOKED = 0.3  # [s] between two polls of workers
+UNITS_PER_JOB = 100  # units of one job among several
+_POLL_PERIOD = 0.3  # [s] between two polls of workers
 
 
 def step(done: int, total: int) -> None:
@@ -76,13 +76,13 @@ def steps_told(to: Progress) -> Iterator[None]:
         _steps.reset(token)
 
 
-def into_file(path: Path) -> Progress:
+def make_file_progress(path: Path) -> Progress:
     """Return a progress that writes the largest share into a file."""
     most = 0
 
     def tell(done: int, total: int) -> None:
         nonlocal most
-        share = PARTS * done // max(total, 1)
+        share = UNITS_PER_JOB * done // max(total, 1)
         if share > most:
             # The number never gets shorter, so the file is not truncated: some take 3 ms for that.
             mode = "r+" if most else "w"
@@ -95,15 +95,17 @@ def into_file(path: Path) -> Progress:
 
 @contextmanager
 def watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
-    """Report the sum of the shares written by `into_file`."""
-    total = PARTS * len(files)
+    """Report the sum of the shares written by `make_file_progress`."""
+    total = UNITS_PER_JOB * len(files)
     ended = threading.Event()
 
     def look() -> None:
-        most = 0
-        while not ended.wait(_LOOKED):
-            most = max(most, sum(map(_share, files)))  # a file is empty while it is written
-            progress(min(most, total), total)
+        largest_sum = 0
+        while not ended.wait(_POLL_PERIOD):
+            largest_sum = max(
+                largest_sum, sum(map(_share, files))
+            )  # a file is empty while it is written
+            progress(min(largest_sum, total), total)
 
     watcher = threading.Thread(target=look, daemon=True)
     progress(0, total)

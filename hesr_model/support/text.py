@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
-_LONGEST = 160  # characters; hostile texts have millions
+_MAX_LENGTH = 160  # characters; hostile texts have millions
 
 
-def plain(text: str, longest: int = _LONGEST) -> str:
+def sanitise(text: str, max_length: int = _MAX_LENGTH) -> str:
     """Return text on one line, control characters escaped."""
-    return escaped(text if len(text) <= longest else f"{text[:longest]}...")
+    return escape(text if len(text) <= max_length else f"{text[:max_length]}...")
 
 
-def escaped(text: str) -> str:
+def escape(text: str) -> str:
     """Return text with unprintable characters escaped."""
     return "".join(
         c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
@@ -27,14 +27,14 @@ def on_one_line(error: Exception) -> str:
     return " ".join(str(error).split()).rstrip(".")
 
 
-def quoted(name: str) -> str:
+def quote(name: str) -> str:
     """Return a name in quotes, safe to print."""
-    return f"'{plain(name)}'"
+    return f"'{sanitise(name)}'"
 
 
-def listed(names: Iterable[str], most: int = 5) -> str:
+def quote_names(names: Iterable[str], max_count: int = 5) -> str:
     """Return quoted names, and the number of further ones."""
-    return few(map(quoted, names), most)
+    return join_few(map(quote, names), max_count)
 
 
 def count_noun(count: int, noun: str) -> str:
@@ -42,28 +42,28 @@ def count_noun(count: int, noun: str) -> str:
     return f"1 {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def few(words: Iterable[str], most: int = 5) -> str:
+def join_few(words: Iterable[str], max_count: int = 5) -> str:
     """Return words, and the number of further ones."""
     words = list(words)
-    more = f" and {len(words) - most} more" if len(words) > most else ""
-    return f"{', '.join(words[:most])}{more}"
+    ending = f" and {len(words) - max_count} more" if len(words) > max_count else ""
+    return f"{', '.join(words[:max_count])}{ending}"
 
 
-def toml(value: Any) -> str:
+def to_toml(value: Any) -> str:
     """Return a value in TOML, on one line."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{json.dumps(k)} = {to_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, tuple | list):
-        return f"[{', '.join(map(toml, value))}]"
+        return f"[{', '.join(map(to_toml, value))}]"
     # TOML writes text, integers and booleans like JSON.
     return repr(float(value)) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
 Data = TypeVar("Data")
 MOST_BYTES = 256 * 2**20  # the largest results have a tenth of it
-_MOST_DIGITS = 300  # floating-point numbers end at 1.8e308
-_DEEPEST_KEY = 100  # dots
-_LONGEST_NAME = 1000
+_MAX_DIGITS = 300  # floating-point numbers end at 1.8e308
+_MAX_KEY_DOTS = 100  # dots
+_MAX_NAME_LENGTH = 1000
 
 
 def read_text(path: Path) -> str:
@@ -80,29 +80,29 @@ def read_text(path: Path) -> str:
 
 def parse_json(text: str | bytes) -> Any:
     """Return JSON data; raises ValueError, also for deep nesting."""
-    return _shallow(lambda: json.loads(text, parse_int=_integer))
+    return _refuse_deep_nesting(lambda: json.loads(text, parse_int=_parse_integer))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Return TOML data; raises ValueError, also for deep nesting."""
     for line in text.splitlines():
         # Parsing nested tables takes quadratic time in their depth.
-        if line.partition("=")[0].count(".") > _DEEPEST_KEY and not line.lstrip().startswith("#"):
+        if line.partition("=")[0].count(".") > _MAX_KEY_DOTS and not line.lstrip().startswith("#"):
             raise ValueError("it is nested too deeply")
-    data = _shallow(lambda: tomllib.loads(text))
-    _shallow(lambda: _require_numbers(data))
+    data = _refuse_deep_nesting(lambda: tomllib.loads(text))
+    _refuse_deep_nesting(lambda: _require_numbers(data))
     return data
 
 
-def _shallow(read: Callable[[], Data]) -> Data:
+def _refuse_deep_nesting(read: Callable[[], Data]) -> Data:
     try:
         return read()
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
 
 
-def _integer(digits: str) -> int:
-    if len(digits) > _MOST_DIGITS:
+def _parse_integer(digits: str) -> int:
+    if len(digits) > _MAX_DIGITS:
         raise ValueError(f"it holds an integer of {len(digits)} digits")
     return int(digits)
 
@@ -111,14 +111,14 @@ def _require_numbers(data: Any) -> None:
     if isinstance(data, dict | list):
         for value in data.values() if isinstance(data, dict) else data:
             _require_numbers(value)
-    elif isinstance(data, int) and abs(data) > 10**_MOST_DIGITS:
-        raise ValueError(f"it holds an integer of more than {_MOST_DIGITS} digits")
+    elif isinstance(data, int) and abs(data) > 10**_MAX_DIGITS:
+        raise ValueError(f"it holds an integer of more than {_MAX_DIGITS} digits")
 
 
 def require_printable(name: str) -> str:
     """Return a name that XML and C can contain, or raise ValueError."""
-    if not name or len(name) > _LONGEST_NAME:
-        raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_LONGEST_NAME}")
+    if not name or len(name) > _MAX_NAME_LENGTH:
+        raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_MAX_NAME_LENGTH}")
     odd = next((c for c in name if not c.isprintable()), None)
     if odd:
         raise ValueError(f"the name {name!a} holds {odd!a}, which cannot be printed")

@@ -17,7 +17,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 from hesr_model.support.text import parse_json, parse_toml, read_text, require_printable
 
-_MOST_SHOWN = 200  # characters
+_MAX_SHOWN = 200  # characters
 _MISSING_KEY = "key.missing"
 _UNKNOWN_KEY = "key.unknown"
 _CODES = {"missing": _MISSING_KEY, "unexpected_keyword_argument": _UNKNOWN_KEY}
@@ -35,8 +35,8 @@ class Config(BaseModel):
         """Refuse an unknown key before pydantic does, which does not name the known ones."""
         for key in data if isinstance(data, dict) else ():
             if key not in cls.model_fields:
-                known = ", ".join(sorted(cls.model_fields))
-                raise RuleError(f"allowed here: {known}", code=_UNKNOWN_KEY, key=str(key))
+                allowed_keys = ", ".join(sorted(cls.model_fields))
+                raise RuleError(f"allowed here: {allowed_keys}", code=_UNKNOWN_KEY, key=str(key))
         return data
 
     @classmethod
@@ -54,15 +54,15 @@ class Config(BaseModel):
         except ValueError as error:
             sentence = f"{path}: not valid TOML ({error})."
             raise ConfigError(sentence, code="file.toml", where=path) from error
-        return cls.validated(path, data)
+        return cls.from_data(path, data)
 
-    def each(self, key: str, joints: int) -> tuple[Any, ...]:
+    def expand_per_joint(self, key: str, joints: int) -> tuple[Any, ...]:
         """Return the value of each joint, where a file gives one for all or one per joint."""
         value = getattr(self, key)
         return value if isinstance(value, tuple) else (value,) * joints
 
     @classmethod
-    def validated(cls, path: Path, data: Any) -> Self:
+    def from_data(cls, path: Path, data: Any) -> Self:
         """Validate data read from a file; errors as `read`."""
         try:
             return cls.model_validate(data, context={"folder": path.parent})
@@ -73,13 +73,13 @@ class Config(BaseModel):
             raise ConfigError(sentence, code="file.nesting", where=path) from error
 
 
-def _beside_the_toml(path: Path, info: pydantic.ValidationInfo) -> Path:
+def _resolve_beside_toml(path: Path, info: pydantic.ValidationInfo) -> Path:
     folder: Path = (info.context or {}).get("folder", Path())
     # Not `Path.resolve`, which fails on circular links before Python 3.13.
     return Path(os.path.realpath(folder / path))
 
 
-RelativePath = Annotated[Path, pydantic.AfterValidator(_beside_the_toml)]  # to its TOML file
+RelativePath = Annotated[Path, pydantic.AfterValidator(_resolve_beside_toml)]  # to its TOML file
 PrintableName = Annotated[str, pydantic.AfterValidator(require_printable)]  # as FMUs need
 
 
@@ -118,33 +118,35 @@ def _refusal(path: Path, error: ValidationError) -> ConfigError:
         table = f"table '{problem.place}': " if problem.place else ""
         sentence = f"{table}{problem.reason}."
     else:
-        sentence = f"key '{problem.place}' is {_shown(details['input'])}: {problem.reason}."
+        sentence = f"key '{problem.place}' is {_shorten(details['input'])}: {problem.reason}."
     return ConfigError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)
 
 
-def _shown(value: object) -> str:
+def _shorten(value: object) -> str:
     text = repr(value)
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
 
 
 Kind = TypeVar("Kind")
 
 
-def _array(data: Any) -> Array:
+def _parse_array(data: Any) -> Array:
     try:
         return np.array(data, dtype=float)
     except TypeError as error:
         raise ValueError(str(error)) from error
 
 
-def _with_gaps(values: Array) -> Any:
+def _serialise_gaps(values: Array) -> Any:
     gaps = values.astype(object)
     gaps[~np.isfinite(values)] = None
     return gaps.tolist()
 
 
-Numbers = Annotated[Array, PlainValidator(_array), PlainSerializer(np.ndarray.tolist)]  # as lists
-NumbersWithGaps = Annotated[Array, PlainValidator(_array), PlainSerializer(_with_gaps)]
+Numbers = Annotated[
+    Array, PlainValidator(_parse_array), PlainSerializer(np.ndarray.tolist)
+]  # as lists
+NumbersWithGaps = Annotated[Array, PlainValidator(_parse_array), PlainSerializer(_serialise_gaps)]
 """As `Numbers`, with null for NaN and infinity, read as NaN."""
 
 
@@ -169,9 +171,9 @@ def read_json(path: Path, expected_format: str | None = None) -> Any:
             sentence = f"{path}: not a readable JSON file (it holds no keys)."
             raise ArtifactError(sentence, code="file.no_keys", where=path)
         return data
-    found = data.pop("format", None) if isinstance(data, dict) else None
-    if found != expected_format:
-        sentence = f"{path}: 'format' is {found!r}, expected '{expected_format}'."
+    found_format = data.pop("format", None) if isinstance(data, dict) else None
+    if found_format != expected_format:
+        sentence = f"{path}: 'format' is {found_format!r}, expected '{expected_format}'."
         raise ArtifactError(sentence, code="file.format", where=path, key="format")
     return data
 
@@ -192,26 +194,26 @@ def to_json(value: Any, *, sparse: bool = False) -> Any:
     return json.loads(to_text(value, sparse=sparse))
 
 
-def from_json(kind: type[Kind], data: Any, path: Path, what: str) -> Kind:
+def from_json(kind: type[Kind], data: Any, path: Path, subject: str) -> Kind:
     """Return the data class `kind` of JSON data; raises ArtifactError."""
     schema: Any = kind
     try:
         valid: Kind = _adapter(schema).validate_python(data)
     except ValidationError as error:
-        raise _json_refusal(error, path, what) from error
+        raise _json_refusal(error, path, subject) from error
     except ArtifactError as error:
-        raise error.at(path) from error
+        raise error.add_place(path) from error
     return valid
 
 
-def _json_refusal(error: ValidationError, path: Path, what: str) -> ArtifactError:
+def _json_refusal(error: ValidationError, path: Path, subject: str) -> ArtifactError:
     problem = _problem(error.errors()[0])
     if problem.code == _MISSING_KEY:
         sentence = f"key '{problem.key}' is missing."
     elif problem.code == _UNKNOWN_KEY:
-        sentence = f"not {what} (unknown key '{problem.key}')."
+        sentence = f"not {subject} (unknown key '{problem.key}')."
     elif problem.place:
-        sentence = f"not {what} (key '{problem.place}': {problem.reason})."
+        sentence = f"not {subject} (key '{problem.place}': {problem.reason})."
     else:
-        sentence = f"not {what} ({problem.reason})."
+        sentence = f"not {subject} ({problem.reason})."
     return ArtifactError(f"{path}: {sentence}", code=problem.code, where=path, key=problem.key)

@@ -68,7 +68,7 @@ def data() -> FrictionRecord:
 
 @pytest.fixture(scope="module")
 def features(data: FrictionRecord) -> HysteresisFeatures:
-    samples = JointRows.of([data], coefficients=11)
+    samples = JointRows.from_records([data], coefficients=11)
     return HysteresisFeatures(samples=samples, discretisation="exact")
 
 

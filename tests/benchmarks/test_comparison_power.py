@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import loaded_arm, recorded
+from cosim.loop.excite import load_arm, record_directions
 from cosim.loop.motions import FourierMotion, Motions
-from cosim.study.scores import by_joint, predict_models
+from cosim.study.scores import predict_models, transpose_records
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
@@ -23,8 +23,8 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.inference.comparison import (
     SIGNIFICANCE,
     LawErrors,
+    adjust_by_holm,
     calibration,
-    holm,
     law_errors,
     two_sided_probability,
 )
@@ -56,8 +56,8 @@ class ErrorsOnTests:
     ) -> "ErrorsOnTests":
         """Fit all everyday laws and predict the tests."""
         laws = [name for name, law in registry().items() if law.everyday]
-        models = fit_models(laws, by_joint(training), robot="tested", seed=0)
-        records = by_joint(tests)
+        models = fit_models(laws, transpose_records(training), robot="tested", seed=0)
+        records = transpose_records(tests)
         errors = {
             law: [
                 [p - r.tau for p, r in zip(*pair, strict=True)]
@@ -78,9 +78,9 @@ def twin() -> ErrorsOnTests:
     tests: list[Log] = []
     rng = np.random.default_rng(7)
     signals = servo_signals(plant, np.ones(3), np.ones(3))
-    with loaded_arm(plant, signals=signals) as arm:
+    with load_arm(plant, signals=signals) as arm:
         for motion in Motions.read(study.twin.motions).motions:
-            logs |= {found.log.name: found.log for found in recorded(arm, motion, 0)}
+            logs |= {found.log.name: found.log for found in record_directions(arm, motion, 0)}
         while len(tests) < MOTIONS:
             own = FourierMotion(
                 name="test",
@@ -92,7 +92,7 @@ def twin() -> ErrorsOnTests:
                 offset=(0.0, 0.3, -1.9),
             )
             try:
-                tests += [found.log for found in recorded(arm, own, len(tests) + 1)]
+                tests += [found.log for found in record_directions(arm, own, len(tests) + 1)]
             except ConfigError:
                 continue  # exceeds the joint limits
     robot = Robot(RobotDescription.read(study.robot))
@@ -156,7 +156,7 @@ def tables(
 def worse(table: LawErrors) -> set[str]:
     """Laws called worse than the best of the sample."""
     ratios = table.ratios(table.laws[table.best])
-    adjusted = holm({law: r.p for law, r in ratios.items() if r.p is not None})
+    adjusted = adjust_by_holm({law: r.p for law, r in ratios.items() if r.p is not None})
     return {law for law, p in adjusted.items() if p < SIGNIFICANCE}
 
 

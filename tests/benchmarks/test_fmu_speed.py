@@ -18,7 +18,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from pythonfmu.builder import FmuBuilder
 
 from fmu_src import export_fmu, model_file
-from fmu_src.export.package import own_source
+from fmu_src.export.package import read_c_source
 from fmu_src.friction.replay import replay
 from fmu_src.run import native
 from fmu_src.run.fmu import FmuInstance
@@ -204,7 +204,7 @@ def by_hand(model: FrictionModel, folder: Path, gcc: str) -> Path:
         f"static const double per_width[] = {{{', '.join((*widths, '0'))}}};\n",
         encoding="utf-8",
     )
-    (folder / "fmi2.h").write_text(own_source("fmi2.h"), encoding="utf-8")
+    (folder / "fmi2.h").write_text(read_c_source("fmi2.h"), encoding="utf-8")
     source = Path(__file__).with_name("by_hand.c")
     return compiled(gcc, source, folder / "by_hand.so", f"-I{folder}")
 

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr.extras.one_file.c_header import export_c
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.estimator import registry
@@ -118,7 +118,7 @@ def test_a_batch_of_robots_compared_with_fmu_steps(
         def stepped() -> None:
             component.reset()
             component.initialise(start={})
-            through(component, inputs, outputs, t[:-1], np.diff(t), rows)
+            step_rows(component, inputs, outputs, t[:-1], np.diff(t), rows)
 
         _, by_steps = seconds(side_by_side, stepped)
     alone = by_steps / ROWS * 1e9
@@ -155,7 +155,7 @@ def test_a_whole_log_compared_with_single_steps(
         def stepped() -> None:
             component.reset()
             component.initialise(start=first)
-            found[:] = [through(component, inputs, outputs, t[:-1], np.diff(t), rows[1:])]
+            found[:] = [step_rows(component, inputs, outputs, t[:-1], np.diff(t), rows[1:])]
 
         at_once, by_steps = seconds(lambda: model.predict(**data), stepped)
     torque = model.predict(**data)[1:]
@@ -171,7 +171,7 @@ def test_a_whole_log_compared_with_single_steps(
 def test_an_evaluation_of_a_fit(law: str, joint: Sequence[FrictionRecord], tell: Tell) -> None:
     entry = registry()[law]
     assert issubclass(entry, OneForm)
-    samples = JointRows.of(joint, coefficients=3)
+    samples = JointRows.from_records(joint, coefficients=3)
     problem = Separable(entry.core({}), entry().space(), samples)
     point, own = problem.bounds.mean(axis=1), problem.space.non_negative
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import Recording, export_twin, loaded_arm, record, twin_plant
+from cosim.loop.excite import Recording, export_twin, load_arm, record, twin_plant
 from cosim.loop.motions import Motions
 from cosim.study.study import Twin
-from hesr.extras.excite.motion import PlannedMotion, moved
+from hesr.extras.excite.motion import PlannedMotion, plan_move
 from hesr.extras.excite.planner import Guard, MotionSettings, Planner
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.law import FrictionLaw
@@ -51,7 +51,7 @@ class Twins:
         self.robot = Robot(RobotDescription.read(FOLDER / "robot.toml"))
         self.motions = {m.name: m.trajectory() for m in Motions.read(MOTIONS).motions}
         forward = self.motions["excitation"]
-        both = {"forward": forward, "backward": forward.time_reversed()}
+        both = {"forward": forward, "backward": forward.reverse_time()}
         logs = [self.log(motion, name, (20.0, 0.0)).log for name, motion in both.items()]
         self.body = identify(logs[:1], self.robot, reversed_logs=logs[1:])
         settings = MotionSettings(limits=LIMITS)
@@ -64,7 +64,7 @@ class Twins:
     def log(
         self, motion: Trajectory, name: str, unlogged: tuple[float, float] = (0.0, 0.0)
     ) -> Recording:
-        with loaded_arm(self.plant, fmu=self.fmu) as arm:
+        with load_arm(self.plant, fmu=self.fmu) as arm:
             return record(arm, motion, 1, name=name, unlogged=unlogged)
 
     def point_to_point(self) -> PlannedMotion:
@@ -74,10 +74,10 @@ class Twins:
         while sum(map(len, rows)) < 40.0 * rate:
             place = np.clip(start + rng.uniform(-0.6, 0.6, 3), limits.lower, limits.upper)
             rows += [
-                moved(rows[-1][-1], place, limits, rate),
+                plan_move(rows[-1][-1], place, limits, rate),
                 np.tile(place, (round(0.5 * rate), 1)),
             ]
-        rows.append(moved(rows[-1][-1], start, limits, rate))
+        rows.append(plan_move(rows[-1][-1], start, limits, rate))
         return PlannedMotion(rate=rate, rows=np.concatenate(rows))
 
     def records(self, log: Recording) -> list[FrictionRecord]:

@@ -10,7 +10,7 @@ from c_hosts import HOSTS, build_host
 from test_fmu_speed import InHost
 
 from fmu_src import export_fmu, model_file
-from fmu_src.arm.library import installed
+from fmu_src.arm.library import find_host_libraries
 from hesr.extras.mujoco_plugin.plugin_library import export_mujoco_plugin
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.compiler import compile_c
@@ -35,7 +35,7 @@ def test_three_joints_take_as_long_as_in_the_fmu(
         f'<mujoco><option timestep="0.005"/><include file="speed.xml"/><worldbody>{bodies}'
         "</worldbody></mujoco>"
     )
-    [library] = installed()
+    [library] = find_host_libraries()
     program = tmp_path / "plugin_host"
     flags = ("-O2", "-std=c11", f"-isystem{library.parent / 'include'}", f"-I{HOSTS}")
     compile_c(

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from test_motion_study import LAWS, LIMITS, TRUTHS, Twins
 
-from cosim.loop.excite import loaded_arm, record
+from cosim.loop.excite import load_arm, record
 from hesr.extras.excite.planner import Guard, MotionSettings, Planner
-from hesr.extras.excite.sequel import MIXES, Knowledge, rows_of
+from hesr.extras.excite.sequel import MIXES, Knowledge, build_joint_rows
 from hesr_model.fitting.fit import fit_models
 
 SEEDS = int(os.environ.get("SEEDS", "20"))
@@ -37,7 +37,7 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
                 )
             ]
             guard, first = planners[0].guard, planners[0].plan("body", 60.0)
-            with loaded_arm(twin.plant, fmu=twin.fmu) as arm:
+            with load_arm(twin.plant, fmu=twin.fmu) as arm:
                 logs = [
                     twin.records(record(arm, first, 10 + seed, name=name))
                     for name in ("first", "again")
@@ -61,17 +61,19 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
                 )
                 for j, r in enumerate(logs[0])
             ]
-            rows = [rows_of(next(planners[1].strokes(60.0, [mix] * 3)), guard) for mix in MIXES]
+            rows = [
+                build_joint_rows(next(planners[1].strokes(60.0, [mix] * 3)), guard) for mix in MIXES
+            ]
             best = [
                 MIXES[int(np.argmax([one.score(of_mix[j]) for of_mix in rows]))]
                 for j, one in enumerate(known)
             ]
             second = planners[1].friction(60.0, best)
-            with loaded_arm(twin.plant, fmu=twin.fmu) as arm:
+            with load_arm(twin.plant, fmu=twin.fmu) as arm:
                 pair = (logs[0], twin.records(record(arm, second, 10 + seed, name="second")))
             records = [list(of_joint) for of_joint in zip(*pair, strict=True)]
             fits["second"] = fit_models(LAWS, records, robot="r", seed=0, workers=1)
-            planned = rows_of(second, guard)
+            planned = build_joint_rows(second, guard)
             before, again, after = (
                 float(np.exp(np.mean([np.log(twin.errors(fits[name][law])) for law in LAWS])))
                 for name in ("first", "again", "second")

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from fmu_src.arm.clock import untimed
+from fmu_src.arm.clock import stop_clock
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.laws.lugre import LuGre
 from hesr_model.robots.robot import Robot
@@ -48,7 +48,7 @@ def of_plant(arm: FmuInstance, tau: np.ndarray) -> np.ndarray:
     for first in range(0, len(tau), PART):
         times = STEP * np.arange(first, first + PART)
         began = perf_counter()
-        through(arm, inputs, outputs, times, sizes, tau[first : first + PART])
+        step_rows(arm, inputs, outputs, times, sizes, tau[first : first + PART])
         parts.append((perf_counter() - began) / PART)
     return np.array(parts)
 
@@ -57,7 +57,7 @@ def of_mujoco(model: mujoco.MjModel, tau: np.ndarray) -> np.ndarray:
     """Return the times of a step [s], by part; torques are held over a part."""
     data = mujoco.MjData(model)
     parts = []
-    with untimed():
+    with stop_clock():
         for torque in tau[::PART]:
             data.qfrc_applied[:] = torque
             began = perf_counter()

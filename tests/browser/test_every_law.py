@@ -11,7 +11,7 @@ from registry_models import STUDIED, live_of, sampled
 
 from fmu_src.pages.live import live_assets, live_section
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.scales import scaled
+from hesr_model.friction.scales import add_scales
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -36,7 +36,7 @@ def test_the_torque_follows_the_first_slider(
     columns = saved(page)
     if first == "coulomb_scale[1]":
         factors = {"coulomb_scale": value, "viscous_scale": 1.0}
-        whole = replace(law, form=scaled(law.form), values={**law.values, **factors})
+        whole = replace(law, form=add_scales(law.form), values={**law.values, **factors})
         wanted = expected(whole, columns)
     else:
         wanted = expected(law, columns, **{first: value})

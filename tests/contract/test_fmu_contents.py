@@ -86,16 +86,16 @@ def export_motors(path: Path, fmi: Version) -> Path:
 
 
 def export_arm_plant(path: Path, fmi: Version) -> Path:
-    return export_plant(plain(), path, body=PlantBody.of(robot()), tool=True, fmi=fmi)
+    return export_plant(plain(), path, body=PlantBody.from_robot(robot()), tool=True, fmi=fmi)
 
 
 def export_servo_plant(path: Path, fmi: Version) -> Path:
     gains = {"kv": [90.0] * 3, "ki": [900.0] * 3, "kp": [1.0] * 3}
-    return export_plant(plain(), path, body=PlantBody.of(robot()), fmi=fmi, **gains)
+    return export_plant(plain(), path, body=PlantBody.from_robot(robot()), fmi=fmi, **gains)
 
 
 def export_contact(path: Path, fmi: Version) -> Path:
-    return export_observer(banded(), path, body=PlantBody.of(robot()), fmi=fmi)
+    return export_observer(banded(), path, body=PlantBody.from_robot(robot()), fmi=fmi)
 
 
 SIX_JOINTS = (
@@ -113,7 +113,7 @@ def export_wrench(path: Path, fmi: Version) -> Path:
     names = tuple(f"j{k}" for k in range(1, 7))
     chain = Robot(RobotDescription(name="six", model=file, joints=names))
     laws = replace(model(*(replace(lugre(), band=BAND),) * 6), joints=names)
-    return export_observer(laws, path, body=PlantBody.of(chain), fmi=fmi)
+    return export_observer(laws, path, body=PlantBody.from_robot(chain), fmi=fmi)
 
 
 def export_block(block: Callable[[], Content], path: Path, fmi: Version) -> Path:

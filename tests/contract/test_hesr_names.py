@@ -13,7 +13,7 @@ import click
 import pytest
 
 import hesr
-from hesr.cli.app import app, help_sections, workflow
+from hesr.cli.app import app, find_workflow, help_sections
 from hesr.cli.derive import Docstring, Function
 from hesr_model.support.lazy import lazy
 
@@ -30,7 +30,7 @@ def test_every_verb_is_a_function() -> None:
         verbs = app.list_commands(context)
     assert set(verbs) <= set(dir(hesr))
     for verb in verbs:
-        assert getattr(hesr, verb) is workflow(verb)
+        assert getattr(hesr, verb) is find_workflow(verb)
 
 
 def test_the_stub_contains_only_imports() -> None:
@@ -56,7 +56,7 @@ def test_command_line_options_match_the_functions() -> None:
     common = {"json_file", "fail_on", "quiet", "verbose"}
     with app.make_context("hesr", [], resilient_parsing=True) as context:
         for verb in app.list_commands(context):
-            function = workflow(verb)
+            function = find_workflow(verb)
             command = app.get_command(context, verb)
             assert command is not None
             given = {param.name for param in command.params} - common
@@ -73,7 +73,7 @@ def test_command_line_options_match_the_functions() -> None:
 def test_flags_are_off_unless_given() -> None:
     """A flag on the command line can only switch on."""
     for verb in app.list_commands(click.Context(app)):
-        for one in inspect.signature(workflow(verb)).parameters.values():
+        for one in inspect.signature(find_workflow(verb)).parameters.values():
             if one.annotation == "bool":
                 assert one.default is False, (verb, one.name)
 
@@ -84,10 +84,10 @@ SECTIONS = ("Parameters", "Returns", "Raises", "Examples")
 def test_every_function_has_a_full_docstring_used_as_help() -> None:
     with app.make_context("hesr", [], resilient_parsing=True) as context:
         for verb in app.list_commands(context):
-            function = workflow(verb)
+            function = find_workflow(verb)
             text = inspect.getdoc(function) or ""
             assert [s for s in SECTIONS if f"\n{s}\n{'-' * len(s)}\n" not in text] == [], verb
-            told = Docstring.of(function)
+            told = Docstring.from_function(function)
             own = {
                 one.name
                 for one in inspect.signature(function).parameters.values()

@@ -210,13 +210,13 @@ REFUSALS: list[tuple[type[Config], dict[str, Any], dict[str, Any], str, str]] = 
 
 def refusal(schema: type[Config], data: dict[str, Any]) -> ConfigError:
     with pytest.raises(ConfigError) as caught:
-        schema.validated(PLACE, data)
+        schema.from_data(PLACE, data)
     return caught.value
 
 
 @pytest.mark.parametrize(("schema", "data"), {r[0]: r[1] for r in REFUSALS}.items())
 def test_the_data_are_valid_before_they_are_changed(schema, data) -> None:
-    schema.validated(PLACE, data)
+    schema.from_data(PLACE, data)
 
 
 @pytest.mark.parametrize(("schema", "data", "changes", "code", "key"), REFUSALS)
@@ -232,6 +232,6 @@ def test_a_refusal_keeps_its_attributes_between_processes() -> None:
 
 
 def test_a_place_in_front_keeps_code_and_key() -> None:
-    error = ConfigError("key 'q' is 0.", code="log.unit", key="log.units.q").at("robot.toml")
+    error = ConfigError("key 'q' is 0.", code="log.unit", key="log.units.q").add_place("robot.toml")
     assert (error.code, error.where, error.key) == ("log.unit", "robot.toml", "log.units.q")
     assert str(error) == "robot.toml: key 'q' is 0."

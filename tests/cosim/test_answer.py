@@ -9,7 +9,7 @@ import pytest
 
 import cosim.workflow
 import hesr.extras
-from cosim.report.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, make_row
 from cosim.workflow.answer import (
     Answer,
     Written,
@@ -82,7 +82,7 @@ def test_only_a_given_output_is_written() -> None:
 
 
 def test_an_answer_is_displayed() -> None:
-    table = ResultTable(caption="Errors", head=("law",), rows=[row_of("lugre")])
+    table = ResultTable(caption="Errors", head=("law",), rows=[make_row("lugre")])
     answer = Written(lines=["a < b", "c"], shown=["1 < 2", table])
     assert repr(answer) == "Written('a < b')"
     html = answer._repr_html_()

@@ -17,7 +17,7 @@ from cosim.workflow.arguments import (
     read_logs,
     remember_trust,
 )
-from fmu_src.run.trust import hash_folder, is_ours
+from fmu_src.run.trust import hash_folder, is_trusted
 from hesr_model.errors import ArgumentError, ConfigError, LogError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -174,7 +174,7 @@ def test_existing_fmus_are_trusted_on_request(
     foreign.write_bytes(table1_fmu.read_bytes() + b"\0")
     missing = tmp_path / "missing.fmu"
     remember_trust([missing, foreign], trust=False)
-    assert not is_ours(foreign)
+    assert not is_trusted(foreign)
     remember_trust([missing, foreign], trust=True)
-    assert is_ours(foreign)
+    assert is_trusted(foreign)
     assert len(list(hash_folder().iterdir())) == 1

@@ -15,7 +15,7 @@ from small_study import Hesr, contents, hesr_here
 import hesr as api
 from fmu_src.friction.replay import replay
 from hesr_model.errors import ArgumentError, FitError
-from hesr_model.health.joints import changed
+from hesr_model.health.joints import apply_changes
 from hesr_model.health.proposal import inspect_logs
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
@@ -245,7 +245,7 @@ def test_a_log_is_inspected_without_a_finding_and_fitted(
     log, _ = inspect(name, tmp_path, hesr)
     law = api.fit(log, robot=tmp_path / "bench" / "robot.toml", law="stribeck")
     t = np.arange(100) * 0.005
-    assert CASES[name].truth.worst(lambda dq: law.predict(t=t, dq=dq)) < 0.03
+    assert CASES[name].truth.find_worst_runs(lambda dq: law.predict(t=t, dq=dq)) < 0.03
 
 
 @pytest.mark.ci
@@ -258,7 +258,7 @@ def test_three_commands_lead_to_an_fmu(tmp_path: Path, hesr: Hesr, name: str) ->
     advised = re.search(r"Recommended: (\S+\.fmu)", answer.out)
     assert advised, answer.out
     t = np.arange(100) * 0.005
-    assert CASES[name].truth.worst(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
+    assert CASES[name].truth.find_worst_runs(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
 
 
 def test_the_command_line_and_python_create_the_same_bench(tmp_path: Path, hesr: Hesr) -> None:
@@ -294,7 +294,7 @@ def test_one_torque_constant_and_its_source_are_those_of_all_motors(
     assert hesr(*given, *AMPERES, "--source", "datasheet").code == 0
     robot = RobotDescription.read(tmp_path / "b" / "robot.toml")
     assert robot.log.torque_per_ampere == (0.2, 0.2)
-    assert robot.sources.each("torque_per_ampere", 2) == ("datasheet", "datasheet")
+    assert robot.sources.expand_per_joint("torque_per_ampere", 2) == ("datasheet", "datasheet")
     said = hesr(*given, "--source", "measured")
     assert said.code == 2
     assert said.err.startswith("hesr: --source needs 'torque_per_ampere' in --log, whose source")
@@ -362,7 +362,7 @@ def test_a_torque_that_counts_backwards_is_found(tmp_path: Path, hesr: Hesr, nam
     changes: dict[str, Any] = {"log.units.tau": "-N" if name == "archive" else "-N.m"}
     if gains:
         changes = {"log.torque_per_ampere": tuple(-gain for gain in gains)}
-    proposal = inspect_logs([log], changed(robot, changes))
+    proposal = inspect_logs([log], apply_changes(robot, changes))
     (found,) = proposal.first
     assert (found.check, found.severity) == ("torque-sign", "error")
     assert proposal.examination.findings == ()
@@ -484,4 +484,4 @@ def test_the_commands_of_the_documentation_lead_to_an_fmu(
     advised = re.search(r"Recommended: (\S+\.fmu)", answers[-1].out)
     assert advised, answers[-1].out
     t = np.arange(100) * 0.005
-    assert SPIN.worst(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
+    assert SPIN.find_worst_runs(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03

@@ -57,7 +57,7 @@ def test_the_circle_closes_without_an_edit(
         assert answer.code == 0, f"{words}: {answer.err}"
     plan = folder / "logs" / f"next_friction{SUFFIX}"
     assert plan.read_bytes() == (folder / f"next_friction{SUFFIX}").read_bytes()
-    expected = Forecast.of([folder / "logs" / "next_friction.csv"])
+    expected = Forecast.from_logs([folder / "logs" / "next_friction.csv"])
     assert expected is not None
     verdict = read_verdict(folder / "results" / "next")
     assert verdict is not None
@@ -127,10 +127,10 @@ def known_of(law: FrictionLaw, log: dict[str, np.ndarray]) -> Knowledge:
 def test_the_same_rows_again_shrink_errors_by_the_root_of_two() -> None:
     law = with_covariance(lugre(), ("sigma_2", "F_c", "v_s"))
     known = known_of(law, rows(0.5))
-    for ratio in known.shrinking(law, rows(0.5)).values():
+    for ratio in known.predict_shrinkage(law, rows(0.5)).values():
         assert ratio == pytest.approx(np.sqrt(0.5), rel=1e-6)
-    assert known.shrinking(lugre(), rows(0.5)) == {}
-    faster = known.shrinking(law, rows(1.0))
+    assert known.predict_shrinkage(lugre(), rows(0.5)) == {}
+    faster = known.predict_shrinkage(law, rows(1.0))
     assert faster["sigma_2"] < 0.6  # viscous friction shows at speed
 
 
@@ -148,7 +148,7 @@ def test_a_better_law_promises_larger_errors_of_the_others() -> None:
     law, truth = with_covariance(lugre(), ("F_c", "sigma_2")), lugre(v_s=0.02)
     fast, slow = rows(0.8), rows(0.04)  # the laws differ at slow speeds
     known = known_of(law, fast)
-    shrinking = known.shrinking(law, slow)
+    shrinking = known.predict_shrinkage(law, slow)
     assert known.expected(law, slow) == shrinking  # no law is better
     assert known.expected(lugre(), slow) == {}
     wrong = replace(known_of(truth, fast), laws={"lugre": law, "other": truth})
@@ -158,11 +158,11 @@ def test_a_better_law_promises_larger_errors_of_the_others() -> None:
 
 def test_a_run_is_compared_with_its_plan(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
-    assert Forecast.of([log]) is None
+    assert Forecast.from_logs([log]) is None
     widths = {"lugre": {"j": {"F_c": 2.0, "sigma_2": 1.0}}, "dahl": {"j": {"F_c": 1.0}}}
     data = {"format": FORMAT, "widths": widths, "detectable": {"j": 1.1}}
     log.with_suffix(SUFFIX).write_text(json.dumps(data), encoding="utf-8")
-    plan = Forecast.of([tmp_path / "other.csv", log])
+    plan = Forecast.from_logs([tmp_path / "other.csv", log])
     assert plan is not None
     law = replace(lugre(), standard_errors={"F_c": 2.2, "sigma_2": 3.0})
     model = FrictionModel(law="lugre", robot="r", joints=("j",), laws=(law,), sample_time=0.005)

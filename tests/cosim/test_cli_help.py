@@ -13,7 +13,7 @@ import pytest
 from small_study import Hesr, hesr_here
 
 from hesr.cli import app
-from hesr.cli.console import MOVED
+from hesr.cli.console import MOVED_VERBS
 
 CONTEXT = click.Context(app, info_name="hesr")
 COMMANDS = {name: app.get_command(CONTEXT, name) for name in app.list_commands(CONTEXT)}
@@ -175,10 +175,10 @@ def test_the_bash_script_runs_in_bash(tmp_path: Path) -> None:
 # --- verbs of earlier versions ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("verb", MOVED)
+@pytest.mark.parametrize("verb", MOVED_VERBS)
 def test_an_old_verb_prints_its_new_form(verb: str, hesr: Hesr) -> None:
     answer = hesr(verb, "some", "--option", "x")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == f"hesr: {MOVED[verb]}\n"
-    new = re.search(r"hesr (\w+)", MOVED[verb].partition(": ")[2])
+    assert answer.err == f"hesr: {MOVED_VERBS[verb]}\n"
+    new = re.search(r"hesr (\w+)", MOVED_VERBS[verb].partition(": ")[2])
     assert new is None or new[1] in COMMANDS

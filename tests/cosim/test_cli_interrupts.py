@@ -18,7 +18,7 @@ from processes import HANG, running, started, wait_for, wait_for_line
 from small_study import contents, uf850, write_study
 from small_twin import GAINS
 
-from hesr.cli.console import ended_by_signals
+from hesr.cli.console import interrupt_on_signals
 from hesr_model.support.files import folder_written_whole
 from hesr_model.support.progress import deferred
 
@@ -109,7 +109,7 @@ def test_a_signal_in_a_finaliser_is_not_lost(number: signal.Signals) -> None:
         kept.clear()
         time.sleep(30.0)
 
-    with ended_by_signals(), pytest.raises(KeyboardInterrupt) as raised:
+    with interrupt_on_signals(), pytest.raises(KeyboardInterrupt) as raised:
         work()
     assert (raised.type is KeyboardInterrupt) == (number == signal.SIGINT)
 

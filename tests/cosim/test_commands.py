@@ -94,7 +94,7 @@ def test_models_have_the_owner_of_their_robot(arm: RobotDescription, file: Path)
     owned = arm.model_copy(update={"owner": Owner(author="A", license="MIT")})
     for robot, owner in ((arm, {}), (owned, {"author": "A", "license": "MIT"})):
         model = hesr.fit(str(file), law="stribeck", robot=robot)
-        assert Owner.of(model.provenance).known == owner
+        assert Owner.from_provenance(model.provenance).known == owner
 
 
 def test_a_log_is_inspected(arm: RobotDescription, file: Path) -> None:

@@ -18,14 +18,14 @@ from processes import HANG
 from hesr.cli.console import (
     _Ended,
     accept_any_text,
-    answer_file,
-    command_output,
-    ended_by_signals,
-    errors_said,
+    direct_output,
+    interrupt_on_signals,
+    provide_answer_file,
     provide_home,
     refuse,
+    report_errors,
     require_environment,
-    shown_progress,
+    show_progress,
 )
 from hesr_model.errors import ConfigError
 from hesr_model.support.progress import Interrupted
@@ -35,7 +35,7 @@ Capture = pytest.CaptureFixture[str]
 
 
 def answer(json_file: Path, data: dict[str, int], output: TextIO | None = None) -> None:
-    with answer_file(json_file, output) as file:
+    with provide_answer_file(json_file, output) as file:
         assert file is not None
         write_json(file, data)
 
@@ -55,7 +55,7 @@ def test_verbosity_decides_what_is_printed_and_logged(
     quiet: bool, verbose: bool, levels: list[str], capsys: Capture
 ) -> None:
     log = logging.getLogger("cosim.made_up")
-    with command_output(quiet=quiet, verbose=verbose, json_file=None):
+    with direct_output(quiet=quiet, verbose=verbose, json_file=None):
         click.echo("result")
         for level in ("DEBUG", "INFO", "WARNING", "ERROR"):
             log.log(logging.getLevelName(level), "as %s", level)
@@ -70,14 +70,14 @@ def test_verbosity_decides_what_is_printed_and_logged(
 def test_quiet_and_verbose_exclude_each_other() -> None:
     with (
         pytest.raises(ConfigError, match="--quiet and --verbose are contradictory"),
-        command_output(quiet=True, verbose=True, json_file=None),
+        direct_output(quiet=True, verbose=True, json_file=None),
     ):
         pytest.fail("the block runs")
 
 
 @pytest.mark.parametrize("quiet", [False, True])
 def test_json_is_the_only_standard_output(quiet: bool, capsys: Capture) -> None:
-    with command_output(quiet=quiet, verbose=False, json_file=Path("-")) as output:
+    with direct_output(quiet=quiet, verbose=False, json_file=Path("-")) as output:
         click.echo("summary")
         answer(Path("-"), {"a": 1}, output)
     assert capsys.readouterr().out == ("" if quiet else '{\n  "a": 1\n}\n')
@@ -85,7 +85,7 @@ def test_json_is_the_only_standard_output(quiet: bool, capsys: Capture) -> None:
 
 def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> None:
     def fail(file: Path) -> None:
-        with answer_file(file, sys.stdout) as wanted:
+        with provide_answer_file(file, sys.stdout) as wanted:
             assert wanted
             wanted.write_text("half")
             raise KeyError
@@ -95,7 +95,7 @@ def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> Non
             fail(file)
     assert capsys.readouterr().out == ""
     assert list(tmp_path.iterdir()) == []
-    with answer_file(None, None) as wanted:
+    with provide_answer_file(None, None) as wanted:
         assert wanted is None
     answer(tmp_path / "b.json", {"b": 2})
     assert (tmp_path / "b.json").read_text() == '{\n  "b": 2\n}\n'
@@ -104,8 +104,8 @@ def test_a_failed_command_writes_no_json(tmp_path: Path, capsys: Capture) -> Non
 def test_progress_is_logged_with_verbose(capsys: Capture) -> None:
     for verbose in (True, False):
         with (
-            command_output(quiet=False, verbose=verbose, json_file=None),
-            shown_progress(hidden=verbose) as progress,
+            direct_output(quiet=False, verbose=verbose, json_file=None),
+            show_progress(is_hidden=verbose) as progress,
         ):
             for done in (0, 1):
                 progress("fitting", done, 2)
@@ -140,7 +140,7 @@ def test_an_interrupt_is_one_sentence(
 ) -> None:
     with (
         pytest.raises(click.exceptions.Exit) as ended,
-        command_output(quiet=True, verbose=False, json_file=None),
+        direct_output(quiet=True, verbose=False, json_file=None),
     ):
         raise interrupt
     assert ended.value.exit_code == code
@@ -162,7 +162,7 @@ def test_signals_end_a_command_once(number: int, kind: type[BaseException]) -> N
     before = handlers()
     cleaned = []
 
-    @ended_by_signals()
+    @interrupt_on_signals()
     def work() -> None:
         try:
             send(number)
@@ -181,7 +181,7 @@ def test_signals_end_a_command_once(number: int, kind: type[BaseException]) -> N
 def test_an_ignored_interrupt_stays_ignored() -> None:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with ended_by_signals():
+        with interrupt_on_signals():
             send(signal.SIGINT)
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
             with pytest.raises(_Ended):
@@ -206,7 +206,7 @@ class Dropping:
 def test_a_dropped_interrupt_is_raised_again(number: int, kind: type[BaseException]) -> None:
     waited = []
 
-    @ended_by_signals()
+    @interrupt_on_signals()
     def work() -> None:
         Dropping(number)
         begin = time.monotonic()
@@ -239,18 +239,18 @@ FULL = OSError(errno.ENOSPC, "No space left\n on device.", "some/file")
 def test_errors_are_one_sentence_and_exit_with_2(
     error: Exception, sentence: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as ended, errors_said():
+    with pytest.raises(SystemExit) as ended, report_errors():
         raise error
     assert ended.value.code == 2
     assert capfd.readouterr().err == OneSentence("hesr: ", sentence)
 
 
 def test_a_closed_output_ends_with_1(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended, errors_said():
+    with pytest.raises(SystemExit) as ended, report_errors():
         raise BrokenPipeError
     assert ended.value.code == 1
     assert capfd.readouterr().err == ""
-    with pytest.raises(ZeroDivisionError), errors_said():
+    with pytest.raises(ZeroDivisionError), report_errors():
         raise ZeroDivisionError  # bugs keep their traceback
 
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from oracles.arm import encoder_error, torque_error
 
-from cosim.loop.motions import Motions, names_of
+from cosim.loop.motions import Motions, list_log_names
 from fmu_src.arm.plant import Plant
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
-from hesr_model.fitting.uncertainty import with_pooled_errors, with_standard_errors
+from hesr_model.fitting.uncertainty import add_standard_errors, pool_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -71,8 +71,8 @@ def case() -> Case:
     )  # fmt: skip
     logs = []
     for motion in Motions.read(MOTIONS).motions:
-        both = (motion.trajectory(), motion.trajectory().time_reversed())
-        for name, trajectory in zip(names_of(motion), both, strict=False):
+        both = (motion.trajectory(), motion.trajectory().reverse_time())
+        for name, trajectory in zip(list_log_names(motion), both, strict=False):
             if name not in NAMES:
                 continue
             t = np.arange(0.0, trajectory.duration - sum(motion.unlogged), 1.0 / plant.sample_rate)
@@ -87,11 +87,11 @@ def fitted(case: Case, log: Log, body: RigidBody) -> list[FrictionLaw]:
     """Laws of the true form, fitted to the sweep starting at the truth."""
     laws, space = [], LuGre().space()
     for record, true in zip(friction_records(log, case.model, body), case.laws, strict=True):
-        problem = Separable(true.form, space, JointRows.of([record], coefficients=7))
+        problem = Separable(true.form, space, JointRows.from_records([record], coefficients=7))
         point = problem.polish(problem.point(SEARCHED))
         law = replace(true, values=problem.values(point, problem.solve(point)[0]))
-        laws.append(with_standard_errors(law, [record], space))
-    return with_pooled_errors(laws)
+        laws.append(add_standard_errors(law, [record], space))
+    return pool_errors(laws)
 
 
 def scores(case: Case, seed: int) -> dict[str, float]:

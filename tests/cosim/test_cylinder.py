@@ -9,7 +9,7 @@ import pytest
 import hesr
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import SimulationError
-from hesr_model.forward.simulation import windows_of
+from hesr_model.forward.simulation import cut_windows
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.laws.lugre import LuGreLoad
@@ -97,7 +97,7 @@ def test_the_load_is_no_input_of_a_simulation(bench: Path) -> None:
     records = friction_records(log, robot, identify([log], robot))
     sentence = "log 'a': the load"
     with pytest.raises(SimulationError, match=re.escape(sentence)):
-        windows_of([records], 0.2)
+        cut_windows([records], 0.2)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.loop.excite import loaded_arm, record
-from cosim.report.figures.motions import excitation
+from cosim.loop.excite import load_arm, record
+from cosim.report.figures.motions import write_excitation
 from cosim.workflow.excite import excite
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ConfigError, FitError, RobotError
@@ -48,10 +48,10 @@ def recorded(designed):
     """The second of two periods, forward and time-reversed, on the twin."""
     plant = Plant.read(FOLDER / "plant.toml")
     motion = replace(designed.excitation.motion, periods=2)
-    with loaded_arm(plant) as arm:
+    with load_arm(plant) as arm:
         return [
             record(arm, trajectory, 1, name=name, unlogged=(motion.period, 0.0))
-            for name, trajectory in (("forward", motion), ("backward", motion.time_reversed()))
+            for name, trajectory in (("forward", motion), ("backward", motion.reverse_time()))
         ]
 
 
@@ -85,7 +85,7 @@ def test_picture_is_reproducible(designed, tmp_path):
     assert designed.picture.name == "motion.png"
     assert designed.picture.read_bytes().startswith(b"\x89PNG")
     again = tmp_path / "again.png"
-    excitation(again, designed.excitation, ["joint1", "joint2", "joint3"])
+    write_excitation(again, designed.excitation, ["joint1", "joint2", "joint3"])
     assert again.read_bytes() == designed.picture.read_bytes()
 
 
@@ -131,7 +131,7 @@ def test_rigid_body_of_the_twin_is_identified(designed, recorded, model, method,
 def test_random_motions_respect_the_limits_of_the_twin(model):
     plant, limits = Plant.read(FOLDER / "plant.toml"), MotionLimits(velocity=(2.0, 2.0, 2.0))
     motion = random_motions(model, ExcitationSettings(limits=limits), 1, seed=3)[0]
-    with loaded_arm(plant) as arm:
+    with load_arm(plant) as arm:
         record(arm, motion, 1, name="random")
     assert condition(model, base_columns(model), motion) > 15.0
 

@@ -17,7 +17,7 @@ from cosim.report.sections import inputs
 from cosim.report.tables.laws import rigid_body
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.simulation import Simulation
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.arm.table import SignalTable
 from fmu_src.arm.truth import Truth, write_truth
 from hesr_model.errors import ArgumentError, ConfigError, FitError, LogError, RobotError
@@ -53,7 +53,7 @@ def moved(truth: Truth, folder: Path) -> Log:
     t = STEP * np.arange(round(SECONDS / STEP))
     speeds = [sum(a * np.sin(2 * np.pi * f * t) for a, f in own) for own in SINES]
     commands = np.column_stack(speeds) * np.minimum(1.0, t / 2.0)[:, None]
-    arm = Simulation(signals_of(path, table))
+    arm = Simulation(read_signals(path, table))
     quiet = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}
     start = {"q0[1]": 0.0, "q0[2]": 0.3, "q0[3]": -1.9, "payload": 5.0}
     rows = [arm.reset(quiet | start), *(arm.step(row, STEP) for row in commands[:-1])]

@@ -13,11 +13,11 @@ from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.friction.replay import replay
 from hesr_model.fitting.fit import fit
-from hesr_model.forward.output_error import MOST_TORQUE, Refined, refine
-from hesr_model.forward.simulation import Simulator, position_errors, whole, windows_of
+from hesr_model.forward.output_error import MAX_TORQUE_RATIO, Refined, refine
+from hesr_model.forward.simulation import Simulator, cut_windows, position_errors, to_single_window
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import smoothed
+from hesr_model.logs.signals import smooth_logs
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -68,7 +68,7 @@ def identified(request: pytest.FixtureRequest, folder: Path, logs: tuple[Log, Lo
 @pytest.fixture(scope="module")
 def refined(identified: Identified, logs: tuple[Log, Log]) -> Refined:
     robot, body, law = identified
-    return refine(robot, body, law, smoothed([logs[0]], robot))
+    return refine(robot, body, law, smooth_logs([logs[0]], robot))
 
 
 def test_mass_and_friction_are_identified(identified: Identified) -> None:
@@ -91,7 +91,7 @@ def position(robot: Robot, body: RigidBody, law: FrictionModel, log: Log, length
     """RMS [m] over windows of the given length [s]; 0 is the open loop."""
     records = friction_records(log, robot, body)
     one = Simulator(robot=robot, parameters=body.parameters, friction=law)
-    cut = windows_of([records], length) if length else whole(records)
+    cut = cut_windows([records], length) if length else to_single_window(records)
     (found,) = position_errors(one.run(cut), cut)
     return np.inf if found is None else found
 
@@ -115,7 +115,7 @@ def test_torque_error_is_unchanged_on_the_training_log(
 ) -> None:
     robot, body, law = identified
     after = torque_error(robot, refined.body, refined.friction, logs[0])
-    assert after <= MOST_TORQUE * torque_error(robot, body, law, logs[0])
+    assert after <= MAX_TORQUE_RATIO * torque_error(robot, body, law, logs[0])
     np.testing.assert_allclose(refined.friction.training_rmse, [after], rtol=1e-9)
     assert not refined.friction.laws[0].standard_errors  # those belong to another estimate
 
@@ -189,7 +189,7 @@ def test_finer_deflections_simulate_a_sliding_axis_better(
         own = Simulator(robot=robot, parameters=body.parameters, friction=model)
         found = [
             position_errors(own.run(windows), windows)[0]
-            for windows in (whole(unseen), windows_of([unseen], 0.2))
+            for windows in (to_single_window(unseen), cut_windows([unseen], 0.2))
         ]
         errors.append(np.array(found, dtype=float))
     assert np.all(errors[0] <= 0.8 * errors[1]), errors

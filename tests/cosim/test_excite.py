@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import qr
 
-from cosim.loop.excite import excite, loaded_arm, record, recordings
+from cosim.loop.excite import excite, load_arm, record, record_motions
 from cosim.loop.motions import Motions
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant, joint_limits
@@ -43,7 +43,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def arm(plant):
-    with loaded_arm(plant) as loaded:
+    with load_arm(plant) as loaded:
         yield loaded
 
 
@@ -54,7 +54,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def everything(motions, plant):
-    return {recording.log.name: recording for recording in recordings(motions, plant)}
+    return {recording.log.name: recording for recording in record_motions(motions, plant)}
 
 
 def only(motions, *names):
@@ -72,7 +72,7 @@ def sine(frequency=2.0, amplitude=(0.2, 0.2, 0.2), periods=2):
 def test_servo_signals_give_the_logs_of_named_signals(motions, plant, everything, tmp_path):
     folder = FOLDER / "uf850"
     fmu = export_mjcf(plant.model, tmp_path / "Arm.fmu", table=folder / "arm.toml")
-    for recording in recordings(motions, plant, fmu=fmu):
+    for recording in record_motions(motions, plant, fmu=fmu):
         other = everything[recording.log.name]
         np.testing.assert_array_equal(recording.log.q, other.log.q)
         np.testing.assert_array_equal(recording.log.tau, other.log.tau)
@@ -231,7 +231,7 @@ def test_the_seed_determines_noise_and_bytes(motions, plant, tmp_path):
 
 def test_the_truth_does_not_depend_on_the_seed(motions, plant):
     chirp = only(motions, "chirp")
-    one, other = (next(recordings(chirp, seeded(plant, seed))) for seed in (7, 8))
+    one, other = (next(record_motions(chirp, seeded(plant, seed))) for seed in (7, 8))
     assert np.array_equal(one.truth.q, other.truth.q)
     assert np.array_equal(one.truth.tau_f_true, other.truth.tau_f_true)
     assert not np.any(one.log.tau == other.log.tau)

@@ -22,9 +22,9 @@ from fmu_src.friction.replay import replay
 from hesr.cli import main
 from hesr.extras.fleet.deviation import Trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
-from hesr.extras.fleet.robot import look_at, read_result
-from hesr.extras.fleet.run import changed, compared, run_fleet, write_types
-from hesr.extras.fleet.study import FleetStudy, members
+from hesr.extras.fleet.robot import process_robot, read_result
+from hesr.extras.fleet.run import compare_robots, find_changes, run_fleet, write_types
+from hesr.extras.fleet.study import FleetStudy, find_members
 from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
@@ -75,7 +75,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def logs_of(cell: Path, robot: str) -> tuple[Robot, list[Log]]:
     description = RobotDescription.read(cell / "robot.toml")
-    found = members(FleetStudy.read(cell / "fleet.toml"), cell / "fleet.toml")
+    found = find_members(FleetStudy.read(cell / "fleet.toml"), cell / "fleet.toml")
     logs = next(one.logs for one in found if one.name == robot)
     read = [replace(Log.read(path, description), name=name) for name, path in logs]
     return Robot(description), read
@@ -113,7 +113,7 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_that_sample(
     file = copied / "fleet.toml"
     file.write_text("rows = 1500\n" + file.read_text(encoding="utf-8"), encoding="utf-8")
     study = FleetStudy.read(file)
-    look_at(members(study, file)[0], study, tmp_path / "R0")
+    process_robot(find_members(study, file)[0], study, tmp_path / "R0")
     model, logs = logs_of(copied, "R0")
     body = RigidBody.read(tmp_path / "R0" / "rigid_body.json")
     sample = Sample(1500, 0)
@@ -126,7 +126,7 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_that_sample(
     # The rigid body and the errors are still those of all rows.
     assert body.rows == 5005
     np.testing.assert_allclose(body.parameters, identify(logs, model).parameters, rtol=1e-7)
-    (one,) = read_result(tmp_path / "R0").of_law("stribeck")
+    (one,) = read_result(tmp_path / "R0").select_law("stribeck")
     every = [motion_records(smooth(log), model, body) for log in logs]
     errors = [found.predict(of)[:, 0] - of[0].tau for of in every]
     assert one.rmse == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
@@ -213,7 +213,7 @@ def test_unfitted_laws_are_reported(copied: Path, tmp_path: Path) -> None:
     both = '["lugre_load_ripple", "stribeck"]'
     file.write_text(text.replace('["stribeck"]', both), encoding="utf-8")
     study = FleetStudy.read(file)
-    look_at(members(study, file)[0], study, tmp_path / "R0")
+    process_robot(find_members(study, file)[0], study, tmp_path / "R0")
     found = read_result(tmp_path / "R0")
     assert (found.laws, found.failure) == (["stribeck"], "")
     assert "law 'lugre_load_ripple' needs the key 'gear_ratio'" in found.refused[0]
@@ -225,7 +225,7 @@ def test_write_errors_are_not_attributed_to_a_robot(copied: Path) -> None:
     study = FleetStudy.read(file)
     (folder / "stribeck.json").mkdir(parents=True)
     with pytest.raises(ArtifactError, match=r"stribeck\.json: cannot be written there"):
-        look_at(members(study, file)[0], study, folder)
+        process_robot(find_members(study, file)[0], study, folder)
     assert not (folder / "result.json").exists()
 
 
@@ -236,7 +236,7 @@ def test_a_named_pipe_among_logs_does_not_block(copied: Path) -> None:
     (copied / "logs" / "robot=R0").mkdir()
     os.mkfifo(copied / "logs" / "robot=R0" / "run.csv")  # it cannot be hashed either
     study = FleetStudy.read(file)
-    look_at(members(study, file)[0], study, folder)
+    process_robot(find_members(study, file)[0], study, folder)
     assert "run.csv: no such log file." in read_result(folder).failure
 
 
@@ -272,30 +272,30 @@ def with_first(robots: list[RobotResult], joint: int, **new: object) -> list[Rob
 
 def test_outliers_of_a_type_are_found() -> None:
     robots = fleet_of(40)
-    z, none = compared(robots, 0.05)
+    z, none = compare_robots(robots, 0.05)
     assert none == []
     assert set(z["R000", "coulomb", "j1"]) == {"F_c", "tau_0", "rmse"}
     odd = with_first(robots, 1, values={"F_c": 3.0, "tau_0": 0.0}, rmse=2.0)
-    _, found = compared(odd, 0.05)
+    _, found = compare_robots(odd, 0.05)
     assert {(d.robot, d.type, d.joint, d.name) for d in found} == {
         ("R000", "arm", "j2", "rmse"), ("R000", "arm", "j2", "F_c"),
     }  # fmt: skip
     assert abs(found[0].z) >= abs(found[1].z) > 5.0
     # Another structure or another type gives no population to compare with.
-    assert compared(with_first(odd, 1, structure='{"terms": 2}'), 0.05)[1] == []
-    assert compared([replace(odd[0], type="other"), *odd[1:]], 0.05)[1] == []
-    assert compared(odd[:4], 0.05) == ({}, [])
+    assert compare_robots(with_first(odd, 1, structure='{"terms": 2}'), 0.05)[1] == []
+    assert compare_robots([replace(odd[0], type="other"), *odd[1:]], 0.05)[1] == []
+    assert compare_robots(odd[:4], 0.05) == ({}, [])
 
 
 def test_changes_are_reported_with_their_likely_cause() -> None:
     robots = fleet_of(20)
-    assert changed(robots, 0.05, 0.0) == []
+    assert find_changes(robots, 0.05, 0.0) == []
 
     def trends(**changes: float) -> dict[str, Trend]:
         return {n: Trend(slope=c / 10.0, change=c, p=1e-9) for n, c in changes.items()}
 
     def kinds(robots: list[RobotResult]) -> list[tuple[str, str, bool]]:
-        return [(c.joint, c.kind, c.worse) for c in changed(robots, 0.05, 0.05)]
+        return [(c.joint, c.kind, c.worse) for c in find_changes(robots, 0.05, 0.05)]
 
     one = with_first(robots, 0, trends=trends(level=0.2, offset=-0.1, error=-0.3))
     assert kinds(one) == [
@@ -307,7 +307,7 @@ def test_changes_are_reported_with_their_likely_cause() -> None:
     assert kinds(both)[:2] == [("j2", "shared drift", True), ("j1", "shared drift", True)]
     less = with_first(one, 1, trends=trends(level=-0.3))
     assert ("j2", "drift", False) in kinds(less)
-    assert "temperature or lubrication" in changed(both, 0.05, 0.05)[0].points_to
+    assert "temperature or lubrication" in find_changes(both, 0.05, 0.05)[0].points_to
 
 
 # --- one FMU for all ----------------------------------------------------------------------------
@@ -380,7 +380,7 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
         "b/arm2/20269999.pq",
         "b/note.csv",
     )
-    first, second = members(*study_of(tmp_path, one="a/day=*/robot=*", two="b/*"))
+    first, second = find_members(*study_of(tmp_path, one="a/day=*/robot=*", two="b/*"))
     assert (first.name, first.type) == ("R1", "one")
     assert [name for name, _ in first.logs] == [
         "day=2026-01-30/robot=R1/part-0",
@@ -391,7 +391,7 @@ def test_logs_are_found_in_folders_and_partitions(tmp_path: Path) -> None:
     assert second.days == {"arm2/20269999": 0.0, "arm2/run2": 1.0, "arm2/run_20260131_b": 2.0}
     (tmp_path / "b/arm2/20269999.pq").unlink()
     (tmp_path / "b/arm2/run2.mat").rename(tmp_path / "b/arm2/2026-01-30.mat")
-    assert list(members(*study_of(tmp_path, two="b/*"))[0].days.values()) == [0.0, 1.0]
+    assert list(find_members(*study_of(tmp_path, two="b/*"))[0].days.values()) == [0.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -437,11 +437,11 @@ def test_a_cyclic_link_is_refused(tmp_path: Path) -> None:
     """Its logs would be read until the path is too long: 41 times."""
     laid(tmp_path, "b/arm2/run2.mat", "c/arm3/run3.mat")
     (tmp_path / "b/arm2/far").symlink_to(tmp_path / "c")  # for example on another disk
-    (arm,) = members(*study_of(tmp_path, two="b/*"))
+    (arm,) = find_members(*study_of(tmp_path, two="b/*"))
     assert [name for name, _ in arm.logs] == ["arm2/far/arm3/run3", "arm2/run2"]
     (tmp_path / "b/arm2/loop").symlink_to("..")
     with pytest.raises(ConfigError, match="b/arm2/loop: links to a folder"):
-        members(*study_of(tmp_path, two="b/*"))
+        find_members(*study_of(tmp_path, two="b/*"))
 
 
 def test_folders_of_another_fleet_are_refused(copied: Path, command: Command, capsys) -> None:

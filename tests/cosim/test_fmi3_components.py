@@ -14,7 +14,7 @@ from fmu_src.blocks.controller import velocity
 from fmu_src.export.description3 import to_xml3
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.trust import is_ours
+from fmu_src.run.trust import is_trusted
 from fmu_src.run.variables import model_description
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -39,7 +39,7 @@ def fmu(request: pytest.FixtureRequest, friction3: Path, tmp_path: Path) -> Path
     foreign.write_bytes(friction3.read_bytes())
     with ZipFile(foreign, "a") as archive:
         archive.comment = b"of a stranger"
-    assert not is_ours(foreign)
+    assert not is_trusted(foreign)
     return foreign
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import Recording, TwinArm, loaded_arm, record
+from cosim.loop.excite import Recording, TwinArm, load_arm, record
 from cosim.loop.traces import Following, FollowingError
 from cosim.report.tables.loop import benefit
-from cosim.study.scores import by_joint
+from cosim.study.scores import transpose_records
 from fmu_src.arm.plant import Plant
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr.extras.studies.feed_forward import feed_forward, predict_following
 from hesr_model.errors import ConfigError, FitError
 from hesr_model.fitting.fit import fit_models
@@ -42,7 +42,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="module")
 def arm() -> Iterator[TwinArm]:
-    with loaded_arm(Plant.read(TWIN / "plant.toml")) as loaded:
+    with load_arm(Plant.read(TWIN / "plant.toml")) as loaded:
         yield loaded
 
 
@@ -55,7 +55,7 @@ def recorded(arm: TwinArm) -> Recording:
 def identified(arm: TwinArm, robot: Robot) -> tuple[RigidBody, FrictionModel]:
     logs = [run(arm, seed, f"training {seed}").log for seed in (3, 4)]
     body = identify(logs, robot)
-    records = by_joint([friction_records(log, robot, body) for log in logs])
+    records = transpose_records([friction_records(log, robot, body) for log in logs])
     return body, fit_models(["lugre"], records, robot="uf850", seed=0, workers=1)["lugre"]
 
 
@@ -88,16 +88,16 @@ def test_servo_with_position_commands(
     kp, latency, share, step = (30.0, 40.0, 25.0), 0.007, 0.6, 1e-3
     fmu = tmp_path / "Plant.fmu"
     gains = {"kv": np.array(KV), "ki": np.array(KI), "kp": np.array(kp)}
-    export_plant(table1, fmu, body=PlantBody.of(robot), **gains, bare=True)
+    export_plant(table1, fmu, body=PlantBody.from_robot(robot), **gains, bare=True)
     t = np.arange(0.0, 12.0, step)
     q_cmd = np.column_stack([np.interp(t, recorded.log.t, q) for q in recorded.desired.T])
     with FmuInstance(fmu, name="plant") as plant:
         start = {"q_start": tuple(q_cmd[0]), "latency": latency, "gravity_share": (share,) * 3}
-        plant.initialise(start=plant.variables.expanded(start))
+        plant.initialise(start=plant.variables.expand_values(start))
         commands = [f"{name}[{i}]" for name in ("q_cmd", "dq_cmd") for i in (1, 2, 3)]
         outputs = [f"{name}[{i}]" for name in ("q", "dq", "tau_motor") for i in (1, 2, 3)]
         dq_cmd = np.gradient(q_cmd, t, axis=0)
-        rows = through(
+        rows = step_rows(
             plant,
             plant.buffer(commands),
             plant.buffer(outputs),

@@ -24,7 +24,7 @@ from fmu_src.run import sandbox_child, sandbox_rights
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.instance import Instance
 from fmu_src.run.sandbox import Sandbox
-from fmu_src.run.trust import hash_folder, is_ours, remember
+from fmu_src.run.trust import hash_folder, is_trusted, remember
 from hesr_model.errors import SimulationError
 from hesr_model.support.files import sha256
 
@@ -213,7 +213,7 @@ def test_harmless_side_effects_are_allowed(
     here, before = Path.cwd(), children()
     monkeypatch.setenv("DEED", deed)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr("fmu_src.run.sandbox._FAREWELL", 1.0)
+    monkeypatch.setattr("fmu_src.run.sandbox._FREE_TIMEOUT", 1.0)
     go(hostile_lag)
     assert Path.cwd() == here
     assert children() == before
@@ -445,17 +445,17 @@ def test_a_marker_that_anyone_can_make_trusts_nothing(
     foreign = archived({"a": b"b"}, tmp_path / "Foreign.fmu")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "attacker"))
     remember(lag_fmu)
-    assert is_ours(lag_fmu)
+    assert is_trusted(lag_fmu)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "victim"))
     (hash_folder() / sha256(lag_fmu)).touch(0o600)
-    assert not is_ours(lag_fmu)
+    assert not is_trusted(lag_fmu)
     remember(lag_fmu)
-    assert is_ours(lag_fmu)
-    assert not is_ours(foreign)
+    assert is_trusted(lag_fmu)
+    assert not is_trusted(foreign)
     changed = bytearray(lag_fmu.read_bytes())
     changed[-1] ^= 1
     (tmp_path / "Changed.fmu").write_bytes(changed)
-    assert not is_ours(tmp_path / "Changed.fmu")
+    assert not is_trusted(tmp_path / "Changed.fmu")
 
 
 def test_unwritable_hashes_leave_an_fmu_foreign(
@@ -463,16 +463,16 @@ def test_unwritable_hashes_leave_an_fmu_foreign(
 ) -> None:
     """An FMU whose hash cannot be stored still runs, as a foreign one."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert not is_ours(lag_fmu)
+    assert not is_trusted(lag_fmu)
     hash_folder().write_text("a file where the folder should be")
     remember(lag_fmu)
-    assert not is_ours(lag_fmu)
+    assert not is_trusted(lag_fmu)
     with FmuInstance(lag_fmu) as lag:
         lag.initialise(start={"x_start": 0.5})
         assert lag.get(["y"]) == [0.5]
     hash_folder().unlink()
     remember(lag_fmu)
-    assert is_ours(lag_fmu)
+    assert is_trusted(lag_fmu)
 
 
 def test_trust_is_persistent(
@@ -483,11 +483,11 @@ def test_trust_is_persistent(
     system.write_text(LAGS.replace("FMU", str(foreign_lag)), encoding="utf-8")
     outputs = []
     for option in ((), ("--trust",), ()):
-        known = is_ours(foreign_lag)
+        known = is_trusted(foreign_lag)
         outputs.append(tmp_path / f"{len(outputs)}.csv")
         assert hesr("simulate", system, "-o", outputs[-1], *option).code == 0
         assert known == (len(outputs) == 3)
-    assert is_ours(foreign_lag)
+    assert is_trusted(foreign_lag)
     assert len({output.read_bytes() for output in outputs}) == 1
 
 
@@ -495,7 +495,7 @@ def test_old_hashes_are_forgotten(
     lag_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("fmu_src.run.trust._MOST_HASHES", 10)
+    monkeypatch.setattr("fmu_src.run.trust._MAX_HASHES", 10)
     remember(lag_fmu)
     place = hash_folder()
     for k in range(10):
@@ -503,14 +503,14 @@ def test_old_hashes_are_forgotten(
         os.utime(place / f"{k:064x}", (k, k))
     remember(lag_fmu)
     assert len(list(place.iterdir())) == 6
-    assert is_ours(lag_fmu)
+    assert is_trusted(lag_fmu)
 
 
 def test_limits_are_those_of_the_page() -> None:
     page = Path(__file__).parents[2].joinpath("docs/security.md").read_text(encoding="utf-8")
     limits = (
-        f"{sandbox_child.MOST_MEMORY >> 30} GiB of address space",
-        f"{sandbox_child.MOST_IN_A_FILE >> 30} GiB per file",
-        f"{sandbox_child.MOST_FILES} open files",
+        f"{sandbox_child.MAX_MEMORY_BYTES >> 30} GiB of address space",
+        f"{sandbox_child.MAX_FILE_BYTES >> 30} GiB per file",
+        f"{sandbox_child.MAX_OPEN_FILES} open files",
     )
     assert ", ".join(limits) in page

@@ -17,7 +17,7 @@ from containing import Containing, OneSentence
 from processes import COMMAND, assert_nothing_runs, started, wait_for
 from small_study import Hesr, contents, hesr_here, uf850, write_study
 
-from cosim.loop.excite import loaded_arm, record
+from cosim.loop.excite import load_arm, record
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.motions.trajectories import Sine
@@ -513,7 +513,7 @@ def test_an_endless_motion_is_refused() -> None:
     plant = Plant.read(uf850("plant.toml"))
     slow = Sine(offset=np.zeros(3), amplitude=np.ones(3), frequency=1e-300, periods=1)
     sentence = r"2e\+302 samples; at most 1e\+08 can be logged"
-    with loaded_arm(plant) as arm, pytest.raises(ConfigError, match=sentence):
+    with load_arm(plant) as arm, pytest.raises(ConfigError, match=sentence):
         record(arm, slow, 1, name="slow")
 
 

@@ -16,8 +16,8 @@ from small_fmus import LAGS
 from small_study import Hesr, contents, hesr_here
 
 from cosim.systems.simulation import Master
-from cosim.systems.system import SystemSpec, opened_system
-from fmu_src.friction.embedded_model import embedded_model
+from cosim.systems.system import SystemSpec, open_system
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.run.archive import Archive
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.variables import model_description
@@ -165,10 +165,10 @@ def test_sizes_are_measured_on_the_content(members: dict[str, bytes], tmp_path: 
 @pytest.mark.parametrize(
     ("limit", "value", "said"),
     [
-        ("MOST_ENTRIES", 3, r"\d+ entries; at most 3"),
-        ("MOST_BYTES_IN_ALL", 1000, r"claims \d+ bytes unpacked; at most 1000"),
-        ("MOST_DIRECTORY", 100, r"its table of contents has \d+ bytes"),
-        ("MOST_BYTES", 100, r"claims \d+ bytes; more than 100"),
+        ("MAX_ENTRIES", 3, r"\d+ entries; at most 3"),
+        ("MAX_TOTAL_BYTES", 1000, r"claims \d+ bytes unpacked; at most 1000"),
+        ("MAX_DIRECTORY_BYTES", 100, r"its table of contents has \d+ bytes"),
+        ("MAX_ENTRY_BYTES", 100, r"claims \d+ bytes; more than 100"),
     ],
 )
 def test_size_limits_are_enforced(
@@ -184,14 +184,14 @@ def test_as_many_entries_as_allowed_are_read(
 ) -> None:
     with zipfile.ZipFile(lag_fmu) as archive:
         names = archive.namelist()
-    monkeypatch.setattr("fmu_src.run.archive.MOST_ENTRIES", len(names))
+    monkeypatch.setattr("fmu_src.run.archive.MAX_ENTRIES", len(names))
     with Archive(lag_fmu) as found:
         assert set(found.names) <= set(names)
 
 
 def read_fmu(path: Path, folder: Path, *, run: bool) -> None:
     model_description(path)
-    embedded_model(path)
+    read_embedded_model(path)
     with Archive(path) as archive:
         archive.unpack(folder)
     if run:
@@ -202,7 +202,7 @@ def read_fmu(path: Path, folder: Path, *, run: bool) -> None:
 
 
 def read_ssp(path: Path, folder: Path, *, run: bool) -> None:
-    with opened_system(path) as spec:
+    with open_system(path) as spec:
         read_contents(spec, path)
         if run:
             short = spec.model_copy(update={"stop": 2 * spec.step})

@@ -19,11 +19,11 @@ from cosim.study.study import Study
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.records import predict_record
 from hesr_model.health.examine import examine
-from hesr_model.health.joints import changed, without
+from hesr_model.health.joints import apply_changes, remove_joints
 from hesr_model.health.proposal import Proposal, inspect_logs, propose, robot_file
 from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.guess import guess
-from hesr_model.logs.log_table import table_of
+from hesr_model.logs.log_table import build_table
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import identify
@@ -95,7 +95,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
 def test_renamed_torque_columns_need_no_constants(messy: Path, arm: RobotDescription) -> None:
     text = messy.read_text("utf-8").replace("_current", "_torque")
     messy.write_text(text, encoding="utf-8")
-    log = propose([messy], arm, known=False).robot.log
+    log = propose([messy], arm, has_model=False).robot.log
     assert log.torque_per_ampere is None
     assert "torque" in str(log.columns.tau)
 
@@ -286,13 +286,13 @@ def test_only_the_remedy_of_a_refusal_is_kept(
     lines = path.read_text(encoding="utf-8").splitlines()
     lines[50], lines[51] = lines[51], lines[50]
     path.write_text("\n".join(lines), encoding="utf-8")
-    found = propose([path], arm, known=True)
+    found = propose([path], arm, has_model=True)
     assert (found.robot.log.sort, found.robot.log.missing) == (True, "refuse")
     assert set(found.reasons) == {"log.sort"}
     lines[60] = lines[60].replace(lines[60].split(",")[1], "", 1)
     lines.insert(71, lines[70])
     path.write_text("\n".join(lines), encoding="utf-8")
-    found = propose([path], arm, known=True)
+    found = propose([path], arm, has_model=True)
     assert set(found.reasons) == {"log.sort", "log.missing"}
     assert len(found.logs[0].t) == len(motion.t) - 1
 
@@ -306,7 +306,7 @@ def test_a_unit_is_sure_only_with_two_witnesses(
     for dq, mark in ((motion.dq, "sure"), (np.degrees(motion.dq), "likely")):
         path = tmp_path / "log.csv"
         Log(name="log", t=motion.t, q=np.degrees(motion.q), dq=dq, tau=tau).write(path)
-        found = propose([path], arm, known=True)
+        found = propose([path], arm, has_model=True)
         assert found.robot.log.units.q == "deg"
         assert found.reasons["log.units.q"].startswith(f"{mark}: ")
         assert found.examination.findings == ()
@@ -339,7 +339,11 @@ def test_mixed_names_are_recognised(
     head, *rows = path.read_text(encoding="utf-8").splitlines()
     head = re.sub(r"(q|dq|tau)1", r"\1_base", re.sub(r"(q|dq|tau)([23])", r"\1_\2", head))
     path.write_text("\n".join([head, *rows]), encoding="utf-8")
-    assert propose([path], arm, known=True).robot.log.columns.tau == ("tau_base", "tau_2", "tau_3")
+    assert propose([path], arm, has_model=True).robot.log.columns.tau == (
+        "tau_base",
+        "tau_2",
+        "tau_3",
+    )
 
 
 def test_a_clean_log_has_no_findings(
@@ -416,9 +420,9 @@ def test_joints_are_selected_and_keep_their_columns(
 
 
 def test_joints_with_a_transmission_are_not_locked(arm: RobotDescription) -> None:
-    coupled = changed(arm, {"transmission": {"matrix": np.eye(3).tolist()}})
+    coupled = apply_changes(arm, {"transmission": {"matrix": np.eye(3).tolist()}})
     with pytest.raises(RobotError, match=r"\[transmission\], whose motors turn joints"):
-        without(coupled, {"j2": 0.0})
+        remove_joints(coupled, {"j2": 0.0})
 
 
 def test_joints_are_recognised_by_name_and_number(
@@ -465,7 +469,7 @@ def test_mistakes_are_fixed_in_the_proposal(
     path = tmp_path / "wrong.csv"
     dq = motion.dq[:, [0, 2, 1]]
     Log(name="wrong", t=motion.t, q=motion.q, dq=dq, tau=tau).write(path)
-    proposal = propose([path], arm, known=True)
+    proposal = propose([path], arm, has_model=True)
     assert proposal.robot.log.units.tau == ("-N.m", "N.m", "-N.m")
     assert proposal.robot.log.columns.dq == ("dq1", "dq3", "dq2")
     assert proposal.examination.findings == ()
@@ -486,7 +490,7 @@ def test_stated_torque_constants_are_kept(
     np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
     stated = tuple(1.2 * GAINS)
     log = arm.log.model_copy(update={"torque_per_ampere": stated})
-    robot = propose([path], arm.model_copy(update={"log": log}), known=True).robot
+    robot = propose([path], arm.model_copy(update={"log": log}), has_model=True).robot
     assert robot.log.torque_per_ampere == (*stated[:2], -stated[2])
 
 
@@ -511,7 +515,7 @@ def test_a_part_of_a_log_must_have_rows(messy: Path, arm: RobotDescription) -> N
     part = {"log": messy.name, "start": 50.0}
     logs = {"identification": ["a"], "test": {"b": ["b"]}, "parts": {"a": part}}
     robot = messy.with_name("robot.toml")
-    robot.write_text(robot_file(propose([messy], arm, known=True), robot), encoding="utf-8")
+    robot.write_text(robot_file(propose([messy], arm, has_model=True), robot), encoding="utf-8")
     study = Study.model_validate(
         {"name": "cut", "robot": robot, "laws": ["stribeck"], "logs": logs},
         context={"folder": messy.parent},
@@ -524,7 +528,7 @@ def test_a_part_of_a_log_must_have_rows(messy: Path, arm: RobotDescription) -> N
 def test_a_part_is_tested_after_the_earlier_rows(messy: Path, arm: RobotDescription) -> None:
     """The log has a gap at 4 s, which splits the part in two."""
     robot = messy.with_name("robot.toml")
-    robot.write_text(robot_file(propose([messy], arm, known=True), robot), encoding="utf-8")
+    robot.write_text(robot_file(propose([messy], arm, has_model=True), robot), encoding="utf-8")
     log = Log.read(messy, RobotDescription.read(robot))
     assert log.dq is not None
     since, dq = log.t - log.t[0], log.dq[:, 0]
@@ -596,7 +600,7 @@ def test_a_joint_word_does_not_hide_the_quantity(
     names: list[str], quantity: str, unit: str | None
 ) -> None:
     columns = {"t": 0.01 * np.arange(5), "q1": np.arange(5.0), "q2": np.arange(5.0)}
-    table = table_of(Path("log"), columns | {name: np.arange(5.0) for name in names})
+    table = build_table(Path("log"), columns | {name: np.arange(5.0) for name in names})
     found = guess(table, ("shoulder_joint", "elbow_joint"))
     if quantity != "q":
         assert found.columns[quantity] == tuple(names)

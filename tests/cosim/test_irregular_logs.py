@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small_twin import MOTIONS, fourier
 
-from cosim.loop.excite import recordings
+from cosim.loop.excite import record_motions
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.health.examine import examine
 from hesr_model.health.proposal import inspect_logs
-from hesr_model.health.timing import LagRows, lags
+from hesr_model.health.timing import LagRows, find_lags
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -46,7 +46,7 @@ def recorded() -> list[Log]:
 def logs_of(text: str) -> list[Log]:
     motions = Motions.model_validate(tomllib.loads(text))
     plant = Plant.read(models_folder() / "uf850" / "plant.toml")
-    return [recording.log for recording in recordings(motions, plant)]
+    return [recording.log for recording in record_motions(motions, plant)]
 
 
 def irregular(log: Log, seed: int) -> Log:
@@ -107,7 +107,7 @@ def test_a_lag_is_reported_where_there_is_one(recorded: list[Log], arm: Robot, l
 def test_reported_lags_are_within_5_ms(recorded: list[Log], arm: Robot, late: float) -> None:
     base, known = base_columns(arm), []
     for log in recorded:
-        found = lags(LagRows.of(late_torques(log, late), arm, base), range(arm.n))
+        found = find_lags(LagRows.from_log(late_torques(log, late), arm, base), range(arm.n))
         known += [(log.name, lag) for lag in found.values()]
         assert all(abs(lag.value - late) < min(0.005, 3.0 * lag.error) for lag in found.values())
     assert {name for name, _ in known} == (WELL_KNOWN if late else set())
@@ -134,7 +134,7 @@ def test_lags_of_slow_and_fast_motions_are_within_5_ms(arm: Robot) -> None:
     base, told = base_columns(arm), set()
     for log in logs_of(SLOW_AND_FAST):
         for late in (0.0, 0.01, 0.03, 0.05):
-            found = lags(LagRows.of(late_torques(log, late), arm, base), range(arm.n))
+            found = find_lags(LagRows.from_log(late_torques(log, late), arm, base), range(arm.n))
             assert late or not found
             told |= {log.name} if found else set()
             for lag in found.values():

@@ -9,12 +9,12 @@ import pytest
 from small_study import hesr_here
 
 from cosim.study.position_errors import PositionErrors, simulate_tests
-from cosim.study.scores import records_of
+from cosim.study.scores import select_records
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from cosim.study.verdict import ForSimulation, read_verdict
-from hesr_model.audit.certificate import proven
-from hesr_model.forward.output_error import MOST_TORQUE, Refined
+from hesr_model.audit.certificate import has_proof
+from hesr_model.forward.output_error import MAX_TORQUE_RATIO, Refined
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
@@ -76,9 +76,9 @@ def axis(request: pytest.FixtureRequest, tmp_path: Path) -> Axis:
     records = {name: [friction_records(log, robot, body)] for name, log in logs.items()}
     models, _ = job.fit_all(records, {})
     refined = job.refine(logs, robot, body, models)
-    chosen = ForSimulation.of(refined)
+    chosen = ForSimulation.from_refined(refined)
     assert chosen is not None
-    tests = {"unseen": records_of(job.study.logs.test["unseen"], records)}
+    tests = {"unseen": select_records(job.study.logs.test["unseen"], records)}
     better = {law: one.friction for law, one in refined.items()}
     before, after = (simulate_tests(m, tests, robot, body)["unseen"] for m in (models, better))
     return Axis(models=models, refined=refined, chosen=chosen, before=before, after=after)
@@ -106,8 +106,8 @@ def test_the_law_for_simulation_is_as_good_as_the_references(
             assert one.friction.laws[0].values == was.laws[0].values
             continue
         assert np.sqrt(np.mean((one.left_out / one.before) ** 2)) < 1.0
-        assert one.friction.training_rmse[0] <= MOST_TORQUE * was.training_rmse[0]
-        assert proven(one.friction.laws[0]) or not proven(was.laws[0])
+        assert one.friction.training_rmse[0] <= MAX_TORQUE_RATIO * was.training_rmse[0]
+        assert has_proof(one.friction.laws[0]) or not has_proof(was.laws[0])
         assert one.friction.laws[0].values.get("P") == was.laws[0].values.get("P")
 
 

@@ -22,7 +22,7 @@ from small_twin import MOTIONS
 import hesr
 from cosim.loop.closed_loop import Scheme
 from cosim.loop.loops import assemble
-from cosim.loop.run import on_plant, write_loops
+from cosim.loop.run import replace_arm, write_loops
 from cosim.study.study import Study
 from cosim.systems.simulation import Master, System
 from cosim.workflow.export import answer
@@ -294,7 +294,11 @@ def test_both_plants_track_alike(bench: Bench, tmp_path: Path) -> None:
     plant = bench.plant
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
     fmu = export_plant(
-        truth, tmp_path / "Plant.fmu", body=PlantBody.of(bench.robot), kv=GAINS.Kv, ki=GAINS.Ki
+        truth,
+        tmp_path / "Plant.fmu",
+        body=PlantBody.from_robot(bench.robot),
+        kv=GAINS.Kv,
+        ki=GAINS.Ki,
     )
     for scheme in (
         Scheme(compensation="none"),
@@ -307,7 +311,7 @@ def test_both_plants_track_alike(bench: Bench, tmp_path: Path) -> None:
         start = {"arm": QUIET}
         for system, more, q in (
             (spec, start, "arm.q_true"),
-            (on_plant(spec, fmu, GAINS), {}, "arm.q"),
+            (replace_arm(spec, fmu, GAINS), {}, "arm.q"),
         ):
             with Master(system) as master:
                 run = master.run(start=more).require_success()

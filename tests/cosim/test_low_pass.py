@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from adaptive_models import lugre, model, stops
 
-from cosim.study.scores import by_joint, causal
+from cosim.study.scores import make_causal, transpose_records
 from cosim.workflow.export import export
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.predictions import predict_fmu
@@ -39,13 +39,15 @@ def test_causal_predictions_are_those_of_the_fmu_with_its_low_pass(
     body = identify([arm_log], arm_model)
     for part in parts:
         records = friction_records(part, arm_model, body)
-        scored = predict_fmu(shipped, causal(by_joint([records])))
+        scored = predict_fmu(shipped, make_causal(transpose_records([records])))
         inputs = (np.column_stack([getattr(r, u) for r in records]) for u in ("q", "tau_load"))
         alone = replay(filtered, part.t, measured_velocity(part), *inputs)
         found = np.column_stack([torque for (torque,) in scored])
         size = np.abs(alone).max()
         np.testing.assert_allclose(found, alone, rtol=0.0, atol=1e-9 * size)
-        without = np.column_stack([t for (t,) in predict_fmu(shipped, by_joint([records]))])
+        without = np.column_stack(
+            [t for (t,) in predict_fmu(shipped, transpose_records([records]))]
+        )
         assert np.abs(without - alone).max() > 0.01 * size
 
 

@@ -228,10 +228,10 @@ def test_names_in_a_study_are_checked_against_the_system(fakes):
             with pytest.raises(ConfigError) as error:
                 master.require_start(start, asked)
             assert str(error.value).startswith(f"study.toml: {said}")
-        master.require_alike("sum.y", "sum.y", asked)
+        master.require_same_size("sum.y", "sum.y", asked)
         for one, other, counts in (("sum.y", "clock.y", (2, 1)), ("clock.y", "sum.y", (1, 2))):
             with pytest.raises(ConfigError) as error:
-                master.require_alike(one, other, asked)
+                master.require_same_size(one, other, asked)
             assert str(error.value) == (
                 f"study.toml: '{one}' has {counts[0]} elements and its reference "
                 f"'{other}' {counts[1]}."
@@ -453,7 +453,7 @@ def test_fmu_paths_are_relative_to_the_toml_file(tmp_path):
     path.write_text(GOOD)
     spec = SystemSpec.read(path)
     assert [c.fmu for c in spec.components] == [tmp_path / "folder/A.fmu", tmp_path / "B.fmu"]
-    assert (spec.steps, spec.every(spec.components[0])) == (10, 1)
+    assert (spec.steps, spec.find_step_multiple(spec.components[0])) == (10, 1)
 
 
 MANY = "".join(f'name = "c{k}"\nfmu = "B.fmu"\n\n[[components]]\n' for k in range(1000))

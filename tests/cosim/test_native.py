@@ -17,7 +17,7 @@ from cosim.systems.system import SystemSpec
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import PythonStepper
-from fmu_src.run.native import NativeStepper, through
+from fmu_src.run.native import NativeStepper, step_rows
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.support.files import models_folder
 
@@ -160,7 +160,7 @@ def rows_of_a_lag(fmu: Path, refused: float, count: int) -> tuple[bytes, str, fl
         inputs, outputs = component.buffer(["u"]), component.buffer(["y", "x"])
         component.initialise(start={"T": 0.5, "refused": refused})
         try:
-            found = through(component, inputs, outputs, times, sizes, np.sin(times)[:, None])
+            found = step_rows(component, inputs, outputs, times, sizes, np.sin(times)[:, None])
         except SimulationError as error:
             return b"", str(error), component.time
         assert np.ptp(found[:, 0]) > 0.1
@@ -178,7 +178,7 @@ def test_rows_are_stepped_as_in_python(lag_fmu, refused, monkeypatch):
 
 def test_signals_are_handled_between_many_rows(lag_fmu, monkeypatch):
     whole = rows_of_a_lag(lag_fmu, 1e9, 40)
-    monkeypatch.setattr(fmu_src.run.native, "_AT_ONCE", 7)
+    monkeypatch.setattr(fmu_src.run.native, "_ROWS_PER_CALL", 7)
     assert rows_of_a_lag(lag_fmu, 1e9, 40) == whole
 
 
@@ -191,7 +191,7 @@ def test_a_refused_input_ends_the_rows(lag_fmu, monkeypatch):
             component.initialise()
             rows = np.array([[1.0], [1.0], [np.nan], [1.0]])
             with pytest.raises(SimulationError) as error:
-                through(component, inputs, outputs, np.arange(4.0), np.ones(4), rows)
+                step_rows(component, inputs, outputs, np.arange(4.0), np.ones(4), rows)
             return str(error.value), component.time
 
     own = found()

@@ -16,7 +16,7 @@ from hesr_model.errors import ConfigError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
-from hesr_model.robots.robot import Robot, RobotDescription, description_of
+from hesr_model.robots.robot import Robot, RobotDescription, to_description
 from hesr_model.support.files import sha256
 
 ROBOTS = Path(__file__).parents[2] / ".." / "shared"
@@ -231,7 +231,7 @@ def test_fingers_are_proposed_as_locked(tmp_path: Path, hesr: Hesr) -> None:
     assert "a study of the joints turn, slide.\n" in answer.out
     assert "left = 0.01; --joints selects other" in answer.out
     assert RobotDescription.read(tmp_path / "all" / "robot.toml").locked == {"left": 0.01}
-    assert description_of(model).joints == ("turn", "slide")
+    assert to_description(model).joints == ("turn", "slide")
     answer = hesr("new", tmp_path / "own", "--robot", model, "--joints", "turn,slide,left")
     assert "Locked" not in answer.out
 

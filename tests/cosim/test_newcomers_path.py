@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from documents import ROOT
 
-from cosim.study.sample_logs import plausible_friction, sample_settings, simulated
+from cosim.study.sample_logs import plausible_friction, sample_settings, simulate_log
 from fmu_src.friction.replay import replay
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
@@ -90,7 +90,7 @@ def measured(model: Path, joints: Sequence[str], seconds: float) -> Truth:
     robot = Robot(RobotDescription(name="arm", model=model, joints=tuple(joints)))
     motion, unseen = random_motions(robot, sample_settings(robot), 2, 3)
     laws = plausible_friction(robot, motion)
-    log = simulated(robot, motion, laws, name="log", seed=4, seconds=seconds)
+    log = simulate_log(robot, motion, laws, name="log", seed=4, seconds=seconds)
     return Truth(log=log, laws=laws, unseen=unseen)
 
 

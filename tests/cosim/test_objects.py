@@ -11,7 +11,7 @@ import pytest
 from small_fmus import LAGS
 
 import hesr
-from fmu_src.run.trust import is_ours
+from fmu_src.run.trust import is_trusted
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
 from hesr_model.errors import ConfigError, SimulationError
@@ -90,7 +90,7 @@ def test_an_instance_is_freed_on_every_exit(
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
     fmu = hesr.Fmu(foreign, trust=trust)
-    assert is_ours(foreign) is trust
+    assert is_trusted(foreign) is trust
     with fmu.instance() as lag:
         lag.initialise(start={"u": 2.0, "x_start": 0.25})
         lag.step(0.0, 0.5)

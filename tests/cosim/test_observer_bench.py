@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from observer_bench import EDGE, LATE, STEP, TRUTHS, arm, bench, moved, pushed, pushes, seeds_within
 
-from hesr.extras.observer.observation import ObservedLog, limits_of, observed_logs
+from hesr.extras.observer.observation import ObservedLog, compute_limits, observe_logs
 
 CALIBRATION = 20  # motions of half a minute
 
@@ -34,10 +34,10 @@ def test_contacts_are_found_without_false_alarms(
     with ExitStack() as cleanup:
         fmu = cleanup.enter_context(arm(own))
         unseen = [moved(fmu, seed)[0] for seed in seeds_within(own, 1000, CALIBRATION)]
-        limits = limits_of(own.law, own.plant, unseen)
+        limits = compute_limits(own.law, own.plant, unseen)
         seeds = seeds_within(own, 2000, 2 * minutes)
         free = [moved(fmu, seed) for seed in seeds]
-        runs = observed_logs(own.law, own.plant, limits, [log for log, _ in free])
+        runs = observe_logs(own.law, own.plant, limits, [log for log, _ in free])
         assert sum(map(alarms, runs)) <= 1
         inside = np.concatenate(
             [
@@ -53,7 +53,7 @@ def test_contacts_are_found_without_false_alarms(
         for seed, (log, dq), run in list(zip(seeds, free, runs, strict=True))[:pushed_motions]:
             plans.append(pushes(rng, dq, run.outputs["contact_threshold"]))
             logs.append(moved(fmu, seed, pushed(plans[-1], len(log.t) - 1))[0])
-    for plan, run in zip(plans, observed_logs(own.law, own.plant, limits, logs), strict=True):
+    for plan, run in zip(plans, observe_logs(own.law, own.plant, limits, logs), strict=True):
         for one in plan:
             tried[one.kind] += 1
             found[one.kind] += bool(run.contact[one.row + 1 :][: round(LATE / STEP)].any())
@@ -69,16 +69,16 @@ def test_a_wrong_payload_is_external_and_noise_is_not(tmp_path: Path) -> None:
     seeds, mass = seeds_within(own, 3000, 4), 3.0
     with arm(own) as fmu:
         unseen = [moved(fmu, seed)[0] for seed in seeds_within(own, 1000, CALIBRATION)]
-        limits = limits_of(own.law, own.plant, unseen)
+        limits = compute_limits(own.law, own.plant, unseen)
         loaded = [moved(fmu, seed, payload=mass)[0] for seed in seeds]
         noisy = [moved(fmu, seed, noise=1.5)[0] for seed in seeds]
-    for run, log in zip(observed_logs(own.law, own.plant, limits, loaded), loaded, strict=True):
+    for run, log in zip(observe_logs(own.law, own.plant, limits, loaded), loaded, strict=True):
         assert run.contact.mean() > 0.5
         # Its weight at the end of the arm acts on joints 2 and 3, not on the upright joint 1.
         moving = np.abs(run.outputs["tau_ext"][200:]).mean(axis=0)
         assert moving[1] > 10.0 * moving[0]
         assert np.ptp(log.q[:, 1]) > 0.1
-    for run in observed_logs(own.law, own.plant, limits, noisy):
+    for run in observe_logs(own.law, own.plant, limits, noisy):
         assert alarms(run) <= 1
         inside = (
             np.abs(run.outputs["tau_ext"]) <= run.outputs["tau_ext_upper"] - run.outputs["tau_ext"]

@@ -13,8 +13,8 @@ from small_study import hesr_here, uf850
 from cosim.report.page import write_report
 from cosim.report.results import Results
 from cosim.study.results import read_torques
-from hesr.extras.observer.chapter import events_of, external_torque
-from hesr.extras.observer.observation import calibration_logs
+from hesr.extras.observer.chapter import external_torque, find_events
+from hesr.extras.observer.observation import read_calibration_logs
 from hesr_model.errors import LogError
 from hesr_model.logs.tables import read_table, write_table
 from hesr_model.robots.robot import Robot
@@ -65,7 +65,7 @@ def test_events_are_apart_and_of_one_joint() -> None:
     external[300:310, 0] = 3.0
     external[200:210, 1] = 2.0  # not beyond
     external[205, 1] = 2.5
-    assert events_of(t, external, threshold) == [
+    assert find_events(t, external, threshold) == [
         (100, 119, 0, 100), (205, 205, 1, 205), (300, 309, 0, 300)
     ]  # fmt: skip
 
@@ -137,9 +137,9 @@ def test_results_stand_for_their_left_out_logs(small_results: Path, copied: Path
     }
     expected = {log["name"] for log in run["logs"] if log["sha256"] not in trained}
     assert expected
-    assert {log.name for log in calibration_logs([copied], robot)} == expected
+    assert {log.name for log in read_calibration_logs([copied], robot)} == expected
     for log in run["logs"]:
         log["roles"] = [*log["roles"], "training"]
     (copied / "run.json").write_text(json.dumps(run), encoding="utf-8")
     with pytest.raises(LogError, match="log was left out"):
-        calibration_logs([copied], robot)
+        read_calibration_logs([copied], robot)

@@ -17,7 +17,7 @@ from small_study import hesr_here
 
 from hesr.extras.paper import measures
 from hesr.extras.paper.evidence import Number, PaperStudy
-from hesr.extras.paper.report import OPEN, REFUTED, REPRODUCED, verdict
+from hesr.extras.paper.report import OPEN, REFUTED, REPRODUCED, judge_values
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.support.files import models_folder
@@ -64,7 +64,7 @@ def test_every_claim_has_a_measure_with_its_arguments_or_is_not_testable() -> No
 )
 def test_a_verdict_needs_whole_intervals(values, least, most, expected) -> None:
     numbers = [Number(value=v, low=low, high=high) for v, low, high in values]
-    assert verdict(numbers, least, most) == expected
+    assert judge_values(numbers, least, most) == expected
 
 
 def steady(law: FrictionLaw, speeds: np.ndarray) -> np.ndarray:

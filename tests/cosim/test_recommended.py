@@ -5,9 +5,9 @@ from pathlib import Path
 
 from joint_data import law
 
-from cosim.study.run import recommended
+from cosim.study.run import write_mixed_model
 from cosim.study.verdict import Separation, Verdict
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
@@ -52,20 +52,20 @@ def verdict(name: str, *laws: str) -> Verdict:
 
 
 def test_joints_of_different_laws_get_a_model_and_an_fmu(tmp_path: Path) -> None:
-    audits = {name: ModelAudit.of(own, own.trained) for name, own in MODELS.items()}
+    audits = {name: ModelAudit.from_model(own, own.trained) for name, own in MODELS.items()}
     words = verdict(MIXED, "stribeck", "lugre")
-    (found,) = recommended(words, MODELS, tmp_path, audits, {}).values()
+    (found,) = write_mixed_model(words, MODELS, tmp_path, audits, {}).values()
     assert [one.name for one in found.laws] == ["stribeck", "lugre"]
     assert found.laws == (MODELS["stribeck"].laws[0], MODELS["lugre"].laws[1])
     assert found.trained == (MODELS["stribeck"].trained[0], MODELS["lugre"].trained[1])
     written = FrictionModel.read(tmp_path / "laws" / f"{MIXED}.json")
     assert written.laws == found.laws
     fmu = tmp_path / "fmus" / f"{MIXED}.fmu"
-    carried = embedded_model(fmu)
+    carried = read_embedded_model(fmu)
     assert carried is not None
     assert carried.laws == found.laws
 
 
 def test_one_law_on_all_joints_needs_no_further_fmu(tmp_path: Path) -> None:
-    assert recommended(verdict("lugre", "lugre", "lugre"), MODELS, tmp_path, {}, {}) == {}
+    assert write_mixed_model(verdict("lugre", "lugre", "lugre"), MODELS, tmp_path, {}, {}) == {}
     assert list(tmp_path.iterdir()) == []

@@ -17,7 +17,7 @@ from fmu_src.run.reference_results import ROWS, TOLERANCE, Stimuli, result_files
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.ssp.contents import read_contents
 from hesr.extras.ssp.ssp import write_ssp
-from hesr.extras.ssp.ssp_results import _run, verify_ssp
+from hesr.extras.ssp.ssp_results import _run_scheme, verify_ssp
 from hesr.extras.ssp.ssp_results import result_files as result_files_of
 from hesr_model.errors import SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -151,4 +151,4 @@ def test_vectors_of_a_system_are_no_reference_results(bench: Bench) -> None:
     spec = bench.system(bench.loop(Scheme(compensation="servo_inversion", Kx=5.0)))
     vector = spec.observe[0].partition("[")[0]
     with pytest.raises(SimulationError, match=f"'{vector}' is a vector; reference results are"):
-        _run(spec, [vector], np.zeros(3), "hold")
+        _run_scheme(spec, [vector], np.zeros(3), "hold")

@@ -10,7 +10,7 @@ import pytest
 
 import hesr
 from hesr_model.errors import FitError, HesrError, TableError
-from hesr_model.friction.table import MotionTable, motion, numbers, torques
+from hesr_model.friction.table import MotionTable, read_motion, read_numbers, read_torques
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
@@ -36,7 +36,7 @@ class OfAnyTable(hesr.FrictionRegressor):
     def _motion(self, values: Any, names: Any) -> MotionTable:
         t = 0.01 * np.arange(len(values))
         if len(values) < 2:
-            return motion(np.column_stack([t, t, t, t]))  # which refuses it
+            return read_motion(np.column_stack([t, t, t, t]))  # which refuses it
         dq = values[:, :1] * (-1.0) ** np.arange(len(values))[:, None]
         return MotionTable(t=t, q=np.zeros_like(dq), dq=dq, load=np.zeros_like(dq))
 
@@ -132,27 +132,39 @@ def test_logs_are_fitted_predicted_drawn_and_exported(
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: motion(np.zeros((9, 3))), "X has 3 columns without names"),
-        (lambda: motion(np.ones((9, 4))), "1 s in row 2, after"),
-        (lambda: motion(np.ones((1, 4))), "motion needs at least 2"),
-        (lambda: motion(np.ones((9, 2)), ("t", "q")), "X has no column 'dq', only t, q; expect"),
+        (lambda: read_motion(np.zeros((9, 3))), "X has 3 columns without names"),
+        (lambda: read_motion(np.ones((9, 4))), "1 s in row 2, after"),
+        (lambda: read_motion(np.ones((1, 4))), "motion needs at least 2"),
         (
-            lambda: motion(np.ones((9, 3)), ("t", "dq", "x")),
+            lambda: read_motion(np.ones((9, 2)), ("t", "q")),
+            "X has no column 'dq', only t, q; expect",
+        ),
+        (
+            lambda: read_motion(np.ones((9, 3)), ("t", "dq", "x")),
             "X has the unknown column 'x'; expect",
         ),
         (
-            lambda: motion(TALL, ("t", "dq1", "dq2", "q")),
+            lambda: read_motion(TALL, ("t", "dq1", "dq2", "q")),
             "1 columns of q, but 2",
         ),
-        (lambda: numbers(1.0), "X has 0 dimensions"),
-        (lambda: numbers([["a"]]), "X must hold numbers "),
-        (lambda: numbers([[1j]]), "supported: X must hold real numbers"),
-        (lambda: numbers([[np.nan]]), "X contains NaN or infinity"),
-        (lambda: numbers(np.zeros((0, 4))), r"X has 0 sample\(s\) \(shape=\(0, 4\)\); rows are"),
-        (lambda: numbers(np.zeros((4, 0))), r"X has 0 feature\(s\) \(shape=\(4, 0\)\) while a"),
-        (lambda: numbers({"t": [1], "dq": [1, 2]}), "X has columns of unequal lengths; expected"),
-        (lambda: torques(None, 3), "table of motion requires y"),
-        (lambda: torques([1.0], 3), "3 rows and y 1"),
+        (lambda: read_numbers(1.0), "X has 0 dimensions"),
+        (lambda: read_numbers([["a"]]), "X must hold numbers "),
+        (lambda: read_numbers([[1j]]), "supported: X must hold real numbers"),
+        (lambda: read_numbers([[np.nan]]), "X contains NaN or infinity"),
+        (
+            lambda: read_numbers(np.zeros((0, 4))),
+            r"X has 0 sample\(s\) \(shape=\(0, 4\)\); rows are",
+        ),
+        (
+            lambda: read_numbers(np.zeros((4, 0))),
+            r"X has 0 feature\(s\) \(shape=\(4, 0\)\) while a",
+        ),
+        (
+            lambda: read_numbers({"t": [1], "dq": [1, 2]}),
+            "X has columns of unequal lengths; expected",
+        ),
+        (lambda: read_torques(None, 3), "table of motion requires y"),
+        (lambda: read_torques([1.0], 3), "3 rows and y 1"),
         (lambda: REGRESSOR.fit(TABLE, np.ones((1500, 2))), "y has 2 columns, but X"),
         (lambda: REGRESSOR.set_params(target="x").fit(TABLE, T), "target of a friction regressor"),
     ],

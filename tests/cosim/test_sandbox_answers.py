@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fmu_src.run.instance import CallError, DiedError, LoadError, UnpackedFmu
-from fmu_src.run.sandbox import NONSENSE, Sandbox, SandboxedInstance
+from fmu_src.run.sandbox import INVALID_ANSWER, Sandbox, SandboxedInstance
 from fmu_src.run.sandbox_child import LENGTH
 
 MOST = 64
@@ -86,7 +86,7 @@ def test_answers_of_another_form_end_the_process(junk: Any) -> None:
     buffer = fmu.buffer([4, 5])
     for use in (lambda: fmu.step(0.0, 0.1), buffer.read, lambda: fmu.get("Integer", [1])):
         sandbox.answer, ended = junk, sandbox.ended
-        with pytest.raises(DiedError, match=NONSENSE):
+        with pytest.raises(DiedError, match=INVALID_ANSWER):
             use()
         assert sandbox.ended == ended + 1
 
@@ -109,7 +109,7 @@ def test_numbers_of_another_size_end_the_process(text: Any, ahead: bool) -> None
         fmu.step(0.0, 0.1)  # which makes them unknown
         sandbox.answer = good(text)
     use = (lambda: fmu.step(0.0, 0.1)) if ahead else buffer.read
-    with pytest.raises(DiedError, match=NONSENSE):
+    with pytest.raises(DiedError, match=INVALID_ANSWER):
         use()
     assert sandbox.ended == 1
     np.testing.assert_array_equal(buffer.values, [0.5, np.nan])
@@ -143,7 +143,7 @@ def test_values_of_another_type_or_number_end_the_process(
     if fits:
         assert fmu.get(kind, [1, 2]) == found
     else:
-        with pytest.raises(DiedError, match=f"fmi2Get{kind} {NONSENSE}"):
+        with pytest.raises(DiedError, match=f"fmi2Get{kind} {INVALID_ANSWER}"):
             fmu.get(kind, [1, 2])
     assert sandbox.ended == (not fits)
 
@@ -238,7 +238,7 @@ def framed(content: bytes, size: int | None = None) -> bytes:
 def test_bytes_that_are_no_answer_end_the_process(data: bytes, connect: Connect) -> None:
     sandbox = connect()
     sandbox.theirs.sendall(data)
-    with pytest.raises(DiedError, match=NONSENSE):
+    with pytest.raises(DiedError, match=INVALID_ANSWER):
         sandbox.ask("request", MOST)
     assert sandbox._ended
 
@@ -247,7 +247,7 @@ def test_answers_nested_without_end_end_the_process(connect: Connect) -> None:
     nested = b"[" * (10 * sys.getrecursionlimit())
     sandbox = connect()
     sandbox.theirs.sendall(framed(nested))
-    with pytest.raises(DiedError, match=NONSENSE):
+    with pytest.raises(DiedError, match=INVALID_ANSWER):
         sandbox.ask("request", len(nested))
     assert sandbox._ended
 

@@ -12,11 +12,11 @@ from cosim.report.tables.terminal import Drawn
 from cosim.study.scores import (
     MEASURES,
     Comparison,
-    by_joint,
     compare,
     input_classes,
-    inputs_of,
-    within,
+    name_inputs,
+    select_window,
+    transpose_records,
 )
 from fmu_src import export_fmu
 from fmu_src.friction.friction_fmu import export_bare
@@ -83,7 +83,7 @@ def records() -> list[list[FrictionRecord]]:
     for seed in (0, 1):
         first = record("j1", seed)
         logs.append([first, replace(first, joint="j2", dq=-0.8 * first.dq, tau=-first.tau)])
-    return by_joint(logs)
+    return transpose_records(logs)
 
 
 # --- comparisons -------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ def test_uncertainty_bands_are_scored(records: list[list[FrictionRecord]]) -> No
     assert set(found.bands) == {"wide"}
     for joint, of_joint in enumerate(found.bands["wide"]):
         inside = []
-        for log in by_joint(records):
+        for log in transpose_records(records):
             lower, upper = wide.predict_band(log)
             tau = log[joint].tau
             inside.append((tau >= lower[:, joint]) & (tau <= upper[:, joint]))
@@ -234,7 +234,7 @@ def test_p_values_are_adjusted_for_all_comparisons_of_a_table() -> None:
 
 def test_records_convert_between_logs_and_joints(records: list[list[FrictionRecord]]) -> None:
     assert [[r.joint for r in of_joint] for of_joint in records] == [["j1", "j1"], ["j2", "j2"]]
-    assert by_joint(by_joint(records)) == records
+    assert transpose_records(transpose_records(records)) == records
 
 
 # --- bands ------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ def test_bands_divide_the_rows(records: list[list[FrictionRecord]]) -> None:
     """Time counts from the start of each log, whatever its time stamps are."""
     wrong = wrong_by(records, 1.0, 0)
     middle = 2.0
-    bands = [within(records, wrong, *band) for band in ((0.0, middle), (middle, 1e9))]
+    bands = [select_window(records, wrong, *band) for band in ((0.0, middle), (middle, 1e9))]
     for joint in range(2):
         for log in range(2):
             whole = records[joint][log]
@@ -263,7 +263,7 @@ def test_a_band_is_scored_on_its_own_rows(records: list[list[FrictionRecord]]) -
         [r.tau + np.where(r.t - r.t[0] < 2.0, 0.1, 1.0) for r in of_joint] for of_joint in records
     ]
     for band, expected in (((0.0, 2.0), 0.1), ((2.0, 1e9), 1.0)):
-        rows, torques = within(records, wrong, *band)
+        rows, torques = select_window(records, wrong, *band)
         assert compare(rows, {"made": torques}).laws["made"].rmse == pytest.approx(
             [expected] * len(rows), rel=1e-9
         )
@@ -275,14 +275,14 @@ def test_a_log_that_ends_before_a_band_is_left_out_of_it(
     wrong = wrong_by(records, 1.0, 0)
     short = [[r, _first(r, 200)] for r, _ in records]
     cut = [[p, q[:200]] for p, q in wrong]
-    rows, torques = within(short, cut, 3.0, 1e9)
+    rows, torques = select_window(short, cut, 3.0, 1e9)
     assert [len(of_joint) for of_joint in rows] == [len(p) for p in torques] == [1, 1]
     assert compare(rows, {"lugre": torques, "other": torques}).ratios.laws["other"][0].value == 1.0
 
 
 def test_a_band_without_rows_is_refused(records: list[list[FrictionRecord]]) -> None:
     with pytest.raises(ConfigError, match=r"^the band from 60 to 70 s is empty.* lasts 5\."):
-        within(records, wrong_by(records, 1.0, 0), 60.0, 70.0)
+        select_window(records, wrong_by(records, 1.0, 0), 60.0, 70.0)
 
 
 def _first(data: FrictionRecord, rows: int) -> FrictionRecord:
@@ -296,11 +296,11 @@ def _first(data: FrictionRecord, rows: int) -> FrictionRecord:
 def test_a_class_is_named_by_the_inputs_of_any_joint() -> None:
     loaded = law("lugre_load", {}, {"sigma_0": 2e3, "sigma_1": 1.0, "sigma_2": 1.0, "F_c": 5.0,
                                     "F_s": 6.0, "v_s": 0.1, "tau_0": 0.0, "mu": 0.1})  # fmt: skip
-    assert inputs_of(model_of(stribeck(), stribeck())) == "v"
-    assert inputs_of(model_of(stribeck(), loaded)) == "v, load"
-    assert inputs_of(model_of(stribeck(), bristle(start_samples=0))) == "v, q, load"
+    assert name_inputs(model_of(stribeck(), stribeck())) == "v"
+    assert name_inputs(model_of(stribeck(), loaded)) == "v, load"
+    assert name_inputs(model_of(stribeck(), bristle(start_samples=0))) == "v, q, load"
     starting = model_of(stribeck(), bristle())
-    assert inputs_of(starting) == "v, q, load"
+    assert name_inputs(starting) == "v, q, load"
     assert input_classes({"plain": model_of(stribeck()), "own": starting}) == {
         "plain": "v",
         "own": "v, q, load",

@@ -9,7 +9,7 @@ from small_study import STUDY, hesr_here
 from small_twin import MOTIONS
 
 from cosim.study.study import Study
-from hesr.extras.studies.seeds import one_draw, run_seeds
+from hesr.extras.studies.seeds import run_seeds, simulate_draw
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import models_folder
 
@@ -27,7 +27,7 @@ def study(tmp_path: Path) -> Path:
 
 def test_a_seed_determines_its_draw(study: Path) -> None:
     read = Study.read(study)
-    first, again, other = (one_draw(read, seed, ["stribeck"]) for seed in (1, 1, 2))
+    first, again, other = (simulate_draw(read, seed, ["stribeck"]) for seed in (1, 1, 2))
     assert first == again
     assert set(first["unseen"]) == {"stribeck", "true friction"}
     assert np.all(
@@ -43,7 +43,9 @@ def test_the_command_runs_all_seeds(study: Path, tmp_path: Path, capsys, monkeyp
     found = json.loads((tmp_path / "out" / "seeds.json").read_text(encoding="utf-8"))
     assert (found["seeds"], found["reference"]) == (2, "lugre")
     scores = found["tests"]["unseen"]
-    drawn = [one_draw(Study.read(study), 3 + k, ["stribeck", "lugre"])["unseen"] for k in range(2)]
+    drawn = [
+        simulate_draw(Study.read(study), 3 + k, ["stribeck", "lugre"])["unseen"] for k in range(2)
+    ]
     for joint, spread in enumerate(scores["rmse"]["stribeck"]):
         values = [d["stribeck"][joint] for d in drawn]
         assert spread["mean"] == pytest.approx(np.mean(values), rel=1e-12)

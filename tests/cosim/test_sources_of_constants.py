@@ -11,7 +11,7 @@ from small_study import Hesr, hesr_here
 from test_cli_constants import ROBOT, write
 
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
-from hesr_model.health.proposal import propose, robot_file, with_constants
+from hesr_model.health.proposal import apply_constants, propose, robot_file
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.torque_constants import Constant
 from hesr_model.robots.description import statements
@@ -108,14 +108,14 @@ def test_proposed_constants_are_guesses_until_identified(
     tmp_path: Path, arm_log: Log, arm: RobotDescription
 ) -> None:
     _, log = write(tmp_path, arm_log)
-    proposal = propose([log], arm, known=True)
+    proposal = propose([log], arm, has_model=True)
     assert tomllib.loads(robot_file(proposal, log))["sources"] == {"torque_per_ampere": "guessed"}
     # The second is not determined.
     found = [
         Constant(joint=joint, value=12.34567, error=0.1, determined=joint != "j2")
         for joint in arm.joints
     ]
-    told = tomllib.loads(robot_file(with_constants(proposal, found), log))
+    told = tomllib.loads(robot_file(apply_constants(proposal, found), log))
     assert told["sources"]["torque_per_ampere"] == ["identified", "guessed", "identified"]
     guesses = proposal.robot.log.torque_per_ampere
     assert guesses

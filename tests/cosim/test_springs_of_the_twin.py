@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.loop.excite import loaded_arm, record
+from cosim.loop.excite import load_arm, record
 from fmu_src.arm.plant import Plant, servo_signals
 from fmu_src.arm.table import ArmSignals, ArmStart
 from hesr_model.logs.robot_log import Log
@@ -83,10 +83,10 @@ def logs_of(folder: Path, speed: float, signals: Signals | None = None) -> list[
     """Excitation, its reverse, and another motion at up to `speed` on joint 2."""
     plant, logs = Plant.read(folder / "plant.toml"), []
     first, other = fourier(86, (1.3, speed, 1.3)), fourier(5, (1.2, 0.8 * speed, 1.2))
-    for number, motion in enumerate((first, first.time_reversed(), other)):
+    for number, motion in enumerate((first, first.reverse_time(), other)):
         at = float(motion.sample(np.zeros(1))[0][0, 1])
         own = signals(plant, at) if signals else None
-        with loaded_arm(plant, signals=own) as arm:
+        with load_arm(plant, signals=own) as arm:
             run = record(arm, motion, 1, name=f"log{number}", unlogged=(20.0, 0.0))
         logs.append(run.log)
     return logs

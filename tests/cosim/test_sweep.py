@@ -14,7 +14,7 @@ from small_fmus import LAGS
 
 from hesr.cli import main
 from hesr.extras.sweep.job import replay, run_sweep
-from hesr.extras.sweep.plan import chosen
+from hesr.extras.sweep.plan import design_inputs
 from hesr.extras.sweep.study import SweepStudy
 from hesr_model.errors import ArtifactError, ConfigError, LogError, SimulationError
 
@@ -84,14 +84,14 @@ def of(**more: object) -> SweepStudy:
         "inputs": [{"variables": ["a.x"], "low": -1.0, "high": 3.0}],
         "outputs": [{"name": "y", "signal": "a.y"}],
     }
-    return SweepStudy.validated(Path("study.toml"), data | more)
+    return SweepStudy.from_data(Path("study.toml"), data | more)
 
 
 # --- choice of runs ----------------------------------------------------------------------------
 
 
 def test_a_latin_hypercube_has_one_run_in_each_stratum():
-    values = chosen(of())[:, 0]
+    values = design_inputs(of())[:, 0]
     assert sorted(np.floor((values + 1.0) / 4.0 * 64).astype(int)) == list(range(64))
 
 
@@ -100,7 +100,7 @@ def test_a_grid_has_every_combination():
         {"variables": ["a.x"], "low": 0.0, "high": 1.0, "levels": 3},
         {"variables": ["a.seed"], "values": [4, 9]},
     ]
-    found = chosen(of(design="grid", runs=None, inputs=inputs)).tolist()
+    found = design_inputs(of(design="grid", runs=None, inputs=inputs)).tolist()
     assert found == [[x, s] for x in (0.0, 0.5, 1.0) for s in (4.0, 9.0)]
 
 
@@ -112,7 +112,7 @@ def test_random_runs_have_the_requested_moments():
         {"variables": ["a.seed"], "low": 1, "high": 6, "integer": True},
     ]
     study = of(design="monte_carlo", runs=20_000, inputs=inputs, correlated=together)
-    values = chosen(study)
+    values = design_inputs(study)
     assert study.names == ("a.x", "a.seed", "a.p", "a.r")
     np.testing.assert_allclose(values.mean(axis=0), [1.0, 3.5, 5.0, -2.0], atol=0.05)
     np.testing.assert_allclose(np.cov(values[:, 2:].T), covariance, rtol=0.05)
@@ -122,7 +122,7 @@ def test_random_runs_have_the_requested_moments():
 
 def test_a_sobol_design_changes_one_input_in_each_block():
     inputs = [{"variables": [f"a.{name}"], "low": 0.0, "high": 1.0} for name in "pqr"]
-    a, b, *mixed = chosen(of(design="sobol", runs=8, inputs=inputs)).reshape(5, 8, 3)
+    a, b, *mixed = design_inputs(of(design="sobol", runs=8, inputs=inputs)).reshape(5, 8, 3)
     for k, block in enumerate(mixed):
         np.testing.assert_array_equal(block[:, k], b[:, k])
         np.testing.assert_array_equal(np.delete(block, k, 1), np.delete(a, k, 1))
@@ -130,14 +130,14 @@ def test_a_sobol_design_changes_one_input_in_each_block():
 
 def test_sensitivities_match_a_known_function():
     """Ishigami's function; indices by Sobol and Levitan (1999)."""
-    from hesr.extras.sweep.plan import sensitivities
+    from hesr.extras.sweep.plan import compute_sensitivities
 
     inputs = [{"variables": [f"a.{n}"], "low": -np.pi, "high": np.pi} for n in "pqr"]
     outputs = [{"name": name, "signal": f"a.{name}"} for name in ("y", "failed")]
     study = of(design="sobol", runs=2048, inputs=inputs, outputs=outputs)
-    x = chosen(study)
+    x = design_inputs(study)
     y = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    (one,) = sensitivities(np.column_stack([y, np.full(len(y), np.nan)]), study)
+    (one,) = compute_sensitivities(np.column_stack([y, np.full(len(y), np.nan)]), study)
     np.testing.assert_allclose(one.first, [0.3139, 0.4424, 0.0], atol=0.02)
     np.testing.assert_allclose(one.total, [0.5576, 0.4424, 0.2437], atol=0.02)
     assert np.all(one.intervals[1, :, 0] <= one.total)
@@ -156,7 +156,7 @@ def test_each_run_uses_its_inputs(study: Path, tmp_path: Path):
     for run in (0, 7, 11):
         plan, result = replay(study, run)
         assert plan.values[run].tolist() == [u[run], factor[run]]
-        assert plan.task.measured(result).tobytes() == found.table.outputs[run].tobytes()
+        assert plan.task.measure_outputs(result).tobytes() == found.table.outputs[run].tobytes()
     # The lag T x' = u - x that drives the other one, in closed form.
     k = int(np.argmax(factor))
     _, result = replay(study, k)
@@ -224,7 +224,7 @@ def test_failed_runs_are_listed_first(study: Path, tmp_path: Path):
     failed = [k for k, text in enumerate(found.table.failures) if text]
     assert failed == np.flatnonzero(found.table.inputs[:, 0] == 0.5).tolist()
     assert np.isnan(found.table.outputs[failed]).all()
-    assert found.worst(0)[0] == failed[0]
+    assert found.find_worst_runs(0)[0] == failed[0]
     assert "Lag.fmu (" in found.table.failures[failed[0]]
 
 
@@ -328,7 +328,7 @@ def test_impossible_designs_are_refused(more: dict[str, object], said: str):
 def test_oversized_grids_are_refused():
     inputs = [{"variables": [f"a.x{k}"], "low": 0, "high": 1, "levels": 100} for k in range(4)]
     with pytest.raises(ConfigError, match=r"grid of 'sweep' has 1e\+08 runs"):
-        chosen(of(design="grid", runs=None, inputs=inputs))
+        design_inputs(of(design="grid", runs=None, inputs=inputs))
 
 
 def test_folders_of_another_sweep_are_refused(study: Path, tmp_path: Path):

@@ -83,7 +83,7 @@ def test_a_lost_worker_loses_no_runs(study: Path, tmp_path: Path):
 
 
 def test_invalid_clusters_are_refused(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(cluster, "_SECONDS", 1)
+    monkeypatch.setattr(cluster, "_TIME_LIMIT", 1)
     with (
         local(tmp_path, 0) as (address, _),
         pytest.raises(ConfigError, match=r"the scheduler at .* has no worker\."),
@@ -101,7 +101,7 @@ def test_invalid_clusters_are_refused(study: Path, tmp_path: Path, monkeypatch: 
 def test_workers_that_keep_dying_end_the_sweep(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(cluster, "_ROUNDS", 0)
+    monkeypatch.setattr(cluster, "_MAX_ROUNDS", 0)
     with local(tmp_path, 1) as (address, _), pytest.raises(WorkerError) as error:
         run_sweep(study, tmp_path / "out", cluster=address)
     assert str(error.value) == Containing("died 0 times", "40 chunks")

@@ -200,13 +200,13 @@ def test_results_that_are_not_finite_are_refused(
 ) -> None:
     copy = foreign(lag_fmu, tmp_path / "Lag.fmu")
     with Master(spec(copy, copy, tmp_path)) as master:
-        shared = sandbox.Sandbox.shared
+        shared = sandbox.Sandbox.read_shared
 
         def falsified(own: sandbox.Sandbox, begin: int, size: int) -> bytes:
             data = shared(own, begin, size)
             return data if begin < 40 else np.full(size // 8, np.nan).tobytes()
 
-        monkeypatch.setattr(sandbox.Sandbox, "shared", falsified)
+        monkeypatch.setattr(sandbox.Sandbox, "read_shared", falsified)
         failure = str(master.run().failure)
     assert "steps gave an invalid answer" in failure
 

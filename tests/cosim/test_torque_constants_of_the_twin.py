@@ -6,7 +6,7 @@ import numpy as np
 from small_study import uf850
 from small_twin import fourier
 
-from cosim.loop.excite import recordings
+from cosim.loop.excite import record_motions
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.logs.signals import Motion, smooth
@@ -30,7 +30,7 @@ def motion(folder: Path, mass: float) -> Motion:
         (folder / name).write_text(uf850(name).read_text(encoding="utf-8"), encoding="utf-8")
     (folder / "motions.toml").write_text(MOTIONS, encoding="utf-8")
     plant = Plant.read(folder / "plant.toml")
-    [made] = recordings(Motions.read(folder / "motions.toml"), plant)
+    [made] = record_motions(Motions.read(folder / "motions.toml"), plant)
     smoothed = smooth(made.log)
     return Motion(**{**vars(smoothed), "tau": smoothed.tau * WRONG})
 

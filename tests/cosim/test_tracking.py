@@ -9,12 +9,12 @@ import pytest
 
 from cosim.loop import loops
 from cosim.loop.closed_loop import Scheme, StandIn
-from cosim.loop.excite import recordings
+from cosim.loop.excite import record_motions
 from cosim.loop.loops import (
     StudyLoop,
     assemble,
     build,
-    example,
+    build_example,
     motions,
     require_reachable,
 )
@@ -52,7 +52,7 @@ def body(robot: Robot) -> RigidBody:
     plant = Plant.read(UF850 / "plant.toml")
     found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
     sweep = tuple(m for m in found.motions if m.name == "excitation")
-    logs = [r.log for r in recordings(found.model_copy(update={"motions": sweep}), plant)]
+    logs = [r.log for r in record_motions(found.model_copy(update={"motions": sweep}), plant)]
     return identify(logs[:1], robot, reversed_logs=logs[1:])
 
 
@@ -152,8 +152,8 @@ def test_an_interrupted_study_resumes(
     with pytest.raises(InterruptedForTestError):
         replace(loop, progress=interrupt).track(rows, **run_of)
     ran = []
-    run = loops._tracked
-    monkeypatch.setattr(loops, "_tracked", lambda row, *a: ran.append(row.law) or run(row, *a))
+    run = loops._track_row
+    monkeypatch.setattr(loops, "_track_row", lambda row, *a: ran.append(row.law) or run(row, *a))
     again = loop.track(rows, **run_of)
     assert ran == [StandIn.ORACLE]
     assert list(map(to_json, again)) == list(map(to_json, whole))
@@ -208,7 +208,7 @@ def test_only_feedback_of_friction_causes_limit_cycles(loop: StudyLoop) -> None:
 
 def test_one_loop_is_written_to_its_own_file(loop: StudyLoop, tmp_path: Path) -> None:
     """The file gives the result of the study for the same law, scheme and motion."""
-    path = write_system(example(loop), tmp_path / "closed_loop.toml")
+    path = write_system(build_example(loop), tmp_path / "closed_loop.toml")
     with Master(SystemSpec.read(path), path) as master:
         result = master.run().require_success()
     error = result.vector("trajectory.q") - result.vector("arm.q_true")

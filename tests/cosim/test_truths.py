@@ -9,7 +9,7 @@ from small_study import hesr_here, uf850, write_study
 
 from cosim.loop.excite import twin_plant
 from cosim.report.results import Results
-from cosim.report.tables.scores import leading, other_truths
+from cosim.report.tables.scores import compare_truths, find_leader
 from cosim.report.tables.table import markdown
 from cosim.study.run import score_study
 from cosim.study.scores import ORACLE
@@ -54,7 +54,7 @@ def test_a_run_scores_its_laws_on_the_alternative_plants(tmp_path: Path, capsys,
     )
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Alternative plants of the twin" in page
-    best = {"stribeck": "Stribeck", "lugre": "LuGre"}[leading(found["strain_wave"])]
+    best = {"stribeck": "Stribeck", "lugre": "LuGre"}[find_leader(found["strain_wave"])]
     assert f"{best} on ‘strain_wave’" in page
 
 
@@ -82,7 +82,7 @@ def test_the_table_of_alternative_plants_is_complete():
 
     rmse = {"stribeck": [3.0, 3.0], "lugre": [1.0, 1.0]}
     scores = {"a": SimpleNamespace(laws={k: SimpleNamespace(rmse=v) for k, v in rmse.items()})}
-    table = other_truths(scores, errors)
+    table = compare_truths(scores, errors)
     assert table.head == ("law", "MJCF", "gear", "age")
     rows = {row.head: [cell.value for cell in row.cells] for row in table.rows}
     assert rows["LuGre"] == [1.0, 1.0, 1.0]
@@ -91,8 +91,8 @@ def test_the_table_of_alternative_plants_is_complete():
     assert [row.head for row in table.rows] == ["LuGre", "Stribeck", ORACLE]
     assert "| LuGre | **1.000** | **1.000** | **1.000** |" in markdown(table)
     assert "| Stribeck | 3.000 | **1.000** | 1.414 |" in markdown(table)
-    assert leading(errors["age"]) == "lugre"
-    assert other_truths(scores, errors, "own").head[1] == "own"
+    assert find_leader(errors["age"]) == "lugre"
+    assert compare_truths(scores, errors, "own").head[1] == "own"
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from cosim.study.scores import (
     ORACLE,
     Comparison,
     predict_models,
-    records_of,
-    within,
+    select_records,
+    select_window,
 )
 from cosim.study.steps import Job
 from cosim.study.study import Study
@@ -152,7 +152,7 @@ def test_on_the_chirp_the_extended_law_extrapolates_as_well_as_the_truth(
     In the geometric mean; the error of the rigid body grows with speed.
     """
     run = outcome.run
-    tested = records_of(run.study.logs.test["chirp"], run.records)
+    tested = select_records(run.study.logs.test["chirp"], run.records)
     laws = {law: run.models[law] for law in ("parfam_hx", "parfam_h")}
     predicted = predict_models(laws, tested) | {ORACLE: run.predictions["chirp"][ORACLE]}
     bands = [band for band in run.study.bands if band.test == "chirp"]
@@ -162,7 +162,7 @@ def test_on_the_chirp_the_extended_law_extrapolates_as_well_as_the_truth(
             [
                 score(records, torques).rmse
                 for records, torques in zip(
-                    *within(tested, predicted[law], band.start, band.stop), strict=True
+                    *select_window(tested, predicted[law], band.start, band.stop), strict=True
                 )
             ]
             for band in bands

@@ -5,12 +5,12 @@ import shutil
 import numpy as np
 import pytest
 
-from cosim.loop.excite import loaded_arm, record
+from cosim.loop.excite import load_arm, record
 from fmu_src.arm.plant import Plant
 from hesr_model.errors import FitError
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.identification import identify
-from hesr_model.rigid_body.payload import identify_payload, loaded
+from hesr_model.rigid_body.payload import add_payload, identify_payload
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
@@ -58,11 +58,11 @@ def logs(folders):
     both = []
     for folder in folders:
         plant = Plant.read(folder / "plant.toml")
-        with loaded_arm(plant) as arm:
+        with load_arm(plant) as arm:
             both.append(
                 [
                     record(arm, run, 1, name=f"{folder.parent.name}_{k}", unlogged=(20.0, 0.0))
-                    for k, run in enumerate((motion, motion.time_reversed()))
+                    for k, run in enumerate((motion, motion.reverse_time()))
                 ]
             )
     return [[recording.log for recording in pair] for pair in both]
@@ -85,7 +85,7 @@ def test_mass_and_centre_are_identified(models, logs, unloaded):
 
 def test_torque_under_load_is_predicted_as_well_as_without(models, logs, unloaded):
     model, truth = models
-    body = loaded(unloaded, identify_payload(logs[1], model, unloaded), model)
+    body = add_payload(unloaded, identify_payload(logs[1], model, unloaded), model)
     states = fourier(5, 1, [1.2, 1.0, 1.2]).sample(np.arange(4000) / 200)
 
     def error(parameters, nominal):
@@ -104,7 +104,7 @@ def test_a_log_without_payload_is_refused(models, logs, unloaded):
 
 def test_another_motion_without_payload_is_also_refused(folders, models, unloaded):
     plant = Plant.read(folders[0] / "plant.toml")
-    with loaded_arm(plant) as arm:
+    with load_arm(plant) as arm:
         recording = record(arm, fourier(3, 1, [1.2, 1.0, 1.2]), 1, name="other")
     with pytest.raises(FitError, match=r"^log other: no significant payload"):
         identify_payload([recording.log], models[0], unloaded)

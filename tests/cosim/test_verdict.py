@@ -285,7 +285,7 @@ def test_a_law_better_on_two_of_six_joints_is_recommended_for_them(trained, test
     """Torques with errors of known sizes: the first law is better on J1 to J4."""
     sizes = {"lugre": [1.0] * 4 + [2.0] * 2, "lugre_load": [2.0] * 4 + [1.0] * 2}
     scores = made(sizes)
-    seen = (TrainedRange.of(trained[0]),) * 6
+    seen = (TrainedRange.from_records(trained[0]),) * 6
     models = {law: replace(model_of(law, 6), trained=seen) for law in sizes}
     found = verdict({"t": scores}, models, trained[:1] * 6, trained[:1] * 6, {}, gear_ratio=True)
     assert found.laws == ("lugre",) * 4 + ("lugre_load",) * 2
@@ -531,7 +531,7 @@ def test_a_verdict_without_left_out_windows_says_so(scores, models, trained, tes
 def test_output_error_is_suggested_for_one_joint(
     joints: int, asked: bool, shown: bool, trained: list[list[FrictionRecord]]
 ) -> None:
-    records, seen = trained[:1] * joints, (TrainedRange.of(trained[0]),) * joints
+    records, seen = trained[:1] * joints, (TrainedRange.from_records(trained[0]),) * joints
     models = {"lugre": replace(model_of("lugre", joints), trained=seen)}
     scores = made({"lugre": [1.0] * joints})
     found = judged({"t": scores}, models, records, records, refined={} if asked else None)

@@ -97,7 +97,7 @@ def test_a_closed_loop_with_schemes_as_text_is_read() -> None:
     ],
 )
 def test_a_scheme_equals_its_name(scheme: Scheme) -> None:
-    assert Scheme.of_name(scheme.name) == scheme
+    assert Scheme.from_name(scheme.name) == scheme
 
 
 @pytest.mark.parametrize(

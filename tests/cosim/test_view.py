@@ -31,7 +31,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
 from hesr.extras.view.report import RATE, drawing, write_video
-from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, ViewOptions, arm, choose
+from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, ViewOptions, build_arm, choose
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -105,13 +105,13 @@ def assert_same(one: Tracked, other: Tracked) -> None:
 
 
 def _excitation(robot: Robot) -> Log:
-    from cosim.loop.excite import recordings
+    from cosim.loop.excite import record_motions
     from cosim.loop.motions import Motions
 
     found = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
     wanted = tuple(m for m in found.motions if m.name == "excitation")
     plant = Plant.read(UF850 / "plant.toml")
-    return next(iter(recordings(found.model_copy(update={"motions": wanted}), plant))).log
+    return next(iter(record_motions(found.model_copy(update={"motions": wanted}), plant))).log
 
 
 # --- traces ------------------------------------------------------------------------------------
@@ -122,7 +122,7 @@ def test_traces_are_those_of_the_scored_runs(result: Path) -> None:
     rows = json.loads((result / "rmse.json").read_text(encoding="utf-8"))
     assert [(s.name, law) for s, law in traces] == [(row["scheme"], row["law"]) for row in rows]
     for row in rows:
-        trace = traces[Scheme.of_name(row["scheme"]), row["law"]]
+        trace = traces[Scheme.from_name(row["scheme"]), row["law"]]
         assert trace.t[0] == 0.0
         assert trace.t[-1] == pytest.approx(1.0)
         error = np.sqrt(np.mean((trace.q - trace.q_d) ** 2, axis=0))
@@ -248,13 +248,13 @@ def test_ghost_and_arm_have_the_poses_of_the_run(result: Path, magnify: float) -
 def test_only_an_arm_without_shapes_gets_new_ones() -> None:
     mjcf = (UF850 / "uf850.xml").read_text(encoding="utf-8")
     joints = ["joint1", "joint2", "joint3"]
-    drawn = arm(mjcf, joints, paint=PAINT).compile()
+    drawn = build_arm(mjcf, joints, paint=PAINT).compile()
     kinds = [mujoco.mjtGeom(kind) for kind in drawn.geom_type]
     assert kinds.count(mujoco.mjtGeom.mjGEOM_CYLINDER) == 3
     assert kinds.count(mujoco.mjtGeom.mjGEOM_CAPSULE) >= 4
     assert (drawn.nu, drawn.nsensor, drawn.ntendon) == (0, 0, 0)
     own = mjcf.replace('<body name="payload"', '<geom size="0.07"/><body name="payload"')
-    kept = arm(own, joints, paint=PAINT).compile()
+    kept = build_arm(own, joints, paint=PAINT).compile()
     assert kept.ngeom == 1
     assert kept.geom_size[0, 0] == 0.07
 
@@ -265,22 +265,22 @@ def test_missing_meshes_do_not_matter() -> None:
     mjcf = mjcf.replace('<body name="payload"', '<geom type="mesh" mesh="m"/><body name="payload"')
     with pytest.raises(ValueError, match=r"no\.stl"):
         mujoco.MjModel.from_xml_string(mjcf)
-    assert arm(mjcf, ["joint1"], paint=PAINT).compile().ngeom > 5
+    assert build_arm(mjcf, ["joint1"], paint=PAINT).compile().ngeom > 5
 
 
 def test_a_sliding_joint_is_drawn() -> None:
     mjcf = """<mujoco><worldbody><body name="a"><joint name="j" type="slide" axis="1 0 0"/>
     <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body name="b" pos="0 0 1"/></body>
     </worldbody></mujoco>"""
-    drawn = arm(mjcf, ["j"], paint=PAINT).compile()
+    drawn = build_arm(mjcf, ["j"], paint=PAINT).compile()
     assert mujoco.mjtGeom.mjGEOM_BOX in drawn.geom_type
 
 
 def test_unsuitable_models_are_refused() -> None:
     with pytest.raises(RobotError, match="model has no joint 'j'"):
-        arm("<mujoco><worldbody/></mujoco>", ["j"], paint=PAINT)
+        build_arm("<mujoco><worldbody/></mujoco>", ["j"], paint=PAINT)
     with pytest.raises(RobotError, match=r"^the arm's model cannot be shown \(.+\)\.$"):
-        arm("<mujoco><worldbody>", ["j"], paint=PAINT)
+        build_arm("<mujoco><worldbody>", ["j"], paint=PAINT)
 
 
 # --- pictures ---------------------------------------------------------------------------------

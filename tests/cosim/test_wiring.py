@@ -180,7 +180,7 @@ def test_invalid_start_values_are_refused(start, said):
     assert str(error.value).startswith("loop.toml: start values of 'controller': ")
     assert said in str(error.value)
     with pytest.raises(ConfigError, match="start values of 'controller': "):
-        wire().started({"controller": start})
+        wire().merge_start_values({"controller": start})
 
 
 def test_start_values_of_a_run_override_those_of_the_system():
@@ -189,12 +189,12 @@ def test_start_values_of_a_run_override_those_of_the_system():
     )
     own = {"q[1]": 3, "q[2]": 3, "Kp": 1.0, "mode": 2, "on": True, "file": "x"}
     assert wiring.start == {"arm": {}, "controller": own}
-    assert wiring.started({"controller": {"q": [4.0, 5.0]}}) == {
+    assert wiring.merge_start_values({"controller": {"q": [4.0, 5.0]}}) == {
         "arm": {},
         "controller": own | {"q[1]": 4.0, "q[2]": 5.0},
     }
     with pytest.raises(ConfigError, match=r"loop.toml: start values: there is no component 'arn'"):
-        wiring.started({"arn": {}})
+        wiring.merge_start_values({"arn": {}})
 
 
 @pytest.mark.parametrize(

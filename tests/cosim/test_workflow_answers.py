@@ -14,7 +14,7 @@ from cosim.systems.signals import Signals
 from cosim.workflow import export, fit, identify, report, run, simulate
 from hesr_model.findings import Finding
 from hesr_model.fitting.estimator import estimator
-from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.rigid_body.identification import RigidBody
@@ -76,7 +76,7 @@ def test_long_laws_are_summarised_by_their_size(
     structure = {"centres": centres}
     form = estimator("rbfnn_h").form(structure)
     values = {one.name: 0.5 for one in form.coefficients}
-    assert (len(values) <= MOST_COEFFICIENTS) is whole
+    assert (len(values) <= MAX_COEFFICIENTS) is whole
     laws = (law("rbfnn_h", structure, **values),) * 2
     told = fit.answer(replace(model, law="rbfnn_h", laws=laws), None)
     line = told.summary().splitlines()[1]

@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Mapping
 from pathlib import Path
 
-from fmu_src.export.package import own_source
+from fmu_src.export.package import read_c_source
 from fmu_src.export.toolchain import TARGETS, build
 
 UNUSED = '#pragma clang diagnostic ignored "-Wunused-function"\n'
@@ -30,7 +30,7 @@ def compiled(
     folder: Path, text: str, *headers: str, others: Mapping[str, str] | None = None
 ) -> ctypes.CDLL:
     """Load C functions that use headers of the project; further files replace others."""
-    files = {name: own_source(name) for name in headers} | {"component.h": COMPONENT}
+    files = {name: read_c_source(name) for name in headers} | {"component.h": COMPONENT}
     exported = text.replace("EXPORT ", '__attribute__((visibility("default"))) ')
     for name, content in (files | dict(others or {}) | {"pure.c": UNUSED + exported}).items():
         (folder / name).write_text(content, encoding="utf-8")

@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 
 from cosim.workflow.export import export
 from fmu_src.check.run import check
-from fmu_src.run.fmu import FmuInstance, mixed_buffer
+from fmu_src.run.fmu import FmuInstance, build_mixed_buffer
 from hesr.extras.adaptive.monitor import Follower
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
@@ -93,7 +93,7 @@ class Bench:
             self.fmu.set(self.inputs(k))
             time = float(self.records[0].t[k - 1])
             self.fmu.step(time, float(self.records[0].t[k]) - time)
-            rows.append(mixed_buffer(self.fmu, self.outputs).read())
+            rows.append(build_mixed_buffer(self.fmu, self.outputs).read())
         return np.array(rows)
 
 

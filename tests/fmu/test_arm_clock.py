@@ -9,15 +9,15 @@ from threading import Barrier, Thread
 import mujoco
 import pytest
 
-from fmu_src.arm.clock import untimed
-from fmu_src.arm.library import installed
+from fmu_src.arm.clock import stop_clock
+from fmu_src.arm.library import find_host_libraries
 
 ARM = """<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody></mujoco>"""
 
 
 def pointer() -> int | None:
     """MuJoCo's own pointer to its clock."""
-    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(installed()[-1])), "mjcb_time").value
+    return ctypes.c_void_p.in_dll(ctypes.CDLL(str(find_host_libraries()[-1])), "mjcb_time").value
 
 
 def timed() -> float:
@@ -32,10 +32,10 @@ def test_the_clock_is_restored_afterwards() -> None:
     before = pointer()
     assert before
     assert timed() > 0.0
-    with untimed():
+    with stop_clock():
         assert pointer() is None
         assert timed() == 0.0
-        with untimed():
+        with stop_clock():
             assert pointer() is None
         assert pointer() is None
     assert pointer() == before
@@ -44,7 +44,7 @@ def test_the_clock_is_restored_afterwards() -> None:
 
 def test_the_clock_is_restored_after_an_error() -> None:
     before = pointer()
-    with pytest.raises(ValueError, match="stopped"), untimed():
+    with pytest.raises(ValueError, match="stopped"), stop_clock():
         raise ValueError("stopped")
     assert pointer() == before
 
@@ -55,7 +55,7 @@ def test_concurrent_users_share_the_clock() -> None:
     def use() -> None:
         for _ in range(200):
             together.wait()
-            with untimed():
+            with stop_clock():
                 seen.append(pointer())
 
     threads = [Thread(target=use) for _ in range(8)]

@@ -265,7 +265,7 @@ def test_halves_of_the_seed_are_integers(value, fmu):
         r"'noise_seed\[2\]' is of type Integer; it cannot be .*from -2147483648 to 2147483647\."
     )
     with FmuInstance(fmu) as arm, pytest.raises(SimulationError, match=sentence):
-        arm.variables.expanded({"noise_seed": (0, value)})
+        arm.variables.expand_values({"noise_seed": (0, value)})
 
 
 def test_any_step_ends_at_the_last_multiple_of_mujocos_own(fmu):

@@ -25,7 +25,7 @@ from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.export import export_python_arm
 from fmu_src.arm.python_arm.simulation import Simulation
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError, ExportError, SimulationError
 
@@ -50,7 +50,7 @@ def python(folder):
 
 @pytest.fixture
 def simulation():
-    return Simulation(signals_of(MJCF, TABLE))
+    return Simulation(read_signals(MJCF, TABLE))
 
 
 def simulated(fmu, start, steps):
@@ -103,7 +103,7 @@ def test_the_trajectory_matches_the_arm_without_fmi(simulation):
 
 
 def test_reading_a_simulation_is_repeatable(simulation):
-    other = Simulation(signals_of(MJCF, TABLE))
+    other = Simulation(read_signals(MJCF, TABLE))
     for k in range(20):
         row = simulation.step(command(k), STEP)
         other.step(command(k), STEP)
@@ -149,7 +149,7 @@ def test_a_diverging_simulation_keeps_its_last_state(tmp_path, monkeypatch, capf
     monkeypatch.chdir(tmp_path)
     mjcf = tmp_path / "bad.xml"
     mjcf.write_text(PENDULUM.replace('damping="0.1"', 'stiffness="-1e9"'))
-    simulation = Simulation(signals_of(mjcf))
+    simulation = Simulation(read_signals(mjcf))
     simulation.reset({"start_pivot": 0.1})
     seen = []
 

@@ -10,13 +10,13 @@ from mjcf_models import HOME, OUTPUTS, STEP, UF850, Unpacked, assert_goes_on, ru
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.python_arm.simulation import Simulation
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.arm.table import Losses, LossTable, OutputTable, SignalTable, StartTable
 from fmu_src.arm.truth import GearElasticity, Truth, true_friction, write_truth
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ConfigError
 from hesr_model.friction.predict import predict
-from hesr_model.robots.mjcf import compiled
+from hesr_model.robots.mjcf import compile_model
 
 PLANT, TABLE = Plant.read(UF850 / "plant.toml"), SignalTable.read(UF850 / "arm.toml")
 QUIET = {f"{name}_noise[{i}]": 0.0 for name in ("q", "tau_meas") for i in (1, 2, 3)}
@@ -33,11 +33,11 @@ def truth(request, tmp_path_factory):
     """Name, FMU and Python simulation of a plant."""
     path, table = written(request.param, tmp_path_factory.mktemp(request.param))
     fmu = export_mjcf(path, path.with_suffix(".fmu"), table=table)
-    return request.param, fmu, Simulation(signals_of(path, table))
+    return request.param, fmu, Simulation(read_signals(path, table))
 
 
 def simulation(name: str, folder: Path) -> Simulation:
-    return Simulation(signals_of(*written(name, folder)))
+    return Simulation(read_signals(*written(name, folder)))
 
 
 def commands(steps: int) -> np.ndarray:
@@ -179,7 +179,7 @@ def test_dry_friction_holds_a_load_at_rest(tmp_path):
 def test_torsion_follows_its_elements(tmp_path):
     """Slow loading with the rotor held follows the loops of a Prandtl model."""
     path, _ = written("strain_wave", tmp_path)
-    model = compiled(path)
+    model = compile_model(path)
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     rotor, link = (int(model.joint(f"joint3{x}").dofadr[0]) for x in ("", "_link"))
@@ -306,9 +306,9 @@ def test_incompatible_parts_are_named(tmp_path):
     with pytest.raises(
         ConfigError, match=r"'joint2' of 'outputs\.tau_f_true\.losses' has no losses"
     ):
-        signals_of(path, losing)
+        read_signals(path, losing)
     with pytest.raises(ConfigError, match="joint 'joint1' has losses"):
-        signals_of(PLANT.model, TABLE.model_copy(update={"losses": losing.losses}))
+        read_signals(PLANT.model, TABLE.model_copy(update={"losses": losing.losses}))
     with pytest.raises(ValueError, match="losses has 1 entries; 2 are needed"):
         OutputTable(unit="N.m", sensors=({}, {}), losses=("joint1",))
     with pytest.raises(ValueError, match="others has 1 entries; 2 are needed"):
@@ -326,7 +326,7 @@ def test_a_stiff_transmission_has_no_effect(tmp_path):
         truth = Truth(losses=losses, viscous=(10.0,) * 3, transmission=gear)
         path = tmp_path / f"{name}.xml"
         table = write_truth(truth, PLANT.model, PLANT.joints, TABLE, path)
-        one = Simulation(signals_of(path, table))
+        one = Simulation(read_signals(path, table))
         one.reset(HOME | QUIET)
         rows.append(by_name(np.array([one.step(row, STEP) for row in commands(300)])))
     for name, most in (("q_true", 5e-4), ("dq_true", 2e-2), ("tau_true", 1.5)):

@@ -10,7 +10,7 @@ import sympy
 from test_derivatives import difference, initialising, tangent, worst
 
 from fmu_src.check.run import check
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.friction.replay import replay
 from hesr.cli import main
@@ -175,7 +175,7 @@ def test_the_command_writes_the_fmu_and_its_parameter_set(tmp_path: Path, monkey
     with pytest.raises(SystemExit) as ended:
         main()
     assert not ended.value.code
-    found = embedded_model(fmu)
+    found = read_embedded_model(fmu)
     assert found is not None
     assert found.laws[0].band == BAND
     assert b'name="joint[1].F_c"' in fmu.with_suffix(".ssv").read_bytes()

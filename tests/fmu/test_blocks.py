@@ -61,7 +61,9 @@ def run(
         read = {name: block.buffer(block.variables.elements(name)) for name in outputs}
         rows = np.hstack(list(given.values())) if given else np.empty((len(t), 0))
         batch = block.buffer(names)
-        block.enter_initialisation(time=float(t[0]), start=block.variables.expanded(start or {}))
+        block.enter_initialisation(
+            time=float(t[0]), start=block.variables.expand_values(start or {})
+        )
         found: dict[str, list[np.ndarray]] = {name: [] for name in outputs}
         for k, row in enumerate(rows):
             if names:
@@ -88,7 +90,7 @@ MOTIONS = {
     ),
     "short_fourier": random_fourier(
         seed=4, harmonics=2, period=1.0, peak_velocity=PEAK + 0.1, offset=OFFSET
-    ).time_reversed(),
+    ).reverse_time(),
     "sine": Sine(offset=OFFSET, amplitude=PEAK, frequency=0.25, periods=3),
     "sweep": Sweep(
         **SWEEP, swing=np.array([0.45, -0.3, 0.2]), swing_phase=np.array([0.0, 1.0, 2.0]),
@@ -422,7 +424,7 @@ def test_the_first_command_is_known_during_initialisation(
         "servo_inversion": [0.0, 0.0, 1.5],
     }
     with FmuInstance(fmus["Controller"]) as block:
-        expanded = block.variables.expanded
+        expanded = block.variables.expand_values
         names = [f"{n}[{i}]" for n in ("dq_comp", "dq_cmd", "tau_d") for i in range(1, N + 1)]
         for _ in range(2):
             block.enter_initialisation(
@@ -455,7 +457,7 @@ def test_the_controller_samples_at_its_own_step(
 
     with FmuInstance(fmus["Controller"]) as free, FmuInstance(fmus["Controller"]) as own:
         for block in (free, own):
-            block.initialise(start=block.variables.expanded(start))
+            block.initialise(start=block.variables.expand_values(start))
         time, samples, k = 0.0, 0, 0
         while samples < 40:
             step = STEP * steps[k % len(steps)]
@@ -478,7 +480,7 @@ def test_other_steps_are_never_mistaken_for_samples(fmus: Mapping[str, Path], sh
     """They are refused, or the outputs are those of the last sample."""
     start = {"Kv": 10.0, "Ki": 200.0, "tau_rb": 20.0, "compensation": "servo_inversion"}
     with FmuInstance(fmus["Controller"]) as block:
-        expanded = block.variables.expanded
+        expanded = block.variables.expand_values
         command = block.buffer(["dq_comp[1]"])
 
         def commands(count: int, step: float) -> list[float]:
@@ -562,7 +564,7 @@ def test_invalid_parameters_are_refused(
 ) -> None:
     with FmuInstance(fmus[block]) as component:
         with pytest.raises(SimulationError) as error:
-            component.initialise(start=component.variables.expanded(start))
+            component.initialise(start=component.variables.expand_values(start))
         assert said in str(error.value)
         # The same instance is usable after a reset.
         component.reset()
@@ -596,7 +598,7 @@ def test_runs_are_identical_after_reset_and_restore(fmus: Mapping[str, Path], bl
                 found.append(outputs.read().copy())
             return found
 
-        component.initialise(start=variables.expanded(start))
+        component.initialise(start=variables.expand_values(start))
         begun = steps(0, 30)
         saved = component._instance.slave.getFMUState()
         ended = steps(30, 60)
@@ -604,7 +606,7 @@ def test_runs_are_identical_after_reset_and_restore(fmus: Mapping[str, Path], bl
         np.testing.assert_array_equal(steps(30, 60), ended)
         component._instance.slave.freeFMUState(saved)
         component.reset()
-        component.initialise(start=variables.expanded(start))
+        component.initialise(start=variables.expand_values(start))
         np.testing.assert_array_equal(steps(0, 60), begun + ended)
 
 

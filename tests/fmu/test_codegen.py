@@ -15,9 +15,9 @@ from fmu_src.export.interface import (
     Enumeration,
     Interface,
     Variable,
+    extract_numbers,
     literal,
     to_c,
-    without_numbers,
 )
 from fmu_src.friction import friction_component as friction
 from hesr_model.equations.functions import absolute, sgn
@@ -170,12 +170,12 @@ def test_the_table_of_variables_is_complete():
     assert '{"held", INPUT, REAL, 0, 1},' in text  # not held: no output depends on an old value
     assert "{0.10000000000000001, -INFINITY, INFINITY},\n    {2.0, 1.0, 2.0},\n" in text
     assert '#define MODEL_GUID "{guid}"' in text
-    blank, content = without_numbers(text)
+    blank, content = extract_numbers(text)
     assert content[:40] == b"{guid}".ljust(40, b"\0")
     numbers = (0.1, -inf, inf, 2.0, 1.0, 2.0, 0.0, -inf, inf, 0.0, -inf, inf)
     assert struct.unpack("<12d", content[40:]) == numbers
     assert "0.1" not in blank
-    assert without_numbers(blank) == (blank, bytes(len(content)))
+    assert extract_numbers(blank) == (blank, bytes(len(content)))
 
 
 def test_arrays_are_found_among_scalars():

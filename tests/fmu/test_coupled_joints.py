@@ -15,8 +15,8 @@ from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.friction.reference import reference_files
 from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
+from hesr.extras.drive.drive_fmu import build_motors as motors_of
 from hesr.extras.drive.drive_fmu import content as drive
-from hesr.extras.drive.drive_fmu import motors as motors_of
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.one_file.c_header import export_c

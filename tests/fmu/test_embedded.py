@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fmu_src import export_fmu
-from fmu_src.friction.embedded_model import EMBEDDED_MODEL, embedded_model
+from fmu_src.friction.embedded_model import EMBEDDED_MODEL, read_embedded_model
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.law import FrictionLaw
@@ -65,18 +65,18 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_embedded_model_is_unchanged(fmu: Path) -> None:
-    assert embedded_model(fmu) == model()
+    assert read_embedded_model(fmu) == model()
 
 
 def test_the_fmu_of_an_extracted_model_is_identical(fmu: Path, tmp_path: Path) -> None:
-    found = embedded_model(fmu)
+    found = read_embedded_model(fmu)
     assert found is not None
     again = export_fmu(found, tmp_path / "Friction.fmu")
     assert again.read_bytes() == fmu.read_bytes()
 
 
 def test_the_published_model_is_extracted(table1: FrictionModel, table1_fmu: Path) -> None:
-    assert embedded_model(table1_fmu) == table1
+    assert read_embedded_model(table1_fmu) == table1
 
 
 def changed(fmu: Path, target: Path, change: Callable[[bytes], bytes | None]) -> Path:
@@ -92,7 +92,7 @@ def changed(fmu: Path, target: Path, change: Callable[[bytes], bytes | None]) ->
 
 
 def test_an_fmu_without_a_model_gives_none(fmu: Path, tmp_path: Path) -> None:
-    assert embedded_model(changed(fmu, tmp_path / "bare.fmu", lambda _: None)) is None
+    assert read_embedded_model(changed(fmu, tmp_path / "bare.fmu", lambda _: None)) is None
 
 
 def without(key: str) -> Callable[[bytes], bytes]:
@@ -123,7 +123,7 @@ def test_a_damaged_model_names_the_fmu(
 ) -> None:
     damaged = changed(fmu, tmp_path / "damaged.fmu", change)
     with pytest.raises(ArtifactError) as caught:
-        embedded_model(damaged)
+        read_embedded_model(damaged)
     assert str(caught.value).startswith(f"{damaged}: ")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -140,5 +140,5 @@ def test_other_files_than_fmus_are_refused(fmu: Path, tmp_path: Path) -> None:
         (tmp_path, "is not a file"),
     ):
         with pytest.raises(ArtifactError, match=said) as caught:
-            embedded_model(file)
+            read_embedded_model(file)
         assert str(file) in str(caught.value)

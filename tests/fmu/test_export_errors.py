@@ -10,7 +10,7 @@ from containing import Containing
 
 from fmu_src import export_fmu
 from fmu_src.arm.native import arm, export_mjcf
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.reference import ReferenceMotion
 from fmu_src.pages.datasheet import costs
@@ -70,7 +70,7 @@ ARM = models_folder() / "uf850" / "uf850.xml"
 
 
 def test_an_arm_supports_only_the_platforms_of_its_libraries(tmp_path):
-    content = arm(signals_of(ARM), name="UF850", source=ARM.read_bytes(), platforms=["linux64"])
+    content = arm(read_signals(ARM), name="UF850", source=ARM.read_bytes(), platforms=["linux64"])
     with pytest.raises(ExportError) as caught:
         write_fmu(content, tmp_path / "Arm.fmu", platforms=("win64",))
     assert "platform 'win64': this FMU needs" in str(caught.value)

@@ -12,7 +12,7 @@ import pytest
 from c_hosts import LINUX
 
 from fmu_src import export_fmu
-from fmu_src.export.cache import exported
+from fmu_src.export.cache import export_with_cache
 from hesr.cli import main
 from hesr_model.equations.rows import library
 from hesr_model.friction.model import FrictionModel
@@ -85,7 +85,7 @@ def test_only_a_repeated_export_is_a_copy(model, tmp_path, empty_cache, monkeypa
             written.append(name)
             (tmp_path / name).write_bytes(f"number {len(written)}".encode())
 
-        exported(model, options, tmp_path / name, write)
+        export_with_cache(model, options, tmp_path / name, write)
         return (tmp_path / name).read_bytes()
 
     first = export(platforms=["linux64"])
@@ -110,7 +110,7 @@ def test_exports_of_laws_of_other_packages_are_not_cached(
     install_plugin("hesr.laws", own="my_law")
     times = []
     for _ in range(2):
-        exported(model, {}, tmp_path / "F.fmu", lambda: times.append(1))
+        export_with_cache(model, {}, tmp_path / "F.fmu", lambda: times.append(1))
     assert len(times) == 2
 
 

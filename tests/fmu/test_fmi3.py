@@ -25,8 +25,8 @@ from fmu_src.check.run import check
 from fmu_src.export.package import Content, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.run.reference_results import Verified, verify
+from hesr.extras.drive.drive_fmu import build_motors
 from hesr.extras.drive.drive_fmu import content as drive
-from hesr.extras.drive.drive_fmu import motors
 from hesr_model.friction.model import FrictionModel
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
@@ -34,7 +34,7 @@ from hesr_model.support.files import models_folder
 STEP = 0.004
 BLOCKS: dict[str, Callable[..., Content]] = {
     "drive": lambda model: drive(
-        model, motors(3, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4))
+        model, build_motors(3, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4))
     ),
     "controller": lambda _: controller(3),
     "velocity": lambda _: velocity(3),
@@ -374,7 +374,9 @@ def test_c_compiles_with_other_compilers(friction3, tmp_path) -> None:
 
 @pytest.fixture(scope="module")
 def drive3(make_model, make_law, tmp_path_factory) -> Path:
-    own = drive(make_model(make_law("viscous"), make_law("viscous")), motors(2, inertia=(0.5, 0.5)))
+    own = drive(
+        make_model(make_law("viscous"), make_law("viscous")), build_motors(2, inertia=(0.5, 0.5))
+    )
     return write_fmu(own, tmp_path_factory.mktemp("drive") / "D3.fmu", fmi=3)
 
 

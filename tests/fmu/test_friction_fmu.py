@@ -11,7 +11,7 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.replay import replay
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.predict import predict
-from hesr_model.friction.scales import scaled
+from hesr_model.friction.scales import add_scales
 
 EXACT_ENOUGH = 1e-12
 
@@ -191,7 +191,7 @@ def test_factors_scale_the_law(make_law, make_model, make_motion, tmp_path):
     t, dq, q, load = (np.squeeze(x) for x in make_motion(1))
     for name in ("lugre", "viscous", "parfam_tanh"):
         law = make_law(name)
-        whole = replace(law, form=scaled(law.form), values={**law.values, **chosen})
+        whole = replace(law, form=add_scales(law.form), values={**law.values, **chosen})
         fmu = export_bare(make_model(law), tmp_path / f"{name}.fmu")
         found = replay(
             fmu,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmu_src.export.interface import Interface, Role, Variable, to_c, without_numbers
+from fmu_src.export.interface import Interface, Role, Variable, extract_numbers, to_c
 from hesr_model.errors import ExportError
 
 
@@ -102,9 +102,9 @@ DEPENDENT = Interface(
 def test_outputs_depend_initially_on_what_determines_states() -> None:
     y = DEPENDENT.variables[-1]
     assert DEPENDENT.initially(y) == ("u", "p", "p2")
-    assert DEPENDENT.made_of(y, ("state",)) == ["h"]
-    assert DEPENDENT.made_of(y, ("input", "fixed")) == []
-    assert DEPENDENT.made_of(y, ("fixed",), initially=True) == ["p", "p2"]
+    assert DEPENDENT.find_dependencies(y, ("state",)) == ["h"]
+    assert DEPENDENT.find_dependencies(y, ("input", "fixed")) == []
+    assert DEPENDENT.find_dependencies(y, ("fixed",), initially=True) == ["p", "p2"]
     assert [v.name for v in DEPENDENT.derivatives] == ["dh"]
 
 
@@ -120,11 +120,11 @@ def test_values_that_must_stay_finite_are_watched() -> None:
 
 def test_numbers_are_separated_only_from_this_version() -> None:
     text = to_c(DEPENDENT, "guid", 0.01)
-    zeros, content = without_numbers(text)
+    zeros, content = extract_numbers(text)
     assert '"guid"' not in zeros
     assert zeros.count("{0.0, 0.0, 0.0}") == len(DEPENDENT.variables)
     assert content.startswith(b"guid\0")
     assert len(content) == 40 + 3 * 8 * len(DEPENDENT.variables)
     for part in ("} numbers = ", "#define MODEL_GUID"):
         with pytest.raises(ValueError, match="no interface"):
-            without_numbers(text.replace(part, "other"))
+            extract_numbers(text.replace(part, "other"))

@@ -12,7 +12,7 @@ from fmu_src.friction.friction_component import component
 from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.replay import replay
 from hesr_model.equations.memory import DT, EULER
-from hesr_model.equations.program import Invariants, sampled
+from hesr_model.equations.program import Invariants, build_step
 
 
 def moved(h: float, dq: float, step: float, alpha: float, beta: float) -> float:
@@ -26,9 +26,9 @@ def test_separating_invariants_does_not_change_a_law(fitted) -> None:
     for name, law in fitted.items():
         own = component(law)
         fixed = {*(q.symbol for q in own.parameters), DT, EULER}
-        program = sampled(own)
+        program = build_step(own)
         wanted = tuple(program)
-        parts = Invariants.of(program, wanted, fixed)
+        parts = Invariants.from_program(program, wanted, fixed)
         invariants += len(parts.kept)
         assert not any(e.is_Atom for e in parts.once.values()), name
         known = {*fixed, *parts.once}
@@ -113,7 +113,9 @@ def test_joints_that_step_together_give_the_same_bits_as_one(
 
 def test_invariant_terms_and_factors_share_one_name() -> None:
     a, b, u, y, z = sympy.symbols("a b u y z", real=True)
-    parts = Invariants.of({y: u * sympy.exp(-a) / b, z: u + sympy.exp(-a) / b}, [y, z], {a, b})
+    parts = Invariants.from_program(
+        {y: u * sympy.exp(-a) / b, z: u + sympy.exp(-a) / b}, [y, z], {a, b}
+    )
     assert len(parts.kept) == 1
     assert parts.moving[y] == u * parts.kept[0]
     assert parts.moving[z] == u + parts.kept[0]

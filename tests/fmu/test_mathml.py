@@ -6,7 +6,7 @@ from html import unescape
 import pytest
 import sympy
 
-from fmu_src.pages.mathml import MOST_TERMS, equations, symbol
+from fmu_src.pages.mathml import MAX_TERMS, equations, symbol
 from hesr_model.equations.functions import (
     absolute,
     cardinal_sine,
@@ -127,16 +127,16 @@ def test_states_have_their_rates() -> None:
     assert numbered[3] == "|z|≤4"
 
 
-@pytest.mark.parametrize("count", [MOST_TERMS, MOST_TERMS + 1, 20])
+@pytest.mark.parametrize("count", [MAX_TERMS, MAX_TERMS + 1, 20])
 def test_long_sums_show_their_first_terms_and_the_last(count: int) -> None:
     names = [f"a_{i}" for i in range(count)]
     output = sum((c(name) * DQ**i for i, name in enumerate(names, start=1)), sympy.Integer(0))
     (written,) = equations(law(output, **dict.fromkeys(names, 1.0)))
     terms = visible(written).removeprefix("τ=").split()
     assert written.count("<math") == len(terms) + 1
-    if count <= MOST_TERMS:
+    if count <= MAX_TERMS:
         assert len(terms) == count
     else:
-        assert len(terms) == MOST_TERMS // 2 + 2
+        assert len(terms) == MAX_TERMS // 2 + 2
         assert terms[0].startswith("a_{0}")
         assert terms[-2:] == ["+⋯", f"+a_{{{count - 1}}}·q'^{{{count}}}"]

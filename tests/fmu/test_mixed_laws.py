@@ -14,7 +14,7 @@ from fmu_src.friction.friction_fmu import export_bare
 from fmu_src.friction.replay import replay
 from fmu_src.pages import datasheet
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.model import FrictionModel, mixed
+from hesr_model.friction.model import FrictionModel, mix_models
 from hesr_model.friction.trained_range import TrainedRange
 
 LAWS = ("stribeck", "lugre_load", "parfam_s", "rbfnn_h")
@@ -44,7 +44,7 @@ def models(fitted: dict[str, FrictionLaw]) -> list[FrictionModel]:
 
 @pytest.fixture(scope="module")
 def model(models: list[FrictionModel]) -> FrictionModel:
-    return mixed(models)
+    return mix_models(models)
 
 
 def test_each_joint_has_its_own_law_and_errors(model: FrictionModel, fitted) -> None:

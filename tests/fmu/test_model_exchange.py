@@ -12,7 +12,7 @@ from registry_models import STUDIED
 from scipy.integrate import DOP853, solve_ivp
 
 from fmu_src.friction.friction_fmu import export_bare
-from hesr_model.equations.functions import lowered
+from hesr_model.equations.functions import to_numpy_function
 from hesr_model.equations.program import STEEP, Jumps
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import INPUTS
@@ -63,7 +63,9 @@ def equations(law):
     at = {c.symbol: law.values[c.name] for c in law.form.coefficients}
     parts = [e.subs(at) for r in law.form.relaxations for e in (r.drive, r.rate)]
     states = [s for r in law.form.relaxations for s in (r.state, r.derivative)]
-    return lowered(INPUTS, tuple(parts)), lowered((*INPUTS, *states), (law.form.output.subs(at),))
+    return to_numpy_function(INPUTS, tuple(parts)), to_numpy_function(
+        (*INPUTS, *states), (law.form.output.subs(at),)
+    )
 
 
 def truth(law):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy
 
-from hesr.extras.modelica.printer import equations
+from hesr.extras.modelica.printer import print_equations
 from hesr_model.equations.functions import NUMPY, absolute, clip, larger, over, positive, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -42,7 +42,7 @@ def evaluate(text: str, values: dict[str, float]) -> float:
 def test_values_are_those_of_the_law(name: str) -> None:
     output = OUTPUTS[name]
     memory = (H,) if name == "state" else ()
-    written = equations(LawForm(coefficients=(A, B), memory=memory, output=output))
+    written = print_equations(LawForm(coefficients=(A, B), memory=memory, output=output))
     symbols = (DQ, Q, TAU_LOAD, a, b, *([H.state] if memory else []))
     exact = output.subs(H.derivative, H.drive - H.rate * H.state)
     law = sympy.lambdify(symbols, exact, modules=[NUMPY, "numpy"])

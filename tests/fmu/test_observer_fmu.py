@@ -26,7 +26,7 @@ from fmu_src.friction.friction_fmu import export_fmu
 from fmu_src.friction.replay import replay
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
-from hesr.extras.observer.observation import export_observer, header_of, observed_logs
+from hesr.extras.observer.observation import build_header, export_observer, observe_logs
 from hesr.extras.observer.observer_fmu import ObserverLimits, content, has_wrench, law_limits
 from hesr_model.errors import ExportError, HesrError, LogError
 from hesr_model.friction.band import Band
@@ -74,7 +74,7 @@ def viscous(robot: Robot, value: float = 2.0) -> FrictionModel:
 
 @pytest.fixture(scope="module")
 def fmus(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
-    folder, body = tmp_path_factory.mktemp("observer"), PlantBody.of(Robot(UF850))
+    folder, body = tmp_path_factory.mktemp("observer"), PlantBody.from_robot(Robot(UF850))
     return {
         fmi: write_fmu(content(table1, body, limits(3)), folder / f"Observer{fmi}.fmu", fmi=fmi)
         for fmi in (2, 3)
@@ -110,16 +110,16 @@ def run(fmu: Path, log: Log) -> tuple[np.ndarray, np.ndarray]:
 def test_every_form_has_the_same_numbers(
     table1: FrictionModel, fmus: dict[int, Path], tmp_path: Path
 ) -> None:
-    body, log = PlantBody.of(Robot(UF850)), motion()
+    body, log = PlantBody.from_robot(Robot(UF850)), motion()
     known, contact = run(fmus[2], log)
     assert 0.05 < contact.mean() < 0.95
     rows, other = run(fmus[3], log)
     np.testing.assert_array_equal(rows, known)
     np.testing.assert_array_equal(other, contact)
-    [found] = observed_logs(table1, body, limits(3), [log])
+    [found] = observe_logs(table1, body, limits(3), [log])
     np.testing.assert_array_equal(np.hstack([found.outputs[n] for n in OUTPUTS]), known)
     np.testing.assert_array_equal(found.contact, contact)
-    header = header_of(content(table1, body, limits(3), bare=True), "own")
+    header = build_header(content(table1, body, limits(3), bare=True), "own")
     text = """
 #include <string.h>
 #include "own.h"
@@ -170,7 +170,7 @@ def test_the_observer_finds_what_pushes_a_plant(
     # The torque of row k is held over the step that ends there.
     tau = np.vstack([motor[:1], motor])
     log = Log(name="pushed", t=step * np.arange(count + 1), q=q, dq=dq, tau=tau)
-    [found] = observed_logs(model, PlantBody.of(robot), limits(6), [log], bandwidth=10.0)
+    [found] = observe_logs(model, PlantBody.from_robot(robot), limits(6), [log], bandwidth=10.0)
     settled = log.t > 1.3
     error = (found.outputs["tau_ext"] - np.vstack([push[:1], push]))[settled]
     assert np.abs(error).max() < 0.02 * np.abs(push).max() * step / 0.001
@@ -180,7 +180,7 @@ def test_the_observer_finds_what_pushes_a_plant(
 
 def test_force_and_moment_at_the_flange(tmp_path: Path) -> None:
     robot, rng = Robot(ur_like(tmp_path)), np.random.default_rng(4)
-    body, zero = PlantBody.of(robot), np.zeros((400, 6))
+    body, zero = PlantBody.from_robot(robot), np.zeros((400, 6))
     assert has_wrench(robot)
     assert not has_wrench(Robot(UF850))
     for _ in range(5):
@@ -197,7 +197,7 @@ def test_force_and_moment_at_the_flange(tmp_path: Path) -> None:
         rows = zero + q
         tau = robot.torque(robot.nominal_parameters, rows, zero, zero) - jacobian.T @ wrench
         log = Log(name="held", t=0.004 * np.arange(400), q=rows, dq=zero, tau=tau)
-        [found] = observed_logs(viscous(robot), body, limits(6), [log])
+        [found] = observe_logs(viscous(robot), body, limits(6), [log])
         last = {name: values[-1] for name, values in found.outputs.items()}
         np.testing.assert_allclose([*last["force"], *last["moment"]], wrench, rtol=1e-3, atol=1e-3)
         half = 0.5 * (last["tau_ext_upper"] - last["tau_ext_lower"]) / 1.96
@@ -233,25 +233,27 @@ def test_friction_follows_the_temperature(tmp_path: Path) -> None:
     model, log = thermal(), motion()
     temperature = np.stack([20.0 + k * log.t + 5.0 * np.sin(log.t) for k in (1, 2, 3)], axis=1)
     warm = replace(log, temperature=temperature)
-    [found] = observed_logs(model, PlantBody.of(Robot(UF850)), limits(3), [warm])
+    [found] = observe_logs(model, PlantBody.from_robot(Robot(UF850)), limits(3), [warm])
     torque, load = found.outputs["tau_friction"], found.outputs["tau_load"]
     alone = export_fmu(model, tmp_path / "Warm.fmu")
     known = replay(alone, log.t, log.dq, log.q, load, temperature=temperature)
     np.testing.assert_allclose(torque, known, rtol=0.0, atol=1e-9 * np.abs(known).max())
     cold = replace(log, temperature=np.full_like(temperature, 25.0))
-    [other] = observed_logs(model, PlantBody.of(Robot(UF850)), limits(3), [cold])
+    [other] = observe_logs(model, PlantBody.from_robot(Robot(UF850)), limits(3), [cold])
     assert np.abs(other.outputs["tau_friction"] - torque).max(axis=0).min() > 0.5
-    path = write_fmu(content(model, PlantBody.of(Robot(UF850)), limits(3)), tmp_path / "O.fmu")
+    path = write_fmu(
+        content(model, PlantBody.from_robot(Robot(UF850)), limits(3)), tmp_path / "O.fmu"
+    )
     assert check(path).problems == ()
     assert validate_fmu(str(path)) == []
 
 
 def test_currents_replace_torques(table1: FrictionModel, tmp_path: Path) -> None:
-    body, log, constants = PlantBody.of(Robot(UF850)), motion(300), (10.0, 12.0, 8.0)
+    body, log, constants = PlantBody.from_robot(Robot(UF850)), motion(300), (10.0, 12.0, 8.0)
     whole = content(table1, body, limits(3), constants=constants, bare=True)
     by_current = Log(name="i", t=log.t, q=log.q, dq=log.dq, tau=log.tau / constants)
     rows, _ = run(write_fmu(whole, tmp_path / "Current.fmu"), by_current)
-    [known] = observed_logs(table1, body, limits(3), [log])
+    [known] = observe_logs(table1, body, limits(3), [log])
     np.testing.assert_allclose(rows[:, :3], known.outputs["tau_ext"], rtol=1e-9, atol=1e-9)
 
 
@@ -274,23 +276,23 @@ def test_limits_without_calibration_are_those_of_the_law(tmp_path: Path) -> None
     assert own.numbers[:2] == ((1.0,) * 3, (2.0,) * 3)
     # ln(1 / (900000 * 3)) / ln(0.05) = 4.94
     assert own.factor == pytest.approx(4.943**0.65, rel=1e-3)
-    path = export_observer(banded, tmp_path / "Own.fmu", body=PlantBody.of(robot))
+    path = export_observer(banded, tmp_path / "Own.fmu", body=PlantBody.from_robot(robot))
     with zipfile.ZipFile(path) as archive:
         page = archive.read("documentation/index.html").decode()
     assert "rate of false alarms is unknown" in page
-    header = export_observer(banded, tmp_path / "own.h", body=PlantBody.of(robot))
+    header = export_observer(banded, tmp_path / "own.h", body=PlantBody.from_robot(robot))
     assert "own_step(" in header.read_text(encoding="utf-8")
 
 
 def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
-    body = PlantBody.of(Robot(UF850))
+    body = PlantBody.from_robot(Robot(UF850))
     with pytest.raises(ExportError, match="'bandwidth' is 0 Hz"):
         content(table1, body, limits(3), bandwidth=0.0)
     with pytest.raises(ExportError, match="'2b' is not a valid C name"):
         export_observer(table1, tmp_path / "2b.h", body=body)
     turned = Robot(coupled(tmp_path))
     with pytest.raises(ExportError, match="bands are those of coupled motors"):
-        export_observer(viscous(turned), tmp_path / "O.fmu", body=PlantBody.of(turned))
+        export_observer(viscous(turned), tmp_path / "O.fmu", body=PlantBody.from_robot(turned))
     heated = thermal(measured=False)
     with pytest.raises(ExportError, match="takes the temperature from the heat"):
         content(heated, body, limits(3))
@@ -299,7 +301,7 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     ):
         export_observer(thermal(), tmp_path / "own.h", body=body)
     with pytest.raises(LogError, match="log 'made': has no temperatures"):
-        observed_logs(thermal(), body, limits(3), [motion()])
+        observe_logs(thermal(), body, limits(3), [motion()])
     short = motion(500)
     with pytest.raises(HesrError, match="last 2 s; at least 60 s"):
         hesr.observe(short, law=table1, robot=UF850, calibration=short, accept=ACCEPTED)
@@ -311,6 +313,6 @@ def test_a_posture_is_the_start(tmp_path: Path) -> None:
     q = np.zeros((50, 6)) + 0.3
     tau = robot.torque(robot.nominal_parameters, q, 0.0 * q, 0.0 * q)
     log = Log(name="still", t=0.01 * np.arange(50), q=q, dq=0.0 * q, tau=tau)
-    [found] = observed_logs(viscous(robot), PlantBody.of(robot), limits(6), [log])
+    [found] = observe_logs(viscous(robot), PlantBody.from_robot(robot), limits(6), [log])
     assert np.abs(found.outputs["tau_ext"]).max() < 1e-9
     assert at(robot, q[0])["q_start[1]"] == 0.3

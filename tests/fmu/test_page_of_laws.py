@@ -11,14 +11,14 @@ import pytest
 from containing import Containing
 
 from fmu_src.friction.friction_component import friction_equations
-from fmu_src.friction.friction_fmu import about_model
+from fmu_src.friction.friction_fmu import describe_friction_fmu
 from fmu_src.pages.friction_page import model_title, to_html
 from hesr.extras.drive.drive_fmu import Motors, content
 from hesr.extras.modelica.modelica_package import export_modelica
 from hesr.extras.one_file.c_header import export_c
 from hesr.extras.one_file.tensors import export_torch
 from hesr_model.fitting.estimator import registry
-from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
 from hesr_model.friction.band import Band
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import MIXED, FrictionModel
@@ -36,7 +36,7 @@ TRAINED = TrainedRange(
 
 def page_of(model: FrictionModel) -> str:
     table = friction_equations(model)[0]
-    return to_html(model, table, about_model(model, "friction", "from their motion"))
+    return to_html(model, table, describe_friction_fmu(model, "friction", "from their motion"))
 
 
 def test_every_coefficient_has_a_meaning_of_its_own(
@@ -64,7 +64,7 @@ def test_the_uncertainty_is_stated_or_its_absence_explained(
         elif law.covariance is not None:
             reason = "the data also chose the terms"
         else:
-            assert len(law.values) > MOST_COEFFICIENTS, name
+            assert len(law.values) > MAX_COEFFICIENTS, name
             reason = "those of a network"
         assert reason in text, name
         reasons[reason] += 1

@@ -21,7 +21,7 @@ from fmu_src.friction.reference import (
     torques,
 )
 from fmu_src.run.reference_results import EXPERIMENTS, MANIFEST
-from hesr_model.equations.functions import lowered
+from hesr_model.equations.functions import to_numpy_function
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -136,8 +136,8 @@ def integrated(law: FrictionLaw, rows: np.ndarray) -> np.ndarray:
     symbols = tuple(c.symbol for c in law.form.coefficients)
     parts = tuple(e for r in law.form.relaxations for e in (r.drive, r.rate))
     states = tuple(s for r in law.form.relaxations for s in (r.state, r.derivative))
-    drives = lowered((*symbols, *INPUTS), parts)
-    output = lowered((*symbols, *INPUTS, *states), (law.form.output,))
+    drives = to_numpy_function((*symbols, *INPUTS), parts)
+    output = to_numpy_function((*symbols, *INPUTS, *states), (law.form.output,))
     values = tuple(law.values.values())
 
     def inputs(t: float) -> list[float]:

@@ -121,7 +121,7 @@ def test_the_fmu_is_valid_and_states_its_kind(fmu: Path) -> None:
 
 def test_factors_act_in_addition_to_temperature(fmu: Path) -> None:
     with FmuInstance(fmu) as component:
-        names = component.variables.expanded({"coulomb_scale": 0.0, "viscous_scale": 2.0})
+        names = component.variables.expand_values({"coulomb_scale": 0.0, "viscous_scale": 2.0})
         component.initialise(start=names)
         component.set({"dq[1]": 0.5, "temperature[1]": 25.0})
         component.step(0.0, 1.0)

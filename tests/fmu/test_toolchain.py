@@ -18,15 +18,15 @@ from c_hosts import LINUX
 from fmpy.validation import _validate_variable_names
 
 from fmu_src import export_fmu
-from fmu_src.export.description import RELEASED, to_xml
+from fmu_src.export.description import RELEASE_DATE, to_xml
 from fmu_src.export.interface import NAME
-from fmu_src.export.toolchain import CFLAGS, TARGETS, build, get_ready, universal
+from fmu_src.export.toolchain import CFLAGS, TARGETS, build, get_ready, join_universal_binary
 from fmu_src.friction.reference import reference_motion
 from fmu_src.friction.replay import replay
 from fmu_src.pages.datasheet import ModelAudit, ranges
 from hesr_model.audit.certificate import Certificate
 from hesr_model.errors import ExportError
-from hesr_model.support.cache import USED, since
+from hesr_model.support.cache import USED, count_hits
 from hesr_model.support.compiler import compile_c
 
 FUNCTIONS = 44  # of FMI 2.0
@@ -204,7 +204,7 @@ def test_new_coefficients_need_no_compiler(table1, table1_fmu, monkeypatch, tmp_
     values = dict(table1.laws[0].values) | {"c_0": 7.5}
     other = replace(table1, laws=(replace(table1.laws[0], values=values), *table1.laws[1:]))
     with monkeypatch.context() as without:
-        without.setattr("hesr_model.support.compiler._compiled", None)
+        without.setattr("hesr_model.support.compiler._run_compiler", None)
         fmu = export_fmu(other, tmp_path / "second.fmu", no_documentation=True)
     t, dq = 0.005 * np.arange(20), np.linspace(-1.0, 1.0, 60).reshape(20, 3)
     difference = replay(fmu, t, dq) - replay(table1_fmu, t, dq)
@@ -246,7 +246,7 @@ def test_the_signature_of_overwritten_libraries_for_macos_is_valid(sources, tmp_
 @pytest.mark.parametrize(
     ("epoch", "created", "expected"),
     [
-        (None, None, RELEASED),
+        (None, None, RELEASE_DATE),
         (None, "2024-05-06T07:08:09+02:00", "2024-05-06T05:08:09Z"),
         ("1700000000", "2024-05-06", "2023-11-14T22:13:20Z"),
         ("0", None, "1980-01-01T00:00:00Z"),
@@ -311,12 +311,12 @@ def test_dependencies_of_the_first_page_are_built_in_advance(empty_cache):
     assert list((empty_cache / "zig").glob("o/*/libcompiler_rt.a"))
     before = USED.copy()
     get_ready()
-    assert since(before) == {"binaries": (1, 1)}
+    assert count_hits(before) == {"binaries": (1, 1)}
 
 
 def test_a_given_audit_is_used_in_the_page(table1, tmp_path):
     motion = reference_motion(table1)
-    audit = ModelAudit.of(table1, ranges(table1, motion))
+    audit = ModelAudit.from_model(table1, ranges(table1, motion))
     given, own = (
         export_fmu(table1, tmp_path / f"{name}.fmu", audit=found).read_bytes()
         for name, found in (("given", audit), ("own", None))
@@ -362,7 +362,7 @@ def test_an_empty_list_of_platforms_is_refused(table1, tmp_path):
 
 def test_parts_of_universal_files_are_page_aligned():
     parts = [struct.pack("<III", 0xFEEDFACF, cpu, 3) + b"x" * n for cpu, n in ((7, 5), (12, 20000))]
-    data = universal(parts)
+    data = join_universal_binary(parts)
     for i, part in enumerate(parts):
         cpu, _, offset, size, _ = struct.unpack_from(">IIIII", data, 8 + 20 * i)
         assert offset % 0x4000 == 0

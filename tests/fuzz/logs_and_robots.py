@@ -162,9 +162,9 @@ def _bag_of_ros_1(path: Path) -> None:
 
 
 def _robot(path: Path) -> object:
-    from hesr_model.robots.model_file import driven_joints
+    from hesr_model.robots.model_file import find_driven_joints
 
-    joints = tuple(joint.name for joint in driven_joints(path))
+    joints = tuple(joint.name for joint in find_driven_joints(path))
     return Robot(RobotDescription(name="robot", model=path, joints=joints))
 
 

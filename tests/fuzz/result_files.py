@@ -67,10 +67,10 @@ def _run(path: Path) -> object:
 
 
 def _scores(path: Path) -> object:
-    from cosim.report.results import _by_test
+    from cosim.report.results import _read_by_test
     from cosim.study.scores import Comparison
 
-    return _by_test(Comparison, path, "the scores of a run")
+    return _read_by_test(Comparison, path, "the scores of a run")
 
 
 def _battery(path: Path) -> object:
@@ -133,10 +133,10 @@ def _in_place(name: str, read: Callable[[Path], object]) -> Callable[[Path], obj
 
 
 def _simulations(path: Path) -> object:
-    from cosim.report.results import _by_test
+    from cosim.report.results import _read_by_test
     from cosim.study.position_errors import PositionErrors
 
-    return _by_test(PositionErrors, path, "the simulations of a run")
+    return _read_by_test(PositionErrors, path, "the simulations of a run")
 
 
 def _write_simulations(path: Path) -> None:
@@ -238,9 +238,9 @@ def _runs(folder: Path) -> object:
 
 
 def _folder_of_sweep(folder: Path) -> object:
-    from hesr.extras.sweep.work import ABOUT, taken
+    from hesr.extras.sweep.work import ABOUT, lock_folder
 
-    with taken(folder, "runs", ABOUT, {"key": "7f", "runs": 20}):
+    with lock_folder(folder, "runs", ABOUT, {"key": "7f", "runs": 20}):
         return None
 
 
@@ -264,14 +264,14 @@ def _write_fmu(path: Path) -> None:
 
 
 def _fmu(path: Path) -> object:
-    from fmu_src.friction.embedded_model import embedded_model
+    from fmu_src.friction.embedded_model import read_embedded_model
     from fmu_src.run.archive import Archive
     from fmu_src.run.reference_results import Verified, experiments
     from fmu_src.run.variables import model_description
 
     found = Verified()
     model_description(path)
-    embedded_model(path)
+    read_embedded_model(path)
     with Archive(path) as archive:
         told = experiments(archive, found)
     if found.problems:
@@ -292,10 +292,10 @@ def _write_ssp(path: Path) -> None:
 
 
 def _ssp(path: Path) -> object:
-    from cosim.systems.system import opened_system
+    from cosim.systems.system import open_system
     from hesr.extras.ssp.contents import read_contents
 
-    with opened_system(path) as spec:
+    with open_system(path) as spec:
         return read_contents(spec, path)
 
 

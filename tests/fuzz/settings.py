@@ -116,9 +116,9 @@ def _write_robot(path: Path) -> None:
 
 def _fleet(path: Path) -> object:
     """Read a fleet and find its robots in its folder."""
-    from hesr.extras.fleet.study import FleetStudy, members
+    from hesr.extras.fleet.study import FleetStudy, find_members
 
-    return members(FleetStudy.read(path), path)
+    return find_members(FleetStudy.read(path), path)
 
 
 def _write_fleet(path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.systems.system import SystemSpec, opened_system
+from cosim.systems.system import SystemSpec, open_system
 from cosim.systems.wiring import Wiring
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.ssp.contents import read_contents
@@ -155,12 +155,12 @@ def opened_case(path: Path, folder: Path) -> Iterator[Together]:
     ConfigError
         If it cannot be read, or its system is inconsistent with its FMUs.
     """
-    with opened_system(path) as spec:
+    with open_system(path) as spec:
         contents = read_contents(spec, path)
         packaged = path.suffix.lower() == ".ssp"
         yield Together(
             name=path.stem if packaged else spec.name,
             spec=spec,
             ssp=path if packaged else write_ssp(contents, folder / f"{spec.name}.ssp"),
-            signals=[f"{name}.{variable}" for name, variable in contents.used],
+            signals=[f"{name}.{variable}" for name, variable in contents.used_outputs],
         )

@@ -15,8 +15,8 @@ from fmu_src.blocks.trajectory import start_values, trajectory
 from fmu_src.export.package import Version, write_fmu
 from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.adaptive.monitor import adaptive_content, export_adaptive
+from hesr.extras.drive.drive_fmu import build_motors
 from hesr.extras.drive.drive_fmu import content as drive
-from hesr.extras.drive.drive_fmu import motors
 from hesr_model.fitting.estimator import registry
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -78,7 +78,7 @@ def of_both_versions(folder: Path) -> dict[str, tuple[Alone, Alone]]:
     joints = len(table1.joints)
     contents = {
         "adaptive": adaptive_content(followed()),
-        "drive": drive(table1, motors(3, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4))),
+        "drive": drive(table1, build_motors(3, inertia=(3.0, 3.0, 0.6), stiffness=(1e4, 2e4, 1e4))),
         "trajectory": trajectory(joints),
         "body": inverse_dynamics(robot, robot.nominal_parameters),
         "controller": controller(joints),

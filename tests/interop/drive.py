@@ -8,7 +8,7 @@ from interop.case import Alone
 
 from cosim.systems.system import Value
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.variables import element_of
+from fmu_src.run.variables import split_reference
 from hesr_model.support.arrays import Array
 
 _AMPLITUDE, _RATE, _PHASE = 0.5, 2.0 * np.pi, 0.7
@@ -38,11 +38,11 @@ def driven(
     """
     with FmuInstance(fmu) as component:
         about, variables = component.description, component.variables
-        given = variables.expanded(start or {})
+        given = variables.expand_values(start or {})
     fmi = int(about.fmiVersion[0])
     parts: dict[int, list[str]] = {}
     for variable in about.modelVariables:
-        parts.setdefault(element_of(variable.valueReference)[0], []).append(variable.name)
+        parts.setdefault(split_reference(variable.valueReference)[0], []).append(variable.name)
     arrays = {n: tuple(parts[a]) for a, n, *_ in component.declared if n not in parts[a]}
     for elements in arrays.values():
         if any(name in given for name in elements):

@@ -14,7 +14,7 @@ from fmu_src.run.master import ExchangeScheme
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.process import FailedError
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,9 @@ def compare(
         If our own code cannot run a case.
     """
     expected = cache(reference)
-    rows = [_row(engine, cases, tools, expected, fault) for engine in counted(engines, progress)]
+    rows = [
+        _row(engine, cases, tools, expected, fault) for engine in report_progress(engines, progress)
+    ]
     return EngineMatrix(cases=cases, rows=rows)
 
 
@@ -168,7 +170,9 @@ def _run(engine: Engine, case: Case, tools: Tools) -> Run:
         if isinstance(case, Together):
             if engine.together is None:
                 raise SkippedError("it runs one FMU only")
-            if any(case.spec.every(component) > 1 for component in case.spec.components):
+            if any(
+                case.spec.find_step_multiple(component) > 1 for component in case.spec.components
+            ):
                 raise SkippedError("engines take components with steps of their own in many ways")
             return engine.together(tools, case, folder)
         if engine.alone is None:

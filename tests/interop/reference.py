@@ -8,7 +8,7 @@ from interop.case import Alone, Together
 from cosim.systems.simulation import Master
 from fmu_src.run.fmu import FmuInstance
 from fmu_src.run.master import ExchangeScheme
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr_model.support.arrays import Array
 
 
@@ -22,7 +22,7 @@ def alone(case: Alone) -> dict[str, Array]:
         component.initialise(stop=case.stop, start=case.start, inputs=inputs)
         found[0] = outputs.read()
         times, sizes = case.times[:-1], np.full(case.steps, case.step)
-        found[1:] = through(component, inputs, outputs, times, sizes, rows[:-1])
+        found[1:] = step_rows(component, inputs, outputs, times, sizes, rows[:-1])
     return dict(zip(case.outputs, found.T, strict=True))
 
 

@@ -52,7 +52,7 @@ def open_system(folder: Path) -> Path:
 
 def observer_content() -> Content:
     """Return the observer of the UF850 with Table I."""
-    body = PlantBody.of(Robot(models_folder() / "uf850" / "robot.toml"))
+    body = PlantBody.from_robot(Robot(models_folder() / "uf850" / "robot.toml"))
     row = (1.0,) * body.robot.n
     limits = ObserverLimits(numbers=(row, row, (0.02,) * body.robot.n, row, row, row), factor=2.0)
     return observer(FrictionModel.read(model_file("uf850-table1")), body, limits)

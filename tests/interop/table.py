@@ -6,7 +6,7 @@ from interop.case import Together
 from interop.engine import describe
 from interop.matrix import EngineMatrix, EngineResult
 
-from cosim.report.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, make_row
 
 
 def table(matrix: EngineMatrix) -> ResultTable:
@@ -17,7 +17,7 @@ def table(matrix: EngineMatrix) -> ResultTable:
         head=("engine", "version", *(f"{case.name} ({case.tolerance:g})" for case in matrix.cases)),
         words=(1,),
         rows=[
-            row_of(
+            make_row(
                 row.engine.name,
                 row.version or "-",
                 *(_text(row.cells.get(name)) for name in names),

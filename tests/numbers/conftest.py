@@ -52,7 +52,7 @@ def records() -> list[FrictionRecord]:
 def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
     """Features of the records with exact discretisation."""
     return HysteresisFeatures(
-        samples=JointRows.of(records, coefficients=11), discretisation="exact"
+        samples=JointRows.from_records(records, coefficients=11), discretisation="exact"
     )
 
 

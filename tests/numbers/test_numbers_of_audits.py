@@ -12,12 +12,12 @@ from hesr_model.audit import attack as attacks
 from hesr_model.audit import audit, certificate
 from hesr_model.audit import audit as audits
 from hesr_model.equations.functions import absolute, positive, sgn
-from hesr_model.equations.intervals import never_negative
+from hesr_model.equations.intervals import is_never_negative
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
-from hesr_model.friction.trained_range import TrainedRange, outside
+from hesr_model.friction.trained_range import TrainedRange, find_excess
 from hesr_model.laws.stops.form import SPEEDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -75,7 +75,7 @@ def test_proofs_and_audits(name: str, unchanged: Unchanged) -> None:
     of = laws()[name]
     found = certificate.certify(of, TRAINED)
     text = {"text": found.cycle.text} if found.cycle else {}
-    proven = {"storage": certificate.storage(of)} if found.verdict == "proven" else {}
+    proven = {"storage": certificate.find_storage_factors(of)} if found.verdict == "proven" else {}
     unchanged(
         {
             "verdict": sum(map(ord, found.verdict)),
@@ -84,12 +84,12 @@ def test_proofs_and_audits(name: str, unchanged: Unchanged) -> None:
             "length": len(found.storage),
             "function": found.storage,
             "step": -1.0 if found.largest_step is None else min(found.largest_step, 1e9),
-            "least": certificate.least_viscosity(of),
+            "least": certificate.find_min_viscous_scale(of),
             "cycle": asdict(found.cycle) if found.cycle else {},
             **text,
             **proven,
             "audit": audits.audit(of, TRAINED),
-            "outside": audits._largest_outside(of, TRAINED),
+            "outside": audits._extrapolate_largest_torque(of, TRAINED),
         },
         rtol=1e-5,
     )
@@ -97,7 +97,9 @@ def test_proofs_and_audits(name: str, unchanged: Unchanged) -> None:
 
 def test_waves_need_viscous_friction(unchanged: Unchanged) -> None:
     groups = [(0.5, 50.0, 0.003, 0.0, -1.0), (0.3, 200.0, 0.001, 0.02, 0.015)]
-    need, longer = (certificate._needed(groups, step, SPEEDS[1:]) for step in (0.01, 0.05))
+    need, longer = (
+        certificate._compute_required_viscosity(groups, step, SPEEDS[1:]) for step in (0.01, 0.05)
+    )
     unchanged({"need": need, "longer": longer, "speeds": SPEEDS})
 
 
@@ -109,12 +111,12 @@ def test_slack_of_ripple(less: float, verdict: str) -> None:
 
 
 def test_examined_steps() -> None:
-    steps = certificate._STEPS
+    steps = certificate._STEP_CANDIDATES
     assert (steps[0], steps[-1], len(steps)) == (1e-6, 10.0, 141)
 
 
 def test_signs_of_expressions() -> None:
-    shown = never_negative
+    shown = is_never_negative
     assert shown(sympy.Integer(0))
     assert not shown(sympy.Integer(-1))
     assert shown(sympy.exp(DQ) * absolute(Q) + positive(DQ))
@@ -136,7 +138,7 @@ def test_closed_motions(unchanged: Unchanged) -> None:
         torque = 0.3 * np.sign(motions.dq) - 0.2 * motions.dq + 1e-12
         found[str(wanted)] = {
             "motions": motions,
-            "cycles": list(audit.cycles(motions, 4.0, torque)),
+            "cycles": list(audit.measure_cycles(motions, 4.0, torque)),
             "shape": motions.dq.shape,
         }
     dq, q, settling = audit.encoder_noise(TRAINED)
@@ -152,15 +154,15 @@ def test_round_off_work_counts_as_zero() -> None:
         moved = np.abs(turned * motions.dq)[:, -motions.rows :].sum()
         own_work = (motions.dq**2)[:, -motions.rows :].sum()
         tau = turned + share * moved / own_work * motions.dq
-        [cycle] = audit.cycles(motions, 0.0, tau)
+        [cycle] = audit.measure_cycles(motions, 0.0, tau)
         assert (cycle.work != 0.0) == counts
-    [still] = audit.cycles(motions, 0.0, 0.0 * motions.dq)
+    [still] = audit.measure_cycles(motions, 0.0, 0.0 * motions.dq)
     assert (still.work, still.share) == (0.0, 0.0)
 
 
 def test_motions_with_an_oscillating_load(unchanged: Unchanged) -> None:
     found = list(attacks.loaded_motions(TRAINED, angles=(1e-3, 1e-2), phases=(0.0, 1.0), turns=3))
-    given = [m.given(-0.1 * m.dq + 0.01 * m.load * np.sign(m.dq)) for m in found]
+    given = [m.compute_generated_energy(-0.1 * m.dq + 0.01 * m.load * np.sign(m.dq)) for m in found]
     unchanged({
         "first": found[0], "last": found[-1], "count": len(found), "given": given,
         "phases": attacks.PHASES, "angles": attacks.ANGLES,
@@ -174,12 +176,12 @@ def test_energy_counts_if_cycles_agree() -> None:
     for ratio, counts in ((0.96, True), (0.94, False), (1.04, True), (1.06, False)):
         tau = -np.sign(motion.dq)
         tau[-2 * rows : -rows] *= ratio
-        assert (motion.given(tau) > 0.0) == counts
+        assert (motion.compute_generated_energy(tau) > 0.0) == counts
     level = np.full(len(motion.dq), 1.0)
     drives = -1e-5 * np.sign(motion.dq)
-    assert motion.given(level + drives) > 0.0
-    assert motion.given(level + drives / 20.0) == 0.0
-    assert motion.given(np.sign(motion.dq)) == 0.0
+    assert motion.compute_generated_energy(level + drives) > 0.0
+    assert motion.compute_generated_energy(level + drives / 20.0) == 0.0
+    assert motion.compute_generated_energy(np.sign(motion.dq)) == 0.0
 
 
 # --- parts of an audit ------------------------------------------------------------------------
@@ -187,17 +189,17 @@ def test_energy_counts_if_cycles_agree() -> None:
 
 def test_loads_of_an_audit() -> None:
     of = laws()["with load"]
-    assert audits.loads_of(of, TRAINED) == (-20.0, 0.0, 30.0)
-    assert audits.loads_of(of, TRAINED, 1.5) == (-32.5, 0.0, 42.5)
+    assert audits.choose_loads(of, TRAINED) == (-20.0, 0.0, 30.0)
+    assert audits.choose_loads(of, TRAINED, 1.5) == (-32.5, 0.0, 42.5)
     only = replace(TRAINED, tau_load=(5.0, 30.0))
-    assert audits.loads_of(of, only) == (5.0, 30.0)
-    assert audits.loads_of(laws()["lugre"], only) == (5.0,)
-    assert audits.loads_of(laws()["lugre"], replace(only, tau_load=(-9.0, -3.0))) == (-3.0,)
+    assert audits.choose_loads(of, only) == (5.0, 30.0)
+    assert audits.choose_loads(laws()["lugre"], only) == (5.0,)
+    assert audits.choose_loads(laws()["lugre"], replace(only, tau_load=(-9.0, -3.0))) == (-3.0,)
 
 
 def test_ranges_of_negative_power() -> None:
     v = np.array([-2.0, -1.0, 1.0, 2.0, 3.0])
-    negative = audits._negative
+    negative = audits._find_negative_ranges
     assert negative(v, np.array([1.0, 1.0, 1.0, 1.0, 1.0])) == ()
     assert negative(v, np.array([-1.0, 1.0, 1.0, 1.0, -1.0])) == ((-2.0, -1.5), (2.5, 3.0))
     assert negative(v, np.array([1.0, -3.0, 1.0, 1.0, 1.0])) == ((-1.75, 0.0),)
@@ -212,19 +214,19 @@ def test_exploding_torque() -> None:
         cubic = own(20.0 * size * sgn(DQ))
         assert audits.explodes(cubic, TRAINED) == refused
     assert not audits.explodes(own(20.0 * DQ), TRAINED)
-    assert audits._too_large(float("nan"), TRAINED)
+    assert audits._is_too_large(float("nan"), TRAINED)
 
 
 def test_ranges_and_excess() -> None:
     t = 0.01 * np.arange(5)
     dq = np.array([-1.5, 0.0, 0.8, 0.9, 0.0])
     one = FrictionRecord(log="a", joint="j1", t=t, dq=dq, q=dq, tau_load=30.0 + 0.0 * dq, tau=dq)
-    found = outside(TRAINED, [one])
+    found = find_excess(TRAINED, [one])
     assert list(found) == ["dq", "q"]
     assert (found["dq"].rows, found["dq"].below) == (0.4, 0.5)
     assert found["dq"].above == pytest.approx(0.1)
     assert (found["q"].rows, found["q"].above) == (0.2, 0.0)
-    seen = TrainedRange.of([one, replace(one, t=3.0 * t, q=dq + 4.0)])
+    seen = TrainedRange.from_records([one, replace(one, t=3.0 * t, q=dq + 4.0)])
     assert (seen.q, seen.dq, seen.speed) == ((-1.5, 4.9), (-1.5, 0.9), 1.5)
     assert seen.middle == pytest.approx(1.7)
     assert seen.sample_time == pytest.approx(0.02)

@@ -16,10 +16,10 @@ from hesr_model.motions.excitation import ExcitationSettings, design
 from hesr_model.motions.limits import MotionLimits
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import Method, Weighting, identify, identify_motions
-from hesr_model.rigid_body.observations import matched
-from hesr_model.rigid_body.payload import identify_payload_motions, loaded
+from hesr_model.rigid_body.observations import match_motions
+from hesr_model.rigid_body.payload import add_payload, identify_payload_motions
 from hesr_model.rigid_body.refinement import identify_again
-from hesr_model.rigid_body.residual import all_at_friction, friction_records
+from hesr_model.rigid_body.residual import friction_records, transform_all_records
 from hesr_model.rigid_body.torque_constants import point_payload, torque_constants
 from hesr_model.robots.robot import Robot
 
@@ -72,7 +72,7 @@ def test_with_reversed_logs(
     forward = noisy(make_motion(name="run", seconds=5.0, friction=2.0), 1)
     backward = noisy(make_motion(name="back", seconds=5.0, friction=2.0, reverse=True), 2)
     body = identify_motions([forward], arm_model, method=method, reversed_motions=[backward])
-    there, back = matched(forward, backward)
+    there, back = match_motions(forward, backward)
     unchanged({"body": body, "pair": {"forward": there, "backward": back}})
 
 
@@ -91,7 +91,12 @@ def test_refined_by_a_law(make_motion: MakeMotion, arm_model: Robot, unchanged: 
     model = fit_models(["lugre"], by_joint, robot="arm", seed=0, workers=1)["lugre"]
     again = identify_again(logs, arm_model, body, model)
     unchanged(
-        {"body": body, "records": all_at_friction(by_joint), "laws": model.laws, "again": again},
+        {
+            "body": body,
+            "records": transform_all_records(by_joint),
+            "laws": model.laws,
+            "again": again,
+        },
         rtol=1e-2,
     )
 
@@ -102,7 +107,7 @@ def test_a_payload(motions: list[Motion], arm_model: Robot, unchanged: Unchanged
     carried = point_payload(4.0, (0.08, -0.04, 0.06))
     under = [replace(m, tau=m.tau + own @ carried) for m, own in zip(motions, columns, strict=True)]
     payload = identify_payload_motions(under, arm_model, unloaded)
-    unchanged({"payload": payload, "loaded": loaded(unloaded, payload, arm_model)}, rtol=1e-5)
+    unchanged({"payload": payload, "loaded": add_payload(unloaded, payload, arm_model)}, rtol=1e-5)
 
 
 def test_torque_constants(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:

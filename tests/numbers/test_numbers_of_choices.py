@@ -46,27 +46,48 @@ def test_search_spaces_of_all_laws(unchanged: Unchanged) -> None:
 
 def test_limits_of_searches() -> None:
     assert (trial.MEMORY_BOUNDS, trial.REST_SPEED) == ((0.05, 2000.0), 1e-3)
-    assert (trial.DIVISOR_LIMIT, trial.UNIT_GAIN, trial._ROWS) == (0.9, 0.05, 3000)
-    assert (search.SPEEDS, search.TIMES) == ((0.05, 0.1, 0.2, 0.4),) * 2
-    assert search.LEAST == 2e-3
-    assert (calibration.RESTS, calibration._LONG, calibration._ENOUGH) == (10, 0.5, 4000)
-    assert calibration._TAIL == (0.4, 1.2)
+    assert (trial.DIVISOR_LIMIT, trial.MIN_UNIT_GAIN, trial._SEARCH_ROWS) == (0.9, 0.05, 3000)
+    assert (search.STRIBECK_SHARES, search.AGEING_TIMES) == ((0.05, 0.1, 0.2, 0.4),) * 2
+    assert search.MIN_FORCE_SHARE == 2e-3
+    assert (calibration.MIN_RESTS, calibration._MIN_REST_DURATION, calibration._MAX_SHARE_ROWS) == (
+        10,
+        0.5,
+        4000,
+    )
+    assert calibration._TAIL_RANGE == (0.4, 1.2)
     assert calibration.SLOW_SPEEDS == (0.01, 0.02, 0.04, 0.08, 0.16)
-    assert (uncertainty.MOST_COEFFICIENTS, uncertainty._WIDTH, uncertainty._FLATTEST) == (
+    assert (
+        uncertainty.MAX_COEFFICIENTS,
+        uncertainty._CURVATURE_WIDTH,
+        uncertainty._MIN_CHANGE_RATIO,
+    ) == (
         64,
         2.0,
         0.25,
     )
-    assert (comparison.BIN, comparison.SECONDS_PER_DEGREE, comparison._TIMES_PER_DEGREE) == (
+    assert (
+        comparison.BIN_SECONDS,
+        comparison.SECONDS_PER_DEGREE,
+        comparison._TIMES_PER_DEGREE,
+    ) == (
         0.05,
         8.0,
         3.0,
     )
-    assert (comparison.LEAST_DEGREES, comparison.CALIBRATION, comparison.POWER) == (4, 5.0, 0.8)
-    assert (payload._SEGMENT, payload._LEAST_SEGMENTS, payload._SIGNIFICANT) == (1.0, 10, 4.0)
-    assert (observations._LONGEST_SHIFT, observations._LARGEST_MISMATCH) == (0.5, 0.1)
-    assert (identification.LEAST_PEAK, identification._MATTERS) == (0.02, 1e-2)
-    assert (ripple.MOST, ripple.GAIN, ripple.CHANCE, ripple._ATTEMPTS) == (6, 0.002, 18.0, 3)
+    assert (comparison.MIN_DEGREES, comparison.CALIBRATION, comparison.POWER) == (4, 5.0, 0.8)
+    assert (payload._SEGMENT_DURATION, payload._MIN_SEGMENTS, payload._MIN_MASS_SIGNIFICANCE) == (
+        1.0,
+        10,
+        4.0,
+    )
+    assert (observations._MAX_SHIFT, observations._MAX_MISMATCH) == (0.5, 0.1)
+    assert (identification.MIN_PEAK_SPEED, identification._MIN_ERROR_SHARE) == (0.02, 1e-2)
+    assert (ripple.MAX_ORDERS, ripple.MIN_GAIN, ripple.CHANCE_GAIN, ripple._ATTEMPTS) == (
+        6,
+        0.002,
+        18.0,
+        3,
+    )
     assert list(ripple.ORDERS) == list(range(1, 17))
     lags, smoothings = (sorted(set(times)) for times in zip(*ripple._TIMES, strict=True))
     np.testing.assert_allclose(lags, np.linspace(0.0, 0.012, 25))
@@ -88,7 +109,7 @@ def test_expectations_of_laws(unchanged: Unchanged) -> None:
 
 @pytest.fixture(scope="module")
 def samples(records: list[FrictionRecord]) -> JointRows:
-    made = JointRows.of(records, coefficients=5)
+    made = JointRows.from_records(records, coefficients=5)
     turn = 101.0 * (made.q - 0.0032 * made.dq)
     small = 1.0 / (1.0 + (2 * 101.0 * 0.0015 * made.dq) ** 2)
     tau = made.tau + 2.0 * np.cos(2.0 * turn) * small + 1.2 * np.sin(5.0 * turn)
@@ -101,7 +122,7 @@ def test_motor_ripple(samples: JointRows, unchanged: Unchanged) -> None:
     assert chosen is not None
     two = ripple.Ripple(gear_ratio=101.0, orders=(2, 5))
     times = ripple._TIMES[::9]
-    ranked = ripple._ranking(samples, samples.tau - 8.0 * np.sign(samples.dq), two, times)
+    ranked = ripple._rank_orders(samples, samples.tau - 8.0 * np.sign(samples.dq), two, times)
     smoothings, plain, square = ripple._weights(samples, 101.0, 3, times)
     unchanged({
         "orders": chosen[0].orders, "times": chosen[1],
@@ -114,7 +135,7 @@ def test_motor_ripple(samples: JointRows, unchanged: Unchanged) -> None:
 
 def test_no_ripple_in_coulomb_friction(records: list[FrictionRecord]) -> None:
     rng = np.random.default_rng(0)
-    made = JointRows.of(records, coefficients=5)
+    made = JointRows.from_records(records, coefficients=5)
     made = replace(made, tau=np.sign(made.dq) + rng.normal(size=len(made.dq)))
     base = np.stack([np.sign(made.dq), np.ones_like(made.dq)], axis=1)
     assert ripple.select(base, made, 101.0, made.folds) is None

@@ -10,17 +10,17 @@ from unchanged import Unchanged
 
 from hesr_model.health.evidence import (
     Motionwise,
-    motionwise,
+    smooth_parts,
 )
-from hesr_model.health.examine import of_log
+from hesr_model.health.examine import add_log_name
 from hesr_model.health.timing import (
     LagRows,
+    _friction_shapes,
     _project_out,
-    _rubs,
-    _wrong_rate,
+    _report_wrong_rate,
     check_clocks,
-    delays,
-    stamps_rate,
+    estimate_delays,
+    estimate_stamp_rate,
 )
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
@@ -38,7 +38,7 @@ def late(values: np.ndarray, rows: int) -> np.ndarray:
 
 
 def part_of(log: Log) -> Motionwise:
-    (part,) = motionwise(log, 15.0)
+    (part,) = smooth_parts(log, 15.0)
     return part
 
 
@@ -51,7 +51,7 @@ def test_clocks(
 ) -> None:
     base = base_columns(arm_model)
     part = part_of(log)
-    rows = LagRows.of(log, arm_model, base)
+    rows = LagRows.from_log(log, arm_model, base)
     coupled = Robot(
         RobotDescription(
             **{**dict(arm), "transmission": Transmission(matrix=COUPLED, logs="motor")}
@@ -64,7 +64,7 @@ def test_clocks(
         return part_of(replace(log, tau=tau))
 
     def told(own: Motionwise, joints: list[int] = every) -> list[str]:
-        return said(of_log(own.log, check_clocks(own, joints, arm_model)[0]))
+        return said(add_log_name(own.log, check_clocks(own, joints, arm_model)[0]))
 
     def slowed(rate: float) -> Motionwise:
         own = replace(log, t=rate * log.t, dq=None)
@@ -75,18 +75,18 @@ def test_clocks(
     unchanged(
         {
             "rows": rows,
-            "coupled": LagRows.of(log, coupled, base),
+            "coupled": LagRows.from_log(log, coupled, base),
             "delays": [
-                [delays(LagRows.of(moved(k, k, k).log, arm_model, base), j)[kind]
+                [estimate_delays(LagRows.from_log(moved(k, k, k).log, arm_model, base), j)[kind]
                  for k in (-12, 0, 9, 20)]
                 for j in every for kind in range(2)
             ],
-            "rates": [stamps_rate(LagRows.of(x, arm_model, base), every)
+            "rates": [estimate_stamp_rate(LagRows.from_log(x, arm_model, base), every)
                       for x in (log, slowed(1.5).log, slowed(0.6).log, noisy)],
-            "rate of one": stamps_rate(rows, [1]),
-            "short": stamps_rate(LagRows.of(short.log, arm_model, base), every),
-            "rubs": _rubs(part.q[:, 0], part.v[:, 0]),
-            "rubs backwards": _rubs(-part.q[:, 0], -part.v[:, 0])[:3],
+            "rate of one": estimate_stamp_rate(rows, [1]),
+            "short": estimate_stamp_rate(LagRows.from_log(short.log, arm_model, base), every),
+            "rubs": _friction_shapes(part.q[:, 0], part.v[:, 0]),
+            "rubs backwards": _friction_shapes(-part.q[:, 0], -part.v[:, 0])[:3],
             "beside": _project_out(
                 np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau
             ),
@@ -111,7 +111,7 @@ def test_clocks(
             "slowed": told(slowed(1.5)),
             "hurried": told(slowed(0.6)),
             "hardly slowed": told(slowed(1.2)),
-            "rates": said(of_log(log, [_wrong_rate(x) for x in (0.5, 1.7)])),
+            "rates": said(add_log_name(log, [_report_wrong_rate(x) for x in (0.5, 1.7)])),
         }
     )  # fmt: skip
 
@@ -125,4 +125,4 @@ def test_few_rows_determine_no_delay() -> None:
         rubs=(np.zeros((5, 40)),),
         known=np.ones((5, 1), dtype=bool),
     )
-    assert [(one.value, one.error) for one in delays(rows, 0)] == [(0.0, np.inf)] * 2
+    assert [(one.value, one.error) for one in estimate_delays(rows, 0)] == [(0.0, np.inf)] * 2

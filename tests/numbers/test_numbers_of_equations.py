@@ -191,7 +191,7 @@ def test_clips_of_all_rows_equal_those_row_by_row(rows: int) -> None:
     ]
     kernel = Kernel(stops, (), (*ways, *bounds), [stop.state for stop in stops])
     run = KernelRun(kernel, [*way, *bound], np.ones(rows), np.flatnonzero(begins))
-    found = run.at(np.zeros(0), start, settled=True).T
+    found = run.evaluate(np.zeros(0), start, settled=True).T
     x = start
     for k in range(rows):
         x = start if begins[k] else np.clip(x + way[:, k], -bound[:, k], bound[:, k])
@@ -214,11 +214,11 @@ def test_whole_powers_up_to_eight_are_products() -> None:
     x = sympy.Symbol("x", real=True)
     for power, products in ((2, 1), (8, 7)):
         graph = Graph([], [x])
-        graph.of(x**power)
+        graph.find_node(x**power)
         assert [n.operation for n in graph.nodes].count("MULTIPLY") == products
     for odd in (x**9, x ** sympy.Rational(1, 3), x**1.5):
         graph = Graph([], [x])
-        graph.of(odd)
+        graph.find_node(odd)
         assert [n.operation for n in graph.nodes].count("POWER") == 1
 
 

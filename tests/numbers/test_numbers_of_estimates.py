@@ -9,17 +9,17 @@ from scipy.signal import lfilter
 from significance import long_run_of
 from unchanged import Unchanged
 
-from hesr.extras.fleet.deviation import deviations, trend
+from hesr.extras.fleet.deviation import compute_deviations, fit_trend
 from hesr_model.fitting import calibration, uncertainty
 from hesr_model.fitting.separable import SearchSpace
-from hesr_model.inference.comparison import holm, law_errors
+from hesr_model.inference.comparison import adjust_by_holm, law_errors
 from hesr_model.inference.covariance import (
     Covariance,
     blocks_of_time,
     correlation_length,
     covariance,
-    left_out,
-    pooled,
+    leave_out_rows,
+    pool_covariances,
     standard_errors,
 )
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -48,20 +48,20 @@ def test_a_covariance(logs: int, unchanged: Unchanged) -> None:
     jacobian, residual, labels = problem(logs)
     labels = blocks_of_time(labels)
     hessians = [jacobian[labels == k].T @ jacobian[labels == k] for k in range(labels[-1] + 1)]
-    gradients = jacobian * left_out(jacobian, residual, np.sum(hessians, axis=0))[:, None]
+    gradients = jacobian * leave_out_rows(jacobian, residual, np.sum(hessians, axis=0))[:, None]
     plain = covariance("abc", gradients, hessians, labels)
     known = covariance(
         "abc",
         gradients,
         hessians,
         labels,
-        known=np.diag([10.0, 3e4, 0.1]),
+        prior_hessian=np.diag([10.0, 3e4, 0.1]),
         carried=np.array([[1.0, 0.5], [30.0, -20.0], [0.02, 0.1]]),
     )
     unchanged({
         "plain": plain, "factor": plain.factor, "matrix": plain.matrix,
         "errors": plain.standard_errors, "known": known, "of known": known.matrix,
-        "mapped": known.mapped("de", np.array([[1.0, 0.1, 2.0], [0.0, 1.0, -50.0]])).matrix,
+        "mapped": known.transform("de", np.array([[1.0, 0.1, 2.0], [0.0, 1.0, -50.0]])).matrix,
         "sums": [m.tolist() for m in long_run_of(np.split(gradients, labels[-1] + 1)
                                               if logs > 1 else [gradients])],
     })  # fmt: skip
@@ -70,7 +70,7 @@ def test_a_covariance(logs: int, unchanged: Unchanged) -> None:
 def test_the_leverage_of_a_row_is_limited() -> None:
     """Leverage is capped at 0.9."""
     jacobian = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
-    found = left_out(jacobian, np.ones(5), jacobian.T @ jacobian)
+    found = leave_out_rows(jacobian, np.ones(5), jacobian.T @ jacobian)
     np.testing.assert_allclose(found, [10.0, *[4.0 / 3.0] * 4], rtol=1e-9)
 
 
@@ -86,9 +86,9 @@ def test_random_differences_between_logs_give_no_factor() -> None:
     assert of(2.37).factor == 1.0
     assert of(2.375).factor == pytest.approx(np.sqrt(2.375))
     assert of(2.375, 0.0).factor == 1.0
-    group = pooled([of(1.0, 2.0), of(4.0, 6.0)])
+    group = pool_covariances([of(1.0, 2.0), of(4.0, 6.0)])
     assert [(c.between, c.degrees) for c in group] == [(3.25, 8.0)] * 2
-    assert [c.between for c in pooled([of(3.0, 0.0)])] == [3.0]
+    assert [c.between for c in pool_covariances([of(3.0, 0.0)])] == [3.0]
 
 
 def test_memory_of_residuals(unchanged: Unchanged) -> None:
@@ -122,9 +122,9 @@ def test_a_comparison(logs: int, rows: int, unchanged: Unchanged) -> None:
 
 
 def test_adjusted_probabilities() -> None:
-    found = holm({"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.9})
+    found = adjust_by_holm({"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.9})
     assert found == pytest.approx({"a": 0.04, "b": 0.09, "c": 0.09, "d": 0.9})
-    assert holm({"a": 0.6, "b": 0.7}) == {"a": 1.0, "b": 1.0}
+    assert adjust_by_holm({"a": 0.6, "b": 0.7}) == {"a": 1.0, "b": 1.0}
 
 
 # --- deviations -------------------------------------------------------------------------------
@@ -135,17 +135,17 @@ def test_deviations_and_trends(unchanged: Unchanged) -> None:
     errors = [None, 0.1, 0.1, None, 0.2, 4.0, 0.01]
     days = [0.0, 1.0, 3.0, 4.0, 9.0, 10.0, 11.0]
     unchanged({
-        "positive": deviations(values, errors),
-        "both signs": deviations([v - 3.0 for v in values], errors),
-        "alike": deviations([2.0, 2.0, 2.0, 2.0, 2.0, 2.001], [None] * 6),
-        "zeros": deviations([0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [None] * 6),
-        "none": deviations([0.0] * 5, [None] * 5),
-        "trend": trend(days, values),
-        "line": trend(days[:5], [1.0 + 0.5 * d for d in days[:5]]),
+        "positive": compute_deviations(values, errors),
+        "both signs": compute_deviations([v - 3.0 for v in values], errors),
+        "alike": compute_deviations([2.0, 2.0, 2.0, 2.0, 2.0, 2.001], [None] * 6),
+        "zeros": compute_deviations([0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [None] * 6),
+        "none": compute_deviations([0.0] * 5, [None] * 5),
+        "trend": fit_trend(days, values),
+        "line": fit_trend(days[:5], [1.0 + 0.5 * d for d in days[:5]]),
     })  # fmt: skip
-    assert trend(days[:4], values[:4]) is None
-    assert trend([1.0] * 6, values[:6]) is None
-    level = trend(days[:5], [0.0] * 5)
+    assert fit_trend(days[:4], values[:4]) is None
+    assert fit_trend([1.0] * 6, values[:6]) is None
+    level = fit_trend(days[:5], [0.0] * 5)
     assert level is not None
     assert (level.slope, level.p) == (0.0, 1.0)
 
@@ -168,10 +168,10 @@ def test_intervals_of_coefficients(
     if spread:
         logs = [replace(r, tau_load_spread=np.stack([0.01 * r.q, 0.02 * r.dq], 1)) for r in logs]
         of = law("lugre_load", {}, **LUGRE | {"sigma_1": 0.0})
-    found = uncertainty.with_standard_errors(of, logs, space)
+    found = uncertainty.add_standard_errors(of, logs, space)
     assert found.covariance is not None
     banded = calibration.calibrate_band(found, logs)[0]
-    two = uncertainty.with_pooled_errors([found, of, replace(found, values=LUGRE)])
+    two = uncertainty.pool_errors([found, of, replace(found, values=LUGRE)])
     unchanged({
         "covariance": found.covariance, "errors": found.standard_errors, "band": banded.band,
         "names": [sum(map(ord, n)) for n in found.standard_errors],
@@ -194,13 +194,13 @@ def test_parts_of_a_band(records: list[FrictionRecord], unchanged: Unchanged) ->
     unchanged({
         "alone": calibration.calibrate_band(of, records)[0].band,
         "rested": calibration.calibrate_band(of, [*records, *many])[0].band,
-        "shares": calibration.variance_shares(columns, squares, np.zeros(300)),
-        "with known": calibration.variance_shares(columns, squares, np.full(300, 0.1)),
-        "none": calibration.variance_shares(columns, 0.0 * squares, np.zeros(300)),
-        "tails": [calibration._tail(standard**k, float(np.quantile(standard**k, 0.95)))
+        "shares": calibration.fit_variance_shares(columns, squares, np.zeros(300)),
+        "with known": calibration.fit_variance_shares(columns, squares, np.full(300, 0.1)),
+        "none": calibration.fit_variance_shares(columns, 0.0 * squares, np.zeros(300)),
+        "tails": [calibration._fit_tail(standard**k, float(np.quantile(standard**k, 0.95)))
                   for k in (0.2, 0.8, 1.0, 4.0)],
-        "no tail": calibration._tail(0.0 * standard, 0.0),
-        "rests": [calibration._rests(r) for r in (*records, *many)],
+        "no tail": calibration._fit_tail(0.0 * standard, 0.0),
+        "rests": [calibration._count_rests(r) for r in (*records, *many)],
     }, rtol=1e-5)  # fmt: skip
 
 
@@ -213,13 +213,13 @@ def test_a_rest_lasts_half_a_second() -> None:
         dq = np.ones(40)
         for rows in still:
             dq[list(rows)] = 0.0199
-        return calibration._rests(replace(one, dq=dq))
+        return calibration._count_rests(replace(one, dq=dq))
 
     assert rests(range(4)) == 0
     assert rests(range(5)) == 1
     assert rests(range(5), range(6, 11), range(35, 40)) == 3
-    assert calibration._rests(replace(one, dq=np.full(40, 0.02))) == 0
-    assert calibration._rests(replace(one, dq=np.full(40, -0.0199))) == 1
+    assert calibration._count_rests(replace(one, dq=np.full(40, 0.02))) == 0
+    assert calibration._count_rests(replace(one, dq=np.full(40, -0.0199))) == 1
 
 
 @pytest.mark.parametrize(("rests", "envelope"), [(9, 1.0), (10, 0.0)])
@@ -238,6 +238,6 @@ def test_ten_rests_determine_the_band_at_rest(rests: int, envelope: float) -> No
 
 def test_values_at_their_bounds_are_fixed() -> None:
     for number, held in ((1.0069, True), (1.0070, False), (992.0, False), (993.2, True)):
-        assert uncertainty._at_end(number, 1.0, 1000.0) == held
+        assert uncertainty._is_at_end(number, 1.0, 1000.0) == held
     for number, held in ((-0.9981, True), (-0.9979, False), (0.9979, False), (0.9981, True)):
-        assert uncertainty._at_end(number, -1.0, 1.0) == held
+        assert uncertainty._is_at_end(number, -1.0, 1.0) == held

@@ -12,7 +12,7 @@ from hesr_model.fitting import separable
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction import predict as evaluate
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import predict, predict_joints, record_start, states_over
+from hesr_model.friction.predict import compute_states, predict, predict_joints, record_start
 from hesr_model.laws.parfam import trial
 from hesr_model.laws.stops import estimator
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -59,7 +59,7 @@ def test_a_law_over_a_log(name: str, unchanged: Unchanged) -> None:
         )
         found[str(rest)] = {
             "torque": predict(of, **given), "from": predict(of, **given, start=start),
-            "joints": joints, "states": states_over(of, **given),
+            "joints": joints, "states": compute_states(of, **given),
             "shown": predict(of, **given, shown=[0.5 * way.dq, way.q + 0.1, 2.0 * way.load]),
             "bare": predict(of, t=way.t, dq=way.dq),
             "first": evaluate.first_states(of, 0.007, 0.2, 5.0),
@@ -87,7 +87,7 @@ def test_an_estimated_start(name: str, unchanged: Unchanged) -> None:
 def test_columns_of_logs_from_rest(state: str, how: str, unchanged: Unchanged) -> None:
     of = LAWS["with load"]()
     records = [along(of, path(k, seconds=3.0, from_rest=k > 0), log=str(k)) for k in range(2)]
-    samples = JointRows.of(records, coefficients=6)
+    samples = JointRows.from_records(records, coefficients=6)
     structure = {"linear": ["1", "dq", "h", "dh"], "units": [], "state": state}
     problem = trial.pose(structure, samples, how)
     low, high = problem.bounds.T
@@ -109,7 +109,7 @@ def test_a_search_draws_the_given_points(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = trial.pose(
-        {"linear": ["1", "dq", "h"], "units": []}, JointRows.of(records, coefficients=5)
+        {"linear": ["1", "dq", "h"], "units": []}, JointRows.from_records(records, coefficients=5)
     )
     told: list[tuple[int, int]] = []
     monkeypatch.setattr(separable, "step", lambda done, of: told.append((done, of)))
@@ -130,7 +130,7 @@ def test_a_search_draws_the_given_points(
 def test_ripple_must_gain_and_pay(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    samples = JointRows.of(records, coefficients=5)
+    samples = JointRows.from_records(records, coefficients=5)
     tau = np.sign(samples.dq) + samples.dq + 3.0 * np.cos(101.0 * samples.q)
     tau += 0.5 * np.random.default_rng(0).normal(size=len(tau))
     samples = JointRows(**(vars(samples) | {"tau": tau}))
@@ -138,10 +138,13 @@ def test_ripple_must_gain_and_pay(
     ones = np.ones_like(tau)
     assert estimator.select_waves(base, samples, ones, 101.0).frequencies[:1] == (101,)
     with monkeypatch.context() as changed:
-        changed.setattr(estimator, "pays", lambda *_: False)
+        changed.setattr(estimator, "has_significant_gain", lambda *_: False)
         assert estimator.select_waves(base, samples, ones, 101.0).frequencies == ()
-    monkeypatch.setattr(estimator, "GAIN", 0.99)
-    monkeypatch.setattr(estimator, "pays", lambda *_: True)
+    monkeypatch.setattr(estimator, "MIN_GAIN", 0.99)
+    monkeypatch.setattr(estimator, "has_significant_gain", lambda *_: True)
     assert estimator.select_waves(base, samples, ones, 101.0).frequencies == ()
-    monkeypatch.setattr(estimator, "GAIN", -1.0)
-    assert len(estimator.select_waves(base, samples, ones, 101.0).frequencies) == estimator.MOST
+    monkeypatch.setattr(estimator, "MIN_GAIN", -1.0)
+    assert (
+        len(estimator.select_waves(base, samples, ones, 101.0).frequencies)
+        == estimator.MAX_FREQUENCIES
+    )

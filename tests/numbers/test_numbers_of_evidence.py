@@ -14,13 +14,13 @@ from hesr_model.health.evidence import (
     Motionwise,
     Torques,
     explain,
-    motionwise,
-    rubbing,
+    friction_shape,
+    smooth_parts,
     to_logged_side,
 )
-from hesr_model.health.examine import of_log
-from hesr_model.health.positions import _sliding, check_loss
-from hesr_model.health.torque import explained
+from hesr_model.health.examine import add_log_name
+from hesr_model.health.positions import _estimate_sliding_torque, check_loss
+from hesr_model.health.torque import explain_joints
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -31,7 +31,7 @@ COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
 
 
 def part_of(log: Log) -> Motionwise:
-    (part,) = motionwise(log, 15.0)
+    (part,) = smooth_parts(log, 15.0)
     return part
 
 
@@ -39,7 +39,7 @@ def test_explanations_of_a_torque(unchanged: Unchanged) -> None:
     t = np.linspace(0.0, 9.0, 800)
     v, gravity, inertial = np.cos(t) + 0.4 * np.sin(2.7 * t), np.sin(t), np.sin(3.1 * t + 0.4)
     noise = 0.2 * np.random.default_rng(1).normal(size=len(t))
-    tau = 2.0 * gravity + 0.7 * inertial + 0.3 * rubbing(v) + 1.5 + noise
+    tau = 2.0 * gravity + 0.7 * inertial + 0.3 * friction_shape(v) + 1.5 + noise
     nothing = 0.0 * t
     unchanged(
         {
@@ -71,10 +71,10 @@ def test_explanations_of_a_torque(unchanged: Unchanged) -> None:
                 float(explain(1e-5 * tau, x * gravity, x * inertial, 1e-9 * v).gravity.value)
                 for x in (1e-13, 3e-12, 1e-9)
             ],
-            "slow": rubbing(0.01 * v),
-            "at rest": rubbing(nothing),
-            "fast": rubbing(5.0 * v),
-            "knee": rubbing(0.3 * v),
+            "slow": friction_shape(0.01 * v),
+            "at rest": friction_shape(nothing),
+            "fast": friction_shape(5.0 * v),
+            "knee": friction_shape(0.3 * v),
             "of one": Estimate(value=2.0, error=0.0).t / 1e300,
             "constant torque": explain(nothing, gravity, inertial, v).r2,
         },
@@ -86,7 +86,7 @@ def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> Non
     part = part_of(log)
     long = two_joints(9000)
     coupling = Coupling(COUPLED)
-    torques = Torques.of(arm_model, part.q, part.v, part.a)
+    torques = Torques.from_motion(arm_model, part.q, part.v, part.a)
     resting = replace(part, q=part.q * [1.0, 1e-3, 1.0], v=part.v * [1.0, 1.0, 0.0])
     constant = replace(part, tau=at(part.tau, slice(None), 2, 1.0))
     flat = replace(part, tau=1e-3 * part.tau)
@@ -94,16 +94,18 @@ def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> Non
     unchanged(
         {
             "part": part,
-            "thinned": [len(part.thinned(n).t) for n in (1, 999, 1000, 1001, 1999, 2000, 2001)],
-            "long": [len(x.t) for x in motionwise(long, 15.0)],
-            "parts": [len(x.t) for x in motionwise(gap, 5.0)],
+            "thinned": [len(part.thin(n).t) for n in (1, 999, 1000, 1001, 1999, 2000, 2001)],
+            "long": [len(x.t) for x in smooth_parts(long, 15.0)],
+            "parts": [len(x.t) for x in smooth_parts(gap, 5.0)],
             "moves": [part.moves, resting.moves, constant.moves],
             "least travel": edge(lambda x: replace(part, q=x * part.q).moves[0], 1e-4, 0.1),
             "least speed": edge(lambda x: replace(part, v=x * part.v).moves[0], 1e-4, 0.1),
             "torques": torques,
             "as logged": to_logged_side(part, torques, coupling),
-            "explained": [list(explained(x, torques)) for x in (part, resting, constant, flat)],
-            "fits": explained(part, torques),
+            "explained": [
+                list(explain_joints(x, torques)) for x in (part, resting, constant, flat)
+            ],
+            "fits": explain_joints(part, torques),
         },
         rtol=1e-5,
     )
@@ -122,14 +124,14 @@ def test_cost_of_lost_rows(
 
     def told(own: Log) -> list[str]:
         part = part_of(own)
-        torques = Torques.of(arm_model, part.q, part.v, part.a)
-        return said(of_log(part.log, check_loss(part, torques, arm_model)))
+        torques = Torques.from_motion(arm_model, part.q, part.v, part.a)
+        return said(add_log_name(part.log, check_loss(part, torques, arm_model)))
 
     part = part_of(lost(0.3, 1.0))
-    torques = Torques.of(arm_model, part.q, part.v, part.a)
+    torques = Torques.from_motion(arm_model, part.q, part.v, part.a)
     unchanged(
         {
-            "sliding": [_sliding(part, torques, j) for j in range(3)],
+            "sliding": [_estimate_sliding_torque(part, torques, j) for j in range(3)],
             "noise": edge(lambda x: told(lost(0.3, x)), 0.0, 2.0, steps=12),
         },
         rtol=1e-4,

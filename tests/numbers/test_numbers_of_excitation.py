@@ -28,8 +28,8 @@ from hesr_model.motions.trajectories import (
     Sine,
     Sweep,
     chirp,
-    one_period,
     random_fourier,
+    sample_one_period,
 )
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -58,8 +58,8 @@ def test_motions_to_the_last_digit(unchanged: Unchanged) -> None:
         "sine": Sine(offset=START, amplitude=AMPLITUDE, frequency=0.7, periods=3),
         "drawn": DRAWN,
         "back": Reversed(forward=SWEEP),
-        "drawn back": DRAWN.time_reversed(),
-        "twice back": SWEEP.time_reversed().time_reversed(),
+        "drawn back": DRAWN.reverse_time(),
+        "twice back": SWEEP.reverse_time().reverse_time(),
     }
     ends = np.array([-1e-8, -5e-10, 0.0, 5.0, 5.0 + 5e-10, 5.0 + 1e-8, 7.0])
     unchanged(
@@ -70,8 +70,8 @@ def test_motions_to_the_last_digit(unchanged: Unchanged) -> None:
             },
             "ends": SWEEP.sample(ends),
             "coefficients": [DRAWN.a, DRAWN.b],
-            "one period": one_period(DRAWN),
-            "one period's rows": len(one_period(DRAWN)[0]),
+            "one period": sample_one_period(DRAWN),
+            "one period's rows": len(sample_one_period(DRAWN)[0]),
         },
         rtol=1e-8,
         atol=1e-11,
@@ -131,7 +131,7 @@ def test_limits_are_refused_beyond_those_of_the_model(
 ) -> None:
     def limits(changes: dict[str, object]) -> Limits:
         data = {"velocity": SLOW.velocity} | changes
-        return Limits.of(arm_model, MotionLimits.model_validate(data))
+        return Limits.from_settings(arm_model, MotionLimits.model_validate(data))
 
     limits(valid)
     with pytest.raises((RobotError, ValidationError)):
@@ -168,14 +168,16 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
     path.write_text(f'<robot name="odd">{"".join(parts)}</robot>', encoding="utf-8")
     model = Robot(RobotDescription(name="odd", model=path, joints=("j0", "j1", "j2")))
     given = MotionLimits(position=((-0.4, 0.6), (-1.0, 0.3), (-0.2, 1.0)), velocity=(9.0, 0.5, 1.0))
-    narrow = replace(Limits.of(arm_model, given), torque=np.array([1.0, 40.0, 9.0]))
+    narrow = replace(Limits.from_settings(arm_model, given), torque=np.array([1.0, 40.0, 9.0]))
     rest, still = narrow.rest(arm_model)[None, :], np.zeros((1, 3))
     held = arm_model.torque(arm_model.nominal_parameters, rest, still, still)
     unchanged(
         {
-            "of the model": Limits.of(model, MotionLimits(velocity=(0.5, 2.5, 2.0))),
-            "finite": np.isfinite(Limits.of(model, MotionLimits(velocity=(0.5, 2.5, 2.0))).torque),
-            "given": Limits.of(arm_model, given),
+            "of the model": Limits.from_settings(model, MotionLimits(velocity=(0.5, 2.5, 2.0))),
+            "finite": np.isfinite(
+                Limits.from_settings(model, MotionLimits(velocity=(0.5, 2.5, 2.0))).torque
+            ),
+            "given": Limits.from_settings(arm_model, given),
             "rest": np.max(np.abs(held) / narrow.torque),
         },
         rtol=1e-4,
@@ -185,7 +187,7 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
 def test_inputs_of_a_search(
     arm_model: Robot, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    limits = replace(Limits.of(arm_model, SLOW), torque=np.array([3.0, 8.0, 1.0]))
+    limits = replace(Limits.from_settings(arm_model, SLOW), torque=np.array([3.0, 8.0, 1.0]))
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(3.0, 9.0))
     x = np.random.default_rng(3).normal(0.0, 0.5, 16)
     x[-1] = np.log(4.0)

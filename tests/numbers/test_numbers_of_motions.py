@@ -7,7 +7,7 @@ from unchanged import Unchanged
 
 from hesr_model.fitting.fit import fit_models
 from hesr_model.forward.output_error import refine
-from hesr_model.forward.simulation import Simulator, position_errors, windows_of
+from hesr_model.forward.simulation import Simulator, cut_windows, position_errors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.motions.excitation import ExcitationSettings, random_motions
@@ -29,7 +29,7 @@ def test_trajectories(arm_model: Robot, unchanged: Unchanged) -> None:
     )
     wild = random_motions(arm_model, settings, 2, 4)
     motions = {"sweep": sweep, "sine": sine, "back": Reversed(forward=sweep), "wild": wild[1]}
-    limits = Limits.of(arm_model, settings.limits)
+    limits = Limits.from_settings(arm_model, settings.limits)
     unchanged(
         {
             "samples": {
@@ -52,7 +52,7 @@ def test_a_simulated_arm(make_motion: MakeMotion, arm_model: Robot, unchanged: U
     model = fit_models(["stribeck"], [[r] for r in records], robot="a", seed=0, workers=1)[
         "stribeck"
     ]
-    windows = windows_of([records], 0.4)
+    windows = cut_windows([records], 0.4)
     found = {}
     for as_plant in (False, True):
         simulator = Simulator(

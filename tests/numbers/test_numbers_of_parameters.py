@@ -11,15 +11,15 @@ from unchanged import Unchanged
 
 from hesr_model.errors import FitError
 from hesr_model.forward import output_error
-from hesr_model.forward.simulation import Simulator, position_errors, whole, windows_of
+from hesr_model.forward.simulation import Simulator, cut_windows, position_errors, to_single_window
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import LawStepper
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import physical, torque_constants
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.least_squares import Block, covariance_of, solve
-from hesr_model.rigid_body.observations import matched
+from hesr_model.rigid_body.least_squares import Block, estimate_covariance, solve
+from hesr_model.rigid_body.observations import match_motions
 from hesr_model.rigid_body.residual import motion_records
 from hesr_model.robots.robot import Robot
 
@@ -48,7 +48,7 @@ def test_least_squares_with_a_ridge_if_needed(condition: float, unchanged: Uncha
         {
             "found": found,
             "plain": solve(blocks, scale=np.array([1.0, 2.0, 0.1]), weighted=False),
-            "covariance": covariance_of(blocks, found, labels).matrix,
+            "covariance": estimate_covariance(blocks, found, labels).matrix,
         },
         rtol=1e-5,
     )
@@ -66,13 +66,13 @@ LINKS = {
 
 @pytest.mark.parametrize("name", LINKS)
 def test_search_start_of_a_link(name: str, unchanged: Unchanged) -> None:
-    start = physical._start(np.array(LINKS[name]))
+    start = physical._start_inertia(np.array(LINKS[name]))
     unchanged({"start": start, "factor": physical._upper_factor(start)})
     assert np.linalg.eigvalsh(start).min() > 0.0
 
 
 def test_coordinates_of_bodies(arm_model: Robot, unchanged: Unchanged) -> None:
-    chart = physical._Chart.of(arm_model)
+    chart = physical._Chart.from_robot(arm_model)
     x = chart.start + 0.3 * np.random.default_rng(0).normal(size=len(chart.start))
     slopes = chart.slopes(x)
     rotors = arm_model.nominal_parameters[10 * arm_model.links : arm_model.inertial]
@@ -88,16 +88,16 @@ def test_coordinates_of_bodies(arm_model: Robot, unchanged: Unchanged) -> None:
         inertial=11,
         parameter_names=("",) * 11,
     )
-    of = physical._Chart.of(unknown)
+    of = physical._Chart.from_robot(unknown)
     assert of.start.tolist() == [0.0] * 10 + [1.0]
     assert of.pull.tolist() == [0.2] * 10 + [1e-4]
 
 
 def test_weights_of_joints() -> None:
     blocks = [Block(matrix=np.ones((n, 1)), target=np.ones(n)) for n in (10, 30)]
-    found = physical._weights(blocks, np.array([2.0, 1e-9]), True)
+    found = physical._compute_weights(blocks, np.array([2.0, 1e-9]), True)
     np.testing.assert_allclose(found, [0.5, 1.0 / 2e-6])
-    found = physical._weights(blocks, np.array([2.0, 1.0]), False)
+    found = physical._compute_weights(blocks, np.array([2.0, 1.0]), False)
     np.testing.assert_allclose(found, 1.0 / np.sqrt(70.0 / 40.0))
 
 
@@ -112,7 +112,7 @@ def test_uncertainty_of_a_model_file() -> None:
     ]
     nominal = np.array([*np.ravel(links), 0.1, 0.2, 0.3])
     model = SimpleNamespace(nominal_parameters=nominal, links=3, inertial=33)
-    found = torque_constants._spread(model, 0.1)
+    found = torque_constants._prior_deviations(model, 0.1)
     expected = [
         [0.4, *[0.08] * 3, *[2.1] * 6],
         [0.2, *[0.01] * 3, *[0.015] * 6],
@@ -121,7 +121,7 @@ def test_uncertainty_of_a_model_file() -> None:
     np.testing.assert_allclose(found[:30].reshape(3, 10), expected, rtol=1e-12)
     assert found[30:].tolist() == [3.0] * 3
     empty = SimpleNamespace(nominal_parameters=np.zeros(11), links=1, inertial=11)
-    light = torque_constants._spread(empty, 0.1)
+    light = torque_constants._prior_deviations(empty, 0.1)
     np.testing.assert_allclose(light[[0, 1, 4]], [1e-7, 5e-9, 7.5e-9], rtol=1e-12)
 
 
@@ -134,7 +134,7 @@ def test_a_declared_error_is_relative(error: float, arm_model: Robot) -> None:
 def test_a_constant_is_determined_up_to_a_fifth() -> None:
     one = torque_constants.Constant(joint="j1", value=12.345678, error=1.2345, determined=True)
     assert one.sentence == "joint 'j1': 12.35 +- 1.2 N.m/A."
-    assert torque_constants._DETERMINED == 0.2
+    assert torque_constants._MAX_RELATIVE_ERROR == 0.2
 
 
 def test_a_point_has_the_inertia_of_its_place() -> None:
@@ -152,17 +152,17 @@ def test_steps_of_a_constant(
     logs = [replace(motion, tau=motion.tau * 1.2 + noise)]
     every = tuple(range(len(arm_model.parameter_names)))
     columns = torque_constants.friction_columns(arm_model, torque_constants.base_columns(arm_model))
-    blocks = torque_constants.stacked(logs, arm_model, every, columns)
+    blocks = torque_constants.stack_blocks(logs, arm_model, every, columns)
     payload = torque_constants.point_payload(2.0, (0.05, 0.0, 0.1))
     weight = np.zeros(len(every))
     weight[[k for k in range(30) if k % 10 < 4]] = 1.0
     found = {}
     for name, kinds in (("one", [np.zeros(10)]), ("two", [np.zeros(10), payload])):
-        problem = torque_constants._Problem.of(
+        problem = torque_constants._Problem.from_blocks(
             [(blocks[1], carried) for carried in kinds],
             arm_model,
             weight,
-            torque_constants._spread(arm_model, 0.1),
+            torque_constants._prior_deviations(arm_model, 0.1),
         )
         start = problem._start()
         scales = [2.0, 3.0][: len(kinds)]
@@ -191,7 +191,7 @@ def test_a_motion_is_matched_with_its_reverse(
     })  # fmt: skip
 
     def pair(back: Motion) -> dict[str, Motion]:
-        return dict(zip(("forward", "backward"), matched(forward, back), strict=True))
+        return dict(zip(("forward", "backward"), match_motions(forward, back), strict=True))
 
     unchanged({"pair": pair(late), "whole": pair(backward)})
 
@@ -239,15 +239,16 @@ def test_a_simulation(
     unchanged: Unchanged,
 ) -> None:
     records = motion_records(motion, arm_model, body)
-    windows = windows_of([records], 0.3)
+    windows = cut_windows([records], 0.3)
     simulator = Simulator(
         robot=arm_model, parameters=body.parameters, friction=friction, as_plant=as_plant
     )
     found = simulator.run(windows)
     unchanged({
         "found": found[:, ::7].tolist(), "errors": position_errors(found, windows),
-        "places": [row for _, row in windows.places], "states": windows.states(friction, delay=3),
-        "whole": len(whole(records).t[0]),
+        "places": [row for _, row in windows.places],
+        "states": windows.compute_states(friction, delay=3),
+        "whole": len(to_single_window(records).t[0]),
     }, rtol=1e-5)  # fmt: skip
     lost = found.copy()
     lost[0, -1, 1] = np.nan
@@ -262,7 +263,7 @@ def test_costs_of_an_output_error(
     unchanged: Unchanged,
 ) -> None:
     logs = [motion_records(motion, arm_model, body)]
-    sets = [windows_of(logs, output_error.LENGTH)]
+    sets = [cut_windows(logs, output_error.SHORT_WINDOW)]
     problem = output_error._Problem(arm_model, body, friction, [motion], logs, sets, with_body=True)
     theta = 0.05 * np.random.default_rng(0).normal(size=(3, problem.size))
     residuals, slopes = problem.linearise(theta[0])
@@ -270,24 +271,29 @@ def test_costs_of_an_output_error(
     assert problem.size == len(problem.columns) + sum(
         value != 0.0 for law in friction.laws for value in law.values.values()
     )
-    change = problem._allowed(np.full(problem.size, 0.6))
-    away = problem.refined(change, problem.position_sizes, problem.position_sizes)
+    change = problem._limit_change(np.full(problem.size, 0.6))
+    away = problem.build_refinement(change, problem.position_sizes, problem.position_sizes)
     assert away.ratio <= 1.0
     unchanged({
         "size": problem.size, "costs": problem.costs(theta),
         "residuals": residuals, "slopes": slopes[::211].tolist(),
         "position": problem.position_sizes[0], "torque": problem._torque_sizes,
-        "moved": [law.values for law in problem._moved(theta[1]).laws],
-        "body": problem._moved_body(theta[1]).parameters, "away": away.ratio,
+        "moved": [law.values for law in problem._change_friction(theta[1]).laws],
+        "body": problem._change_body(theta[1]).parameters, "away": away.ratio,
     }, rtol=1e-3, atol=1e-6)  # fmt: skip
 
 
 def test_trials_of_an_output_error() -> None:
     of = output_error
-    assert (of.LENGTH, of.MOST_TORQUE, of._STEP, of._TORQUE) == (0.5, 1.02, 1e-3, 0.5)
-    assert (of._MOST, of._SPREAD, of._LEAST) == (0.7, 0.15, 1e-3)
+    assert (of.SHORT_WINDOW, of.MAX_TORQUE_RATIO, of._DIFFERENCE_STEP, of._TORQUE_WEIGHT) == (
+        0.5,
+        1.02,
+        1e-3,
+        0.5,
+    )
+    assert (of._MAX_CHANGE, of._START_SPREAD, of._MIN_GAIN) == (0.7, 0.15, 1e-3)
     assert of._DAMPING == (1e-3, 1e-2, 1e-1, 1.0, 1e1)
-    assert of._SHARES == (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
+    assert of._STEP_SHARES == (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
 
 
 @pytest.mark.parametrize("how", ["exact", "euler"])

@@ -11,21 +11,21 @@ from hesr.extras.laws.mlp import path as trained_along
 from hesr_model.fitting.joint_rows import (
     JointRows,
     Normal,
-    blocks_of,
+    divide_into_blocks,
+    has_significant_gain,
     non_negative_least_squares,
-    pays,
     signed_least_squares,
 )
 from hesr_model.fitting.separable import left_out_cost
 from hesr_model.laws import rbfnn
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.rbfnn import Inputs, candidates
+from hesr_model.laws.rbfnn import Inputs, find_candidates
 from hesr_model.laws.stops import estimator, form
 from hesr_model.laws.stops import search as terms
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import Structure, evaluate_viscous
-from hesr_model.laws.stops.search import dictionary, search
+from hesr_model.laws.stops.search import build_dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 
 WHOLE = Structure(
@@ -52,7 +52,7 @@ def rippled(record: FrictionRecord) -> FrictionRecord:
 
 @pytest.fixture(scope="module")
 def samples(records: list[FrictionRecord]) -> JointRows:
-    return JointRows.of([rippled(r) for r in records], coefficients=20)
+    return JointRows.from_records([rippled(r) for r in records], coefficients=20)
 
 
 # --- stops ------------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def test_columns_of_all_terms(samples: JointRows, unchanged: Unchanged) -> None:
     unchanged(
         {
             "columns": columns[5::61].T.tolist(),
-            "fixed": terms.fixed(samples),
+            "fixed": terms.derive_scales(samples),
             "weights": terms.weights(samples).sum(),
             "of little motion": terms.weights(replace(samples, q=moved)).sum(),
             "viscous": evaluate_viscous(WHOLE, NUMBERS, np.geomspace(1e-3, 10.0, 7)),
@@ -73,15 +73,15 @@ def test_columns_of_all_terms(samples: JointRows, unchanged: Unchanged) -> None:
 
 
 def test_unloaded_joints_have_a_scale(samples: JointRows) -> None:
-    found = terms.fixed(replace(samples, tau_load=np.zeros_like(samples.tau)))
+    found = terms.derive_scales(replace(samples, tau_load=np.zeros_like(samples.tau)))
     assert found["load_scale"] == 1.0
 
 
 @pytest.mark.parametrize("load", [False, True])
 def test_the_search_of_stops(load: bool, samples: JointRows, unchanged: Unchanged) -> None:
-    baseline = dictionary(samples, load=load)
+    baseline = build_dictionary(samples, load=load)
     best = search(baseline, load=load)
-    structure, columns = best.active()
+    structure, columns = best.select_active()
     found = {"baseline": baseline.cost, "best": best.cost, "numbers": best.numbers}
     found |= {
         "stops": [node for _, node in structure.stops],
@@ -98,14 +98,16 @@ def test_ripple_with_columns(samples: JointRows, unchanged: Unchanged) -> None:
     problem = estimator._Problem(base=base, samples=samples, weights=weights)
     chosen = estimator.select_waves(base, samples, weights, 101.0)
     two = estimator.Waves(frequencies=(101, 203), lag=0.002)
-    first = estimator._next(problem, estimator.Waves(frequencies=(), lag=0.0), 101.0)
-    second = estimator._next(problem, estimator.Waves(frequencies=(101,), lag=0.002), 101.0)
+    first = estimator._add_best_wave(problem, estimator.Waves(frequencies=(), lag=0.0), 101.0)
+    second = estimator._add_best_wave(
+        problem, estimator.Waves(frequencies=(101,), lag=0.002), 101.0
+    )
     unchanged(
         {
             "chosen": chosen, "first": first, "second": second,
-            "phase": problem.in_phase(two, reach=0.004),
-            "near": problem.in_phase(replace(two, lag=0.0), reach=0.001),
-            "left": problem.left_out(two), "residual": problem.residual(two),
+            "phase": problem.align_phase(two, reach=0.004),
+            "near": problem.align_phase(replace(two, lag=0.0), reach=0.001),
+            "left": problem.cross_validate(two), "residual": problem.residual(two),
             "waves": estimator.waves((101, 203), 0.003, samples)[::97].tolist(),
         },
         rtol=1e-4, atol=1e-6,
@@ -115,7 +117,7 @@ def test_ripple_with_columns(samples: JointRows, unchanged: Unchanged) -> None:
 def test_ripple_candidates() -> None:
     assert list(estimator.ORDERS) == list(range(1, 17))
     np.testing.assert_allclose(estimator.LAGS, np.linspace(0.0, 0.012, 25), atol=1e-12)
-    assert (estimator.NEAR, estimator.MOST, estimator.GAIN) == (3, 6, 0.002)
+    assert (estimator.NEAR_MULTIPLE, estimator.MAX_FREQUENCIES, estimator.MIN_GAIN) == (3, 6, 0.002)
 
 
 def test_bounded_ripple(unchanged: Unchanged) -> None:
@@ -140,11 +142,11 @@ def test_bounded_ripple(unchanged: Unchanged) -> None:
     x = signed_least_squares(gram, moment, 5)
     speeds = form.SPEEDS
     viscous = np.stack([np.ones_like(speeds), speeds], axis=1)
-    need = form.needed([200, 400], 0.006, 0.002)
+    need = form.compute_required_viscosity([200, 400], 0.006, 0.002)
     unchanged(
         {
             "free": x, "need": need[::10].T.tolist(),
-            "found": form.constrained(gram, moment, x, viscous, need, free=5),
+            "found": form.constrain_coefficients(gram, moment, x, viscous, need, free=5),
             "distances": [form.distance(lag, window) for lag in (-0.001, 0.0, 0.001, 0.01, 0.02)
                           for window in (0.0, 0.01, 0.02)],
         },
@@ -161,16 +163,16 @@ def test_least_squares_with_signs(samples: JointRows, unchanged: Unchanged) -> N
     y = a @ [3.0, -2.0, 0.5, -1.0, 1.0, -1.0]
     y = y / y.std() + 0.3 * rng.normal(size=len(y))
     weights = terms.weights(samples)
-    normal = Normal.of(a, y, samples.folds, weights, free=2)
-    left = normal.left_out()
-    blocks = blocks_of(samples.dt, samples.begins)
+    normal = Normal.from_columns(a, y, samples.folds, weights, free=2)
+    left = normal.cross_validate()
+    blocks = divide_into_blocks(samples.dt, samples.begins)
     unchanged(
         {
             "solved": normal.solve() * np.geomspace(1e-3, 1e3, 6), "left out": left,
             "one by one": non_negative_least_squares(a, y, non_negative=4),
             "of folds": left_out_cost(a, y, samples.folds),
-            "blocks": blocks, "short": blocks_of(samples.dt, samples.begins, 0.5),
-            "few": blocks_of(samples.dt, samples.begins, least=3),
+            "blocks": blocks, "short": divide_into_blocks(samples.dt, samples.begins, 0.5),
+            "few": divide_into_blocks(samples.dt, samples.begins, min_blocks=3),
         },
         rtol=1e-5,
     )  # fmt: skip
@@ -184,19 +186,19 @@ def test_a_gain_must_exceed_one_standard_error() -> None:
     for size, wanted in ((1.001, True), (0.999, False)):
         more = gains - gains.mean() + size * error / 4.0
         after = np.sqrt(before**2 + 10.0 - np.repeat(more, 2) / 2.0)
-        assert pays(np.sqrt(before**2 + 10.0), after, blocks) == wanted
-    assert not pays(before, 0.0 * before, np.zeros(8, int))
+        assert has_significant_gain(np.sqrt(before**2 + 10.0), after, blocks) == wanted
+    assert not has_significant_gain(before, 0.0 * before, np.zeros(8, int))
 
 
 # --- networks ---------------------------------------------------------------------------------
 
 
 def test_trained_networks(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
-    inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    inputs = Inputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
     y = (exact.samples.tau - exact.samples.tau.mean()) / exact.samples.tau.std()
     start = np.random.default_rng(0).normal(size=(4, 3))
     networks = trained_along(inputs.z[::3], y[::3], start, (1e-2, 1e-3, 1e-4))
-    best = candidates(exact, 3)
+    best = find_candidates(exact, 3)
     unchanged(
         {
             "mean": inputs.mean, "spread": inputs.spread, "z": inputs.z,
@@ -209,25 +211,25 @@ def test_trained_networks(exact: HysteresisFeatures, unchanged: Unchanged) -> No
 
 
 def test_steps_of_training(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
-    inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    inputs = Inputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
     y = (exact.samples.tau - 1.0) / 8.0
     start = np.random.default_rng(0).normal(size=(4, 3))
-    left = mlp.left_out(inputs.z[::4], y[::4], [f[::4] for f in exact.samples.folds], [start])
+    left = mlp.cross_validate(inputs.z[::4], y[::4], [f[::4] for f in exact.samples.folds], [start])
     unchanged({"left out": left, "decays": mlp.DECAYS, "rows": mlp.SEARCHED_ROWS}, rtol=1e-3)
 
 
 def test_weights_of_gaussians(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
-    inputs = Inputs.of(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    inputs = Inputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
     centres, spacing = rbfnn.cluster_centres(inputs.z, 5, np.random.default_rng(0))
     columns = rbfnn.gaussians(inputs.z, centres, 1.5 * spacing)
     bias, weights = rbfnn.ridge_weights(columns, exact.samples.tau, (1e-6, 1e-3, 1e-1))
-    left = rbfnn.left_out(inputs.z, exact.samples, 4, np.random.default_rng(1))
+    left = rbfnn.cross_validate(inputs.z, exact.samples, 4, np.random.default_rng(1))
     of = rbfnn.RbfnnH()._law(inputs, centres, 1.5 * spacing, float(bias[1]), weights[:, 1])
     unchanged(
         {
             "centres": centres, "spacing": spacing, "columns": columns, "bias": bias,
             "weights": weights, "left out": left, "law": of.values,
-            "factors": rbfnn.FACTORS, "ridges": rbfnn.RIDGES,
+            "factors": rbfnn.WIDTH_FACTORS, "ridges": rbfnn.RIDGES,
         },
         rtol=1e-4,
     )  # fmt: skip

@@ -30,15 +30,15 @@ def test_a_structure_as_a_problem(
     problem = trial.pose(structure, exact.samples)
     middle = problem.bounds.mean(axis=1) + 0.1 * np.ptp(problem.bounds, axis=1)
     near = trial.Trial(structure=structure, problem=problem, point=middle)
-    more = near.changed({**structure, "linear": structure["linear"][:3]}, {})
+    more = near.change_structure({**structure, "linear": structure["linear"][:3]}, {})
     moved = problem.polish(middle, evaluations=2)
     unchanged(
         {
             "bounds": problem.bounds.tolist(),
-            "numbers": problem.named(middle),
+            "numbers": problem.name_numbers(middle),
             "values": near.law().values,
-            "left out": trial.left_out(near),
-            "of others": more.problem.named(more.point).get("kappa", 0.0),
+            "left out": trial.cross_validate(near),
+            "of others": more.problem.name_numbers(more.point).get("kappa", 0.0),
             "moved": moved,
             "solved": problem.solve(moved),
         },
@@ -53,8 +53,8 @@ def test_an_additional_unit(exact: HysteresisFeatures, unchanged: Unchanged) -> 
         structure=structure, problem=problem, point=problem.point({"alpha": 12.0, "beta": 25.0})
     )
     features = exact.columns(12.0, 25.0)
-    more = trial.with_unit(base, features, ["tanh", "sin"], 4, np.random.default_rng(2))
-    costs = [trial.left_out(t) for t in (base, *more)]
+    more = trial.add_unit(base, features, ["tanh", "sin"], 4, np.random.default_rng(2))
+    costs = [trial.cross_validate(t) for t in (base, *more)]
     unchanged({"costs": costs, "chosen": trial.choose([base, *more], 0.05).structure}, rtol=0.05)
     assert all(t.structure["units"][0]["arguments"] == list(family.FEATURES) for t in more)
 
@@ -62,7 +62,7 @@ def test_an_additional_unit(exact: HysteresisFeatures, unchanged: Unchanged) -> 
 def test_later_extensions_must_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     costs = {"base": 1.0, "barely": 0.96, "enough": 0.94}
     trials = [trial.Trial(structure={"is": n}, problem=None, point=np.zeros(0)) for n in costs]
-    monkeypatch.setattr(trial, "left_out", lambda t: costs[t.structure["is"]])
+    monkeypatch.setattr(trial, "cross_validate", lambda t: costs[t.structure["is"]])
     assert trial.choose(trials[:2], 0.05) is trials[0]
     assert trial.choose(trials, 0.05) is trials[2]
 
@@ -74,7 +74,9 @@ def test_the_starts_of_the_third_stage(exact: HysteresisFeatures, unchanged: Unc
     few = ParFamH(cells=2, starts=4, candidates=2, functions=("tanh", "sin"))
     found = few._evolve(exact, np.random.default_rng(0))
     assert [k.g for k in found] == [None, None, "tanh", "tanh", "sin", "sin"]
-    geometric = ParFamH(search="paper", functions=("tanh",))._paper(exact, np.random.default_rng(0))
+    geometric = ParFamH(search="paper", functions=("tanh",))._search_like_paper(
+        exact, np.random.default_rng(0)
+    )
     unchanged(
         {
             "cost": [k.cost for k in found],
@@ -98,6 +100,8 @@ def test_terms_kept_by_a_state(state: str, exact: HysteresisFeatures, unchanged:
     structure = {"linear": linear, "units": [], "state": state}
     problem = trial.pose(structure, exact.samples)
     middle = problem.bounds.mean(axis=1)
-    found = of._thinned(trial.Trial(structure=structure, problem=problem, point=middle))
+    found = of._remove_useless_terms(
+        trial.Trial(structure=structure, problem=problem, point=middle)
+    )
     kept = [linear.index(x) for x in found.structure["linear"]]
     unchanged({"kept": kept, "cost": found.problem.solve(found.point)[1]}, rtol=1e-2)

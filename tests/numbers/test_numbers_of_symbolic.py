@@ -34,20 +34,20 @@ def candidate(g: str | None = "tanh") -> Candidate:
 
 
 def test_the_first_stage(features: HysteresisFeatures, unchanged: Unchanged) -> None:
-    cells = calibrate.profile(features)
-    chosen = calibrate.distinct(cells, 12)
-    courses = calibrate._courses(features)
+    cells = calibrate.compute_profile(features)
+    chosen = calibrate.select_distinct(cells, 12)
+    courses = calibrate._extract_courses(features)
     unchanged(
         {
             "bounds": calibrate.bounds(features),
             "cells": np.array([[c.alpha, c.beta, c.cost] for c in cells]).T.tolist(),
             "chosen": np.array([[c.alpha, c.beta, c.cost] for c in chosen]).T.tolist(),
-            "guess": calibrate.geometric(features),
+            "guess": calibrate.estimate_from_loop(features),
             "lengths": [len(course) for course, _ in courses],
             "sums": [float(course.sum()) for course, _ in courses],
             "slopes": [slope or 0.0 for _, slope in courses],
             "rate": calibrate._settling_rate(features, [course for course, _ in courses]),
-            "cubic": calibrate._cubic(features.columns(12.0, 25.0))[7:-1:97],
+            "cubic": calibrate._cubic_features(features.columns(12.0, 25.0))[7:-1:97],
         }
     )
 
@@ -61,14 +61,14 @@ def test_slow_loops_and_loops_in_fast_samples(unchanged: Unchanged) -> None:
         flat = np.zeros_like(t)
         record = FrictionRecord(log="one", joint="j1", t=t, dq=dq, q=flat, tau_load=flat, tau=flat)
         features = HysteresisFeatures(
-            samples=JointRows.of([record], coefficients=3), discretisation="exact"
+            samples=JointRows.from_records([record], coefficients=3), discretisation="exact"
         )
         h = features.columns(4.0, 30.0)[:, 2]
         record = replace(record, tau=7.0 * h + 0.5 * dq + 0.3)
-        features = replace(features, samples=JointRows.of([record], coefficients=3))
-        courses = calibrate._courses(features)
+        features = replace(features, samples=JointRows.from_records([record], coefficients=3))
+        courses = calibrate._extract_courses(features)
         found[name] = {
-            "guess": calibrate.geometric(features),
+            "guess": calibrate.estimate_from_loop(features),
             "lengths": [len(course) for course, _ in courses],
             "slopes": [slope or 0.0 for _, slope in courses],
         }
@@ -87,7 +87,7 @@ def test_cells_whose_neighbours_are_better_come_last() -> None:
             for k in range(25)
         ]
         near = max(abs(better // 5 - 2), abs(better % 5 - 2)) == 1
-        order = [c.cost for c in calibrate.distinct(sorted(cells, key=lambda c: c.cost), 25)]
+        order = [c.cost for c in calibrate.select_distinct(sorted(cells, key=lambda c: c.cost), 25)]
         assert order[0] == 4.0
         assert (order.index(5.0) < order.index(6.0)) == (not near), better
 
@@ -112,7 +112,7 @@ def test_the_second_stage(g: str, exact: HysteresisFeatures, unchanged: Unchange
             "gram": gram.reshape(6, -1).tolist(),
             "gradient": gradient,
             "step": step,
-            "linear": evolve.linear(CELL, x, tau),
+            "linear": evolve.fit_linear(CELL, x, tau),
         },
         atol=1e-6,
     )
@@ -131,7 +131,7 @@ def test_selection_in_the_search_of_a_unit(
             problem = evolve._Projected("tanh", x / [1.0, *x[:, 1:].std(axis=0)], x, tau, limit)
             theta, cost = problem.minimise(starts.T.copy())
             found[f"{rounds} {limit}"] = {"theta": theta, "cost": cost}
-            kept = evolve.arguments("tanh", x, x, tau, starts, 2, limit)
+            kept = evolve.search_arguments("tanh", x, x, tau, starts, 2, limit)
             found[f"{rounds} {limit}"]["kept"] = np.array(kept)
         found[f"{rounds}"] = evolve.search(CELL, "sin", x, tau, starts, 3)
     unchanged(found, rtol=1e-5)
@@ -177,11 +177,11 @@ def test_the_third_stage(
         "jacobian": slopes[3::89].tolist(),
         "first": first,
         "statistics": refine.Refinement(features, first).statistics(),
-        "still": refine._still_as_good(features, first),
-        "canonical": first.canonical(),
-        "less": [refine._without(first, k) for k in (2, 5, 8)],
+        "still": refine._find_acceptable_cost(features, first),
+        "canonical": first.to_canonical(),
+        "less": [refine._remove_coefficient(first, k) for k in (2, 5, 8)],
     }
-    monkeypatch.setattr(refine, "FOLD", 3)
+    monkeypatch.setattr(refine, "FOLD_EVALUATIONS", 3)
     found["left out"] = refine.left_out_cost(features, start, folds)
     unchanged(found, rtol=1e-5)
 
@@ -189,8 +189,12 @@ def test_the_third_stage(
 def test_effort_of_the_third_stage() -> None:
     """The extent of refinement matters only if time is short."""
     assert refine.ROUNDS == ((8, 10), (16, 4))
-    assert (refine.LONG, refine.PRUNED, refine.FOLD) == (60, 12, 8)
-    assert (refine.SIGNIFICANCE, refine.HOPEFUL, refine.SAME) == (2.0, 1.1, 1e-6)
+    assert (refine.FIRST_EVALUATIONS, refine.PRUNED_EVALUATIONS, refine.FOLD_EVALUATIONS) == (
+        60,
+        12,
+        8,
+    )
+    assert (refine.SIGNIFICANCE, refine.HOPEFUL_RATIO, refine.TIE_TOLERANCE) == (2.0, 1.1, 1e-6)
     assert (evolve.GAMMA, evolve.HOPS, evolve.STEP, evolve.TRUNCATION) == (1e-3, 10, 1.0, 0.02)
     assert evolve.ROWS == 600
 
@@ -219,7 +223,7 @@ def test_candidates_are_pruned_and_chosen(
         replace(candidate("tanh"), alpha=10.0),
         replace(candidate("sin"), alpha=30.0),
     ]
-    folds, trained = exact.samples.folds, TrainedRange.of(records)
+    folds, trained = exact.samples.folds, TrainedRange.from_records(records)
     chosen = refine.select(exact, found, folds, trained)
     unchanged(
         {

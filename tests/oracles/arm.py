@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from fmu_src.arm.plant import Noise, Plant
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.logs.noise import standard_normal
-from hesr_model.robots.mjcf import compiled
+from hesr_model.robots.mjcf import compile_model
 from hesr_model.support.arrays import Array
 
 
@@ -67,7 +67,7 @@ class Arm:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
-        self._model = compiled(plant.model)
+        self._model = compile_model(plant.model)
         self._data = mujoco.MjData(self._model)
         self.timestep = float(self._model.opt.timestep)
         """Step of the simulation [s]; commands are held for a multiple of it."""

@@ -21,7 +21,7 @@ from fmu_src.blocks.controller import controller
 from fmu_src.blocks.inverse_dynamics import inverse_dynamics
 from fmu_src.export.package import write_fmu
 from fmu_src.friction.friction_fmu import export_bare
-from fmu_src.run.fmu import FmuInstance, mixed_buffer
+from fmu_src.run.fmu import FmuInstance, build_mixed_buffer
 from hesr.extras.adaptive.monitor import adaptive_content
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
@@ -248,7 +248,7 @@ def run_drifting(
         FmuInstance(loop.folder / "Controller.fmu", name="controller") as control,
     ):
         seen = observer.buffer(names("dq", "q", "tau_load", "tau_meas", "tau_rigid"))
-        known = mixed_buffer(observer, names(*_LEARNED, *_WATCHED))
+        known = build_mixed_buffer(observer, names(*_LEARNED, *_WATCHED))
         given = friction.buffer(names("dq", "q", "tau_load", "coulomb_scale", "viscous_scale"))
         forward = friction.buffer(names("tau"))
         posture, weight = gravity.buffer(names("q")), gravity.buffer(names("tau"))
@@ -305,7 +305,7 @@ def _advance(
 ) -> None:
     """Set the inputs of sample k and step to it; initialise before the first one."""
     if k == 0:
-        fmu.enter_initialisation(start=fmu.variables.expanded(start or {}))
+        fmu.enter_initialisation(start=fmu.variables.expand_values(start or {}))
         write()
         fmu.exit_initialisation()
         return

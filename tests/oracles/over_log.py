@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from hesr_model.equations.functions import NUMPY, SCALAR, lowered, positive
+from hesr_model.equations.functions import NUMPY, SCALAR, positive, to_numpy_function
 from hesr_model.equations.memory import DT, EULER, Discretisation, Element, Stop
 from hesr_model.equations.program import initial_state, initial_symbol
 from hesr_model.equations.recurrence import recurrence
@@ -50,13 +50,13 @@ class StatesOverLog:
             i for i, m in enumerate(memory) if not states & sympy.Tuple(*m.parts).free_symbols
         ]
         # Lowered together, because elements share subexpressions.
-        self._parts = lowered(
+        self._parts = to_numpy_function(
             arguments, [part for i in self._alone for part in self._memory[i].parts]
         )
         self._groups = tuple(groups_of(self._memory))
         # Stops that depend on earlier elements are also lowered together.
         self._later = {
-            i: lowered(
+            i: to_numpy_function(
                 (*arguments, *(e.state for e in memory[: i + 1])),
                 [part for m in memory[i:end] for part in m.parts],
             )
@@ -74,7 +74,9 @@ class StatesOverLog:
             if m.state in sympy.Tuple(*m.parts).free_symbols
         }
         self._derivatives = {
-            i: lowered((*arguments, *(e.state for e in memory[: i + 1])), [m.continuous()])
+            i: to_numpy_function(
+                (*arguments, *(e.state for e in memory[: i + 1])), [m.express_derivative()]
+            )
             for i, m in own.items()
         }
 
@@ -205,7 +207,7 @@ def _scalar_step(arguments: Sequence[sympy.Symbol], element: Element) -> Any:
     guarded = positive(second)
     return sympy.lambdify(
         [*arguments, DT, EULER, element.state],
-        (element.sampled(first, guarded), guarded * DT),
+        (element.advance(first, guarded), guarded * DT),
         modules=[dict(SCALAR), "math"],
         cse=True,
     )
@@ -315,7 +317,7 @@ def over_rows(
         for of_state, first in zip(at, own.beginning(firsts, [x[begins] for x in at]), strict=True):
             of_state[begins] = first
     found = own(values, dt, begins, at, discretisation)
-    columns = lowered((*symbols, *states, DT), outputs)(*values, *found, dt)
+    columns = to_numpy_function((*symbols, *states, DT), outputs)(*values, *found, dt)
     return [np.array(np.broadcast_to(column, dt.shape)) for column in columns]
 
 

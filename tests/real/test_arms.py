@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import RobotError
-from hesr_model.robots.mjcf import engine
+from hesr_model.robots.mjcf import import_engine
 from hesr_model.robots.model_file import load, set_joint
 from hesr_model.robots.robot import Robot
 
@@ -99,7 +99,7 @@ def rests(path: Path, robot: Robot) -> dict[str, float]:
 
 def of_mujoco(path: Path, robot: Robot, states: States) -> np.ndarray:
     """mj_inverse of the whole file, without constraints and passive forces."""
-    mujoco = engine()
+    mujoco = import_engine()
     model = mujoco.MjModel.from_xml_path(str(path)) if path.suffix == ".xml" else urdf_model(path)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     model.opt.enableflags = 0
@@ -124,7 +124,7 @@ def urdf_model(path: Path) -> Any:
     """Compile a URDF with valid inertias, then set its own, which MuJoCo may not accept."""
     import pinocchio as pin
 
-    mujoco, root = engine(), ElementTree.parse(path).getroot()
+    mujoco, root = import_engine(), ElementTree.parse(path).getroot()
     own: dict[str, Element | None] = {}
     for part in list(root):
         if part.tag not in ("link", "joint"):

@@ -7,7 +7,7 @@ import pytest
 
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.predict import predict
-from hesr_model.health.examine import HealthError, checked, examine
+from hesr_model.health.examine import HealthError, check_logs, examine
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import friction_records
@@ -55,6 +55,6 @@ def test_losing_half_of_five_seconds_is_refused(seed: int) -> None:
     robot = RobotDescription.read(Path(__file__).with_name("tx40.toml"))
     whole = Log.read(log, robot)
     with pytest.raises(HealthError, match=r"its sliding torque at .* is uncertain by \d") as no:
-        checked([halved(whole, seed)], Robot(robot))
+        check_logs([halved(whole, seed)], Robot(robot))
     assert {finding.check for finding in no.value.findings} == {"missing-rows"}
     assert "joint_3" in no.value.findings[0].joints

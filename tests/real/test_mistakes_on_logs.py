@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.loop.excite import recordings
+from cosim.loop.excite import record_motions
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from hesr_model.health.examine import examine
@@ -194,7 +194,7 @@ def twin(shared: Shared) -> Path:
     def run(folder: Path) -> None:
         plant = Plant.read(uf850("plant.toml"))
         motions = Motions.read(models_folder() / "studies" / "uf850_motions.toml")
-        for made in recordings(motions, plant):
+        for made in record_motions(motions, plant):
             made.log.write(folder / f"{made.log.name}.csv")
 
     return shared("twin_of_the_study", run)

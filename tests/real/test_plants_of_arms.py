@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from test_arms import LISTED, located, rests, urdf_model
 
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from hesr_model.errors import ConfigError
-from hesr_model.robots.mjcf import engine
+from hesr_model.robots.mjcf import import_engine
 from hesr_model.robots.model_file import load, set_joint
 from hesr_model.robots.robot import Robot
 
@@ -33,7 +33,7 @@ class MuJoCo:
     """`mj_forward` of the whole file, without constraints and passive forces."""
 
     def __init__(self, path: Path, robot: Robot) -> None:
-        self._mujoco = mujoco = engine()
+        self._mujoco = mujoco = import_engine()
         is_mjcf = path.suffix == ".xml"
         model = mujoco.MjModel.from_xml_path(str(path)) if is_mjcf else urdf_model(path)
         flags = mujoco.mjtDisableBit
@@ -134,9 +134,9 @@ def test_arms_become_plants_of_mujoco(package: str, name: str) -> None:
     path = located(package, name)
     if name in IMPOSSIBLE:
         with pytest.raises(ConfigError, match="cannot be compiled as a URDF"):
-            signals_of(path)
+            read_signals(path)
         return
-    signals = signals_of(path)
+    signals = read_signals(path)
     kinds = signals.model.jnt_type
     joints = int(np.count_nonzero(kinds >= 2))  # slides and hinges
     assert len(signals.starts) == joints

@@ -7,7 +7,7 @@ import pytest
 
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import FitError
-from hesr_model.fitting.days import adapt, prior_of
+from hesr_model.fitting.days import adapt, build_prior
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -50,7 +50,7 @@ def test_half_a_minute_of_work_keeps_what_other_days_know(
     body = identify(id_logs, ur10e_model)
     full = fitted(records(id_logs, ur10e_model, body))
     seconds = records([first(work, 30.0)], ur10e_model, body)
-    model, _ = adapt(prior_of([full]), seconds)
+    model, _ = adapt(build_prior([full]), seconds)
     unseen = [records([log], ur10e_model, body) for log in fourier]
     own, best, alone = (
         np.concatenate([errors(one, log) for log in unseen])
@@ -77,7 +77,7 @@ def test_seconds_of_a_new_day_suffice_with_a_prior_of_other_days(
 ) -> None:
     new, *earlier = id_logs  # of three days; the first unseen log is of the new one
     body = identify(earlier, ur10e_model)
-    prior = prior_of([fitted(records(earlier, ur10e_model, body))])
+    prior = build_prior([fitted(records(earlier, ur10e_model, body))])
     unseen = records(unseen_logs[:1], ur10e_model, body)
     full = errors(fitted(records([new], ur10e_model, body)), unseen)
     adapted = {}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.study.scores import by_joint
+from cosim.study.scores import transpose_records
 from hesr_model.fitting.fit import fit_models
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import moving, near_reversals
@@ -31,7 +31,7 @@ def test_a_band_has_its_stated_coverage(
     ur10e_model: Robot,
     law: str,
 ) -> None:
-    trained = by_joint([friction_records(log, ur10e_model, body) for log in id_logs])
+    trained = transpose_records([friction_records(log, ur10e_model, body) for log in id_logs])
     model = fit_models([law], trained, robot="ur10e", seed=0)[law]
     tested = [friction_records(log, ur10e_model, body) for log in unseen_logs]
     bands = [model.predict_band(records) for records in tested]

@@ -21,11 +21,11 @@ from cosim.study.run import run_study, score_study
 from cosim.study.scores import (
     MEASURED_START,
     Comparison,
-    by_joint,
     compare,
     input_classes,
-    inputs_of,
-    rows_of,
+    name_inputs,
+    table_rows,
+    transpose_records,
 )
 from cosim.study.steps import Job
 from cosim.study.study import Study, Variant
@@ -110,10 +110,10 @@ def test_the_whole_study_runs_and_names_a_law(
 @pytest.fixture(scope="session")
 def scores(outcome: Scored, records: list[list[FrictionRecord]]) -> Comparison:
     """Scores with a velocity without lag, for which the bounds were found."""
-    tested = by_joint(records)
+    tested = transpose_records(records)
     predicted = {
         row: predict_fmu(outcome.fmus[law], tested, measured_start=known)
-        for row, (law, known) in rows_of(outcome.models).items()
+        for row, (law, known) in table_rows(outcome.models).items()
     }
     return compare(tested, predicted, input_classes(outcome.models), outcome.models)
 
@@ -174,11 +174,11 @@ def test_no_other_law_of_the_same_inputs_is_better_than_stops(
     outcome: Scored, scores: Comparison, row: Callable[[str], str]
 ) -> None:
     """Both without and with the initial state estimated from measured torque."""
-    own = inputs_of(outcome.models["parfam_s"])
+    own = name_inputs(outcome.models["parfam_s"])
     rivals = [
         law
         for law, model in outcome.models.items()
-        if inputs_of(model) == own and not law.startswith("parfam_s")
+        if name_inputs(model) == own and not law.startswith("parfam_s")
     ]
     assert {"lugre_load_ripple", "lugre_load_ripple_relaxed", "parfam_hx"} <= {*rivals}
     least = min(errors(scores, row(law)).prod() for law in rivals if row(law) in scores.laws)
@@ -225,7 +225,7 @@ def test_most_laws_are_separated_from_the_best(
     laws = ("lugre", "lugre_textbook", "lugre_load_ripple", "dahl", "dahl_load", "strain_wave",
             "parfam_hx", "parfam_s", "parfam_s_v")  # fmt: skip
     predicted = {law: outcome.predictions["test"][law] for law in laws}
-    found = compare(by_joint(records), predicted, {})
+    found = compare(transpose_records(records), predicted, {})
     separated = [len(laws) - len(leading) for leading in found.leading]
     assert np.all(np.array(separated) >= [4, 7, 6, 0, 7, 1]), separated
     assert [leading[0] for leading in found.leading] == ["parfam_s"] * 6

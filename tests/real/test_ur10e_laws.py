@@ -7,7 +7,7 @@ import pytest
 
 from cosim.study.results import Scored
 from cosim.study.run import score_study
-from cosim.study.scores import Comparison, compare, predict_models, records_of
+from cosim.study.scores import Comparison, compare, predict_models, select_records
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from hesr_model.friction.model import FrictionModel
@@ -41,7 +41,7 @@ def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Score
 @pytest.fixture(scope="module")
 def without_lag(outcome: Scored) -> Comparison:
     """Scores with the velocity of the fits; the bounds are for it."""
-    records = records_of(outcome.study.logs.test["test"], outcome.records)
+    records = select_records(outcome.study.logs.test["test"], outcome.records)
     return compare(records, predict_models(outcome.models, records), {})
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fmu_src.plant.dynamics import moved
+from fmu_src.plant.dynamics import transform_parameters
 from fmu_src.plant.plant_fmu import PlantBody
-from hesr.extras.observer.observation import limits_of, observed_logs
+from hesr.extras.observer.observation import compute_limits, observe_logs
 from hesr.extras.observer.observer_fmu import ObserverLimits
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
@@ -22,7 +22,7 @@ WEIGHT = np.array([0.0, 0.0, -9.81 * MASS])
 
 @pytest.fixture(scope="module")
 def body(id_logs: list[Log], ur10e_model: Robot) -> PlantBody:
-    return PlantBody.of(ur10e_model, identify(id_logs, ur10e_model))
+    return PlantBody.from_robot(ur10e_model, identify(id_logs, ur10e_model))
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def observers(
     parts = [part for log in id_logs for part in log.parts()]
     records = [friction_records(part, ur10e_model, own) for part in parts]
     laws = {name: fit(name, *records, robot="ur10e") for name in ("parfam_s_load", "stribeck")}
-    return {name: (law, limits_of(law, body, unseen_logs)) for name, law in laws.items()}
+    return {name: (law, compute_limits(law, body, unseen_logs)) for name, law in laws.items()}
 
 
 def test_the_limits_are_no_wider_than_with_stribeck(
@@ -44,7 +44,7 @@ def test_the_limits_are_no_wider_than_with_stribeck(
 ) -> None:
     widths = {}
     for name, (law, limits) in observers.items():
-        runs = observed_logs(law, body, limits, unseen_logs)
+        runs = observe_logs(law, body, limits, unseen_logs)
         ends = [run.outputs["tau_ext_upper"] - run.outputs["tau_ext_lower"] for run in runs]
         widths[name] = np.concatenate(ends).mean(axis=0)
     assert np.all(widths["parfam_s_load"] <= widths["stribeck"]), widths
@@ -58,9 +58,11 @@ def test_a_payload_missing_in_the_body_appears_as_its_weight(
     law, limits = observers["parfam_s_load"]
     robot, parameters = body.robot, body.parameters.copy()
     point = np.array([MASS, *np.zeros(9)])
-    parameters[10 * (robot.links - 1) : 10 * robot.links] -= moved(point, np.eye(3), CENTRE)
+    parameters[10 * (robot.links - 1) : 10 * robot.links] -= transform_parameters(
+        point, np.eye(3), CENTRE
+    )
     log = next(one for one in unseen_logs if "ptp" in one.name)
-    [run] = observed_logs(law, PlantBody(robot=robot, parameters=parameters), limits, [log])
+    [run] = observe_logs(law, PlantBody(robot=robot, parameters=parameters), limits, [log])
     rest = (np.abs(run.dq).max(axis=1) < 0.002) & (run.t - run.t[0] > 1.0)
     assert rest.sum() > 20
     found = np.hstack([run.outputs["force"], run.outputs["moment"]])[rest]

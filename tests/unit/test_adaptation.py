@@ -11,7 +11,7 @@ from joint_data import law as true_law
 import hesr
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArgumentError, FitError, HesrError
-from hesr_model.fitting.days import adapt, prior_of
+from hesr_model.fitting.days import adapt, build_prior
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
@@ -50,7 +50,7 @@ def test_seconds_of_a_new_day_move_the_law_to_it(prior: FrictionModel) -> None:
     most = {"lugre": 1.05, "parfam_s_v": 1.4}[prior.law]
     new = {"sigma_2": 9.0, "F_c": 4.2}
     seconds, unseen = day(7, seconds=10.0, **new), day(8, **new)
-    model, (sentence,) = adapt(prior_of([prior]), [[seconds]])
+    model, (sentence,) = adapt(build_prior([prior]), [[seconds]])
     assert error(model, unseen) <= 0.75 * error(prior, unseen)
     assert error(model, unseen) <= most * error(fitted(prior.law, day(9, **new)), unseen)
     assert sentence.startswith(f"{seconds.joint}: error over 9.98 s ")
@@ -65,7 +65,7 @@ def test_seconds_of_one_way_motion_leave_the_law_nearly_as_it_is(prior: Friction
     way = record.rows(slice(100, 280))
     with pytest.raises(HesrError, match="never reverses"):
         fitted(prior.law, way)
-    model, _ = adapt(prior_of([prior]), [[way]])
+    model, _ = adapt(build_prior([prior]), [[way]])
     assert error(model, unseen) <= 1.15 * error(prior, unseen)
     assert error(model, way) <= error(prior, way)
 
@@ -86,14 +86,14 @@ def test_a_change_that_a_proof_does_not_allow_is_cut(monkeypatch: pytest.MonkeyP
     model, _ = adapt(prior, [[new]])
     assert certify(model.laws[0], prior.trained[0]).verdict == "proven"
     assert error(model, new) < error(prior, new)
-    monkeypatch.setattr("hesr_model.fitting.days._SHARES", (1.0,))
+    monkeypatch.setattr("hesr_model.fitting.days._CHANGE_SHARES", (1.0,))
     cut, _ = adapt(prior, [[new]])
     assert cut.laws[0].values == prior.laws[0].values  # the whole change was not allowed
 
 
 def test_intervals_cover_the_coefficients_of_the_new_day() -> None:
     """Offset and viscous friction over twelve days."""
-    prior = prior_of([fitted("lugre", *(day(k, tau_0=0.5 + 0.5 * k) for k in range(3)))])
+    prior = build_prior([fitted("lugre", *(day(k, tau_0=0.5 + 0.5 * k) for k in range(3)))])
     held, before = [], prior.laws[0]
     for seed in range(20, 32):
         truth = {"tau_0": 0.1 * (seed - 20), "sigma_2": 7.0}
@@ -106,13 +106,13 @@ def test_intervals_cover_the_coefficients_of_the_new_day() -> None:
 
 def test_several_days_give_mean_and_spread() -> None:
     days = [fitted("stribeck", day(k, tau_0=0.5 + k)) for k in range(3)]
-    both = prior_of(days).laws[0]
+    both = build_prior(days).laws[0]
     offsets = [model.laws[0].values["tau_0"] for model in days]
     assert both.values["tau_0"] == pytest.approx(np.mean(offsets))
     spread = np.std(offsets, ddof=1) * np.sqrt(1 + 1 / 3)
     assert both.standard_errors["tau_0"] >= spread
     assert both.standard_errors["tau_0"] <= 1.2 * spread
-    assert prior_of(days[:1]) is days[0]
+    assert build_prior(days[:1]) is days[0]
 
 
 def test_a_law_without_free_coefficients_stays() -> None:
@@ -137,7 +137,7 @@ def test_priors_that_cannot_be_adapted_are_refused(prior: FrictionModel) -> None
         ([prior, stribeck], "structures of its laws differ"),
     ):
         with pytest.raises(FitError, match=words):
-            prior_of(models)
+            build_prior(models)
     with pytest.raises(FitError, match="but the prior elbow"):
         adapt(other, [[day(0)]])
 

@@ -8,7 +8,7 @@ from adaptive_models import NOISE, SPEED, STEP, coloured, lugre, model, motion, 
 
 from hesr.extras.adaptive.component import TUNING, adaptive_component
 from hesr.extras.adaptive.monitor import Followed, Follower, adaptive_components
-from hesr_model.audit.certificate import certify, least_viscosity, storage
+from hesr_model.audit.certificate import certify, find_min_viscous_scale, find_storage_factors
 from hesr_model.equations.stepping import ComponentRun, Steps
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.law import FrictionLaw
@@ -184,7 +184,7 @@ def test_the_offset_moves_slowly() -> None:
 
 def test_viscous_friction_stays_above_the_bound_for_ripple() -> None:
     law = stops()
-    least = least_viscosity(law)
+    least = find_min_viscous_scale(law)
     assert 0.0 < least < 1.0
     for share, verdict in ((1.001 * least, "proven"), (0.98 * least, "tested")):
         values = {n: v * (share if n.startswith("sigma") else 1.0) for n, v in law.values.items()}
@@ -203,7 +203,7 @@ def fuzzed(steps: int, seed: int) -> None:
     values = law.values | {"noise": NOISE, "speed_least": 0.02, "torque_limit": 80.0,
                            "level_start": 1.0, "viscosity_start": 1.0}  # fmt: skip
     run = Steps(component, names).run(values, law.start, [q.name for q in component.inputs])
-    factors = storage(law)
+    factors = find_storage_factors(law)
     k = np.array([factors[m.name] for m in law.form.memory])
     rng = np.random.default_rng(seed)
     run.begin(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ from adaptive_models import lugre, model, motion, truth
 from containing import Containing
 
 from hesr.extras.adaptive.component import TUNING
-from hesr.extras.adaptive.monitor import Alarm, State, shared_signs, watch
+from hesr.extras.adaptive.monitor import Alarm, State, find_shared_signs, watch
 from hesr.extras.adaptive.page import Monitoring
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -64,9 +64,9 @@ def test_a_load_is_not_taken_for_friction() -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_common_change_needs_more_than_half_of_the_joints(sign: int) -> None:
-    assert shared_signs([("j1", sign), ("j2", sign), ("j3", -sign)], 3) == [sign]
-    assert shared_signs([("j1", sign), ("j1", sign)], 3) == []
-    assert shared_signs([("j1", sign), ("j2", -sign)], 2) == []
+    assert find_shared_signs([("j1", sign), ("j2", sign), ("j3", -sign)], 3) == [sign]
+    assert find_shared_signs([("j1", sign), ("j1", sign)], 3) == []
+    assert find_shared_signs([("j1", sign), ("j2", -sign)], 2) == []
 
 
 def monitoring(alarms: int) -> Monitoring:

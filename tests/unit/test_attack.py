@@ -77,12 +77,12 @@ def test_moving_loads_have_twice_the_frequency() -> None:
         assert motion.rows * cycle.frequency * TRAINED.sample_time == pytest.approx(1.0)
         assert np.abs(motion.load).max() <= 30.0 + 1e-9
         # A torque against the motion generates nothing, one along it its work.
-        assert motion.given(motion.dq) == 0.0
-        work = motion.given(-motion.dq)
+        assert motion.compute_generated_energy(motion.dq) == 0.0
+        work = motion.compute_generated_energy(-motion.dq)
         assert work == pytest.approx(0.5 * cycle.amplitude**2 / cycle.frequency)
         # Energy counts only if the cycle before generates the same.
         growing = np.where(np.arange(len(motion.q)) < len(motion.q) - motion.rows, 0.5, 1.0)
-        assert motion.given(-growing * motion.dq) == 0.0
+        assert motion.compute_generated_energy(-growing * motion.dq) == 0.0
 
 
 @pytest.mark.parametrize(("share", "counts"), [(0.0, False), (0.5, False), (0.97, True)])

@@ -10,14 +10,14 @@ import sympy
 from oracles.stepper import Stepper
 
 from hesr_model.audit import audit as module
-from hesr_model.audit.audit import ENCODER, Audit, audit, explodes
+from hesr_model.audit.audit import ENCODER_NOISE, Audit, audit, explodes
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained_range import TrainedRange, outside
+from hesr_model.friction.trained_range import TrainedRange, find_excess
 from hesr_model.laws.lugre import LuGre
 from hesr_model.laws.stribeck import Stribeck
 from hesr_model.logs.noise import standard_normal
@@ -253,14 +253,14 @@ def test_a_jump_needs_most_of_the_rise_across_rest(share: float) -> None:
 def test_the_worst_load_decides_at_rest() -> None:
     found = audit(law(0.1 * absolute(TAU_LOAD) * DQ), TRAINED)
     assert found.slope == pytest.approx(4.0)
-    assert found.chatter == pytest.approx(4.0 * np.sqrt(2.0) * ENCODER / 0.005, rel=0.03)
+    assert found.chatter == pytest.approx(4.0 * np.sqrt(2.0) * ENCODER_NOISE / 0.005, rel=0.03)
 
 
 def test_chatter_is_the_response_to_encoder_noise() -> None:
     assert audit(law(3.0 * DQ), TRAINED).chatter == pytest.approx(
-        3.0 * np.sqrt(2.0) * ENCODER / 0.005, rel=0.03
+        3.0 * np.sqrt(2.0) * ENCODER_NOISE / 0.005, rel=0.03
     )
-    assert audit(law(1e5 * Q), TRAINED).chatter == pytest.approx(1e5 * ENCODER, rel=0.03)
+    assert audit(law(1e5 * Q), TRAINED).chatter == pytest.approx(1e5 * ENCODER_NOISE, rel=0.03)
 
 
 # --- beyond the trained range -----------------------------------------------------------------
@@ -351,7 +351,9 @@ def record(dq: list[float], log: str = "run", dt: float = 0.01) -> FrictionRecor
 
 
 def test_ranges_cover_all_records() -> None:
-    trained = TrainedRange.of([record([-0.5, 0.0, 0.1, 0.2]), record([0.0, 0.7, 0.1], dt=0.02)])
+    trained = TrainedRange.from_records(
+        [record([-0.5, 0.0, 0.1, 0.2]), record([0.0, 0.7, 0.1], dt=0.02)]
+    )
     assert trained.sample_time == 0.01
     assert trained.dq == (-0.5, 0.7)
     assert trained.q == (-1.0, 1.4)
@@ -387,14 +389,14 @@ def test_invalid_range_data_are_refused(wrong: dict[str, object]) -> None:
 
 
 def test_excess_over_the_trained_range_is_reported_per_input() -> None:
-    trained = TrainedRange.of([record([-0.5, 0.5])])
-    assert outside(trained, [record([-0.4, 0.5, -0.5])]) == {}
+    trained = TrainedRange.from_records([record([-0.5, 0.5])])
+    assert find_excess(trained, [record([-0.4, 0.5, -0.5])]) == {}
     wider = replace(trained, q=(-9.0, 9.0))
-    found = outside(wider, [record([-0.5, 0.6, -0.9, 0.1]), record([0.0] * 4)])
+    found = find_excess(wider, [record([-0.5, 0.6, -0.9, 0.1]), record([0.0] * 4)])
     assert list(found) == ["dq", "tau_load"]
     assert found["dq"].rows == 0.25
     assert (found["dq"].below, found["dq"].above) == pytest.approx((0.4, 0.1))
-    upwards = outside(wider, [record([0.0, 0.75])])
+    upwards = find_excess(wider, [record([0.0, 0.75])])
     assert (upwards["dq"].below, upwards["dq"].above) == (0.0, 0.25)
 
 
@@ -424,12 +426,12 @@ def test_work_is_power_over_the_settled_cycle() -> None:
     motions = module.closed_motions(TRAINED, np.array([0.5, 1.0]), 0.5)
     tau = 2.0 * motions.dq
     tau[:, : -motions.rows] = 1e6  # rows before the cycle do not count
-    for one, amplitude in zip(module.cycles(motions, 7.0, tau), (0.5, 1.0), strict=True):
+    for one, amplitude in zip(module.measure_cycles(motions, 7.0, tau), (0.5, 1.0), strict=True):
         assert (one.amplitude, one.frequency, one.tau_load) == (amplitude, 0.5, 7.0)
         assert (one.work, one.share) == pytest.approx((amplitude**2 / 0.5, 1.0))
-    (still, _) = module.cycles(motions, 7.0, 0.0 * tau)
+    (still, _) = module.measure_cycles(motions, 7.0, 0.0 * tau)
     assert (still.work, still.share) == (0.0, 0.0)
-    (spring, _) = module.cycles(motions, 7.0, motions.q)
+    (spring, _) = module.measure_cycles(motions, 7.0, motions.q)
     assert (spring.work, spring.share) == (0.0, 0.0)
 
 
@@ -437,7 +439,7 @@ def test_noise_at_rest_is_encoder_noise() -> None:
     """Three seconds to settle, then 4000 rows; velocity is the backward difference."""
     trained = replace(TRAINED, sample_time=0.01, q=(0.2, 1.0))
     dq, q, settling = module.encoder_noise(trained)
-    noise = ENCODER * standard_normal(0, 0, np.arange(4301))
+    noise = ENCODER_NOISE * standard_normal(0, 0, np.arange(4301))
     assert settling == 300
     np.testing.assert_allclose(q, 0.6 + noise[1:], rtol=1e-15)
     np.testing.assert_allclose(dq, (noise[1:] - noise[:-1]) / 0.01, rtol=1e-9)

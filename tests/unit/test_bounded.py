@@ -12,16 +12,16 @@ from hesr_model.errors import ConfigError
 from hesr_model.support import cache
 from hesr_model.support import text as bounded
 from hesr_model.support.process import describe_end
-from hesr_model.support.progress import PARTS, counted, into_file, watched
+from hesr_model.support.progress import UNITS_PER_JOB, make_file_progress, report_progress, watched
 from hesr_model.support.text import (
     count_noun,
-    listed,
     parse_json,
     parse_toml,
-    plain,
-    quoted,
+    quote,
+    quote_names,
     read_text,
     require_printable,
+    sanitise,
 )
 from hesr_model.support.typed_files import Config
 
@@ -81,14 +81,14 @@ def test_names_have_one_to_a_thousand_characters() -> None:
 
 
 def test_untrusted_texts_are_shown_on_one_short_line() -> None:
-    assert plain("a" * 160) == "a" * 160
-    assert plain("a" * 161) == "a" * 160 + "..."
-    assert plain("abc", 2) == "ab..."
-    assert plain("a\n\x1b\u202e\ud800é") == r"a\n\x1b\u202e\ud800é"
-    assert quoted("a\0") == r"'a\x00'"
-    assert listed("abcde") == "'a', 'b', 'c', 'd', 'e'"
-    assert listed("abcdef") == "'a', 'b', 'c', 'd', 'e' and 1 more"
-    assert listed("abcd", 2) == "'a', 'b' and 2 more"
+    assert sanitise("a" * 160) == "a" * 160
+    assert sanitise("a" * 161) == "a" * 160 + "..."
+    assert sanitise("abc", 2) == "ab..."
+    assert sanitise("a\n\x1b\u202e\ud800é") == r"a\n\x1b\u202e\ud800é"
+    assert quote("a\0") == r"'a\x00'"
+    assert quote_names("abcde") == "'a', 'b', 'c', 'd', 'e'"
+    assert quote_names("abcdef") == "'a', 'b', 'c', 'd', 'e' and 1 more"
+    assert quote_names("abcd", 2) == "'a', 'b' and 2 more"
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ class Outer(Config):
 def test_wrong_values_are_shown_up_to_200_characters() -> None:
     def told(data: object) -> str:
         with pytest.raises(ConfigError) as refusal:
-            Outer.validated(Path("x.toml"), data)
+            Outer.from_data(Path("x.toml"), data)
         return str(refusal.value)
 
     assert told({"inner": {"b": 1}}) == "x.toml: unknown key 'inner.b'; allowed here: a."
@@ -133,16 +133,16 @@ def test_wrong_values_are_shown_up_to_200_characters() -> None:
 
 def test_progress_is_reported_in_parts(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
-    assert list(counted("ab", lambda *x: told.append(x))) == ["a", "b"]
+    assert list(report_progress("ab", lambda *x: told.append(x))) == ["a", "b"]
     assert told == [(0, 2), (1, 2), (2, 2)]
-    assert PARTS == 100
-    tell, path = into_file(tmp_path / "p"), tmp_path / "p"
+    assert UNITS_PER_JOB == 100
+    tell, path = make_file_progress(tmp_path / "p"), tmp_path / "p"
     tell(0, 7)
     assert not path.exists()
     for done, total, share in ((1, 7, "14"), (3, 7, "42"), (2, 7, "42"), (7, 7, "100")):
         tell(done, total)
         assert path.read_text() == share
-    fresh = into_file(tmp_path / "n")
+    fresh = make_file_progress(tmp_path / "n")
     fresh(0, 0)
     assert not (tmp_path / "n").exists()
     fresh(1, 0)
@@ -175,7 +175,9 @@ def test_cache_entries_are_keyed_by_all_inputs(
     made: list[int] = []
 
     def kept(*inputs: str | bytes, kind: str = "kind") -> bytes:
-        return cache.kept(kind, inputs, lambda: made.append(1) or json.dumps(len(made)).encode())
+        return cache.compute_once(
+            kind, inputs, lambda: made.append(1) or json.dumps(len(made)).encode()
+        )
 
     assert (kept("ab", "c"), kept("a", "bc"), kept("ab", "c")) == (b"1", b"2", b"1")
     assert (kept(b"ab", b"c"), kept("ab", "c", kind="other")) == (b"1", b"3")

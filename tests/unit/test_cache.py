@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from hesr_model.support import cache
-from hesr_model.support.cache import folder, kept, since
+from hesr_model.support.cache import compute_once, count_hits, folder
 from hesr_model.support.parallel import results_of
 
 
@@ -45,38 +45,38 @@ def entries(here: Path) -> list[Path]:
 
 def test_the_same_inputs_are_made_once(here: Path) -> None:
     make = Maker(b"made")
-    assert [kept("things", ("a", b"b"), make) for _ in range(3)] == [b"made"] * 3
+    assert [compute_once("things", ("a", b"b"), make) for _ in range(3)] == [b"made"] * 3
     assert make.times == 1
     assert len(entries(here)) == 1
 
 
 def test_hits_in_workers_are_counted(here: Path) -> None:
     def asked(name: str) -> bytes:
-        return kept("counted", [name], lambda: b"made")
+        return compute_once("counted", [name], lambda: b"made")
 
     jobs = [partial(asked, name) for name in ("a", "b", "a", "b")]
     before = cache.USED.copy()
     assert asked("a") == b"made"
     with results_of(jobs, 2) as results:
         assert list(results) == [b"made"] * 4
-    assert since(before) == {"counted": (3, 5)}
+    assert count_hits(before) == {"counted": (3, 5)}
 
 
 @pytest.mark.parametrize("other", [("a", "c"), ("ab",), ("a", "b", ""), ("b", "a"), ("", "ab")])
 def test_other_inputs_make_another_entry(other: tuple[str, ...]) -> None:
-    kept("things", ("a", "b"), Maker(b"one"))
-    assert kept("things", other, Maker(b"two")) == b"two"
+    compute_once("things", ("a", "b"), Maker(b"one"))
+    assert compute_once("things", other, Maker(b"two")) == b"two"
 
 
 def test_kinds_are_separate() -> None:
-    kept("things", ("a",), Maker(b"one"))
-    assert kept("others", ("a",), Maker(b"two")) == b"two"
+    compute_once("things", ("a",), Maker(b"one"))
+    assert compute_once("others", ("a",), Maker(b"two")) == b"two"
 
 
 def test_twenty_concurrent_requests_make_one_entry() -> None:
     make = Maker(b"made")
     with ThreadPoolExecutor(20) as pool:
-        got = list(pool.map(lambda _: kept("things", ("a",), make), range(20)))
+        got = list(pool.map(lambda _: compute_once("things", ("a",), make), range(20)))
     assert got == [b"made"] * 20
     assert make.times == 1
 
@@ -94,22 +94,22 @@ def test_twenty_concurrent_requests_make_one_entry() -> None:
 )
 def test_a_damaged_entry_is_made_again(here: Path, damage: Callable[[bytes], bytes]) -> None:
     make = Maker(b"made of something long enough")
-    kept("things", ("a",), make)
+    compute_once("things", ("a",), make)
     (entry,) = entries(here)
     whole = entry.read_bytes()
     entry.write_bytes(damage(whole))
-    assert kept("things", ("a",), make) == make.content
+    assert compute_once("things", ("a",), make) == make.content
     assert make.times == 2
     assert entry.read_bytes() == whole
 
 
 def test_an_entry_of_other_inputs_is_not_used(here: Path) -> None:
-    kept("things", ("a",), Maker(b"one"))
+    compute_once("things", ("a",), Maker(b"one"))
     (one,) = entries(here)
-    kept("things", ("b",), Maker(b"two"))
+    compute_once("things", ("b",), Maker(b"two"))
     (two,) = set(entries(here)) - {one}
     two.replace(one)
-    assert kept("things", ("a",), Maker(b"one")) == b"one"
+    assert compute_once("things", ("a",), Maker(b"one")) == b"one"
 
 
 def test_a_failure_is_not_cached(here: Path) -> None:
@@ -117,16 +117,16 @@ def test_a_failure_is_not_cached(here: Path) -> None:
         raise RuntimeError("no")
 
     with pytest.raises(RuntimeError, match="no"):
-        kept("things", ("a",), fail)
+        compute_once("things", ("a",), fail)
     assert entries(here) == []
-    assert kept("things", ("a",), Maker(b"made")) == b"made"
+    assert compute_once("things", ("a",), Maker(b"made")) == b"made"
 
 
 def test_without_a_cache_folder_entries_are_made_every_time(here: Path) -> None:
     folder()
     (here / "things").write_text("in the way")
     make = Maker(b"made")
-    assert [kept("things", ("a",), make) for _ in range(2)] == [b"made"] * 2
+    assert [compute_once("things", ("a",), make) for _ in range(2)] == [b"made"] * 2
     assert make.times == 2
 
 
@@ -135,15 +135,15 @@ def test_the_least_recently_used_entry_is_removed_first(
 ) -> None:
     for age, name in enumerate("abc"):
         before = set(entries(here))
-        kept("things", (name,), Maker(name.encode() * 1000))
+        compute_once("things", (name,), Maker(name.encode() * 1000))
         (new,) = set(entries(here)) - before
         os.utime(new, (age, age))
-    kept("things", ("a",), Maker(b""))  # marks the entry as used
+    compute_once("things", ("a",), Maker(b""))  # marks the entry as used
     monkeypatch.setattr(cache, "LIMIT", 3500)
-    kept("things", ("d",), Maker(b"d" * 1000))
+    compute_once("things", ("d",), Maker(b"d" * 1000))
     made = {name: Maker(name.encode() * 1000) for name in "acdb"}
     for name, make in made.items():
-        assert kept("things", (name,), make) == make.content
+        assert compute_once("things", (name,), make) == make.content
     assert {name: make.times for name, make in made.items()} == {"a": 0, "c": 0, "d": 0, "b": 1}
 
 
@@ -225,17 +225,17 @@ def poisoned(here: Path, deed: str, tmp_path: Path) -> None:
         entry.write_bytes(hmac.digest(key, message, "sha256") + EVIL)
         entry.chmod(0o600)
     elif deed == "other kind":
-        kept("others", ("a",), lambda: EVIL)
+        compute_once("others", ("a",), lambda: EVIL)
         (other,) = (here / "others").glob("*/?*[!k]")
         other.rename(entry)
 
 
 @pytest.mark.parametrize("deed", ["planted", "link", "other key", "other kind"])
 def test_planted_entries_are_not_used(here: Path, tmp_path: Path, deed: str) -> None:
-    kept("things", ("a",), lambda: GOOD)
+    compute_once("things", ("a",), lambda: GOOD)
     poisoned(here, deed, tmp_path)
     make = Maker(GOOD)
-    assert kept("things", ("a",), make) == GOOD
+    assert compute_once("things", ("a",), make) == GOOD
     assert make.times == 1
 
 
@@ -249,7 +249,7 @@ def give_away(path: Path) -> None:
 def test_entries_that_others_may_have_changed_are_not_used(
     here: Path, tmp_path: Path, deed: str
 ) -> None:
-    kept("things", ("a",), lambda: GOOD)
+    compute_once("things", ("a",), lambda: GOOD)
     (entry,) = entries(here)
     if deed == "readable":
         entry.chmod(0o666)
@@ -258,18 +258,18 @@ def test_entries_that_others_may_have_changed_are_not_used(
     else:
         entry.symlink_to(entry.rename(tmp_path / "moved"))
     make = Maker(GOOD)
-    assert kept("things", ("a",), make) == GOOD
+    assert compute_once("things", ("a",), make) == GOOD
     assert make.times == 1
 
 
 @pytest.mark.parametrize("place", ["things", "things/ab"])
 def test_links_to_folders_are_not_followed(here: Path, tmp_path: Path, place: str) -> None:
-    kept("things", ("a",), lambda: GOOD)
+    compute_once("things", ("a",), lambda: GOOD)
     (entry,) = entries(here)
     shelf = entry.parent if "/" in place else entry.parent.parent
     shelf.symlink_to(shelf.rename(tmp_path / "moved"))
     make = Maker(GOOD)
-    assert kept("things", ("a",), make) == GOOD
+    assert compute_once("things", ("a",), make) == GOOD
     assert make.times == 1
     assert len(entries(tmp_path / "moved")) == 1  # nothing is written there
 
@@ -302,7 +302,7 @@ def test_folders_of_others_are_replaced_with_a_warning(
     spoiled(tmp_path / place / "hesr", deed)
     make = Maker(GOOD)
     with caplog.at_level(logging.WARNING):
-        assert [kept("things", ("a",), make) for _ in range(2)] == [GOOD] * 2
+        assert [compute_once("things", ("a",), make) for _ in range(2)] == [GOOD] * 2
     assert make.times == 1
     (warning,) = caplog.messages  # once
     assert f"{tmp_path / place / 'hesr'} is a link, belongs" in warning
@@ -312,7 +312,7 @@ def test_folders_of_others_are_replaced_with_a_warning(
 
 
 def test_folders_and_files_are_private(here: Path, tmp_path: Path) -> None:
-    kept("things", ("a",), lambda: GOOD)
+    compute_once("things", ("a",), lambda: GOOD)
     for path in (*here.rglob("*"), here, *(tmp_path / "config" / "hesr").rglob("*")):
         assert path.stat().st_mode & 0o777 == (0o700 if path.is_dir() else 0o600), path
     assert len((tmp_path / "config" / "hesr" / "key").read_bytes()) == 32
@@ -327,7 +327,7 @@ def test_a_key_that_others_may_know_is_replaced(here: Path, tmp_path: Path, deed
     key.chmod(0o644 if deed == "readable" else 0o600)
     if deed == "link":
         key.symlink_to(key.rename(tmp_path / "known"))
-    kept("things", ("a",), lambda: GOOD)
+    compute_once("things", ("a",), lambda: GOOD)
     assert not key.is_symlink()
     assert len(key.read_bytes()) == 32
     assert key.read_bytes() != b"k" * 32
@@ -337,8 +337,8 @@ def test_a_key_that_others_may_know_is_replaced(here: Path, tmp_path: Path, deed
 def test_another_user_with_a_copy_of_the_cache_reuses_nothing(
     here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept("things", ("a",), lambda: EVIL)
+    compute_once("things", ("a",), lambda: EVIL)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "victim"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "copy"))
     shutil.copytree(here, tmp_path / "copy" / "hesr", copy_function=shutil.copy2)
-    assert kept("things", ("a",), lambda: GOOD) == GOOD
+    assert compute_once("things", ("a",), lambda: GOOD) == GOOD

@@ -8,10 +8,10 @@ from joint_data import along, law, path, with_tau
 
 from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.fitting.calibration import calibrate_band
-from hesr_model.fitting.uncertainty import with_standard_errors
+from hesr_model.fitting.uncertainty import add_standard_errors
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body.residual import FrictionRecord, at_friction
+from hesr_model.rigid_body.residual import FrictionRecord, transform_records
 from hesr_model.robots.transmission import Coupling
 
 TRUTH = law("strain_wave", {}, x_0=4e-3, mu_avg=0.12, mu_dif=0.03, F_c=5.0, sigma_2=7.0, tau_0=0.5)
@@ -29,7 +29,7 @@ def noisy(seed: int, *, rests: bool = False, spread: float = 0.5) -> FrictionRec
 @pytest.fixture(scope="module")
 def banded() -> FrictionLaw:
     records = [noisy(seed) for seed in range(3)]
-    return calibrate_band(with_standard_errors(TRUTH, records), records)[0]
+    return calibrate_band(add_standard_errors(TRUTH, records), records)[0]
 
 
 def model_of(*laws: FrictionLaw, **more) -> FrictionModel:
@@ -66,7 +66,7 @@ def test_band_width_matches_the_errors(banded: FrictionLaw) -> None:
 def test_uncertain_coefficients_widen_the_band() -> None:
     """Left-out logs set the width, covariance its distribution: viscous friction grows."""
     records = [noisy(seed) for seed in range(3)]
-    known = with_standard_errors(TRUTH, records)
+    known = add_standard_errors(TRUTH, records)
     assert known.covariance is not None
     large = replace(known.covariance, within=1e4 * known.covariance.within)
     certain, doubtful = (
@@ -121,7 +121,7 @@ def test_squares_of_the_bands_of_coupled_motors_add(banded: FrictionLaw) -> None
         model = model_of(banded, banded, coupling=coupling)
         assert model.banded
         plain = model_of(banded, banded)
-        moved = at_friction([replace(r, coupling=coupling) for r in logs])
+        moved = transform_records([replace(r, coupling=coupling) for r in logs])
         lower, upper = plain.predict_band(moved)
         torque = plain.predict(moved)
         below, above = (np.maximum(x, 0.0) for x in (torque - lower, upper - torque))

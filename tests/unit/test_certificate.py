@@ -10,7 +10,12 @@ from oracles.over_log import StatesOverLog
 from oracles.stepper import Stepper
 
 from hesr_model.audit.attack import attack
-from hesr_model.audit.certificate import Certificate, certify, scale_limits, storage
+from hesr_model.audit.certificate import (
+    Certificate,
+    certify,
+    find_scale_limits,
+    find_storage_factors,
+)
 from hesr_model.equations.functions import absolute, cardinal_sine, sgn
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.fitting.estimator import registry
@@ -18,7 +23,7 @@ from hesr_model.friction.inputs import DQ, INPUTS, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.friction.scales import scaled
+from hesr_model.friction.scales import add_scales
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.support.files import models_folder
 
@@ -74,7 +79,7 @@ def worst_step(law: FrictionLaw, count: int, seed: int) -> float:
     Steps of 1 us to 10 s, velocities over ten decades, jumping loads.
     """
     rng = np.random.default_rng(seed)
-    k = storage(law)
+    k = find_storage_factors(law)
     factors = [k[m.name] for m in law.form.memory]
     dt = 10.0 ** rng.uniform(-6.0, 1.0, count)
     v = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-7.0, 2.0, count)
@@ -202,27 +207,27 @@ def test_what_happens_between_grid_points_is_no_proof(law: FrictionLaw, why: str
 def test_limits_of_factors_of_laws_without_ripple() -> None:
     free = [(0.0, None), (0.0, None)]
     for law in (*PROVEN, law_of("lugre", **LUGRE | {"sigma_1": 10.0})):  # the last one is open
-        assert scale_limits(law) == free
+        assert find_scale_limits(law) == free
     # Either part alone would drive.
     mixed = own(3.0 * sympy.tanh(DQ) - DQ + DQ * absolute(DQ))
     assert certify(mixed, TRAINED).verdict == "proven"
-    assert scale_limits(mixed) == [(1.0, 1.0), (1.0, 1.0)]
+    assert find_scale_limits(mixed) == [(1.0, 1.0), (1.0, 1.0)]
     both = own(2.0 * sympy.tanh(DQ) + DQ + 1e-3 * sympy.cos(100 * Q - 0.1 * DQ))
     assert certify(both, TRAINED).verdict == "proven"
-    assert scale_limits(both) == [(1.0, 1.0), (1.0, 1.0)]
+    assert find_scale_limits(both) == [(1.0, 1.0), (1.0, 1.0)]
 
 
 def test_damping_limits_the_viscous_factor() -> None:
     law = law_of("lugre", **LUGRE | {"sigma_1": 10.0, "sigma_2": 8.0})
-    assert scale_limits(law)[0] == (0.0, None)
-    least, greatest = scale_limits(law)[1]
+    assert find_scale_limits(law)[0] == (0.0, None)
+    least, greatest = find_scale_limits(law)[1]
     assert (least, greatest) == (pytest.approx(5.0 / 8.0, rel=1e-4), None)
     assert least >= 5.0 / 8.0
 
 
 def test_ripple_limits_the_viscous_factor_to_where_the_proof_holds() -> None:
     law = rippled()
-    coulomb, (least, greatest) = scale_limits(law)
+    coulomb, (least, greatest) = find_scale_limits(law)
     assert (coulomb, greatest) == ((0.0, None), None)
     for share, proven in ((least, True), (0.999 * least, False)):
         viscous = {n: share * law.values[n] for n in ("sigma_2", "sigma_a")}
@@ -232,7 +237,7 @@ def test_ripple_limits_the_viscous_factor_to_where_the_proof_holds() -> None:
 
 def generated(law: FrictionLaw, factors: dict[str, float], seed: int) -> float:
     """Largest energy [J] of random closed paths, in their third cycle."""
-    whole = replace(law, form=scaled(law.form), values={**law.values, **factors})
+    whole = replace(law, form=add_scales(law.form), values={**law.values, **factors})
     rng = np.random.default_rng(seed)
     most = -inf
     for _ in range(60):
@@ -250,7 +255,7 @@ def generated(law: FrictionLaw, factors: dict[str, float], seed: int) -> float:
 @pytest.mark.parametrize("seed", range(3))
 def test_factors_within_their_limits_generate_no_energy(seed: int) -> None:
     law = rippled()
-    limits = dict(zip(("coulomb_scale", "viscous_scale"), scale_limits(law), strict=True))
+    limits = dict(zip(("coulomb_scale", "viscous_scale"), find_scale_limits(law), strict=True))
     low = {name: least for name, (least, _) in limits.items()}
     for changed in ({}, {"coulomb_scale": 5.0}, {"viscous_scale": 5.0}):
         assert generated(law, low | changed, seed) < 1e-12

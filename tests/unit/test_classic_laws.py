@@ -193,7 +193,7 @@ def test_the_load_of_bounds_stays_within_its_trained_range(name: str) -> None:
     largest = max(float(np.abs(r.tau_load).max()) for r in records)
     assert found.values["load_most"] == pytest.approx(largest, rel=2e-3)
     assert found.standard_errors
-    proof = certify(found, TrainedRange.of(records))
+    proof = certify(found, TrainedRange.from_records(records))
     assert (proof.verdict, proof.largest_step) == ("proven", inf)
     # A law of an earlier version has no limit.
     values = {k: v for k, v in found.values.items() if k != "load_most"}

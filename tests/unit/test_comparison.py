@@ -5,11 +5,11 @@ import pytest
 from scipy.signal import lfilter
 
 from hesr_model.inference.comparison import (
-    LEAST_DEGREES,
+    MIN_DEGREES,
     SIGNIFICANCE,
     LawErrors,
+    adjust_by_holm,
     calibration,
-    holm,
     law_errors,
 )
 
@@ -37,7 +37,7 @@ def compared(of: dict[str, list[np.ndarray]]) -> LawErrors:
 
 def worse(found: LawErrors) -> set[str]:
     ratios = found.ratios(found.laws[found.best])
-    adjusted = holm({law: r.p for law, r in ratios.items() if r.p is not None})
+    adjusted = adjust_by_holm({law: r.p for law, r in ratios.items() if r.p is not None})
     return {law for law, p in adjusted.items() if p < SIGNIFICANCE}
 
 
@@ -57,7 +57,7 @@ def test_degrees_of_freedom_grow_with_duration_and_logs(
 ) -> None:
     found = compared(errors(0, 3, logs, seconds))
     assert found.degrees == degrees
-    assert found.too_short == (degrees < LEAST_DEGREES)
+    assert found.too_short == (degrees < MIN_DEGREES)
     assert found.between.sum() == logs - 1
 
 
@@ -138,7 +138,7 @@ def test_equal_predictions_are_equal() -> None:
 
 
 def test_holms_adjustment() -> None:
-    assert holm({"a": 0.01, "b": 0.04, "c": 0.03}) == {"a": 0.03, "b": 0.06, "c": 0.06}
+    assert adjust_by_holm({"a": 0.01, "b": 0.04, "c": 0.03}) == {"a": 0.03, "b": 0.06, "c": 0.06}
 
 
 def test_factor_on_p_grows_with_the_number_of_laws() -> None:

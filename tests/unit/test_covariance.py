@@ -10,12 +10,12 @@ from scipy.stats import t as student
 from significance import long_run_of
 
 from hesr_model.inference.covariance import (
-    ENOUGH,
+    MIN_SCATTER_LOGS,
     Covariance,
     blocks_of_time,
     covariance,
-    left_out,
-    pooled,
+    leave_out_rows,
+    pool_covariances,
 )
 
 NAMES = ("a", "b", "c")
@@ -59,7 +59,7 @@ def test_differences_between_logs_widen_all_errors() -> None:
 
 
 def test_many_logs_use_their_own_scatter() -> None:
-    made = [problem(np.random.default_rng(k), ENOUGH, 60, differ=0.2) for k in range(60)]
+    made = [problem(np.random.default_rng(k), MIN_SCATTER_LOGS, 60, differ=0.2) for k in range(60)]
     z = np.array([estimate / c.standard_errors for c, estimate in made])
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
     assert made[0][0].degrees == 0.0
@@ -81,7 +81,9 @@ def test_priors_and_propagated_errors_are_separate() -> None:
     """Without data, a prior of weight k has the error 1 / k."""
     nothing = np.zeros((50, 1))
     labels = np.repeat([0, 1], 25)
-    pull = covariance(("a",), nothing, [np.zeros((1, 1))] * 2, labels, known=np.array([[16.0]]))
+    pull = covariance(
+        ("a",), nothing, [np.zeros((1, 1))] * 2, labels, prior_hessian=np.array([[16.0]])
+    )
     assert pull.matrix[0, 0] == pytest.approx(1.0 / 16.0)
     hessians = [np.array([[10.0]])] * 2
     off = covariance(("a",), nothing, hessians, labels, carried=np.array([[3.0, 4.0]]))
@@ -92,7 +94,7 @@ def test_residuals_are_leave_one_out() -> None:
     rng = np.random.default_rng(2)
     x, y = rng.normal(size=(12, 3)), rng.normal(size=12)
     residual = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
-    found = left_out(x, residual, x.T @ x)
+    found = leave_out_rows(x, residual, x.T @ x)
     for row in range(12):
         others = np.arange(12) != row
         without = np.linalg.lstsq(x[others], y[others], rcond=None)[0]
@@ -118,17 +120,17 @@ def test_a_group_has_one_factor() -> None:
     c = Covariance(
         names=("a",), within=np.eye(1), between=9.0, degrees=20.0, carried=np.zeros((1, 1))
     )
-    first, second = pooled([c, replace(c, between=3.0, degrees=10.0)])
+    first, second = pool_covariances([c, replace(c, between=3.0, degrees=10.0)])
     assert first.between == second.between == pytest.approx((9.0 * 20.0 + 3.0 * 10.0) / 30.0)
     assert first.factor == pytest.approx(np.sqrt(7.0))
     alone = replace(c, degrees=0.0)
-    assert pooled([alone])[0].factor == 1.0
+    assert pool_covariances([alone])[0].factor == 1.0
 
 
 def test_covariance_of_functions_follows_from_their_slopes() -> None:
     c, _ = problem(np.random.default_rng(3), 3, 200)
     slopes = np.array([[1.0, 1.0, 0.0], [0.0, 2.0, -1.0]])
-    mapped = c.mapped(("sum", "other"), slopes)
+    mapped = c.transform(("sum", "other"), slopes)
     np.testing.assert_allclose(mapped.matrix, slopes @ c.matrix @ slopes.T, rtol=1e-12)
     assert mapped.names == ("sum", "other")
     assert mapped.factor == c.factor

@@ -21,7 +21,7 @@ from test_certificate import (
 from test_classic_laws import NAMES
 from test_classic_laws import law as classic
 
-from hesr_model.audit.certificate import certify, scale_limits
+from hesr_model.audit.certificate import certify, find_scale_limits
 from hesr_model.equations.functions import absolute, sgn
 from hesr_model.equations.memory import Stop
 from hesr_model.errors import SimulationError
@@ -103,7 +103,7 @@ def test_no_energy_from_a_proven_law(law: FrictionLaw, tmp_path: Path) -> None:
 
 
 def test_factors_beyond_their_limits_are_refused(tmp_path: Path) -> None:
-    _, (least, _) = scale_limits(rippled())
+    _, (least, _) = find_scale_limits(rippled())
     with attacked(rippled(), tmp_path) as target:
         with pytest.raises(SimulationError) as caught:
             target.component.initialise(start={"viscous_scale[1]": 0.99 * least})

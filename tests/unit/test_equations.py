@@ -12,10 +12,18 @@ from scipy.integrate import solve_ivp
 
 from fmu_src.blocks.controller import controller_equations, velocity_equations
 from hesr_model.equations.component import Component, Equation, Quantity, previous
-from hesr_model.equations.functions import NUMPY, absolute, clip, exceeds, larger, lowered, positive
+from hesr_model.equations.functions import (
+    NUMPY,
+    absolute,
+    clip,
+    exceeds,
+    larger,
+    positive,
+    to_numpy_function,
+)
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import DT, Discretisation, Relaxation, Stop
-from hesr_model.equations.program import change_of, changes_along, readings
+from hesr_model.equations.program import change_symbol, derive_changes, readings
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -43,7 +51,7 @@ def signal(name: str) -> Quantity:
     [positive(X), larger(X, Y), clip(X, Y**2), absolute(X * Y), clip(X * Y, 1) * positive(Y)],
 )
 def test_derivatives_are_those_almost_everywhere(expression: sympy.Expr) -> None:
-    function = lowered((X, Y), (expression, expression.diff(X), expression.diff(Y)))
+    function = to_numpy_function((X, Y), (expression, expression.diff(X), expression.diff(Y)))
     rng = np.random.default_rng(3)
     for x, y in rng.normal(size=(50, 2)):
         h = 1e-6
@@ -71,7 +79,7 @@ def stops_over(way: np.ndarray, bound: np.ndarray, begins: np.ndarray, start: np
     ]
     kernel = Kernel(stops, (), (*ways, limit), [s.state for s in stops])
     run = KernelRun(kernel, [*way, bound], np.ones_like(bound), np.flatnonzero(begins))
-    return run.at(np.zeros(0), start, settled=True).T
+    return run.evaluate(np.zeros(0), start, settled=True).T
 
 
 def states_over(
@@ -84,7 +92,7 @@ def states_over(
 ) -> np.ndarray:
     kernel = Kernel(memory, (), (DQ,), [m.state for m in memory])
     run = KernelRun(kernel, [dq], dt, np.flatnonzero(begins), euler=discretisation == "euler")
-    return run.at(np.zeros(0), np.array(start), settled=True).T
+    return run.evaluate(np.zeros(0), np.array(start), settled=True).T
 
 
 @given(STEPS, st.floats(-1, 1))
@@ -189,7 +197,7 @@ def test_nan_rates_propagate_as_in_arrays() -> None:
 @pytest.mark.parametrize("bound", [1.0, 0.0])
 def test_the_continuous_stop_equals_the_sampled_one(bound: float) -> None:
     stop = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=bound)
-    slope = lowered((DQ, stop.state), [stop.continuous()])
+    slope = to_numpy_function((DQ, stop.state), [stop.express_derivative()])
     t = 1e-4 * np.arange(20000)
     dq = 0.05 * np.sin(2.0 * np.pi * t)
     truth = predict(law(stop, output=stop.state), t=t, dq=dq)
@@ -208,7 +216,7 @@ def test_the_continuous_stop_equals_the_sampled_one(bound: float) -> None:
 
 def test_the_continuous_stop_yields_if_its_bound_shrinks_at_rest() -> None:
     stop = Stop(name="x", unit="1", velocity=DQ, deflection=1e-3, bound=TAU_LOAD)
-    slope = lowered((DQ, TAU_LOAD, stop.state), [stop.continuous()])
+    slope = to_numpy_function((DQ, TAU_LOAD, stop.state), [stop.express_derivative()])
     found = solve_ivp(
         lambda s, x: [float(slope(0.0, 1.0 - 0.8 * min(s, 1.0), x[0])[0])],
         (0.0, 2.0),
@@ -244,10 +252,12 @@ def test_previous_needs_a_start() -> None:
 
 def test_controller_dependencies_are_derived() -> None:
     own = controller_equations(0.005)
-    used = {str(s) for s in own.sources(sympy.Symbol("tau_d", real=True))}
+    used = {str(s) for s in own.find_sources(sympy.Symbol("tau_d", real=True))}
     assert used == {"tau_rb", "tau_f", "friction_gain"}
     compensation = sympy.Symbol("dq_comp", real=True)
-    now, at_start = ({str(s) for s in own.sources(compensation, starting=s)} for s in (False, True))
+    now, at_start = (
+        {str(s) for s in own.find_sources(compensation, starting=s)} for s in (False, True)
+    )
     assert {"q_d", "q", "Kx"}.isdisjoint(now)
     assert {"previous(e)", "previous(integral)"} <= now
     assert not any(s.startswith("previous") for s in at_start)
@@ -267,9 +277,9 @@ def test_a_tangent_follows_named_expressions() -> None:
         ),
     )
     seed = sympy.Symbol("seed", real=True)
-    program = {**readings(own), **changes_along({X: seed}, readings(own))}
-    b = program[change_of(sympy.Symbol("b", real=True))]
-    for symbol in (change_of(sympy.Symbol("a", real=True)), sympy.Symbol("a", real=True)):
+    program = {**readings(own), **derive_changes({X: seed}, readings(own))}
+    b = program[change_symbol(sympy.Symbol("b", real=True))]
+    for symbol in (change_symbol(sympy.Symbol("a", real=True)), sympy.Symbol("a", real=True)):
         b = b.subs(symbol, program[symbol])
     assert sympy.simplify(b - 2 * X * seed * sympy.cos(X**2)) == 0
 

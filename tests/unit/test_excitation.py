@@ -88,7 +88,7 @@ def test_setpoints_run_from_rest_to_rest(uf850_excitation: Excitation) -> None:
 
 
 def test_counterpart_is_as_well_conditioned(uf850: Robot, uf850_excitation: Excitation) -> None:
-    backward = uf850_excitation.motion.time_reversed()
+    backward = uf850_excitation.motion.reverse_time()
     found = condition(uf850, base_columns(uf850), backward)
     assert found == pytest.approx(uf850_excitation.condition, rel=1e-3)
 
@@ -114,7 +114,7 @@ def test_periods_rate_and_seed_are_used(arm_model: Robot) -> None:
 
 
 def test_random_motions_differ_and_meet_the_limits(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, QUICK.limits)
+    limits = Limits.from_settings(arm_model, QUICK.limits)
     motions = random_motions(arm_model, QUICK, 20, seed=4)
     assert len({motion.period for motion in motions}) == 20
     assert random_motions(arm_model, QUICK, 1, seed=5)[0].period != motions[0].period
@@ -141,7 +141,7 @@ def test_random_motions_differ_and_meet_the_limits(arm_model: Robot) -> None:
 
 def test_gradient_matches_differences_of_the_value(arm_model: Robot) -> None:
     # With tight limits every penalty contributes.
-    limits = Limits.of(
+    limits = Limits.from_settings(
         arm_model,
         MotionLimits(
             position=((-0.2, 0.3), (-0.1, 0.4), (0.0, 0.5)),
@@ -165,7 +165,7 @@ def test_gradient_matches_differences_of_the_value(arm_model: Robot) -> None:
 
 
 def test_coordinates_map_to_motions(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, SLOW)
+    limits = Limits.from_settings(arm_model, SLOW)
     search = Search(model=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     back = search.unpack(search.pack(motion))
@@ -199,19 +199,21 @@ def test_limits_come_from_the_model(tmp_path: Path, effort: float, expected: flo
     path = tmp_path / "one.urdf"
     path.write_text(URDF.format(effort=effort), encoding="utf-8")
     model = Robot(RobotDescription(name="one", model=path, joints=("hinge",)))
-    limits = Limits.of(model, MotionLimits())
+    limits = Limits.from_settings(model, MotionLimits())
     assert (limits.lower[0], limits.upper[0]) == (-0.9, 0.9)
     assert (limits.velocity[0], limits.acceleration[0], limits.torque[0]) == (3.0, 3.0, expected)
     given = MotionLimits(
         position=((-1.0, 0.5),), velocity=(1.0,), acceleration=(4.0,), torque=(7.0,)
     )
-    found = Limits.of(model, given)
+    found = Limits.from_settings(model, given)
     values = [getattr(found, name)[0] for name in Limits.__dataclass_fields__]
     assert values == [-1.0, 0.5, 1.0, 4.0, 7.0]
 
 
 def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, MotionLimits(velocity=SLOW.velocity, torque=(1e3, 1e3, 1e3)))
+    limits = Limits.from_settings(
+        arm_model, MotionLimits(velocity=SLOW.velocity, torque=(1e3, 1e3, 1e3))
+    )
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     small = replace(motion, a=0.5 * motion.a, b=0.5 * motion.b, offset=np.zeros(3))
     kept = limits.shrink(small, arm_model, limits.rest(arm_model))
@@ -220,7 +222,9 @@ def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
 
 
 def test_rest_minimises_gravity_torque(arm_model: Robot) -> None:
-    limits = Limits.of(arm_model, MotionLimits(velocity=SLOW.velocity, torque=(50.0, 12.0, 3.0)))
+    limits = Limits.from_settings(
+        arm_model, MotionLimits(velocity=SLOW.velocity, torque=(50.0, 12.0, 3.0))
+    )
     rest = limits.rest(arm_model)
     still = Fourier(offset=rest, a=np.zeros((3, 2)), b=np.zeros((3, 2)), period=1.0)
     assert np.max(peak_torque(arm_model, still) / limits.torque) < 0.05

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_twin import MOTIONS
 
-from cosim.loop.excite import recordings
+from cosim.loop.excite import record_motions
 from cosim.loop.motions import Motions
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
@@ -16,11 +16,11 @@ from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit
 from hesr_model.forward.simulation import (
     Simulator,
-    inner_steps,
-    joined,
+    count_inner_steps,
+    cut_windows,
+    join_windows,
     position_errors,
-    whole,
-    windows_of,
+    to_single_window,
 )
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -92,7 +92,7 @@ def test_a_mass_with_viscous_friction_follows_the_closed_form(carriage: Robot) -
     q = force / d * (t - lag * (1.0 - np.exp(-t / lag)))
     dq = force / d * (1.0 - np.exp(-t / lag))
     model = stribeck(sigma_2=d)
-    window = whole([axis_record(t, np.full_like(t, force), dq, q)])
+    window = to_single_window([axis_record(t, np.full_like(t, force), dq, q)])
     found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=model).run(
         window
     )
@@ -115,7 +115,7 @@ def test_a_force_below_coulomb_friction_moves_nothing(carriage: Robot, force: fl
                     "sigma_2": 1.0, "tau_0": 0.0},
         ),),
     )  # fmt: skip
-    window = whole([axis_record(t, np.full_like(t, force), still, still)])
+    window = to_single_window([axis_record(t, np.full_like(t, force), still, still)])
     found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=dahl).run(
         window
     )
@@ -147,13 +147,13 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     path.write_text(MOTIONS, encoding="utf-8")
     motions, plant = Motions.read(path), Plant.read(TWIN / "plant.toml")
     robot = Robot(RobotDescription.read(TWIN / "robot.toml"))
-    logs = {r.log.name: r.log for r in recordings(motions, plant)}
+    logs = {r.log.name: r.log for r in record_motions(motions, plant)}
     body = identify([logs["excitation"]], robot)
     law = fit("lugre", friction_records(logs["sweep"], robot, body), robot="uf850")
     one = motions.model_copy(
         update={"motions": tuple(m for m in motions.motions if m.name == "trial")}
     )
-    (fine,) = recordings(one, plant.model_copy(update={"sample_rate": 1000.0}))
+    (fine,) = record_motions(one, plant.model_copy(update={"sample_rate": 1000.0}))
     truth = true_friction(plant.model, plant.joints, sample_time=1e-3)
     zero = np.zeros(len(fine.log.t))
     log = [
@@ -175,7 +175,7 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
 def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: float) -> None:
     """Below a hundredth of LuGre's error: with MuJoCo's own order of steps, only round-off."""
     robot, body = twin["robot"], twin["body"]
-    windows = windows_of([twin["log"]], length)
+    windows = cut_windows([twin["log"]], length)
     true = Simulator(
         robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"], as_plant=True
     )
@@ -191,7 +191,7 @@ def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: floa
 
 def test_inner_steps_of_both_orders_agree(twin: dict[str, object]) -> None:
     """At 1 ms the order of steps matters far less than the choice of law."""
-    robot, windows = twin["robot"], windows_of([twin["log"]], 0.2)
+    robot, windows = twin["robot"], cut_windows([twin["log"]], 0.2)
     true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"])
     errors = np.array(position_errors(true.run(windows), windows), dtype=float)
     assert np.all(errors < 2e-4)
@@ -200,32 +200,32 @@ def test_inner_steps_of_both_orders_agree(twin: dict[str, object]) -> None:
 def test_sets_of_windows_are_simulated_together(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
     later = [replace(record, t=record.t + 3.0) for record in log]
-    sets = [windows_of([log], 0.2), windows_of([later, log], 0.2)]
+    sets = [cut_windows([log], 0.2), cut_windows([later, log], 0.2)]
     one = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["law"])
     alone = np.concatenate([one.run(w) for w in sets])
-    np.testing.assert_allclose(one.run(joined(sets)), alone, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(one.run(join_windows(sets)), alone, rtol=0.0, atol=1e-9)
 
 
 def test_rounded_times_add_no_inner_steps() -> None:
     t = 17.0 + 0.005 * np.arange(400)
     assert np.ptp(np.diff(t)) > 0.0
-    assert {inner_steps(np.array([dt])) for dt in np.diff(t)} == {2}
-    assert [inner_steps(np.array([1e-3, dt])) for dt in (0.0025, 0.0026, 0.008)] == [1, 2, 4]
+    assert {count_inner_steps(np.array([dt])) for dt in np.diff(t)} == {2}
+    assert [count_inner_steps(np.array([1e-3, dt])) for dt in (0.0025, 0.0026, 0.008)] == [1, 2, 4]
 
 
 def test_impossible_simulations_are_refused(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
     with pytest.raises(SimulationError, match=r"log trial: too short .* 9 s"):
-        windows_of([log], 9.0)
+        cut_windows([log], 9.0)
     hollow = Simulator(robot=robot, parameters=-robot.nominal_parameters, friction=twin["law"])
     with pytest.raises(SimulationError, match="mass matrix is not positive; identify"):
-        hollow.run(windows_of([log], 0.2))
+        hollow.run(cut_windows([log], 0.2))
 
 
 def test_windows_cover_a_log_after_its_run_in() -> None:
     t = 0.01 * np.arange(500)
     log = [axis_record(t, t, 2.0 * t, 3.0 * t)]
-    windows = windows_of([log, [replace(log[0], t=t + 7.0)]], 0.5)
+    windows = cut_windows([log, [replace(log[0], t=t + 7.0)]], 0.5)
     assert [row for place, row in windows.places if place == 0] == list(range(100, 450, 50))
     assert windows.t.shape == (14, 51)
     np.testing.assert_array_equal(windows.q[:7, 0, 0], 3.0 * t[100:450:50])
@@ -237,12 +237,12 @@ def test_windows_of_alternate_blocks_share_no_row(carriage: Robot) -> None:
     log = [axis_record(t, 0.0 * t, 0.0 * t, np.sin(t))]
     halves: list[set[float]] = [set(), set()]
     for length in (0.5, 2.0):
-        cut = windows_of([log, log], length)
+        cut = cut_windows([log, log], length)
         blocks = cut.blocks(2.0)
         assert set(blocks) == {0.0, 1.0, 2.0, 3.0, 4.0}  # those of the second log begin at 1
         first = np.array([part == 0 for part, _ in cut.places])
         for k, half in enumerate(halves):
-            some = cut.some(first & (blocks % 2 == k))
+            some = cut.select(first & (blocks % 2 == k))
             assert len(some.t) == len(some.places) > 0
             half |= set(some.t[:, :-1].ravel())
     assert not halves[0] & halves[1]
@@ -264,7 +264,7 @@ def test_one_joint_under_gravity_is_simulated_at_each_position(tmp_path: Path) -
     t = np.arange(0, 0.3, 1e-3)
     start = np.full_like(t, 0.5)
     model = stribeck(sigma_2=1e-6)
-    window = whole([axis_record(t, 0.0 * t, 0.0 * t, start)])
+    window = to_single_window([axis_record(t, 0.0 * t, 0.0 * t, start)])
     found = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=model).run(window)
     swing = 5.0 * 9.81 / (5.0 + 1.0)  # weight over inertia
     expected = 0.5 - 0.5 * swing * np.sin(0.5) * t**2  # at first

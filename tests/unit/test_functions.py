@@ -17,11 +17,11 @@ from hesr_model.equations.functions import (
     decay,
     exceeds,
     larger,
-    lowered,
     over,
     positive,
     sgn,
     share,
+    to_numpy_function,
 )
 from hesr_model.equations.stepping import numpy_function
 from hesr_model.friction.inputs import DQ, INPUT_UNITS, INPUTS, TAU_LOAD, Q
@@ -64,7 +64,7 @@ def test_derivatives_hold_almost_everywhere_without_impulses() -> None:
 @given(st.lists(numbers, min_size=1, max_size=20))
 def test_lowered_functions_are_numpys_own(values: list[float]) -> None:
     x = np.array(values)
-    sign, size = lowered((X,), (sgn(X), absolute(X)))(x)
+    sign, size = to_numpy_function((X,), (sgn(X), absolute(X)))(x)
     np.testing.assert_array_equal(sign, np.sign(x))
     np.testing.assert_array_equal(size, np.abs(x))
 
@@ -76,7 +76,7 @@ def test_cardinal_sine_and_slope_are_exact_near_zero(x: float) -> None:
     # Just above the end of its series the slope is a difference of large numbers.
     cases = ((cardinal_sine(z), exact, 1e-14), (cardinal_slope(z), exact.diff(z), 1e-10))
     for form, right, tolerance in cases:
-        (found,) = lowered((z,), (form,))(np.array([x]))
+        (found,) = to_numpy_function((z,), (form,))(np.array([x]))
         wanted = (
             float(right.subs(z, sympy.Rational(x)).evalf(40)) if x else float(right.limit(z, 0))
         )
@@ -85,12 +85,12 @@ def test_cardinal_sine_and_slope_are_exact_near_zero(x: float) -> None:
 
 def test_lowered_functions_take_their_arguments_in_the_given_order() -> None:
     y = sympy.Symbol("y", real=True)
-    difference, product = lowered((y, X), (X - 2 * y, X * y))(3.0, 10.0)
+    difference, product = to_numpy_function((y, X), (X - 2 * y, X * y))(3.0, 10.0)
     assert (difference, product) == (4.0, 30.0)
 
 
 def test_a_lowered_constant_is_a_number() -> None:
-    assert lowered((X,), (sympy.Integer(2),))(np.zeros(3)) == [2]
+    assert to_numpy_function((X,), (sympy.Integer(2),))(np.zeros(3)) == [2]
 
 
 def test_latex_uses_textbook_notation() -> None:
@@ -127,7 +127,7 @@ def test_bounds_and_comparisons_of_arrays() -> None:
 @pytest.mark.parametrize(("x", "slope"), [(3.0, 6.0), (0.5, 1.0), (-2.0, -4.0)])
 def test_a_maximum_has_the_slope_of_the_larger_argument(x: float, slope: float) -> None:
     for pair in (larger(X**2, X), larger(X, X**2)):
-        (found,) = lowered([X], [pair.diff(X)])(x)
+        (found,) = to_numpy_function([X], [pair.diff(X)])(x)
         assert found == slope
 
 
@@ -144,7 +144,7 @@ def test_a_quotient_and_its_slopes_at_a_zero_divisor(
 ) -> None:
     p, q, r = sympy.symbols("p q r", real=True)
     whole = over(p, q, r)
-    found = lowered([p, q, r], [whole, *(whole.diff(x) for x in (p, q, r))])(a, b, 7.0)
+    found = to_numpy_function([p, q, r], [whole, *(whole.diff(x) for x in (p, q, r))])(a, b, 7.0)
     assert tuple(map(float, found)) == values
 
 
@@ -168,7 +168,7 @@ SLOPED = {
 @pytest.mark.parametrize("name", SLOPED)
 def test_slopes_match_differences(name: str) -> None:
     whole, places = SLOPED[name]
-    value, slope = lowered([X], [whole]), lowered([X], [whole.diff(X)])
+    value, slope = to_numpy_function([X], [whole]), to_numpy_function([X], [whole.diff(X)])
     for x in places:
         step = 1e-5 * abs(x)
         difference = (value(x + step)[0] - value(x - step)[0]) / (2.0 * step)

@@ -7,7 +7,7 @@ import pytest
 
 from hesr_model.errors import LogError
 from hesr_model.logs.guess import Guess, guess
-from hesr_model.logs.log_table import table_of
+from hesr_model.logs.log_table import build_table
 
 PLAIN = "time,q1,q2,dq1,dq2,tau1,tau2"
 
@@ -19,7 +19,7 @@ def guessed(
     names = header.split(",")
     columns = {names[0]: period * rows + jitter * (rows % 2)}
     columns |= {name: np.full(40, 1.5) for name in names[1:]}
-    return guess(table_of(Path("run.csv"), columns), joints)
+    return guess(build_table(Path("run.csv"), columns), joints)
 
 
 # Header, joints, columns by quantity, units that are not SI.

@@ -7,8 +7,8 @@ import pytest
 import sympy
 from oracles.intervals import Box, reach
 
-from hesr_model.equations.functions import absolute, clip, larger, lowered, positive, sgn
-from hesr_model.equations.intervals import bound_expression, lowest
+from hesr_model.equations.functions import absolute, clip, larger, positive, sgn, to_numpy_function
+from hesr_model.equations.intervals import bound_expression, find_minimum
 from hesr_model.equations.memory import Relaxation, Stop
 from hesr_model.fitting.estimator import registry
 from hesr_model.friction.inputs import DQ, TAU_LOAD
@@ -38,7 +38,7 @@ EXPRESSIONS = [
 def test_values_lie_within_and_reach_near_the_bounds(expression: sympy.Expr) -> None:
     low, high = enclosure(expression, BOX)
     x, y = np.meshgrid(np.linspace(*BOX[X], 301), np.linspace(*BOX[Y], 301))
-    values = lowered((X, Y), [expression])(x, y)[0]
+    values = to_numpy_function((X, Y), [expression])(x, y)[0]
     assert low <= values.min() <= values.max() <= high
     wide = values.max() - values.min()
     loose = 0.6 if expression.has(sympy.cos) else 0.08  # sines and cosines are bounded by -1 and 1
@@ -99,7 +99,9 @@ def test_rates_and_bounds_of_every_law_lie_within_theirs(name: str) -> None:
         boxes = {s: (a, b) for s, (a, b) in zip(symbols, ends, strict=True)}
         low, high = np.broadcast_arrays(*bound_expression(expression, boxes), np.empty(200))[:2]
         for share in rng.uniform(size=(20, len(symbols), 200)):
-            values = lowered(symbols, [expression])(*(ends[:, 0] + share * np.ptp(ends, axis=1)))[0]
+            values = to_numpy_function(symbols, [expression])(
+                *(ends[:, 0] + share * np.ptp(ends, axis=1))
+            )[0]
             slack = 1e-9 * np.abs(values)
             assert np.all(low - slack <= values)
             assert np.all(values <= high + slack)
@@ -114,14 +116,14 @@ def test_a_clip_to_a_bound_that_varies() -> None:
 def test_the_least_value_is_found_in_a_dip_between_grid_points(at: float) -> None:
     dip = 1 - 1.5 * sympy.exp(-((1e4 * (X - at) / at) ** 2)) + 0.1 / (1 + X)
     edges = np.geomspace(1e-3, 1e6, 37)
-    found = lowest(lambda a, b: bound_expression(dip, {X: (a, b)})[0], edges)
+    found = find_minimum(lambda a, b: bound_expression(dip, {X: (a, b)})[0], edges)
     assert found.bound <= found.value == pytest.approx(0.1 / (1.0 + at) - 0.5, abs=1e-4)
     assert found.bound == pytest.approx(found.value, abs=1e-5)
     assert found.at == pytest.approx(at, rel=1e-3)
 
 
 def test_without_a_bound_the_search_ends() -> None:
-    found = lowest(
+    found = find_minimum(
         lambda a, b: bound_expression(sympy.gamma(X), {X: (a, b)})[0], np.array([1.0, 2.0])
     )
     assert found.bound == -inf

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hesr_model.fitting.fit import fit_models, key_of
+from hesr_model.fitting.fit import compute_key, fit_models
 from hesr_model.rigid_body.residual import FrictionRecord
 
 LAWS = ("stribeck", "lugre")
@@ -71,15 +71,15 @@ def test_a_killed_fit_resumes(tmp_path: Path) -> None:
 
 def test_a_checkpoint_belongs_to_one_fit() -> None:
     [[one], [other]] = records()
-    key = key_of("lugre", [one], 1, {"a": 1})
-    assert key == key_of("lugre", [replace(one)], 1, {"a": 1})
+    key = compute_key("lugre", [one], 1, {"a": 1})
+    assert key == compute_key("lugre", [replace(one)], 1, {"a": 1})
     others = {
-        key_of("stribeck", [one], 1, {"a": 1}),
-        key_of("lugre", [other], 1, {"a": 1}),
-        key_of("lugre", [one], 2, {"a": 1}),
-        key_of("lugre", [one], 1, {"a": 2}),
-        key_of("lugre", [one, one], 1, {"a": 1}),
-        key_of("lugre", [replace(one, tau=one.tau + 1e-12)], 1, {"a": 1}),
+        compute_key("stribeck", [one], 1, {"a": 1}),
+        compute_key("lugre", [other], 1, {"a": 1}),
+        compute_key("lugre", [one], 2, {"a": 1}),
+        compute_key("lugre", [one], 1, {"a": 2}),
+        compute_key("lugre", [one, one], 1, {"a": 1}),
+        compute_key("lugre", [replace(one, tau=one.tau + 1e-12)], 1, {"a": 1}),
     }
     assert len(others) == 6
     assert key not in others

@@ -19,10 +19,10 @@ from hesr_model.equations.functions import (
     clip,
     exceeds,
     larger,
-    lowered,
     over,
     positive,
     sgn,
+    to_numpy_function,
 )
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Discretisation, Element, Relaxation, Stop
@@ -65,7 +65,7 @@ def rows_of(
 
 
 def values(expression: sympy.Expr, u: np.ndarray, k: float = 1.0) -> np.ndarray:
-    return rows_of([expression], u).at(np.array([k]))[:, 0].copy()
+    return rows_of([expression], u).evaluate(np.array([k]))[:, 0].copy()
 
 
 # --- elementary functions ---------------------------------------------------------------------
@@ -98,8 +98,8 @@ def test_results_are_written_to_the_given_array(rng: np.random.Generator, wide: 
     u = rng.normal(size=ROWS)
     kernel = Kernel((), (K,), (U, V), [K * U])
     room = np.full((ROWS + 8, wide), np.nan)
-    rows = KernelRun(kernel, (u, u), np.full(ROWS, 0.01), [0], euler=False, found=room[4:-4, -1:])
-    rows.at(np.array([3.0]))
+    rows = KernelRun(kernel, (u, u), np.full(ROWS, 0.01), [0], euler=False, output=room[4:-4, -1:])
+    rows.evaluate(np.array([3.0]))
     np.testing.assert_array_equal(room[4:-4, -1], 3.0 * u)
     room[4:-4, -1] = np.nan
     assert np.isnan(room).all()
@@ -124,7 +124,7 @@ def test_relaxation_factors_match_rate_and_step(rng: np.random.Generator) -> Non
     rates = np.concatenate([[0.0], np.geomspace(1e-12, 1e5, ROWS - 1)])
     x = Relaxation(name="x", unit="1", drive=U / U, rate=U)
     moved = [
-        rows_of([x.state], np.array([1.0, r]), memory=(x,)).at(
+        rows_of([x.state], np.array([1.0, r]), memory=(x,)).evaluate(
             np.ones(1), np.array([0.5]), settled=True
         )[1, 0]
         for r in rates
@@ -166,8 +166,8 @@ def test_an_expression_equals_numpy(name: str, rng: np.random.Generator) -> None
     u, v = rng.normal(size=(2, ROWS))
     v[::50] = 0.1
     expression, k = EXPRESSIONS[name], 0.7
-    expected = np.broadcast_to(lowered((K, U, V), [expression])(k, u, v)[0], u.shape)
-    found = rows_of([expression], u, v).at(np.array([k]))[:, 0]
+    expected = np.broadcast_to(to_numpy_function((K, U, V), [expression])(k, u, v)[0], u.shape)
+    found = rows_of([expression], u, v).evaluate(np.array([k]))[:, 0]
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
@@ -176,13 +176,13 @@ def test_several_results_of_one_function(rng: np.random.Generator) -> None:
     u, v = rng.normal(size=(2, ROWS))
     every = list(EXPRESSIONS.values())
     wanted = [*every, sum(every[:3]), every[0], every[0] * every[1]]
-    found = rows_of(wanted, u, v).at(np.array([0.7])).copy()
-    expected = lowered((K, U, V), wanted)(0.7, u, v)
+    found = rows_of(wanted, u, v).evaluate(np.array([0.7])).copy()
+    expected = to_numpy_function((K, U, V), wanted)(0.7, u, v)
     for column, e in zip(found.T, expected, strict=True):
         np.testing.assert_allclose(column, np.broadcast_to(e, u.shape), rtol=1e-12, atol=1e-12)
     again = rows_of(wanted, u, v)
-    again.at(np.array([3.0]))
-    np.testing.assert_array_equal(again.at(np.array([0.7])), found)
+    again.evaluate(np.array([3.0]))
+    np.testing.assert_array_equal(again.evaluate(np.array([0.7])), found)
 
 
 def test_an_unsupported_function_is_refused() -> None:
@@ -193,9 +193,9 @@ def test_an_unsupported_function_is_refused() -> None:
 def test_large_angles_use_the_c_library() -> None:
     for function, exact in ((sympy.sin, math.sin), (sympy.cos, math.cos)):
         u = np.linspace(0.0, 1.0, ROWS)
-        found = rows_of([function(K * U)], u).at(np.array([1e9]))[:, 0]
+        found = rows_of([function(K * U)], u).evaluate(np.array([1e9]))[:, 0]
         np.testing.assert_allclose(found, [exact(x) for x in 1e9 * u], rtol=0, atol=1e-15)
-    found = rows_of([cardinal_sine(K * U)], u).at(np.array([1e9]))[1:, 0]
+    found = rows_of([cardinal_sine(K * U)], u).evaluate(np.array([1e9]))[1:, 0]
     expected = [math.sin(x) / x for x in 1e9 * u[1:]]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-23)
 
@@ -227,11 +227,11 @@ def test_inputs_of_other_lengths_are_refused() -> None:
 
 def test_columns_of_a_table_are_read_in_place(rng: np.random.Generator) -> None:
     table = rng.normal(size=(ROWS, 3))
-    found = rows_of([K * U + V], table[:, 0], table[:, 2]).at(np.array([2.0]))[:, 0]
+    found = rows_of([K * U + V], table[:, 0], table[:, 2]).evaluate(np.array([2.0]))[:, 0]
     np.testing.assert_array_equal(found, 2.0 * table[:, 0] + table[:, 2])
-    halves = rows_of([K * U], table[::-1, 1]).at(np.array([2.0]))[:, 0]
+    halves = rows_of([K * U], table[::-1, 1]).evaluate(np.array([2.0]))[:, 0]
     np.testing.assert_array_equal(halves, 2.0 * table[::-1, 1])
-    single = rows_of([K * U], np.full(ROWS, 1, dtype=np.float32)).at(np.array([2.0]))[:, 0]
+    single = rows_of([K * U], np.full(ROWS, 1, dtype=np.float32)).evaluate(np.array([2.0]))[:, 0]
     np.testing.assert_array_equal(single, np.full(ROWS, 2.0))
 
 
@@ -263,7 +263,7 @@ def test_states_and_their_derivatives_equal_numpy(
     states = [s for m in memory for s in (m.state, m.derivative)]
     rows = rows_of(states, u, v, memory=memory, begins=begins, euler=discretisation == "euler")
     start = np.linspace(0.1, 0.3, len(memory))
-    found = rows.at(np.array([2.0]), start, settled=True)
+    found = rows.evaluate(np.array([2.0]), start, settled=True)
     oracle = StatesOverLog(memory, (K, U, V), states)
     expected = oracle((2.0, u, v), np.full(ROWS, 0.01), begins, list(start), discretisation)
     for column, e in zip(found.T, expected, strict=True):
@@ -278,7 +278,7 @@ def test_initial_states_equal_numpy(rng: np.random.Generator) -> None:
         kernel = Kernel(memory, (K,), (U, V), [m.state for m in memory], settling)
         rows = KernelRun(kernel, (u, v), np.full(300, 0.01), np.flatnonzero(begins))
         start = np.full(len(memory), 0.2)
-        found = rows.at(np.array([2.0]), start)[begins]
+        found = rows.evaluate(np.array([2.0]), start)[begins]
         oracle = StatesOverLog(memory, (K, U, V), [], settling)
         expected = oracle.beginning((2.0, u[begins], v[begins]), list(start))
         for column, e in zip(found.T, expected, strict=True):
@@ -288,7 +288,7 @@ def test_initial_states_equal_numpy(rng: np.random.Generator) -> None:
 def test_an_unstable_euler_step_is_refused() -> None:
     rows = rows_of([_x.state], np.full(ROWS, 20.0), memory=(_x,), euler=True)
     with pytest.raises(SimulationError, match=r"\* step < 1, found 1\.01"):
-        rows.at(np.array([1.0]))
+        rows.evaluate(np.array([1.0]))
     values_of = {"sigma_0": 3000.0, "sigma_1": 20.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 12.0,
                  "v_s": 0.1, "tau_0": 0.4}  # fmt: skip
     made = FrictionLaw(name="made", form=LuGre.core({}), values=values_of, discretisation="euler")
@@ -301,7 +301,7 @@ def test_an_unstable_euler_step_is_refused() -> None:
 
 @pytest.mark.parametrize("host", rows_module.HOSTS, ids=" ".join)
 def test_every_machine_has_a_library(host: tuple[str, str], tmp_path: Path) -> None:
-    data = rows_module.built(tmp_path, host).read_bytes()
+    data = rows_module.compile_rows(tmp_path, host).read_bytes()
     assert all(name in data for name in (b"run", b"solve", b"widest"))
 
 
@@ -315,7 +315,7 @@ def test_vector_width_does_not_change_a_bit(
     every = []
     for width in range(widest + 1):
         monkeypatch.setattr(rows_module, "vectors", lambda width=width: width)
-        solved = rows.solved(np.array([0.7]), non_negative=0, keep=True)
+        solved = rows.fit_factors(np.array([0.7]), non_negative=0, keep=True)
         every.append((rows.found.tobytes(), rows.gram.tobytes(), str(solved)))
     assert all(one == every[0] for one in every)
 
@@ -361,7 +361,7 @@ def samples() -> JointRows:
     made = law(
         "lugre", {}, sigma_0=3e3, sigma_1=20.0, sigma_2=6.0, F_c=9.0, F_s=12.0, v_s=0.1, tau_0=0.4
     )
-    return JointRows.of(training(made, noise=0.1), coefficients=3)
+    return JointRows.from_records(training(made, noise=0.1), coefficients=3)
 
 
 def test_factors_solve_the_least_squares_problem(samples: JointRows) -> None:
@@ -371,7 +371,7 @@ def test_factors_solve_the_least_squares_problem(samples: JointRows) -> None:
     columns = problem.columns(point)
     rows, held = problem._run, 0
     for non_negative in range(6):
-        found = rows.solved(problem.numbers(point), non_negative=non_negative)
+        found = rows.fit_factors(problem.numbers(point), non_negative=non_negative)
         assert found is not None
         x, squares = non_negative_least_squares(columns, samples.tau, non_negative=non_negative)
         held += int(np.sum(x == 0.0))
@@ -397,9 +397,9 @@ def test_rows_are_weighted(samples: JointRows) -> None:
 def test_poorly_determined_factors_are_not_solved_for(rng: np.random.Generator) -> None:
     u, tau = rng.normal(size=(2, ROWS))
     twice = rows_of([K * U, U + U], u, target=tau)
-    assert twice.solved(np.ones(1), non_negative=0) is None
+    assert twice.fit_factors(np.ones(1), non_negative=0) is None
     nothing = rows_of([K * U, 0 * U], u, target=tau)
-    assert nothing.solved(np.ones(1), non_negative=0) is None
+    assert nothing.fit_factors(np.ones(1), non_negative=0) is None
 
 
 def test_a_search_ends_at_the_point_of_numpy(samples: JointRows) -> None:

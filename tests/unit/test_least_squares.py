@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.rigid_body.least_squares import Block, Solution, covariance_of, solve
+from hesr_model.rigid_body.least_squares import Block, Solution, estimate_covariance, solve
 
 TRUTH = np.array([2.0, -1.0, 0.5])
 SCALE = np.array([1.0, 10.0, 0.1])
@@ -48,7 +48,7 @@ def stated(given: list[Block], solution: Solution) -> np.ndarray:
         for start, block in zip(ends, given, strict=False)
     ]
     labels = np.arange(ends[-1]) % 3
-    return covariance_of(own, solution, labels).standard_errors
+    return estimate_covariance(own, solution, labels).standard_errors
 
 
 def test_standard_errors_match_the_scatter_of_repetitions() -> None:
@@ -69,7 +69,7 @@ def test_rows_of_one_sample_share_their_error() -> None:
     errors = []
     for given in ([once], [once, once]):
         solution = solve(given, scale=SCALE, weighted=False)
-        errors.append(covariance_of(given, solution, labels).standard_errors)
+        errors.append(estimate_covariance(given, solution, labels).standard_errors)
     # The only difference: each of two rows has half of the leverage.
     np.testing.assert_allclose(errors[1], errors[0], rtol=0.03)
 

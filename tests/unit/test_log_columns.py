@@ -262,7 +262,7 @@ def test_a_column_of_dates_is_the_time(tmp_path: Path) -> None:
 
 def test_types_follow_from_all_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A stamp, a number with gaps, a truth value, quoted cells, and text late in the file."""
-    monkeypatch.setattr("hesr_model.logs.csv_text._CHUNK", 25)
+    monkeypatch.setattr("hesr_model.logs.csv_text._CHUNK_CELLS", 25)
     stamps = 1_700_000_000_123_456_789 + 10_000_000 * np.arange(40)
     path = tmp_path / "run.csv"
     rows = [f"{s},{'' if k == 21 else k / 8},{k % 2},{k}" for k, s in enumerate(stamps)]
@@ -317,7 +317,7 @@ def test_written_names_and_numbers_are_read_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A name with a comma, as FMI arrays have, and numbers of all sizes, in several blocks."""
-    monkeypatch.setattr("hesr_model.logs.tables._CHUNK", 7)
+    monkeypatch.setattr("hesr_model.logs.tables._CHUNK_ROWS", 7)
     random = np.random.default_rng(1)
     sizes = 10.0 ** random.integers(-300, 300, 20)
     columns = {"t": np.arange(20), "a.q[1,2]": random.normal(size=20) * sizes, 'the "y"': -sizes}

@@ -10,7 +10,7 @@ from plugin_packages import InstallPlugin
 
 from hesr_model.errors import ConfigError, LogError
 from hesr_model.logs.readers import formats
-from hesr_model.logs.readers.formats import COLUMNS, FileFormat, format_of
+from hesr_model.logs.readers.formats import COLUMNS, FileFormat, find_format
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
 
@@ -26,22 +26,22 @@ def _forgotten() -> Iterator[None]:
 
 def test_another_package_adds_a_format(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own=f"{__name__}:OWN")
-    assert format_of(Path("run.own")).name == "own"
-    assert format_of(Path("run.csv")) is COLUMNS
+    assert find_format(Path("run.own")).name == "own"
+    assert find_format(Path("run.csv")) is COLUMNS
 
 
 def test_a_broken_format_is_named(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own="no_such_module:FORMAT")
     with pytest.raises(ConfigError, match=r"; repair or uninstall the package\.$"):
-        format_of(Path("run.csv"))
+        find_format(Path("run.csv"))
     with pytest.raises(ConfigError, match=r"^log format 'own' of the package 'my-plugins' cannot"):
-        format_of(Path("run.csv"))
+        find_format(Path("run.csv"))
 
 
 def test_an_invalid_format_object_is_refused(install_plugin: InstallPlugin) -> None:
     install_plugin(formats.GROUP, own="os:sep")
     with pytest.raises(ConfigError, match="entry point must name a FileFormat"):
-        format_of(Path("run.csv"))
+        find_format(Path("run.csv"))
 
 
 def test_a_log_with_a_gap_is_filtered_part_by_part(arm_log: Log) -> None:

@@ -13,13 +13,13 @@ from hesr_model.errors import LogError
 from hesr_model.logs import long_log
 from hesr_model.logs.long_log import LongLog, StepCounts
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.signals import smoothed
-from hesr_model.logs.tables import arrow
+from hesr_model.logs.signals import smooth_logs
+from hesr_model.logs.tables import import_arrow
 from hesr_model.rigid_body.accumulation import identify_long
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
-from hesr_model.support.arrays import arrays_of
+from hesr_model.support.arrays import get_arrays
 
 KINDS = ["csv", "npz", "npy", "parquet", "feather"]
 
@@ -48,9 +48,9 @@ def written(path: Path, table: np.ndarray) -> Path:
     elif path.suffix == ".npy":
         np.save(path, table)
     elif path.suffix == ".parquet":
-        pytest.importorskip("pyarrow.parquet").write_table(arrow().table(columns), path)
+        pytest.importorskip("pyarrow.parquet").write_table(import_arrow().table(columns), path)
     else:
-        pytest.importorskip("pyarrow.feather").write_feather(arrow().table(columns), path)
+        pytest.importorskip("pyarrow.feather").write_feather(import_arrow().table(columns), path)
     return path
 
 
@@ -73,9 +73,9 @@ def test_a_body_identified_in_pieces(kind: str, robot: RobotDescription, tmp_pat
     path = written(tmp_path / f"log.{kind}", with_gap(robot, tmp_path, 2500))
     whole, model = Log.read(path, robot), Robot(robot)
     log = LongLog(path, robot, rows=400)
-    motions, expected = list(log.motions()), smoothed([whole], model)
+    motions, expected = list(log.motions()), smooth_logs([whole], model)
     assert len(motions) > len(expected) == 2
-    for name in arrays_of(expected[0]):
+    for name in get_arrays(expected[0]):
         found, own = (np.concatenate([getattr(m, name) for m in s]) for s in (motions, expected))
         np.testing.assert_allclose(found, own, rtol=1e-9, atol=1e-12)
     assert_same(identify_long([log], model), identify([whole], model))
@@ -113,7 +113,7 @@ def test_identify_reads_long_logs_in_pieces(
     expected = hesr.identify(paths, robot=file)
     physical = hesr.identify(paths, robot=file, physical=True)
     monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
-    monkeypatch.setattr(long_log, "ROWS", 500)
+    monkeypatch.setattr(long_log, "PIECE_ROWS", 500)
     used: list[LongLog] = []
     make = long_log.LongLog
     monkeypatch.setattr(
@@ -246,7 +246,7 @@ def test_the_median_of_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 
     assert steps().period == log.period
     assert steps().longest == pytest.approx(log.longest_step, rel=1e-12)
-    monkeypatch.setattr(long_log, "_DISTINCT", 1000)
+    monkeypatch.setattr(long_log, "_MAX_DISTINCT_STEPS", 1000)
     assert steps().period == pytest.approx(log.period, rel=2e-5)
     assert len(steps().values) < 4999
 

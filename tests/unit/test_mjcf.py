@@ -7,8 +7,8 @@ import pytest
 
 from hesr_model.errors import RobotError
 from hesr_model.motions.limits import Limits, MotionLimits
-from hesr_model.robots.mjcf import engine
-from hesr_model.robots.robot import Robot, RobotDescription, description_of
+from hesr_model.robots.mjcf import import_engine
+from hesr_model.robots.robot import Robot, RobotDescription, to_description
 
 INERTIAL = '<inertial pos="0.2 0.01 0.02" mass="{}" diaginertia="0.02 0.03 0.04"/>'
 
@@ -32,7 +32,7 @@ def arm(name: str, frame: str, *joints: str) -> str:
 
 def torques(robot: Robot, path: Path, *, others: dict[str, float] | None = None) -> np.ndarray:
     """Compare with mj_inverse of the whole file without damping; return HESR's torques."""
-    mujoco = engine()
+    mujoco = import_engine()
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(model)
@@ -120,7 +120,7 @@ def test_a_body_selects_one_of_two_arms(tmp_path: Path) -> None:
     two = arm("left", 'pos="0 1 0"', 'axis="0 1 0"', 'axis="0 1 0"')
     two += arm("right", 'euler="1 0 0"', 'axis="0 1 0"', 'axis="0 1 0"')
     path = mjcf(tmp_path, two)
-    assert description_of(path).joints == ("left1", "left2", "right1", "right2")
+    assert to_description(path).joints == ("left1", "left2", "right1", "right2")
     torques(Robot(path), path)
     one = RobotDescription(name="x", model=path, joints=("right1", "right2"), root="right")
     torques(Robot(one), path)
@@ -159,10 +159,12 @@ def test_followers_by_an_equality_limit_their_leader(tmp_path: Path) -> None:
     low, high, _ = robot.limits
     np.testing.assert_allclose(low, [-np.inf, -0.1])
     np.testing.assert_allclose(high, [np.inf, 0.9])
-    limited = Limits.of(robot, MotionLimits(position=((-1, 1), (-0.1, 0.9)), velocity=(1, 1)))
+    limited = Limits.from_settings(
+        robot, MotionLimits(position=((-1, 1), (-0.1, 0.9)), velocity=(1, 1))
+    )
     np.testing.assert_allclose(limited.upper, [1.0, 0.9])
     with pytest.raises(RobotError, match=r"'a2' is -0\.5 to 0\.9; the model allows -0\.1 to 0\.9"):
-        Limits.of(robot, MotionLimits(position=((-1, 1), (-0.5, 0.9)), velocity=(1, 1)))
+        Limits.from_settings(robot, MotionLimits(position=((-1, 1), (-0.5, 0.9)), velocity=(1, 1)))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hesr_model.errors import RobotError
-from hesr_model.robots.model_file import driven_joints, joints_of
+from hesr_model.robots.model_file import find_driven_joints, read_joints
 from hesr_model.robots.robot import Robot
 
 LINK = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0"
@@ -39,16 +39,19 @@ def chain(tmp_path: Path) -> Path:
 
 
 def test_moving_joints_are_listed_from_base_to_tip(chain: Path) -> None:
-    found = [(joint.name, joint.freedom, joint.slides) for joint in joints_of(chain)]
+    found = [(joint.name, joint.freedom, joint.slides) for joint in read_joints(chain)]
     assert found == [
         ("turn", 1, False), ("slide", 1, True), ("finger", 0, False), ("float", 6, False)
     ]  # fmt: skip
 
 
 def test_a_robot_uses_joints_with_one_degree_of_freedom(chain: Path) -> None:
-    assert [joint.name for joint in driven_joints(chain)] == ["turn", "slide"]
-    assert [joint.name for joint in driven_joints(chain, ["slide"])] == ["slide"]
-    assert [joint.name for joint in driven_joints(chain, ["slide", "turn"])] == ["turn", "slide"]
+    assert [joint.name for joint in find_driven_joints(chain)] == ["turn", "slide"]
+    assert [joint.name for joint in find_driven_joints(chain, ["slide"])] == ["slide"]
+    assert [joint.name for joint in find_driven_joints(chain, ["slide", "turn"])] == [
+        "turn",
+        "slide",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -61,13 +64,13 @@ def test_a_robot_uses_joints_with_one_degree_of_freedom(chain: Path) -> None:
 )
 def test_joints_that_cannot_be_driven_are_refused(chain: Path, wanted: str, sentence: str) -> None:
     with pytest.raises(RobotError, match=sentence):
-        driven_joints(chain, ["turn", wanted])
+        find_driven_joints(chain, ["turn", wanted])
 
 
 def test_a_file_without_drivable_joints_is_refused(tmp_path: Path) -> None:
     path = urdf(tmp_path, {"name": "float", "kind": "floating"})
     with pytest.raises(RobotError, match="revolute or prismatic joint"):
-        driven_joints(path)
+        find_driven_joints(path)
 
 
 def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
@@ -76,7 +79,7 @@ def test_a_name_that_is_not_text_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         RobotError, match=r"chain\.urdf: cannot be parsed as a URDF \(not well-formed"
     ):
-        joints_of(path)
+        read_joints(path)
 
 
 def test_joints_with_several_degrees_of_freedom_are_held(chain: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from hesr_model.motions.excitation import Search, _excess, _log_condition
 from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
-from hesr_model.motions.trajectories import Fourier, one_period
+from hesr_model.motions.trajectories import Fourier, sample_one_period
 from hesr_model.robots.robot import Robot
 
 NARROW = MotionLimits(
@@ -20,7 +20,7 @@ NARROW = MotionLimits(
 
 @pytest.fixture
 def limits(arm_model: Robot) -> Limits:
-    return Limits.of(arm_model, NARROW)
+    return Limits.from_settings(arm_model, NARROW)
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def motion() -> Fourier:
 
 def test_a_period_has_256_points_per_highest_harmonic(motion: Fourier) -> None:
     t = 4.0 * np.arange(768) / 768
-    for found, expected in zip(one_period(motion), motion.sample(t), strict=True):
+    for found, expected in zip(sample_one_period(motion), motion.sample(t), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
@@ -45,7 +45,7 @@ def test_each_joint_is_shrunk_to_its_most_exceeded_limit(
     Offsets move no further than necessary.
     """
     kept = limits.shrink(motion, arm_model, np.zeros(3))
-    q, dq, ddq = one_period(motion)
+    q, dq, ddq = sample_one_period(motion)
     shares = np.array(
         [1.0 / np.ptp(q[:, 0]), 0.5 / np.abs(dq[:, 1]).max(), 0.8 / np.abs(ddq[:, 2]).max()]
     )
@@ -53,7 +53,7 @@ def test_each_joint_is_shrunk_to_its_most_exceeded_limit(
     np.testing.assert_allclose(kept.a, 0.999 * shares[:, None] * motion.a, rtol=1e-12)
     np.testing.assert_allclose(kept.b, 0.999 * shares[:, None] * motion.b, rtol=1e-12)
     np.testing.assert_array_equal(kept.offset[1:], motion.offset[1:])
-    path = one_period(kept)[0][:, 0]
+    path = sample_one_period(kept)[0][:, 0]
     assert (path.min(), path.max()) == pytest.approx((-0.4 + 0.0005, 0.6 - 0.0005), abs=1e-9)
 
 

@@ -17,7 +17,7 @@ from hesr_model.friction.records import rmse
 from hesr_model.laws import rbfnn
 from hesr_model.laws.parfam import family
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.rbfnn import TRIED, Inputs, RbfnnH, candidates, first_tame
+from hesr_model.laws.rbfnn import MAX_TRIED_LAWS, Inputs, RbfnnH, find_bounded_law, find_candidates
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHA, BETA = 9.0, 30.0
@@ -47,7 +47,7 @@ def records() -> list[FrictionRecord]:
 
 @pytest.fixture(scope="module")
 def features(records: list[FrictionRecord]) -> HysteresisFeatures:
-    samples = JointRows.of(records, coefficients=3)
+    samples = JointRows.from_records(records, coefficients=3)
     return HysteresisFeatures(samples=samples, discretisation="exact")
 
 
@@ -65,7 +65,7 @@ def law_with(form_of: type[RbfnnH] | type[MlpH], structure: dict[str, int]) -> F
 
 def columns_of(law: FrictionLaw, data: FrictionRecord) -> np.ndarray:
     features = HysteresisFeatures(
-        samples=JointRows.of([data], coefficients=3), discretisation=law.discretisation
+        samples=JointRows.from_records([data], coefficients=3), discretisation=law.discretisation
     )
     return features.columns(law.values["alpha"], law.values["beta"])
 
@@ -138,7 +138,7 @@ def test_invalid_network_sizes_are_refused() -> None:
 
 
 def test_standardised_inputs_convert_back_to_units(features: HysteresisFeatures) -> None:
-    found = candidates(features, 2)
+    found = find_candidates(features, 2)
     assert len({(inputs.cell.alpha, inputs.cell.beta) for inputs in found}) == 2
     for inputs in found:
         np.testing.assert_allclose(inputs.z.mean(axis=0), 0.0, atol=1e-12)
@@ -150,7 +150,7 @@ def test_standardised_inputs_convert_back_to_units(features: HysteresisFeatures)
 def test_networks_that_explode_are_skipped(records: list[FrictionRecord]) -> None:
     good = fit_joint("mlp_h", records, seed=0, options={"hidden": (2,), "cells": 1, "starts": 1})
     wild = replace(good, values={**good.values, "c_0": 1e3})
-    assert first_tame([wild, wild, good], records) is good
+    assert find_bounded_law([wild, wild, good], records) is good
 
     made = []
 
@@ -161,8 +161,8 @@ def test_networks_that_explode_are_skipped(records: list[FrictionRecord]) -> Non
 
     said = "joint 'j1': the torque"
     with pytest.raises(FitError, match=said):
-        first_tame(endless(), records)
-    assert len(made) == TRIED
+        find_bounded_law(endless(), records)
+    assert len(made) == MAX_TRIED_LAWS
 
 
 # --- RBF: centres and weights -----------------------------------------------------------------
@@ -207,12 +207,12 @@ def test_ridge_regression_shrinks_weights_but_not_the_offset() -> None:
 
 def test_left_out_rows_do_not_train_the_rbf(features: HysteresisFeatures) -> None:
     samples = features.samples
-    z = candidates(features, 1)[0].z
-    honest = rbfnn.left_out(z, samples, 10, np.random.default_rng(0))
-    assert honest.shape == (len(rbfnn.FACTORS), len(rbfnn.RIDGES))
+    z = find_candidates(features, 1)[0].z
+    honest = rbfnn.cross_validate(z, samples, 10, np.random.default_rng(0))
+    assert honest.shape == (len(rbfnn.WIDTH_FACTORS), len(rbfnn.RIDGES))
     # Trained on both logs, a network would fit half of an offset between them.
     moved = replace(samples, tau=samples.tau + 50.0 * samples.record)
-    shifted = rbfnn.left_out(z, moved, 10, np.random.default_rng(0))
+    shifted = rbfnn.cross_validate(z, moved, 10, np.random.default_rng(0))
     assert np.all(np.sqrt(shifted) > 40.0)
     assert np.sqrt(honest.min()) < 1.0
 
@@ -262,7 +262,7 @@ def test_training_ends_at_a_flat_cost() -> None:
 def test_a_trained_network_becomes_an_equal_law(
     features: HysteresisFeatures, records: list[FrictionRecord]
 ) -> None:
-    (inputs,) = candidates(features, 1)
+    (inputs,) = find_candidates(features, 1)
     network = Network(
         bias=0.3,
         gains=np.array([0.5, -2.0, 1.0]),
@@ -280,12 +280,12 @@ def test_a_trained_network_becomes_an_equal_law(
 
 def test_left_out_rows_do_not_train_the_mlp(features: HysteresisFeatures) -> None:
     samples = features.samples
-    z = candidates(features, 1)[0].z
+    z = find_candidates(features, 1)[0].z
     y = (samples.tau - samples.tau.mean()) / samples.tau.std()
     starts = [np.random.default_rng(0).normal(size=(4, 3))]
-    honest = mlp.left_out(z, y, samples.folds, starts)
+    honest = mlp.cross_validate(z, y, samples.folds, starts)
     assert honest.shape == (len(mlp.DECAYS),)
-    shifted = mlp.left_out(z, y + 20.0 * samples.record, samples.folds, starts)
+    shifted = mlp.cross_validate(z, y + 20.0 * samples.record, samples.folds, starts)
     assert np.all(np.sqrt(shifted) > 15.0)
     assert np.sqrt(honest.min()) < 0.2
 
@@ -331,7 +331,8 @@ def test_a_log_mostly_at_rest_suffices_for_training() -> None:
 
 def test_inputs_without_spread_do_not_divide_by_zero(features: HysteresisFeatures) -> None:
     still = replace(features.samples, dq=np.zeros_like(features.samples.dq))
-    inputs = Inputs.of(
-        HysteresisFeatures(samples=still, discretisation="exact"), candidates(features, 1)[0].cell
+    inputs = Inputs.from_features(
+        HysteresisFeatures(samples=still, discretisation="exact"),
+        find_candidates(features, 1)[0].cell,
     )
     np.testing.assert_array_equal(inputs.z, 0.0)

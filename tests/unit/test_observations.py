@@ -10,13 +10,13 @@ from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.base_parameters import base_columns
 from hesr_model.rigid_body.observations import (
-    averaged,
+    arrange_by_joint,
+    average_blocks,
     friction_columns,
-    matched,
+    match_motions,
     peak_speeds,
-    per_joint,
     slow_speeds,
-    stacked,
+    stack_blocks,
 )
 from hesr_model.robots.robot import Robot
 
@@ -46,7 +46,7 @@ def test_the_slow_threshold_is_a_tenth_or_a_quarter_of_the_peak(
 def test_slow_rows_are_left_out(lift: Motion, arm_model: Robot) -> None:
     base = base_columns(arm_model)
     friction = friction_columns(arm_model, base)
-    found = stacked([lift, lift], arm_model, base, friction)
+    found = stack_blocks([lift, lift], arm_model, base, friction)
     rigid = arm_model.regressor(lift.q, lift.dq, lift.ddq)[:, :, list(base)]
     for joint, block in enumerate(found):
         speed = lift.dq[:, joint]
@@ -63,7 +63,7 @@ def test_slow_rows_are_left_out(lift: Motion, arm_model: Robot) -> None:
 
 def test_friction_coefficients_follow_their_columns() -> None:
     columns = np.array([[True, True, False], [True, False, True]])
-    found = per_joint(np.array([1.0, 2.0, 3.0, 4.0]), columns)
+    found = arrange_by_joint(np.array([1.0, 2.0, 3.0, 4.0]), columns)
     np.testing.assert_array_equal(found, [[1.0, 2.0, 0.0], [3.0, 0.0, 4.0]])
 
 
@@ -74,7 +74,7 @@ def test_averaging_uses_rows_with_opposite_motion(
     forward, backward = (make_motion(friction=3.0, reverse=way, seconds=4.0) for way in (0, 1))
     slower = replace(backward, dq=0.5 * backward.dq)
     base = base_columns(arm_model)
-    found = averaged([forward], [slower], arm_model, base)
+    found = average_blocks([forward], [slower], arm_model, base)
     regressors = [
         arm_model.regressor(m.q, m.dq, m.ddq)[:, :, list(base)] for m in (forward, slower)
     ]
@@ -113,7 +113,7 @@ def test_raw_signals_are_read_linearly_between_samples(late: float) -> None:
     rng = np.random.default_rng(0)
     forward = one_joint("forward", t, t, rng.normal(size=21))
     backward = one_joint("backward", times, run, np.sign(rng.normal(size=44)))
-    there, back = matched(forward, backward)
+    there, back = match_motions(forward, backward)
     rows = np.isin(forward.t, there.t)
     read = times[-1] - t + (0.0 if late == 0.0 else -late)
     np.testing.assert_array_equal(rows, (read >= 7.0) & (read <= times[-1]))
@@ -143,5 +143,5 @@ def test_the_position_gap_is_that_of_the_best_shift() -> None:
             read = np.interp(at[rows], times, backward.q[:, 0])
             distances.append(np.sqrt(np.mean((forward.q[rows, 0] - read) ** 2)))
     with pytest.raises(FitError) as caught:
-        matched(forward, backward)
+        match_motions(forward, backward)
     assert f"differ by {min(distances):.3g} rad on average" in str(caught.value)

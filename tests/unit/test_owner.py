@@ -18,11 +18,11 @@ def test_only_known_fields_are_listed() -> None:
 
 
 def test_the_owner_is_part_of_the_provenance() -> None:
-    assert Owner.of({}) == Owner()
-    assert Owner.of({"owner": {"copyright": "(c) B"}}) == Owner(copyright="(c) B")
+    assert Owner.from_provenance({}) == Owner()
+    assert Owner.from_provenance({"owner": {"copyright": "(c) B"}}) == Owner(copyright="(c) B")
     for wrong in ({"author": 3}, {"name": "B"}, {"author": "a\nb"}, "B"):
         with pytest.raises(ArtifactError, match=r"the provenance's 'owner' is .*; expected texts"):
-            Owner.of({"owner": wrong})
+            Owner.from_provenance({"owner": wrong})
 
 
 def test_a_robot_file_names_the_owner(tmp_path: Path) -> None:

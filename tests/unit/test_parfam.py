@@ -56,7 +56,9 @@ def record(rows: int = 600, seed: int = 0, noise: float = 0.05, log: str = "run"
 
 
 def features_of(*records: FrictionRecord, how: str = "exact") -> HysteresisFeatures:
-    return HysteresisFeatures(samples=JointRows.of(records, coefficients=3), discretisation=how)
+    return HysteresisFeatures(
+        samples=JointRows.from_records(records, coefficients=3), discretisation=how
+    )
 
 
 @pytest.fixture(scope="module", params=["exact", "euler"])
@@ -111,7 +113,7 @@ def test_derivatives_of_the_state_agree_with_differences(
     run = features.slopes(None)
     by_h, by_dh = np.zeros(11), np.zeros(11)  # laws tau = h and tau = dh
     by_h[[0, 1, 4]] = by_dh[[0, 1, 5]] = alpha, beta, 1.0
-    dh, ddh = (run.at(numbers)[:, :2].copy() for numbers in (by_h, by_dh))
+    dh, ddh = (run.evaluate(numbers)[:, :2].copy() for numbers in (by_h, by_dh))
     np.testing.assert_allclose(run.found[:, 2:6], features.columns(alpha, beta), atol=1e-11)
     for i, (by_alpha, by_beta) in enumerate([(1e-5 * alpha, 0.0), (0.0, 1e-5 * beta)]):
         above = features.columns(alpha + by_alpha, beta + by_beta)
@@ -163,7 +165,7 @@ def test_the_canonical_form_is_an_equal_law(
         theta=np.where(active, np.array(values[5:]) / 4.0, 0.0),
         theta_active=active,
     )
-    after = before.canonical()
+    after = before.to_canonical()
     x = np.column_stack([np.ones(50), np.random.default_rng(0).uniform(-1, 1, (50, 3))])
     np.testing.assert_allclose(
         after.torque(x), before.torque(x), rtol=1e-10, atol=1e-9 * (1.0 + abs(before.gain))
@@ -174,7 +176,7 @@ def test_the_canonical_form_is_an_equal_law(
         assert after.gain >= 0.0
     if g in ("sin", "cos") and offset:
         assert -np.pi < after.theta[0] <= np.pi
-    again = after.canonical()
+    again = after.to_canonical()
     np.testing.assert_allclose(again.theta, after.theta, atol=1e-14)
     assert again.gain == after.gain
 
@@ -187,7 +189,7 @@ def test_the_law_gives_the_torque_of_its_candidate(g: str | None, offset: bool) 
     theta = np.where(chosen.theta_active, chosen.theta, 0.0)
     chosen = replace(
         chosen, theta=theta, gain=-chosen.gain, c=chosen.c * [1, 0, 1, 1]
-    ).canonical()  # fmt: skip
+    ).to_canonical()  # fmt: skip
     chosen = replace(chosen, c_active=np.array([True, False, True, True]))
     law = chosen.law("parfam_h", "exact")
     assert law.structure["linear"] == ["1", "h", "dh"]
@@ -202,7 +204,7 @@ def test_the_law_gives_the_torque_of_its_candidate(g: str | None, offset: bool) 
 
 
 def test_the_profile_is_best_near_the_generating_parameters() -> None:
-    cells = calibrate.profile(features_of(record(1500, 0, noise=0.0)))
+    cells = calibrate.compute_profile(features_of(record(1500, 0, noise=0.0)))
     costs = [cell.cost for cell in cells]
     assert costs == sorted(costs)
     assert len(cells) == np.prod(calibrate.GRID)
@@ -220,7 +222,7 @@ def test_local_minima_of_the_profile_come_first() -> None:
             strict=True,
         )
     ]
-    chosen = calibrate.distinct(sorted(grid, key=lambda cell: cell.cost), 3)
+    chosen = calibrate.select_distinct(sorted(grid, key=lambda cell: cell.cost), 3)
     assert [cell.cost for cell in chosen] == [1.0, 5.0, 7.0]
 
 
@@ -229,7 +231,7 @@ def test_the_geometric_guess_reads_alpha_from_a_loop_of_h() -> None:
     data = record(3000, 0)
     h = features_of(data).columns(4.0, 300.0)[:, 2]
     features = features_of(FrictionRecord(**(vars(data) | {"tau": 7.0 * h})))
-    alpha, _ = calibrate.geometric(features)
+    alpha, _ = calibrate.estimate_from_loop(features)
     assert alpha == pytest.approx(4.0, rel=0.1)
 
 
@@ -239,7 +241,7 @@ def test_the_geometric_guess_lies_within_the_bounds(scale: float) -> None:
     tau = scale * np.random.default_rng(0).normal(size=600)
     features = features_of(FrictionRecord(**(vars(data) | {"tau": tau})))
     (low, high), (beta_low, beta_high) = calibrate.bounds(features)
-    alpha, beta = calibrate.geometric(features)
+    alpha, beta = calibrate.estimate_from_loop(features)
     assert low <= alpha < high
     assert beta_low <= beta <= beta_high
 
@@ -256,18 +258,18 @@ def test_projection_finds_the_generating_argument() -> None:
     costs = [k.cost for k in found]
     assert costs == pytest.approx(sorted(costs), abs=1e-24)  # the difference is round-off only
     assert len(found) <= 3
-    best = found[0].canonical()
+    best = found[0].to_canonical()
     assert np.sqrt(best.cost) < 1e-3
     np.testing.assert_allclose(best.torque(x), data.tau, atol=5e-3)
     for k in found:
         assert k.cost == pytest.approx(np.mean((k.torque(x) - data.tau) ** 2), abs=1e-12)
-        assert k.cost <= evolve.linear(cell, x, data.tau).cost
+        assert k.cost <= evolve.fit_linear(cell, x, data.tau).cost
 
 
 def test_a_law_without_a_unit_is_the_least_squares_fit() -> None:
     data = record(300, 0)
     x = features_of(data).columns(ALPHA, BETA)
-    found = evolve.linear(Cell(alpha=ALPHA, beta=BETA, cost=np.nan), x, data.tau)
+    found = evolve.fit_linear(Cell(alpha=ALPHA, beta=BETA, cost=np.nan), x, data.tau)
     np.testing.assert_allclose(found.c, np.linalg.lstsq(x, data.tau)[0], rtol=1e-8)
     assert found.g is None
     np.testing.assert_allclose(x.T @ (found.torque(x) - data.tau), 0.0, atol=1e-8)
@@ -415,7 +417,7 @@ def test_pruning_does_not_spoil_a_fit(g: str) -> None:
     columns = features.columns(cell.alpha, cell.beta)
     with threadpool_limits(1):
         start = evolve.search_of_paper(cell, g, columns, data.tau, np.random.default_rng(0))
-    whole = refine.Refinement(features, start).run(refine.LONG)
+    whole = refine.Refinement(features, start).run(refine.FIRST_EVALUATIONS)
     assert refine.prune(features, start).cost < 1.5 * whole.cost
 
 
@@ -428,7 +430,7 @@ def test_supported_coefficients_are_not_pruned() -> None:
 
 def test_equal_candidates_are_merged() -> None:
     costs = [2.0, 1.0, 1.0 + 1e-9, 2.0 - 1e-9, 3.0]
-    kept = refine.distinct([candidate(cost=cost) for cost in costs])
+    kept = refine.select_distinct([candidate(cost=cost) for cost in costs])
     assert [k.cost for k in kept] == [1.0, 2.0 - 1e-9, 3.0]
 
 
@@ -442,7 +444,7 @@ def test_a_candidate_that_explodes_beyond_the_trained_speeds_is_not_chosen() -> 
     )  # fmt: skip
     spoiled = FrictionRecord(**(vars(data) | {"tau": rises}))
     features = features_of(spoiled)
-    folds, trained = features.samples.folds, TrainedRange.of([spoiled])
+    folds, trained = features.samples.folds, TrainedRange.from_records([spoiled])
     assert refine.select(features, [explosive, candidate(None)], folds, trained).g is None
     with pytest.raises(FitError) as caught:
         refine.select(features, [explosive], folds, trained)
@@ -454,7 +456,7 @@ def test_the_best_predictor_of_left_out_rows_is_chosen() -> None:
     features = features_of(*records)
     folds = features.samples.folds
     found = [candidate(), candidate(None)]
-    chosen = refine.select(features, found, folds, TrainedRange.of(records))
+    chosen = refine.select(features, found, folds, TrainedRange.from_records(records))
     assert chosen.g == "tanh"
     costs = [refine.left_out_cost(features, k, folds) for k in found]
     assert costs[0] < costs[1]

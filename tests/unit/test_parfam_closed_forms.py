@@ -21,7 +21,7 @@ def features_of(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> HysteresisFea
     zero = np.zeros_like(t)
     record = FrictionRecord(log="run", joint="j1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)
     return HysteresisFeatures(
-        samples=JointRows.of([record], coefficients=3), discretisation="exact"
+        samples=JointRows.from_records([record], coefficients=3), discretisation="exact"
     )
 
 
@@ -55,7 +55,7 @@ def test_the_geometric_guess_reads_beta_from_the_slope_at_rest(beta: float) -> N
     """tau = level tanh(beta dq) has the slope level beta at rest; an offset has no effect."""
     t = 1e-3 * np.arange(8000)
     dq = np.sin(np.pi * (t / 2.0 + 0.00025))  # equally long forwards and backwards
-    _, found = calibrate.geometric(features_of(t, dq, 1.5 + 7.0 * np.tanh(beta * dq)))
+    _, found = calibrate.estimate_from_loop(features_of(t, dq, 1.5 + 7.0 * np.tanh(beta * dq)))
     assert found == pytest.approx(beta, rel=0.01)
 
 
@@ -66,7 +66,7 @@ def test_the_geometric_guess_reads_alpha_from_the_width_of_a_loop() -> None:
     h = np.zeros_like(t)
     for k in range(1, len(t)):
         h[k] = dq[k] + (h[k - 1] - dq[k]) * np.exp(-60.0 * 1e-3)
-    alpha, _ = calibrate.geometric(features_of(t, dq, 3.0 * h))
+    alpha, _ = calibrate.estimate_from_loop(features_of(t, dq, 3.0 * h))
     assert alpha == pytest.approx(60.0, rel=0.04)
 
 
@@ -87,7 +87,7 @@ def test_the_profile_is_the_residual_of_cubic_surfaces_over_a_grid() -> None:
     tau = np.tanh(40.0 * dq) + dq**3 + 0.1 * np.random.default_rng(0).normal(size=len(t))
     features = features_of(t, dq, tau)
     (alpha_low, alpha_high), (beta_low, beta_high) = calibrate.bounds(features)
-    found = {(cell.alpha, cell.beta): cell.cost for cell in calibrate.profile(features)}
+    found = {(cell.alpha, cell.beta): cell.cost for cell in calibrate.compute_profile(features)}
     alphas = alpha_low * (alpha_high / alpha_low) ** (np.arange(10) / 10)
     betas = beta_low * (beta_high / beta_low) ** (np.arange(10) / 9)
     np.testing.assert_allclose(sorted({a for a, _ in found}), alphas)
@@ -112,7 +112,7 @@ def test_courses_end_at_a_reversal_the_record_end_or_200_rows() -> None:
     since = np.concatenate([np.arange(n) for n in (300, 250, 40, 30)])
     dq, tau = signs * (1.0 + 0.1 * since), signs * (2.0 * since - 3.0)
     tau -= np.median(tau)
-    courses = calibrate._courses(features_of(0.01 * np.arange(620), dq, tau))
+    courses = calibrate._extract_courses(features_of(0.01 * np.arange(620), dq, tau))
     assert [len(course) for course, _ in courses] == [200, 39, 29]
     for (course, slope), start in zip(courses, (300, 550, 590), strict=True):
         rows = slice(start, start + len(course))
@@ -216,7 +216,7 @@ def test_a_coefficient_is_kept_from_two_standard_errors(statistic: float, stays:
     start = replace(truth, c=np.array([statistic * error, 2.0, 6.0, 0.3]))
     tau = start.torque(features.columns(ALPHA, BETA)) + residual
     features = features_of(t, dq, tau)
-    found = refine.Refinement(features, start).run(refine.LONG)
+    found = refine.Refinement(features, start).run(refine.FIRST_EVALUATIONS)
     statistics = refine.Refinement(features, found).statistics()
     assert statistics[2] == pytest.approx(statistic, rel=1e-3)
     np.testing.assert_array_equal(refine.prune(features, start).c_active, [stays, 1, 1, 1])
@@ -224,15 +224,15 @@ def test_a_coefficient_is_kept_from_two_standard_errors(statistic: float, stays:
 
 def test_candidates_with_costs_within_a_millionth_are_merged() -> None:
     costs = [1.0 + 2.1e-6, 1.0, 1.0 + 0.9e-6, 3.0]
-    found = refine.distinct([replace(linear([0.0] * 4), cost=cost) for cost in costs])
+    found = refine.select_distinct([replace(linear([0.0] * 4), cost=cost) for cost in costs])
     assert [k.cost for k in found] == [1.0, 1.0 + 2.1e-6, 3.0]
 
 
 def test_the_simplest_of_tied_candidates_is_kept() -> None:
     large, small = linear([0.0] * 4), replace(linear([0.0] * 4), c_active=np.eye(4, dtype=bool)[2])
-    found = refine.distinct([replace(large, cost=1.0), replace(small, cost=1.0 + 0.9e-6)])
+    found = refine.select_distinct([replace(large, cost=1.0), replace(small, cost=1.0 + 0.9e-6)])
     assert [k.c_active.sum() for k in found] == [1]
-    found = refine.distinct([replace(large, cost=1.0 + 0.9e-6), replace(small, cost=1.0)])
+    found = refine.select_distinct([replace(large, cost=1.0 + 0.9e-6), replace(small, cost=1.0)])
     assert [k.c_active.sum() for k in found] == [1]
 
 
@@ -248,7 +248,7 @@ def test_the_left_out_error_is_that_of_a_converged_refinement(
     folds = features.samples.folds
     start = replace(truth, alpha=3.0 * ALPHA, beta=0.3 * BETA)
     settled = refine.left_out_cost(features, start, folds, portions=refine.PORTIONS)
-    monkeypatch.setattr(refine, "FOLD", 3)
+    monkeypatch.setattr(refine, "FOLD_EVALUATIONS", 3)
     assert refine.left_out_cost(features, start, folds) != pytest.approx(settled, rel=1e-3)
     found = refine.left_out_cost(features, start, folds, portions=refine.PORTIONS)
     assert found == pytest.approx(settled, rel=1e-4)

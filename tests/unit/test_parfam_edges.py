@@ -31,7 +31,7 @@ def records() -> list[FrictionRecord]:
 @pytest.fixture(scope="module")
 def features(records: list[FrictionRecord]) -> HysteresisFeatures:
     return HysteresisFeatures(
-        samples=JointRows.of(records, coefficients=11), discretisation="exact"
+        samples=JointRows.from_records(records, coefficients=11), discretisation="exact"
     )
 
 
@@ -59,7 +59,9 @@ def test_a_candidate_without_a_unit_has_no_arguments() -> None:
 def test_the_geometric_guess_is_scale_free(features: HysteresisFeatures, size: float) -> None:
     samples = features.samples
     small = replace(features, samples=replace(samples, tau=size * samples.tau))
-    assert calibrate.geometric(small) == pytest.approx(calibrate.geometric(features), rel=1e-9)
+    assert calibrate.estimate_from_loop(small) == pytest.approx(
+        calibrate.estimate_from_loop(features), rel=1e-9
+    )
 
 
 def test_arguments_do_not_depend_on_feature_size(features: HysteresisFeatures) -> None:
@@ -67,15 +69,17 @@ def test_arguments_do_not_depend_on_feature_size(features: HysteresisFeatures) -
     x, tau = features.columns(12.0, 25.0)[::4], features.samples.tau[::4]
     small = x * [1.0, 1e-9, 1e-9, 1e-9]
     starts = evolve.starting_points(np.random.default_rng(0), 4, 4)
-    [one] = evolve.arguments("tanh", x, x, tau, starts, 1)
-    [other] = evolve.arguments("tanh", small, x, tau, starts, 1)
+    [one] = evolve.search_arguments("tanh", x, x, tau, starts, 1)
+    [other] = evolve.search_arguments("tanh", small, x, tau, starts, 1)
     np.testing.assert_allclose(other * [1.0, 1e-9, 1e-9, 1e-9], one, rtol=1e-5)
-    np.testing.assert_allclose(calibrate._cubic(small), calibrate._cubic(x), rtol=1e-9)
+    np.testing.assert_allclose(
+        calibrate._cubic_features(small), calibrate._cubic_features(x), rtol=1e-9
+    )
 
 
 def test_network_inputs_have_the_spread_of_their_features(features: HysteresisFeatures) -> None:
     slow = replace(features, samples=replace(features.samples, dq=1e-9 * features.samples.dq))
-    found = Inputs.of(slow, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    found = Inputs.from_features(slow, Cell(alpha=12.0, beta=25.0, cost=0.0))
     np.testing.assert_allclose(found.z.std(axis=0), 1.0, rtol=1e-9)
 
 
@@ -123,13 +127,13 @@ def test_short_logs_use_all_rows_for_a_steep_unit(
     records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    arguments = evolve.arguments
+    arguments = evolve.search_arguments
 
     def told(g: str, features: np.ndarray, *more: Any, **also: Any) -> list[np.ndarray]:
         seen.append((g, len(features), also["limit"], also["keep"], len(more[2])))
         return arguments(g, features, *more, **also)
 
-    monkeypatch.setattr(evolve, "arguments", told)
+    monkeypatch.setattr(evolve, "search_arguments", told)
     laws.ParFamV(starts=2).fit(records, np.random.default_rng(0))
     rows = sum(len(r.t) for r in records)
     assert seen == [("tanh", rows, 2000.0, 3, 4), ("sin", rows, 12.0, 3, 4)]
@@ -147,12 +151,12 @@ def test_the_named_search_is_used(
     search: Any, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done = []
-    for name in ("_evolve", "_paper"):
+    for name in ("_evolve", "_search_like_paper"):
         monkeypatch.setattr(
             ParFamH, name, lambda *_, own=name: done.append(own) or [candidate(**LINEAR)]
         )
     ParFamH(search=search).fit(records, np.random.default_rng(0))
-    assert done == ["_paper" if search == "paper" else "_evolve"]
+    assert done == ["_search_like_paper" if search == "paper" else "_evolve"]
 
 
 @pytest.mark.parametrize(
@@ -185,10 +189,10 @@ def test_extensions_are_tried_on_request(
         seen.append("denominator")
         return self
 
-    monkeypatch.setattr(laws, "with_unit", with_unit)
-    monkeypatch.setattr(Trial, "changed", changed)
+    monkeypatch.setattr(laws, "add_unit", with_unit)
+    monkeypatch.setattr(Trial, "change_structure", changed)
     found = ParFamH(**options)._enlarge_law(
-        of, features, TrainedRange.of(records), np.random.default_rng(0)
+        of, features, TrainedRange.from_records(records), np.random.default_rng(0)
     )
     assert seen == tried
     assert found is of
@@ -198,9 +202,11 @@ def test_an_extended_law_is_a_different_one(
     features: HysteresisFeatures, records: list[FrictionRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = candidate(**LINEAR).law("parfam_h", "exact")
-    monkeypatch.setattr(laws, "extended", lambda _, more, __: more[0])
+    monkeypatch.setattr(laws, "extend_trial", lambda _, more, __: more[0])
     few = ParFamH(denominator=True)
-    found = few._enlarge_law(of, features, TrainedRange.of(records), np.random.default_rng(0))
+    found = few._enlarge_law(
+        of, features, TrainedRange.from_records(records), np.random.default_rng(0)
+    )
     assert found.structure["denominator"] == ["dq", "h"]
     assert found.name == "parfam_h"
 
@@ -217,5 +223,5 @@ def test_reported_steps(
     assert told == [0.0, 0.125, 0.25, 0.375]
     told.clear()
     monkeypatch.setattr(refine, "ROUNDS", ((2, 2), (2, 1)))
-    refine.select(features, found, features.samples.folds, TrainedRange.of(records))
+    refine.select(features, found, features.samples.folds, TrainedRange.from_records(records))
     assert told == [0.5, 0.5 + round(1000 / 6) / 2000, 0.5 + round(2000 / 6) / 2000, 0.75, 0.875]

@@ -289,5 +289,5 @@ def test_a_structure_outside_the_family_is_refused(structure: dict[str, Any]) ->
 
 @pytest.mark.parametrize(("gain", "chosen"), [(0.0, "c"), (0.04, "c"), (0.15, "a")])
 def test_an_extension_must_gain(monkeypatch: pytest.MonkeyPatch, gain: float, chosen: str) -> None:
-    monkeypatch.setattr(trial, "left_out", {"a": 1.0, "b": 0.95, "c": 0.9}.__getitem__)
+    monkeypatch.setattr(trial, "cross_validate", {"a": 1.0, "b": 0.95, "c": 0.9}.__getitem__)
     assert trial.choose(["a", "b", "c"], gain) == chosen

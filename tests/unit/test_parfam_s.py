@@ -8,7 +8,13 @@ import pytest
 from hesr_model.audit.certificate import certify
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_joint
-from hesr_model.fitting.joint_rows import JointRows, Normal, blocks_of, pays, signed_least_squares
+from hesr_model.fitting.joint_rows import (
+    JointRows,
+    Normal,
+    divide_into_blocks,
+    has_significant_gain,
+    signed_least_squares,
+)
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.predict import predict
 from hesr_model.friction.records import rmse
@@ -16,7 +22,14 @@ from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.laws.stops import form
 from hesr_model.laws.stops.estimator import ParFamS
 from hesr_model.laws.stops.form import BOUNDS, Structure
-from hesr_model.laws.stops.search import TIMES, dictionary, oldest, search, times, weights
+from hesr_model.laws.stops.search import (
+    AGEING_TIMES,
+    build_dictionary,
+    find_largest_age,
+    search,
+    select_ageing_times,
+    weights,
+)
 from hesr_model.rigid_body.residual import FrictionRecord
 
 RIPPLE = 200
@@ -80,7 +93,7 @@ def test_ripple_has_to_pay(plain: list[FrictionRecord]) -> None:
 
 
 def test_forces_and_viscous_friction_are_not_negative(law: FrictionLaw) -> None:
-    structure = Structure.of(law.structure)
+    structure = Structure.from_json(law.structure)
     assert all(law.values[name] >= 0.0 for name in structure.forces)
 
 
@@ -94,7 +107,7 @@ def test_load_dependent_friction_needs_more_than_velocity(plain: list[FrictionRe
 def test_the_search_is_no_worse_than_the_dictionary(
     plain: list[FrictionRecord], load: bool
 ) -> None:
-    baseline = dictionary(JointRows.of(plain, coefficients=20), load=load)
+    baseline = build_dictionary(JointRows.from_records(plain, coefficients=20), load=load)
     found = search(baseline, load=load)
     # Both may find the same forces, in another order of sums.
     assert found.cost <= baseline.cost * (1.0 + 1e-12)
@@ -125,19 +138,19 @@ def test_left_out_errors_match_fits_without_the_fold() -> None:
     rng = np.random.default_rng(1)
     a, y = rng.normal(size=(90, 3)), rng.normal(size=90)
     folds = [np.arange(90) // 30 == k for k in range(3)]
-    found = Normal.of(a, y, folds, np.ones(90), free=3).left_out()
+    found = Normal.from_columns(a, y, folds, np.ones(90), free=3).cross_validate()
     for fold in folds:
         x = np.linalg.lstsq(a[~fold], y[~fold])[0]
         np.testing.assert_allclose(found[fold], a[fold] @ x - y[fold], atol=1e-7)
 
 
 def test_a_gain_must_exceed_its_error() -> None:
-    blocks = blocks_of(np.full(800, 0.1), np.arange(800) == 0)
+    blocks = divide_into_blocks(np.full(800, 0.1), np.arange(800) == 0)
     assert len(np.unique(blocks)) == 10
     before = np.ones(800)
-    assert pays(before, 0.9 * before, blocks)
-    assert not pays(before, np.where(blocks == 0, 0.0, 1.0), blocks)
-    assert not pays(before, before, blocks)
+    assert has_significant_gain(before, 0.9 * before, blocks)
+    assert not has_significant_gain(before, np.where(blocks == 0, 0.0, 1.0), blocks)
+    assert not has_significant_gain(before, before, blocks)
 
 
 # --- passivity of ripple ----------------------------------------------------------------------
@@ -158,9 +171,12 @@ def test_viscous_friction_bounds_the_ripple() -> None:
     a = np.stack([v, np.cos(phase), np.sin(phase)], axis=1)
     y = 1.0 * v + 2.0 * np.cos(phase) + 1.0 * np.sin(phase)
     gram, moment = a.T @ a, a.T @ y
-    viscous, waves = np.ones((len(form.SPEEDS), 1)), form.needed([200], 0.01, 0.0)
+    viscous, waves = (
+        np.ones((len(form.SPEEDS), 1)),
+        form.compute_required_viscosity([200], 0.01, 0.0),
+    )
     free = signed_least_squares(gram, moment, 2)
-    found = form.constrained(gram, moment, free, viscous, waves, free=2)
+    found = form.constrain_coefficients(gram, moment, free, viscous, waves, free=2)
     size = float(np.hypot(found[1], found[2]))
     margin = found[0] - waves[:, 0] * size
     assert margin.min() == pytest.approx(0.0, abs=1e-6)
@@ -172,7 +188,7 @@ def test_viscous_friction_bounds_the_ripple() -> None:
     for scale in (0.99, 1.01):  # along the constraint
         assert cost(found) < cost(found * scale)
     # An inactive constraint changes nothing.
-    eased = form.constrained(gram, moment, free, 1e3 * viscous, waves, free=2)
+    eased = form.constrain_coefficients(gram, moment, free, 1e3 * viscous, waves, free=2)
     np.testing.assert_array_equal(eased, free)
 
 
@@ -186,7 +202,7 @@ def test_no_step_generates_energy(law: FrictionLaw, dt: float) -> None:
     load = 30.0 * rng.normal(size=n)
     tau = predict(law, t=t, dq=v, q=q, tau_load=load) - law.values["tau_0"]
     # The least possible remaining energy is subtracted from that stored in stops and ripple.
-    structure = Structure.of(law.structure)
+    structure = Structure.from_json(law.structure)
     w = np.geomspace(3e-5, 1e-2, 9)
     bound = max(1.0, float(np.abs(load).max()) / law.values["load_scale"])
     stored = sum(
@@ -233,7 +249,7 @@ def test_the_load_of_bounds_stays_within_its_trained_range() -> None:
     law = fit_joint("parfam_s_load", trained, seed=0)
     largest = max(float(np.abs(r.tau_load).max()) for r in trained)
     assert (law.structure["limited"], law.values["load_scale"]) == (True, largest)
-    assert certify(law, TrainedRange.of(trained)).verdict == "proven"
+    assert certify(law, TrainedRange.from_records(trained)).verdict == "proven"
     free = {k: v for k, v in law.structure.items() if k != "limited"}  # as in older files
     older = replace(law, structure=free, form=ParFamS.form(free))
     for r in trained:
@@ -253,31 +269,31 @@ def broken_away() -> FrictionRecord:
 
 
 def test_rows_with_an_unknown_age_are_left_out(plain: list[FrictionRecord]) -> None:
-    samples = JointRows.of(plain, coefficients=1)
+    samples = JointRows.from_records(plain, coefficients=1)
     since = np.concatenate([r.t - r.t[0] for r in plain])
     without, counted = weights(samples), weights(samples, 0.4)
     np.testing.assert_array_equal(counted, without * (since > 1.205))
     assert without[since < 1.2].any()
     short = replace(plain[0], dq=0.0 * plain[0].dq, q=0.0 * plain[0].q)  # it never moves
-    assert weights(JointRows.of([*plain, short], coefficients=1), 0.4)[-2000:].all()
+    assert weights(JointRows.from_records([*plain, short], coefficients=1), 0.4)[-2000:].all()
 
 
 def test_ageing_times_fit_into_the_left_out_parts(plain: list[FrictionRecord]) -> None:
     def tried(duration: float) -> tuple[float, ...]:
         rows = plain[0].rows(slice(round(duration / 0.01)))
-        return times(JointRows.of([rows], coefficients=1))
+        return select_ageing_times(JointRows.from_records([rows], coefficients=1))
 
     assert tried(2.0) == ()
     assert tried(8.0) == (0.05, 0.1)
-    assert tried(30.0) == TIMES
+    assert tried(30.0) == AGEING_TIMES
 
 
 def test_the_age_stays_within_its_trained_range() -> None:
     trained = [record("one", 0), record("two", 1)]
-    samples = JointRows.of(trained, coefficients=20)
+    samples = JointRows.from_records(trained, coefficients=20)
     age = 1.0 - np.exp(-0.05 / 0.4)
-    best = dictionary(samples, load=False).at(0.2, 0.4)
-    assert best.numbers["P"] == oldest(samples, best.weights, 0.2, 0.4)
+    best = build_dictionary(samples, load=False).replace_age(0.2, 0.4)
+    assert best.numbers["P"] == find_largest_age(samples, best.weights, 0.2, 0.4)
     form = ParFamS.form({"stops": [["age", 4]]})
     values = {"F_age_5": 2.0, "tau_0": 0.0, "v_s": 0.2, "T": 0.4, "P": age}
     law = FrictionLaw(name="parfam_s", structure={"stops": [["age", 4]]}, form=form, values=values)

@@ -11,7 +11,7 @@ from hesr_model.errors import FitError, LogError, RobotError
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
-from hesr_model.rigid_body.payload import identify_payload, identify_payload_motions, loaded
+from hesr_model.rigid_body.payload import add_payload, identify_payload, identify_payload_motions
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.typed_files import from_json, to_json
 
@@ -70,7 +70,7 @@ def test_the_loaded_body_predicts_torque_under_load(
     arm_model: Robot, unloaded: RigidBody, carried: Motion, make_motion: MakeMotion
 ) -> None:
     payload = identify_payload_motions([carried], arm_model, unloaded)
-    body = loaded(unloaded, payload, arm_model)
+    body = add_payload(unloaded, payload, arm_model)
     other = make_motion(seconds=7.0)
     other = replace(other, q=1.2 * other.q - 0.1, dq=1.2 * other.dq, ddq=1.2 * other.ddq)
     nominal = arm_model.torque(arm_model.nominal_parameters, other.q, other.dq, other.ddq)

@@ -5,8 +5,8 @@ import pytest
 
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.least_squares import Block, Solution
-from hesr_model.rigid_body.observations import stacked
-from hesr_model.rigid_body.payload import _covariance, _propagate_errors, _segments
+from hesr_model.rigid_body.observations import stack_blocks
+from hesr_model.rigid_body.payload import _estimate_covariance, _number_segments, _propagate_errors
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
@@ -37,14 +37,16 @@ def test_segments_are_numbered_across_logs() -> None:
     """Segments last one second; a new log begins a new segment."""
     one, two = np.array([5.0, 5.4, 5.99, 6.0, 7.5]), np.array([0.0, 0.9, 1.1])
     motions = [moving(t, np.ones((len(t), 1))) for t in (one, two)]
-    np.testing.assert_array_equal(_segments(motions), [0, 0, 0, 1, 2, 3, 3, 4])
+    np.testing.assert_array_equal(_number_segments(motions), [0, 0, 0, 1, 2, 3, 3, 4])
 
 
 def test_rows_of_slow_joints_are_left_out() -> None:
     dq = np.array([[1.0, 0.05, 0.0], [0.09, 1.0, 1.0], [-0.11, 0.5, 0.0], [0.1, -0.2, 0.0]])
     robot = Robot(RobotDescription.read(models_folder() / "uf850" / "robot.toml"))
     motion = moving(np.arange(4.0), dq)
-    found = [block.samples for block in stacked([motion], robot, (0,), np.ones((3, 3), dtype=bool))]
+    found = [
+        block.samples for block in stack_blocks([motion], robot, (0,), np.ones((3, 3), dtype=bool))
+    ]
     np.testing.assert_array_equal(found[0], [0, 2])
     np.testing.assert_array_equal(found[1], [1, 2, 3])
     np.testing.assert_array_equal(found[2], [1])
@@ -60,7 +62,7 @@ def test_the_covariance_is_the_sandwich_of_sums_over_segments(blocks: list[Block
     inverse = np.linalg.inv(rows.T @ rows)
     sums = [rows[own == k].T @ left[own == k] for k in range(4)]
     expected = inverse @ sum(np.outer(g, g) for g in sums) @ inverse * 4 / 3
-    found = _covariance(blocks, solved(X, RMSE), SEGMENTS)
+    found = _estimate_covariance(blocks, solved(X, RMSE), SEGMENTS)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 

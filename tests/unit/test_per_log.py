@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.fitting.days import OwnOfLog, add_fitted_nuisances, own_of_logs, remove_nuisances
+from hesr_model.fitting.days import (
+    OwnOfLog,
+    add_fitted_nuisances,
+    estimate_nuisances,
+    remove_nuisances,
+)
 from hesr_model.fitting.fit import fit_models
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -29,25 +34,28 @@ def records() -> list[FrictionRecord]:
 
 
 def test_day_levels_and_offsets_are_found(records: list[FrictionRecord]) -> None:
-    own = own_of_logs(records, ("offset", "level"))
+    own = estimate_nuisances(records, ("offset", "level"))
     assert list(own) == ["day0", "day1", "day2"]
     np.testing.assert_allclose([o.level for o in own.values()], LEVELS, atol=0.01)
     np.testing.assert_allclose([o.offset for o in own.values()], OFFSETS, atol=0.05)
     rows = np.array([2000, 4000, 2000]) / 8000
     assert rows @ [o.level for o in own.values()] == pytest.approx(1.0, abs=1e-12)
     assert rows @ [o.offset for o in own.values()] == pytest.approx(0.0, abs=1e-12)
-    only = own_of_logs(records, ("offset",))
+    only = estimate_nuisances(records, ("offset",))
     assert [o.level for o in only.values()] == [1.0, 1.0, 1.0]
     np.testing.assert_allclose([o.offset for o in only.values()], OFFSETS, atol=0.1)
-    level = own_of_logs(records, ("level",))
+    level = estimate_nuisances(records, ("level",))
     assert [o.offset for o in level.values()] == [0.0, 0.0, 0.0]
 
 
 def test_a_single_log_has_no_day_offset() -> None:
-    assert own_of_logs([record(2), record(2, part=1)], ("offset", "level")) == {
+    assert estimate_nuisances([record(2), record(2, part=1)], ("offset", "level")) == {
         "day2": OwnOfLog(level=1.0, offset=0.0)
     }
-    assert own_of_logs([record(0), record(1)], ()) == {"day0": OwnOfLog(), "day1": OwnOfLog()}
+    assert estimate_nuisances([record(0), record(1)], ()) == {
+        "day0": OwnOfLog(),
+        "day1": OwnOfLog(),
+    }
 
 
 def test_without_day_offsets_the_law_is_that_of_the_mean_log(records: list[FrictionRecord]) -> None:
@@ -75,5 +83,5 @@ def test_a_prediction_with_day_offsets_uses_the_measured_torque(
         assert np.sqrt(np.mean((torque - found.tau) ** 2)) < 0.21
     shifted = add_fitted_nuisances(mean, records, ("offset",))
     np.testing.assert_allclose(shifted[0] - mean[0], 1.5, atol=0.15)
-    bare = remove_nuisances(records, own_of_logs(records, ("offset", "level")))
+    bare = remove_nuisances(records, estimate_nuisances(records, ("offset", "level")))
     np.testing.assert_allclose(np.std(bare[0].tau - mean[0]), 0.25, atol=0.03)

@@ -10,13 +10,13 @@ import pinocchio as pin
 import pytest
 
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.base_parameters import at_random_states, dependence
+from hesr_model.rigid_body.base_parameters import dependence, sample_regressor
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.physical import (
     _Chart,
+    find_nearest,
     is_possible,
     link_parameters,
-    nearest,
     pseudo_inertia,
 )
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -67,12 +67,12 @@ def test_pseudo_inertia_matches_the_library_and_is_invertible() -> None:
 
 
 def test_coordinates_start_at_the_model_file(arm_model: Robot) -> None:
-    chart = _Chart.of(arm_model)
+    chart = _Chart.from_robot(arm_model)
     np.testing.assert_allclose(chart.parameters(chart.start), arm_model.nominal_parameters)
 
 
 def test_slopes_match_differences_of_the_parameters(arm_model: Robot) -> None:
-    chart = _Chart.of(arm_model)
+    chart = _Chart.from_robot(arm_model)
     x = chart.start + 0.3 * np.random.default_rng(1).standard_normal(len(chart.start))
     slopes = chart.slopes(x)
     for k in range(len(x)):
@@ -91,7 +91,7 @@ def test_links_without_mass_or_with_impossible_inertia_still_start(
     path.write_text(point, encoding="utf-8")
     model = Robot(arm.model_copy(update={"model": path}))
     model.nominal_parameters[:10] = 0.0
-    chart = _Chart.of(model)
+    chart = _Chart.from_robot(model)
     started = chart.parameters(chart.start)
     assert started[0] == pytest.approx(1.0)
     for link in started[:30].reshape(-1, 10):
@@ -188,12 +188,12 @@ def test_it_survives_json_and_is_reproducible(arm_model: Robot, make_motion: Mak
 
 def test_base_parameters_become_bodies_of_the_same_torque(arm_model: Robot) -> None:
     """The least-squares solution of smallest norm has possible torques but impossible bodies."""
-    rows = at_random_states(arm_model)
+    rows = sample_regressor(arm_model)
     torque = rows @ arm_model.nominal_parameters
     base = np.linalg.lstsq(rows, torque, rcond=None)[0]
     assert is_possible(arm_model, arm_model.nominal_parameters)
     assert not is_possible(arm_model, base)
-    found, off, largest = nearest(arm_model, base)
+    found, off, largest = find_nearest(arm_model, base)
     assert is_possible(arm_model, found)
     np.testing.assert_allclose(rows @ found, torque, atol=2e-3 * np.abs(torque).max())
     assert np.all(off < 2e-3 * largest)
@@ -204,9 +204,9 @@ def test_impossible_torques_are_approximated(arm_model: Robot) -> None:
     light[arm_model.inertial - 3 : arm_model.inertial] = -0.2  # rotors
     light[10:20] *= -0.1
     assert not is_possible(arm_model, light)
-    found, off, _ = nearest(arm_model, light)
+    found, off, _ = find_nearest(arm_model, light)
     assert is_possible(arm_model, found)
-    rows = at_random_states(arm_model)
+    rows = sample_regressor(arm_model)
     expected = np.abs((rows @ (found - light)).reshape(-1, arm_model.n)).max(axis=0)
     np.testing.assert_allclose(off, expected)
     assert np.all(off > 0.1)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from hesr_model.inference.covariance import covariance, left_out
+from hesr_model.inference.covariance import covariance, leave_out_rows
 from hesr_model.rigid_body.base_parameters import base_columns, dependence
 from hesr_model.rigid_body.least_squares import Block
-from hesr_model.rigid_body.physical import _Chart, _weights, fit, link_parameters
+from hesr_model.rigid_body.physical import _Chart, _compute_weights, fit, link_parameters
 from hesr_model.robots.robot import Robot
 
 FRICTION = np.array([3.0, -1.0])
@@ -36,7 +36,7 @@ def test_the_fit_minimises_residuals_plus_pull(weighted: bool, arm_model: Robot)
     A coordinate of a link costs 0.2 standard deviations per square root of rows. A relative
     change of a rotor's square root costs twice as much, because the square is the parameter.
     """
-    given, chart = blocks(arm_model), _Chart.of(arm_model)
+    given, chart = blocks(arm_model), _Chart.from_robot(arm_model)
     base = base_columns(arm_model)
     roots = np.sqrt(arm_model.nominal_parameters[30:])
     pull = np.sqrt(60) * np.concatenate([np.full(30, 0.2), 0.4 / roots])
@@ -65,11 +65,11 @@ def test_the_fit_minimises_residuals_plus_pull(weighted: bool, arm_model: Robot)
     hessians = [jacobian[labels == k].T @ jacobian[labels == k] for k in range(3)]
     expected = covariance(
         ("",) * 35,
-        jacobian * left_out(jacobian, residual, found.jac.T @ found.jac)[:, None],
+        jacobian * leave_out_rows(jacobian, residual, found.jac.T @ found.jac)[:, None],
         hessians,
         labels,
-        known=known,
-    ).mapped(("",) * len(base), spread)
+        prior_hessian=known,
+    ).transform(("",) * len(base), spread)
     np.testing.assert_allclose(np.diag(body.covariance.within), np.diag(expected.within), rtol=3e-3)
     inverse = np.linalg.inv(found.jac.T @ found.jac)
     carried = spread @ inverse @ known @ inverse @ spread.T
@@ -78,11 +78,11 @@ def test_the_fit_minimises_residuals_plus_pull(weighted: bool, arm_model: Robot)
 
 def test_weights_are_bounded_inverse_residuals() -> None:
     rows = [Block(matrix=np.zeros((n, 1)), target=np.zeros(n)) for n in (1, 3, 4)]
-    found = _weights(rows, np.array([2.0, 0.5, 0.0]), weighted=True)
+    found = _compute_weights(rows, np.array([2.0, 0.5, 0.0]), weighted=True)
     np.testing.assert_allclose(found, [0.5, 2.0, 0.5e6])
-    np.testing.assert_allclose(_weights(rows[:1], np.zeros(1), weighted=True), [1e15])
+    np.testing.assert_allclose(_compute_weights(rows[:1], np.zeros(1), weighted=True), [1e15])
     pooled = np.sqrt((1 * 2.0**2 + 3 * 0.5**2) / 8)
-    found = _weights(rows, np.array([2.0, 0.5, 0.0]), weighted=False)
+    found = _compute_weights(rows, np.array([2.0, 0.5, 0.0]), weighted=False)
     np.testing.assert_allclose(found, 1.0 / pooled)
 
 
@@ -91,7 +91,7 @@ def test_defaults_of_unknown_links_and_rotors(arm_model: Robot) -> None:
     arm_model.nominal_parameters[:10] = 0.0
     arm_model.nominal_parameters[20:30] = [2.0, 0.2, 0.0, 0.4, 0, 0, 0, 0, 0, 0]
     arm_model.nominal_parameters[30] = 0.0
-    chart = _Chart.of(arm_model)
+    chart = _Chart.from_robot(arm_model)
     expected = [1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]
     np.testing.assert_allclose(chart.parameters(chart.start)[:10], expected, atol=1e-15)
     centre = np.array([0.1, 0.0, 0.2])

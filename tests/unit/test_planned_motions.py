@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from hesr.extras.excite.motion import PlannedMotion, pulses
+from hesr.extras.excite.motion import PlannedMotion, compute_pulses
 from hesr.extras.excite.planner import Clearance, Guard, MotionSettings, Planner
 from hesr_model.errors import FitError, RobotError
 from hesr_model.motions.limits import MotionLimits
@@ -185,7 +185,7 @@ def test_motions_start_and_end_at_rest_with_continuous_acceleration(tmp_path: Pa
 def test_pulses_travel_speed_times_ramp_and_hold() -> None:
     program = [(0.5, 0.2, 1.0, 0.3), (-0.2, 0.1, 0.0, 0.0)]
     t = np.linspace(0.0, 2.0, 2001)
-    way = pulses(program, t)
+    way = compute_pulses(program, t)
     assert way[0] == 0.0
     assert way[1550] == pytest.approx(0.5 * 1.2)  # at rest after the first
     assert way[-1] == pytest.approx(0.5 * 1.2 - 0.2 * 0.1)

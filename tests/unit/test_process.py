@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from hesr_model.support.process import describe_end, run, tied
+from hesr_model.support.process import describe_end, run, tie_command
 
 
 @pytest.mark.parametrize(
@@ -28,8 +28,9 @@ def test_exit_status_in_words(code: int, text: str) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the system must end it with its parent")
 def test_a_tied_program_ends_with_its_killed_parent(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from hesr_model.support.process import run, tied\n"
-        "run(tied(['sh', '-c', 'echo $$ > pid; exec sleep 100']), Path(sys.argv[1]), 100.0)"
+        "import sys; from pathlib import Path; from hesr_model.support.process import run, "
+        "tie_command\n"
+        "run(tie_command(['sh', '-c', 'echo $$ > pid; exec sleep 100']), Path(sys.argv[1]), 100.0)"
     )
     parent = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)])
     try:
@@ -46,7 +47,9 @@ def test_a_tied_program_ends_with_its_killed_parent(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system must end it with its parent")
 def test_a_tied_program_keeps_its_output_and_exit_code(tmp_path: Path) -> None:
-    ended = run(tied([sys.executable, "-c", "print(7); raise SystemExit(3)"]), tmp_path, 60.0)
+    ended = run(
+        tie_command([sys.executable, "-c", "print(7); raise SystemExit(3)"]), tmp_path, 60.0
+    )
     assert (ended.returncode, ended.stdout) == (3, "7\n")
 
 

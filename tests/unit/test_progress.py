@@ -7,9 +7,9 @@ import pytest
 
 from hesr_model.support import parallel
 from hesr_model.support.progress import (
-    counted,
-    into_file,
     listed_in,
+    make_file_progress,
+    report_progress,
     silent,
     step,
     steps_told,
@@ -21,7 +21,7 @@ def test_items_are_counted_before_each_and_after_the_last() -> None:
     told: list[object] = []
 
     def work() -> Iterator[str]:
-        for item in counted("ab", lambda done, total: told.append((done, total))):
+        for item in report_progress("ab", lambda done, total: told.append((done, total))):
             told.append(item)
             yield item
 
@@ -32,7 +32,7 @@ def test_items_are_counted_before_each_and_after_the_last() -> None:
 def test_items_are_listed_while_in_progress() -> None:
     names: list[str] = []
     with listed_in(names):
-        seen = [(item, names.copy()) for item in counted([1, 2], silent, str)]
+        seen = [(item, names.copy()) for item in report_progress([1, 2], silent, str)]
     assert (seen, names) == ([(1, ["1"]), (2, ["2"])], [])
 
 
@@ -51,7 +51,7 @@ def test_jobs_are_listed_while_they_run(workers: int) -> None:
 
 
 def test_progress_without_a_listener_is_dropped() -> None:
-    assert list(counted([1, 2, 3], silent)) == [1, 2, 3]
+    assert list(report_progress([1, 2, 3], silent)) == [1, 2, 3]
 
 
 def test_steps_of_a_job_reach_its_listener(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_shares_of_jobs_in_other_processes_are_summed(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     files = [tmp_path / "a", tmp_path / "b"]
     with watched(files, lambda *now: told.append(now)):
-        tell = into_file(files[0])
+        tell = make_file_progress(files[0])
         tell(1, 4)
         tell(1, 8)  # a second search within the fit restarts
         assert files[0].read_text() == "25"

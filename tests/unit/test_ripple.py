@@ -33,7 +33,9 @@ def rippling(*orders: int) -> FrictionLaw:
 
 
 def samples_of(truth: FrictionLaw, noise: float = NOISE) -> JointRows:
-    return JointRows.of(training(truth, noise=noise, gear_ratio=GEAR_RATIO), coefficients=3)
+    return JointRows.from_records(
+        training(truth, noise=noise, gear_ratio=GEAR_RATIO), coefficients=3
+    )
 
 
 def selected(samples: JointRows) -> tuple[Ripple, ripple.Times] | None:
@@ -70,7 +72,7 @@ def test_noise_is_not_taken_for_ripple(noise_seed: int) -> None:
         along(truth, path(10 + k), noise=0.5, seed=20 * noise_seed + k, gear_ratio=GEAR_RATIO)
         for k in range(2)
     ]
-    assert selected(JointRows.of(records, coefficients=3)) is None
+    assert selected(JointRows.from_records(records, coefficients=3)) is None
 
 
 def test_the_number_of_orders_is_limited() -> None:
@@ -79,7 +81,7 @@ def test_the_number_of_orders_is_limited() -> None:
     tau = samples.tau + sum(0.5 * np.cos(k * angle) for k in range(1, 17))
     found = selected(JointRows(**(vars(samples) | {"tau": tau})))
     assert found is not None
-    assert len(found[0].orders) == len(set(found[0].orders)) == ripple.MOST
+    assert len(found[0].orders) == len(set(found[0].orders)) == ripple.MAX_ORDERS
 
 
 # --- the law ----------------------------------------------------------------------------------
@@ -112,7 +114,7 @@ def test_the_extended_form_adds_the_columns_to_the_torque() -> None:
     with_ripple, without = rippling(2, 8), law("lugre_load", {}, **CORE)
     way = path(3)
     record = along(without, way)
-    samples = JointRows.of([record], coefficients=3)
+    samples = JointRows.from_records([record], coefficients=3)
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(2, 8))
     amplitudes = [with_ripple.values[name] for name in waves.names]
     added = waves.columns(samples, (LAG, SMOOTHING)) @ amplitudes
@@ -137,7 +139,7 @@ def test_the_problem_of_the_extended_form_has_the_same_columns() -> None:
 
 def test_smoothing_keeps_slow_ripple_and_removes_fast_ripple() -> None:
     way = path(0)
-    samples = JointRows.of([along(law("lugre_load", {}, **CORE), way)], coefficients=3)
+    samples = JointRows.from_records([along(law("lugre_load", {}, **CORE), way)], coefficients=3)
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(8,))
     height = np.hypot(*waves.columns(samples, (0.0, SMOOTHING)).T)
     fast = np.abs(way.dq) > 0.5
@@ -154,7 +156,7 @@ def test_smoothing_keeps_slow_ripple_and_removes_fast_ripple() -> None:
 
 def test_a_ripple_survives_json() -> None:
     waves = Ripple(gear_ratio=GEAR_RATIO, orders=(8, 2))
-    assert Ripple.of_structure(to_json(waves)) == waves
+    assert Ripple.from_structure(to_json(waves)) == waves
 
 
 @pytest.mark.parametrize(
@@ -173,6 +175,6 @@ def test_a_ripple_survives_json() -> None:
 )
 def test_invalid_ripple_is_refused(data: object) -> None:
     with pytest.raises(ArtifactError, match=r"^ripple .* needs a number 'gear_ratio'"):
-        Ripple.of_structure(data)
+        Ripple.from_structure(data)
     with pytest.raises(ArtifactError, match=r"^ripple"):
         LuGreLoadRipple.form({"ripple": data})

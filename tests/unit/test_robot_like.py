@@ -7,20 +7,20 @@ import pytest
 
 from hesr_model.errors import ConfigError, RobotError
 from hesr_model.logs.robot_log import Log
-from hesr_model.robots.robot import Robot, RobotDescription, description_of, model_of
+from hesr_model.robots.robot import Robot, RobotDescription, to_description, to_robot
 
 
 def test_a_model_file_alone_describes_all_its_joints(arm: RobotDescription) -> None:
     for given in (arm.model, str(arm.model)):
-        found = description_of(given)
+        found = to_description(given)
         assert (found.name, found.joints, found.model) == ("arm", arm.joints, arm.model)
 
 
 def test_a_robot_is_accepted_as_itself(arm: RobotDescription, arm_model: Robot) -> None:
-    assert description_of(arm) is arm
-    assert description_of(arm_model) is arm
-    assert model_of(arm_model) is arm_model
-    assert isinstance(model_of(arm), Robot)
+    assert to_description(arm) is arm
+    assert to_description(arm_model) is arm
+    assert to_robot(arm_model) is arm_model
+    assert isinstance(to_robot(arm), Robot)
 
 
 def test_repr_of_a_robot_is_one_line(arm: RobotDescription) -> None:

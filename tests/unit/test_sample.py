@@ -8,7 +8,7 @@ import pytest
 
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import Motion, moving, reversals
-from hesr_model.support.arrays import arrays_of
+from hesr_model.support.arrays import get_arrays
 
 MakeMotion = Callable[..., Motion]
 RATE = 200
@@ -24,8 +24,8 @@ def sampled(motions: list[Motion], most: int, seed: int = 0) -> list[Motion]:
 def same(one: list[Motion], other: list[Motion]) -> bool:
     return len(one) == len(other) and all(
         a.name == b.name
-        and arrays_of(a).keys() == arrays_of(b).keys()
-        and all(np.array_equal(x, arrays_of(b)[name]) for name, x in arrays_of(a).items())
+        and get_arrays(a).keys() == get_arrays(b).keys()
+        and all(np.array_equal(x, get_arrays(b)[name]) for name, x in get_arrays(a).items())
         for a, b in zip(one, other, strict=True)
     )
 

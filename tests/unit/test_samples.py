@@ -20,7 +20,7 @@ def record(rows: int, *, log: str = "run", start: float = 0.0, seed: int = 0) ->
 
 def test_records_are_concatenated() -> None:
     first, second = record(5), record(3, log="two", start=100.0, seed=1)
-    samples = JointRows.of([first, second], coefficients=3)
+    samples = JointRows.from_records([first, second], coefficients=3)
     for name in ("dq", "q", "tau_load", "tau"):
         expected = np.concatenate([getattr(first, name), getattr(second, name)])
         np.testing.assert_array_equal(getattr(samples, name), expected)
@@ -31,13 +31,13 @@ def test_records_are_concatenated() -> None:
 
 
 def test_no_time_passes_from_one_record_to_the_next() -> None:
-    samples = JointRows.of([record(5), record(3, start=100.0, seed=1)], coefficients=3)
+    samples = JointRows.from_records([record(5), record(3, start=100.0, seed=1)], coefficients=3)
     np.testing.assert_array_equal(samples.dt[samples.begins], 0.0)
     assert samples.dt.max() < 0.03
 
 
 def test_a_state_restarts_in_every_record() -> None:
-    samples = JointRows.of([record(5), record(3, start=100.0, seed=1)], coefficients=3)
+    samples = JointRows.from_records([record(5), record(3, start=100.0, seed=1)], coefficients=3)
     factors, increments = np.full(8, 0.5), np.arange(8.0) + 1.0
     steady = np.arange(8.0) - 3.0
     speed = np.minimum(np.abs(samples.dq) / 0.02, 1.0)
@@ -51,23 +51,23 @@ def test_a_state_restarts_in_every_record() -> None:
 
 
 def test_fewer_rows_than_coefficients_are_refused() -> None:
-    samples = JointRows.of([record(5)], coefficients=5)
+    samples = JointRows.from_records([record(5)], coefficients=5)
     assert len(samples.tau) == 5
     with pytest.raises(FitError) as caught:
-        JointRows.of([record(5), record(2)], coefficients=8)
+        JointRows.from_records([record(5), record(2)], coefficients=8)
     assert "joint 'j1': 7 rows for 8" in str(caught.value)
 
 
 def test_a_joint_must_reverse_in_one_of_the_records() -> None:
     one_way = FrictionRecord(**(vars(record(40)) | {"dq": np.linspace(0.0, 1.0, 40)}))
-    JointRows.of([one_way, record(40, log="two")], coefficients=3)
+    JointRows.from_records([one_way, record(40, log="two")], coefficients=3)
     with pytest.raises(LogError, match=r"run.*joint 'j1' never reverses"):
-        JointRows.of([one_way], coefficients=3)
+        JointRows.from_records([one_way], coefficients=3)
 
 
 def test_folds_are_records_or_blocks_of_time() -> None:
     rows = [
-        JointRows.of([record(k, seed=k) for k in counts], coefficients=1).folds
+        JointRows.from_records([record(k, seed=k) for k in counts], coefficients=1).folds
         for counts in ((5, 3, 9), (40,), (41,))
     ]
     assert [fold.sum() for fold in rows[0]] == [5, 3, 9]

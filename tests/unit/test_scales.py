@@ -12,7 +12,7 @@ from hesr_model.equations.functions import sgn
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.predict import predict
-from hesr_model.friction.scales import COULOMB, VISCOUS, has_viscous, scaled
+from hesr_model.friction.scales import COULOMB, VISCOUS, add_scales, has_viscous
 from hesr_model.laws.dahl import DahlBasisLoad
 from hesr_model.laws.lugre import LuGreLoad
 from hesr_model.laws.parfam import family
@@ -40,7 +40,7 @@ FORMS: dict[str, Callable[[], LawForm]] = {
     "divided": lambda: family.form(
         {"linear": ["1", "dq", "h"], "units": [], "denominator": ["dq", "h"]}
     ),
-    "stops": lambda: Structure.of(
+    "stops": lambda: Structure.from_json(
         {"stops": [["1", 2], ["p", 6], ["load", 4]], "viscous": ["1", "a"], "ripple": [2],
          "window": 0.1}
     ).form(),
@@ -56,7 +56,7 @@ def law_of(form: LawForm) -> FrictionLaw:
 
 
 def torque(law: FrictionLaw, dq: np.ndarray, coulomb: float, viscous: float) -> np.ndarray:
-    form = scaled(law.form)
+    form = add_scales(law.form)
     own = {COULOMB.name: coulomb, VISCOUS.name: viscous}
     whole = replace(law, form=form, values={**law.values, **own})
     return run(whole, dq)
@@ -106,7 +106,7 @@ def test_factors_of_zero_leave_offset_and_ripple() -> None:
 
 def test_stiffness_at_rest_is_unchanged() -> None:
     """A doubled level is reached along the same slope after twice the distance."""
-    law = law_of(Structure.of({"stops": [["1", 8]], "viscous": []}).form())
+    law = law_of(Structure.from_json({"stops": [["1", 8]], "viscous": []}).form())
     dq = np.r_[0.0, np.full(60, 0.05)]
     one, two = (torque(law, dq, level, 1.0) - law.values["tau_0"] for level in (1.0, 2.0))
     slope = law.values["F_9"] * np.arange(61) * 0.05 * 0.01 / 1e-2

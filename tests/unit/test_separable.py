@@ -13,7 +13,7 @@ from hesr.extras.laws.strain_wave import StrainWave
 from hesr_model.equations.memory import Relaxation
 from hesr_model.fitting.declarative import OneForm
 from hesr_model.fitting.joint_rows import JointRows
-from hesr_model.fitting.separable import LEAST, SearchSpace, Separable, left_out_cost
+from hesr_model.fitting.separable import MIN_COEFFICIENT, SearchSpace, Separable, left_out_cost
 from hesr_model.friction.inputs import DQ, TAU_LOAD
 from hesr_model.friction.law import Coefficient, FrictionLaw, LawForm
 from hesr_model.friction.predict import predict
@@ -34,7 +34,7 @@ LUGRE = {"sigma_0": 3000.0, "sigma_1": 20.0, "sigma_2": 6.0, "F_c": 9.0, "F_s": 
 
 
 def samples_of(truth: FrictionLaw, noise: float = 0.0) -> JointRows:
-    return JointRows.of(training(truth, noise=noise), coefficients=3)
+    return JointRows.from_records(training(truth, noise=noise), coefficients=3)
 
 
 @pytest.fixture(scope="module")
@@ -212,10 +212,12 @@ def test_a_flat_direction_does_not_decide_the_minimum() -> None:
     truth = law("lugre", {}, **LUGRE | {"F_c": 11.0, "v_s": 0.5})
     problem, _ = problem_of("lugre", samples_of(truth, noise=0.1))
     flat = problem.point({"deflection": 3.7e-3, "ratio": 1.0, "v_s": problem.space.bounds[2][1][0]})
-    held, settled = problem.polish(flat, evaluations=40), problem.settled(flat)
-    assert problem.named(held)["v_s"] == pytest.approx(problem.space.bounds[2][1][0], rel=1e-6)
+    held, settled = problem.polish(flat, evaluations=40), problem.polish_from_corners(flat)
+    assert problem.name_numbers(held)["v_s"] == pytest.approx(
+        problem.space.bounds[2][1][0], rel=1e-6
+    )
     assert problem.solve(settled)[1] < 0.9 * problem.solve(held)[1]
-    assert problem.named(settled)["v_s"] == pytest.approx(0.5, rel=0.1)
+    assert problem.name_numbers(settled)["v_s"] == pytest.approx(0.5, rel=0.1)
 
 
 def test_the_search_finds_the_basin_for_every_seed() -> None:
@@ -252,7 +254,7 @@ def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
     assert cost == pytest.approx(float(residual @ residual), rel=1e-9)
     # Other terms are divided by F_c, so it gets its least value instead of zero, and the law runs.
     values = problem.values(point, unknowns)
-    assert values["F_c"] == LEAST
+    assert values["F_c"] == MIN_COEFFICIENT
     assert np.all(np.isfinite(torque(problem, values)))
 
 
@@ -263,7 +265,7 @@ def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
 def test_left_out_cost_equals_individual_refits(logs: int) -> None:
     truth = law("lugre", {}, **LUGRE)
     records = [along(truth, path(k, seconds=4.0 + k), noise=0.5, seed=k) for k in range(logs)]
-    samples = JointRows.of(records, coefficients=3)
+    samples = JointRows.from_records(records, coefficients=3)
     problem, point = problem_of("strain_wave", samples)
     columns, tau = problem.columns(point), samples.tau
     folds = samples.folds

@@ -7,10 +7,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from cosim.study.scores import by_joint, compare
+from cosim.study.scores import compare, transpose_records
 from fmu_src.friction.predictions import predict_model
 from hesr_model.errors import ConfigError
-from hesr_model.friction.model import _MOST_SHOWN, FrictionModel
+from hesr_model.friction.model import _MAX_SHOWN_COEFFICIENTS, FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -60,7 +60,7 @@ def test_models_show_their_equations_and_are_short_in_a_shell(
         assert [row[0] for row in rows] == list(model.joints)
     assert "tau = " in registry_models["lugre"]._repr_html_()
     network = max(registry_models.values(), key=lambda model: len(model.laws[0].values))
-    assert len(network.laws[0].values) > _MOST_SHOWN
+    assert len(network.laws[0].values) > _MAX_SHOWN_COEFFICIENTS
     assert "tau = " not in network._repr_html_()
 
 
@@ -79,7 +79,9 @@ def test_a_comparison_shows_errors_by_law(registry_models: dict[str, FrictionMod
         )
         for joint in model.joints
     ]
-    scores = compare(by_joint([records]), {"lugre": predict_model(model, by_joint([records]))})
+    scores = compare(
+        transpose_records([records]), {"lugre": predict_model(model, transpose_records([records]))}
+    )
     _, spread, row = cells(scores._repr_html_())
     assert row == ["lugre", *(f"{error:.4g}" for error in scores.laws["lugre"].rmse)]
     assert spread[1:] == [f"{s:.4g}" for s in scores.tau_std]

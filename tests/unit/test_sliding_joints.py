@@ -71,14 +71,14 @@ def model() -> FrictionModel:
     ],
 )
 def test_units_of_a_sliding_joint(turning: str, sliding: str) -> None:
-    assert unit_of_joint(turning, slides=True) == sliding
-    assert unit_of_joint(sliding, slides=True) == sliding
-    assert unit_of_joint(turning, slides=False) == turning
+    assert unit_of_joint(turning, is_prismatic=True) == sliding
+    assert unit_of_joint(sliding, is_prismatic=True) == sliding
+    assert unit_of_joint(turning, is_prismatic=False) == turning
 
 
 def test_other_texts_are_refused_as_units() -> None:
     with pytest.raises(ValueError, match=r"'3 N\.m' is not a unit"):
-        unit_of_joint("3 N.m", slides=True)
+        unit_of_joint("3 N.m", is_prismatic=True)
 
 
 def test_units_of_several_joints() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from hesr_model.errors import RobotError
 from hesr_model.health.examine import examine
-from hesr_model.health.joints import without
+from hesr_model.health.joints import remove_joints
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.accumulation import Streamed
@@ -203,7 +203,7 @@ def test_joints_without_springs_are_named(
 
 
 def test_springs_of_locked_joints_are_left_out(sprung: Robot) -> None:
-    robot = without(sprung.description, {"j2": 0.3})
+    robot = remove_joints(sprung.description, {"j2": 0.3})
     assert (robot.springs, robot.balancers) == (("j1",), ())
 
 

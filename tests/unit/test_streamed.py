@@ -53,7 +53,7 @@ def assert_alike(one: RigidBody, other: RigidBody) -> None:
 def test_the_body_equals_that_of_the_batch(
     arm_model: Robot, motions: list[Motion], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identification, "AT_ONCE", 300)
+    monkeypatch.setattr(identification, "ROWS_AT_ONCE", 300)
     assert_alike(of(arm_model, motions), identify_motions(motions, arm_model))
 
 

@@ -12,7 +12,7 @@ from hesr.extras.adaptive.component import TUNING, adaptive_component
 from hesr.extras.adaptive.monitor import Follower
 from hesr.extras.thermal import thermal_fit
 from hesr.extras.thermal.thermal_fit import Factored, ThermalFit, fit_thermal
-from hesr_model.audit.certificate import least_viscosity, storage
+from hesr_model.audit.certificate import find_min_viscous_scale, find_storage_factors
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.friction.law import FrictionLaw
@@ -20,7 +20,7 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
 from hesr_model.friction.thermal import COULOMB_RANGE, VISCOUS_RANGE, Thermal
 from hesr_model.friction.thermal_law import thermal_component
-from hesr_model.friction.trained_range import TrainedRange, outside
+from hesr_model.friction.trained_range import TrainedRange, find_excess
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.transmission import Coupling
 
@@ -201,10 +201,10 @@ def test_the_temperature_of_factors_stays_within_its_trained_range(fitted, logs)
 
 
 def test_temperatures_beyond_training_are_reported(fitted) -> None:
-    [thermal], trained = fitted[0].thermal, TrainedRange.of([log(stops(), 20.0, 1)])
+    [thermal], trained = fitted[0].thermal, TrainedRange.from_records([log(stops(), 20.0, 1)])
     hot = replace(log(stops(), 20.0, 7), temperature=np.full(1000, thermal.warmest + 2.0))
-    assert "temperature" not in outside(trained, [hot])
-    excess = outside(trained, [hot], thermal)["temperature"]
+    assert "temperature" not in find_excess(trained, [hot])
+    excess = find_excess(trained, [hot], thermal)["temperature"]
     assert (excess.rows, excess.above) == (1.0, pytest.approx(2.0))
 
 
@@ -212,7 +212,7 @@ def test_temperatures_beyond_training_are_reported(fitted) -> None:
 @pytest.mark.parametrize("adapts", [True, False])
 def test_no_thermometer_reading_generates_energy(ripple: tuple[int, ...], adapts: bool) -> None:
     law = stops(ripple=ripple)
-    least = least_viscosity(law)
+    least = find_min_viscous_scale(law)
     own = (
         adaptive_component(
             law, TUNING, noise=NOISE, speed=SPEED, viscosity_least=least, thermal=TRUE
@@ -225,7 +225,7 @@ def test_no_thermometer_reading_generates_energy(ripple: tuple[int, ...], adapts
     values |= {scale.name: 1.0 for scale in own.shared}
     steps = Steps(own, names)
     run = steps.run(values, (0.0, *law.start), [q.name for q in own.inputs])
-    factors = storage(law)
+    factors = find_storage_factors(law)
     k = np.array([factors.get(m.name, 0.0) for m in own.memory])
     rng = np.random.default_rng(2)
     run.begin(*(0.0,) * len(own.inputs))

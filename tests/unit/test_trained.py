@@ -12,7 +12,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record
-from hesr_model.friction.trained_range import TrainedRange, outside
+from hesr_model.friction.trained_range import TrainedRange, find_excess
 
 TRUTH = law("parfam_hx", HX_PAPER, c_0=0.4, c_dq=5.0, c_h=9.0, c_dh=0.02, alpha=10.0, beta=50.0)
 RECORDS = [along(TRUTH, path(k), log=f"{k}") for k in range(2)]
@@ -27,7 +27,7 @@ def model() -> FrictionModel:
 
 
 def test_a_fit_records_the_range_of_each_joint(model: FrictionModel) -> None:
-    assert model.trained[0] == TrainedRange.of(RECORDS)
+    assert model.trained[0] == TrainedRange.from_records(RECORDS)
     assert model.trained[1].speed < 0.6 * model.trained[0].speed
     for name in ("dq", "q", "tau_load", "tau"):
         low, high = getattr(model.trained[0], name)
@@ -85,26 +85,26 @@ def test_the_sample_time_is_the_median_of_all_rows() -> None:
     t = np.concatenate([0.01 * np.arange(100), [5.0]])  # a gap at the end
     gap = replace(RECORDS[0], **{n: getattr(RECORDS[0], n)[:101] for n in ("dq", "q", "tau_load",
                   "tau")}, t=t)  # fmt: skip
-    assert TrainedRange.of([gap]).sample_time == pytest.approx(0.01)
+    assert TrainedRange.from_records([gap]).sample_time == pytest.approx(0.01)
 
 
 def test_middle_and_speed_cover_the_whole_range() -> None:
-    trained = replace(TrainedRange.of(RECORDS), q=(-1.0, 2.0), dq=(-0.9, 0.4))
+    trained = replace(TrainedRange.from_records(RECORDS), q=(-1.0, 2.0), dq=(-0.9, 0.4))
     assert trained.middle == 0.5
     assert trained.speed == 0.9
 
 
 def test_logs_within_the_range_give_no_excess() -> None:
-    trained = TrainedRange.of(RECORDS)
-    assert outside(trained, RECORDS) == {}
+    trained = TrainedRange.from_records(RECORDS)
+    assert find_excess(trained, RECORDS) == {}
     for record in RECORDS:
-        assert outside(trained, [record]) == {}
+        assert find_excess(trained, [record]) == {}
 
 
 def test_a_faster_log_exceeds_the_range_by_its_extra_speed() -> None:
-    trained = TrainedRange.of(RECORDS)
+    trained = TrainedRange.from_records(RECORDS)
     faster = replace(RECORDS[0], dq=1.5 * RECORDS[0].dq)
-    found = outside(trained, [RECORDS[1], faster])
+    found = find_excess(trained, [RECORDS[1], faster])
     assert list(found) == ["dq"]
     assert found["dq"].above == pytest.approx(max(0.0, faster.dq.max() - trained.dq[1]))
     assert found["dq"].below == pytest.approx(max(0.0, trained.dq[0] - faster.dq.min()))

@@ -44,7 +44,7 @@ MOTIONS = {
     "sweep": sweep(),
     "chirp": paper_chirp(),
 }
-EVERY = [*MOTIONS.values(), *(motion.time_reversed() for motion in MOTIONS.values())]
+EVERY = [*MOTIONS.values(), *(motion.reverse_time() for motion in MOTIONS.values())]
 NAMES = [*MOTIONS, *(f"{name} reversed" for name in MOTIONS)]
 every_motion = pytest.mark.parametrize("motion", EVERY, ids=NAMES)
 
@@ -94,7 +94,7 @@ def test_fourier_starts_without_acceleration():
 def test_reversal_runs_the_same_path_backwards(motion):
     t = np.linspace(0.0, motion.duration, 101)
     q, dq, ddq = motion.sample(t)
-    back_q, back_dq, back_ddq = motion.time_reversed().sample(motion.duration - t)
+    back_q, back_dq, back_ddq = motion.reverse_time().sample(motion.duration - t)
     np.testing.assert_allclose(back_q, q, atol=1e-12)
     np.testing.assert_allclose(back_dq, -dq, atol=1e-12)
     np.testing.assert_allclose(back_ddq, ddq, atol=1e-12)
@@ -104,13 +104,13 @@ def test_reversal_runs_the_same_path_backwards(motion):
 def test_reversal_undoes_itself(motion):
     t = np.linspace(0.0, motion.duration, 101)
     for twice, once in zip(
-        motion.time_reversed().time_reversed().sample(t), motion.sample(t), strict=True
+        motion.reverse_time().reverse_time().sample(t), motion.sample(t), strict=True
     ):
         assert np.array_equal(twice, once)
 
 
 def test_reversed_fourier_is_a_fourier_of_the_same_period():
-    back = MOTIONS["fourier"].time_reversed()
+    back = MOTIONS["fourier"].reverse_time()
     assert isinstance(back, Fourier)
     assert back.period == 20.0
 

@@ -9,12 +9,12 @@ import pytest
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.trained_range import outside
-from hesr_model.health.evidence import Torques, motionwise, to_logged_side
+from hesr_model.friction.trained_range import find_excess
+from hesr_model.health.evidence import Torques, smooth_parts, to_logged_side
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import identify_motions
-from hesr_model.rigid_body.residual import at_friction, friction_records
+from hesr_model.rigid_body.residual import friction_records, transform_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.robots.transmission import Coupling, Transmission
 
@@ -55,7 +55,7 @@ def test_friction_coordinates_keep_the_joint_scale(coupled: RobotDescription) ->
     assert np.array_equal(mixed.coordinates, np.eye(3))
     assert np.array_equal(mixed.motors, C)
     plain = Transmission(matrix=((50.0, 0.0), (0.0, -80.0)))
-    assert Coupling.of(plain.coordinates) is None
+    assert Coupling.from_matrix(plain.coordinates) is None
 
 
 def test_power_is_the_same_on_both_sides() -> None:
@@ -63,7 +63,7 @@ def test_power_is_the_same_on_both_sides() -> None:
     dq, tau = np.random.default_rng(0).normal(size=(2, 5, 3))
     at_motors = np.sum(coupling.motion(dq) * coupling.torque(tau), axis=1)
     np.testing.assert_allclose(at_motors, np.sum(dq * tau, axis=1), rtol=1e-12)
-    np.testing.assert_allclose(coupling.at_joints(coupling.torque(tau)), tau, rtol=1e-12)
+    np.testing.assert_allclose(coupling.to_joints(coupling.torque(tau)), tau, rtol=1e-12)
 
 
 def test_rotors_turn_with_the_motors(coupled_model: Robot) -> None:
@@ -97,8 +97,8 @@ def test_motor_logs_convert_to_joint_logs(
     assert read.dq is not None
     for found, expected in ((read.q, arm_log.q), (read.dq, arm_log.dq), (read.tau, arm_log.tau)):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
-    [part] = motionwise(read, 15.0)
-    torques = Torques.of(Robot(robot), part.q, part.v, part.a)
+    [part] = smooth_parts(read, 15.0)
+    torques = Torques.from_motion(Robot(robot), part.q, part.v, part.a)
     logged, _ = to_logged_side(part, torques, robot.logged)
     np.testing.assert_allclose(logged.v, part.v @ C.T, atol=1e-12)
     assert coupled.logged is None
@@ -110,7 +110,7 @@ def test_motor_friction_is_identified_at_the_motors(coupled_model: Robot, make_m
     np.testing.assert_allclose(body.friction[:, :2], [[3.0, 1.5]] * 3, atol=1e-6)
     log = Log(name="run", t=motion.t, q=motion.q, dq=motion.dq, tau=motion.tau)
     records = friction_records(log, coupled_model, body)
-    for record in at_friction(records):
+    for record in transform_records(records):
         moving = np.abs(record.dq) > 0.2
         expected = 3.0 * np.sign(record.dq) + 1.5 * record.dq
         assert np.sqrt(np.mean((record.tau - expected)[moving] ** 2)) < 0.1
@@ -130,8 +130,8 @@ def test_motor_friction_is_identified_at_the_motors(coupled_model: Robot, make_m
     assert np.sqrt(np.mean(error[:, 1] ** 2)) > 4 * np.sqrt(
         np.mean((predicted - measured)[:, 1] ** 2)
     )
-    moved = at_friction(records)
-    assert not any(outside(seen, [r]) for seen, r in zip(model.trained, moved, strict=True))
+    moved = transform_records(records)
+    assert not any(find_excess(seen, [r]) for seen, r in zip(model.trained, moved, strict=True))
 
 
 def test_the_papers_method_averages_at_the_motors(coupled_model: Robot, make_motion) -> None:

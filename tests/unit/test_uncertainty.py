@@ -15,10 +15,10 @@ from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.fitting.separable import Separable
 from hesr_model.fitting.uncertainty import (
-    MOST_COEFFICIENTS,
-    wider_side,
-    with_pooled_errors,
-    with_standard_errors,
+    MAX_COEFFICIENTS,
+    add_standard_errors,
+    measure_wider_side,
+    pool_errors,
 )
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.records import predict_record
@@ -39,7 +39,7 @@ def noise(seed: int, memory: float) -> np.ndarray:
 
 def refitted(tau: np.ndarray) -> FrictionLaw:
     """Fit of the law started at the truth, without a search."""
-    samples = JointRows.of([with_tau(CLEAN, tau)], coefficients=6)
+    samples = JointRows.from_records([with_tau(CLEAN, tau)], coefficients=6)
     problem = Separable(StrainWave.core({}), StrainWave().space(), samples)
     point = problem.polish(problem.point({"x_0": 4e-3}), evaluations=20)
     return replace(TRUTH, values=problem.values(point, problem.solve(point)[0]))
@@ -50,7 +50,7 @@ def test_standard_errors_match_the_scatter_of_repeated_fits(memory: float) -> No
     fits = [refitted(CLEAN.tau + noise(seed, memory)) for seed in range(60)]
     scatter = {name: np.std([f.values[name] for f in fits], ddof=1) for name in TRUTH.values}
     stated = [
-        with_standard_errors(
+        add_standard_errors(
             f, [with_tau(CLEAN, CLEAN.tau + noise(seed, memory))], StrainWave().space()
         ).standard_errors
         for seed, f in enumerate(fits[:10])
@@ -65,7 +65,7 @@ def test_the_truth_lies_within_two_errors_most_of_the_time() -> None:
     inside = []
     for seed in range(100, 130):
         tau = CLEAN.tau + noise(seed, 0.0)
-        found = with_standard_errors(refitted(tau), [with_tau(CLEAN, tau)])
+        found = add_standard_errors(refitted(tau), [with_tau(CLEAN, tau)])
         inside += [
             abs(found.values[n] - v) < 1.96 * found.standard_errors[n]
             for n, v in TRUTH.values.items()
@@ -119,7 +119,7 @@ def test_the_correlation_length_is_at_least_one() -> None:
 
 def test_coefficients_without_effect_have_no_error() -> None:
     still = replace(CLEAN, tau_load=np.zeros_like(CLEAN.tau))
-    found = with_standard_errors(TRUTH, [still])
+    found = add_standard_errors(TRUTH, [still])
     assert set(found.standard_errors) == set(TRUTH.values) - {"mu_avg", "mu_dif"}
     assert found.values == TRUTH.values
 
@@ -129,8 +129,8 @@ def test_more_data_reduce_the_errors() -> None:
         with_tau(r, r.tau + 0.3 * np.random.default_rng(k).normal(size=len(r.tau)))
         for k, r in enumerate(along(TRUTH, path(k)) for k in range(4))
     ]
-    one = with_standard_errors(TRUTH, records[:1]).standard_errors
-    four = with_standard_errors(TRUTH, records).standard_errors
+    one = add_standard_errors(TRUTH, records[:1]).standard_errors
+    four = add_standard_errors(TRUTH, records).standard_errors
     assert np.mean([four[n] / one[n] for n in one]) == pytest.approx(0.5, rel=0.3)
 
 
@@ -154,7 +154,7 @@ def test_coefficients_at_a_bound_have_no_interval() -> None:
               "v_s": 0.05, "tau_0": 0.1}  # fmt: skip
     truth = law("lugre", {}, **values)
     record = along(truth, path(0), noise=0.3)
-    found = with_standard_errors(truth, [record], LuGre().space())
+    found = add_standard_errors(truth, [record], LuGre().space())
     assert set(found.standard_errors) == {"sigma_0", "sigma_2", "F_c", "v_s", "tau_0"}
     assert found.covariance is not None
     matrix, names = found.covariance.matrix, found.covariance.names
@@ -166,7 +166,7 @@ def test_coefficients_at_a_bound_have_no_interval() -> None:
             assert plain <= error < 1.2 * plain
     f_c, f_s = names.index("F_c"), names.index("F_s")
     assert matrix[f_s, f_s] == pytest.approx(ratio**2 * matrix[f_c, f_c], rel=1e-6)
-    inside = with_standard_errors(
+    inside = add_standard_errors(
         replace(truth, values={**values, "F_s": 5.0, "sigma_1": 10.0}), [record], LuGre().space()
     )
     assert set(inside.standard_errors) == set(values)
@@ -180,8 +180,8 @@ def test_ripple_does_not_free_coefficients_at_a_bound() -> None:
               "v_s": 0.05, "tau_0": 0.1, "mu": 0.02, "ripple2_cos": 0.3, "ripple2_sin": 0.1,
               "lag": 0.003, "smoothing": 0.001}  # fmt: skip
     truth = law("lugre_load_ripple", structure, **values)
-    found = with_standard_errors(
-        truth, [along(truth, path(0), noise=0.3)], LuGreLoadRipple().space_of(truth)
+    found = add_standard_errors(
+        truth, [along(truth, path(0), noise=0.3)], LuGreLoadRipple().build_fitted_space(truth)
     ).covariance
     assert found is not None
     f_c, f_s = found.names.index("F_c"), found.names.index("F_s")
@@ -208,15 +208,15 @@ def test_a_nonlinear_coefficient_states_the_wider_side() -> None:
             return float(step[0]), f(point + step) - f(point)
 
         q, r = np.linalg.qr(rows * [slope, 1.0])
-        found = wider_side(first, covariance, q, r, moved)
+        found = measure_wider_side(first, covariance, q, r, moved)
         assert found == pytest.approx(wanted, rel=1e-12)
     # If the law is undefined on one side, the other counts; the width is limited to four times.
     q, r = np.linalg.qr(rows)
-    undefined = wider_side(
+    undefined = measure_wider_side(
         first, covariance, q, r, lambda x: (x[0], rows @ (np.nan * x if x[0] > 0.0 else x))
     )
     assert undefined == pytest.approx(1.0)
-    flat = wider_side(first, covariance, q, r, lambda x: (x[0], 0.01 * rows @ x))
+    flat = measure_wider_side(first, covariance, q, r, lambda x: (x[0], 0.01 * rows @ x))
     assert flat == 4.0
 
 
@@ -228,7 +228,7 @@ def test_an_interval_may_include_unstable_euler_steps() -> None:
     values["sigma_0"] = 0.97 * values["F_c"] / fastest
     own = replace(law("lugre", {}, **values), discretisation="euler")
     record = along(own, quiet, noise=2.0)
-    found = with_standard_errors(own, [record], LuGre().space())
+    found = add_standard_errors(own, [record], LuGre().space())
     stiffer = values["sigma_0"] + found.standard_errors["sigma_0"]
     with pytest.raises(SimulationError, match="Euler needs"):
         predict_record(replace(own, values={**values, "sigma_0": stiffer}), record)
@@ -236,7 +236,7 @@ def test_an_interval_may_include_unstable_euler_steps() -> None:
 
 def test_a_chosen_structure_has_a_covariance_but_no_intervals() -> None:
     chosen = replace(TRUTH, structure={"of": "the data"})
-    found = with_standard_errors(chosen, [with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
+    found = add_standard_errors(chosen, [with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
     assert found.standard_errors == {}
     assert found.covariance is not None
     assert np.all(np.diag(found.covariance.matrix) > 0.0)
@@ -245,16 +245,16 @@ def test_a_chosen_structure_has_a_covariance_but_no_intervals() -> None:
 def test_load_errors_are_propagated() -> None:
     """A constant load error of 0.2 N.m makes the offset uncertain by the same amount."""
     record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
-    alone = with_standard_errors(TRUTH, [record], StrainWave().space())
+    alone = add_standard_errors(TRUTH, [record], StrainWave().space())
     off = replace(record, tau_load_spread=np.full((len(record.t), 1), 0.2))
-    found = with_standard_errors(TRUTH, [off], StrainWave().space())
+    found = add_standard_errors(TRUTH, [off], StrainWave().space())
     more = found.standard_errors["tau_0"] ** 2 - alone.standard_errors["tau_0"] ** 2
     assert more == pytest.approx(0.2**2, rel=1e-6)
     assert found.standard_errors["sigma_2"] == pytest.approx(alone.standard_errors["sigma_2"])
 
 
 def test_joints_share_differences_between_logs() -> None:
-    one = with_standard_errors(TRUTH, [CLEAN, with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
+    one = add_standard_errors(TRUTH, [CLEAN, with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))])
     assert one.covariance is not None
     between = [replace(one.covariance, between=b, degrees=10.0) for b in (1.0, 9.0)]
     alike, unlike = (
@@ -265,7 +265,7 @@ def test_joints_share_differences_between_logs() -> None:
         )
         for c in between
     )
-    whole = with_pooled_errors([alike, replace(one, covariance=None), unlike])
+    whole = pool_errors([alike, replace(one, covariance=None), unlike])
     assert whole[1].covariance is None
     for law_ in (whole[0], whole[2]):
         assert law_.covariance is not None
@@ -277,5 +277,5 @@ def test_joints_share_differences_between_logs() -> None:
 def test_network_coefficients_have_no_errors() -> None:
     record = with_tau(CLEAN, CLEAN.tau + noise(0, 0.0))
     network = fit_joint("rbfnn_h", [record], seed=0)
-    assert len(network.values) > MOST_COEFFICIENTS
+    assert len(network.values) > MAX_COEFFICIENTS
     assert network.standard_errors == {}

@@ -180,13 +180,13 @@ def test_absent_limits_are_infinite(tmp_path: Path, kind: str) -> None:
 def test_torques_that_differ_from_mujoco_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, compiled = chain(tmp_path, {}, {}), model_file.torques_of_urdf
+    path, compiled = chain(tmp_path, {}, {}), model_file.compute_urdf_torques
     Robot(path)
 
     def changed(text: str) -> object:
         return compiled(text.replace('mass value="2"', 'mass value="2.0001"'))
 
-    monkeypatch.setattr(model_file, "torques_of_urdf", changed)
+    monkeypatch.setattr(model_file, "compute_urdf_torques", changed)
     with pytest.raises(RobotError, match=r"arm\.urdf: the torque of joint 'j1' differs from MuJoC"):
         Robot(path)
 

@@ -13,14 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
 
-from cosim.report.figures.style import INK, SOFT, Stroke, styled
+from cosim.report.figures.style import INK, SOFT, Stroke, apply_style
 from hesr_model.support.arrays import Array
 
 _COLUMNS = 520
 _ROWS = 4
 """Columns of extreme values of a line over the whole width, fewer in more rows."""
-_NAMES = 6  # names in a row of a legend
-_RIGHT = 0.16  # right margin of a figure [in]
+_NAMES_PER_ROW = 6  # names in a row of a legend
+_RIGHT_MARGIN = 0.16  # right margin of a figure [in]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,19 +58,19 @@ class Chart:
         return [line for row in self.rows for panel in row for line in panel.lines]
 
 
-def drawn(chart: Chart, width: float = 9.0) -> Figure:
+def draw_chart(chart: Chart, width: float = 9.0) -> Figure:
     """Draw a chart, with one legend above all panels."""
     rows = len(chart.rows)
     columns = len(chart.rows[0])
-    most = min(_COLUMNS, _COLUMNS * _ROWS // rows)
+    max_columns = min(_COLUMNS, _COLUMNS * _ROWS // rows)
     size = (width, chart.height * rows + 0.5)
-    named = len({line.name for line in chart.lines})
-    top = 0.28 + (0.18 * ceil(named / _NAMES) if named > 1 else 0.0)
-    with styled():
+    name_count = len({line.name for line in chart.lines})
+    top = 0.28 + (0.18 * ceil(name_count / _NAMES_PER_ROW) if name_count > 1 else 0.0)
+    with apply_style():
         figure, axes = grid(size, rows, columns, (0.62, top, 0.42), sharex=True)
-        for row, of_row in zip(axes, chart.rows, strict=True):
-            for axis, panel in zip(row, of_row, strict=True):
-                _draw(axis, panel, chart.window, most // columns)
+        for row, panels in zip(axes, chart.rows, strict=True):
+            for axis, panel in zip(row, panels, strict=True):
+                _draw(axis, panel, chart.window, max_columns // columns)
         for axis in axes[-1]:
             axis.set_xlabel(chart.x)
         legend(figure, chart.lines)
@@ -83,40 +83,42 @@ def grid(
     columns: int,
     margins: tuple[float, float, float],
     gaps: tuple[float, float] = (0.66, 0.32),
-    **more: Any,
+    **subplot_options: Any,
 ) -> tuple[Figure, NDArray[Any]]:
     """Return a figure and its axes (rows, columns), with options of `Figure.subplots`.
 
     Places follow from the figure's size, left, top and bottom margin, and gaps [in].
     """
     # Laying out axes by their texts takes as long as drawing them.
-    (width, height), (left, top, bottom), (aside, above) = size, margins, gaps
-    across = (width - left - _RIGHT - (columns - 1) * aside) / columns
-    down = (height - top - bottom - (rows - 1) * above) / rows
+    (width, height), (left_margin, top_margin, bottom_margin), (aside, above) = size, margins, gaps
+    across = (width - left_margin - _RIGHT_MARGIN - (columns - 1) * aside) / columns
+    down = (height - top_margin - bottom_margin - (rows - 1) * above) / rows
     places = {
-        "left": left / width,
-        "right": 1.0 - _RIGHT / width,
-        "top": 1.0 - top / height,
-        "bottom": bottom / height,
+        "left": left_margin / width,
+        "right": 1.0 - _RIGHT_MARGIN / width,
+        "top": 1.0 - top_margin / height,
+        "bottom": bottom_margin / height,
         "wspace": aside / across,
         "hspace": above / down,
     }
     figure = Figure(figsize=size)
-    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=places, **more)
+    return figure, figure.subplots(
+        rows, columns, squeeze=False, gridspec_kw=places, **subplot_options
+    )
 
 
 def legend(figure: Figure, lines: Sequence[Line]) -> None:
     """Name all lines above a figure, each once."""
-    named: dict[str, Stroke] = {}
+    strokes: dict[str, Stroke] = {}
     for line in lines:
-        named.setdefault(line.name, line.stroke)
-    if len(named) < 2:
+        strokes.setdefault(line.name, line.stroke)
+    if len(strokes) < 2:
         return
     figure.legend(
-        list(map(proxy, named.values())),
-        list(named),
+        list(map(proxy, strokes.values())),
+        list(strokes),
         loc="outside upper left",
-        ncols=min(len(named), _NAMES),
+        ncols=min(len(strokes), _NAMES_PER_ROW),
         borderaxespad=0.0,
         handlelength=2.6,
         columnspacing=1.6,
@@ -132,20 +134,23 @@ def proxy(stroke: Stroke) -> Line2D:
 
 def plot(axis: Axes, line: Line, columns: int = _COLUMNS) -> None:
     """Draw a line, thinned to columns."""
-    x, y = thinned(line.x, line.y, columns)
+    x, y = thin_line(line.x, line.y, columns)
     stroke = line.stroke
     axis.plot(x, y, color=stroke.colour, linewidth=stroke.width, linestyle=_dash(stroke))
 
 
-def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
+def thin_line(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
     """Keep the extreme values in each column of a long line (N,) with increasing x."""
     if len(x) <= 2 * columns or np.any(np.diff(x) < 0.0):
         return x, y
     edges = np.linspace(0, len(x), columns + 1).astype(int)
-    kept = {0, len(x) - 1}
-    for low, high in pairwise(edges):
-        kept |= {low + int(np.argmin(y[low:high])), low + int(np.argmax(y[low:high]))}
-    rows = np.array(sorted(kept))
+    extreme_rows = {0, len(x) - 1}
+    for start, stop in pairwise(edges):
+        extreme_rows |= {
+            start + int(np.argmin(y[start:stop])),
+            start + int(np.argmax(y[start:stop])),
+        }
+    rows = np.array(sorted(extreme_rows))
     return x[rows], y[rows]
 
 
@@ -153,8 +158,8 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
     for line in panel.lines:
         rows = slice(None)
         if window:
-            low, high = np.searchsorted(line.x, window)
-            rows = slice(int(low), int(high) + 1)
+            start, stop = np.searchsorted(line.x, window)
+            rows = slice(int(start), int(stop) + 1)
         plot(axis, replace(line, x=line.x[rows], y=line.y[rows]), columns)
     for place, word in panel.marks:
         axis.axvline(place, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))

@@ -10,24 +10,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cosim.report.figures.chart import Line, grid, legend, plot
-from cosim.report.figures.style import INK, SERIES, SOFT, styled
+from cosim.report.figures.style import INK, SERIES, SOFT, apply_style
 from hesr_model.motions.excitation import Excitation
 from hesr_model.motions.limits import Limits
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import written_whole
 
-_TURN = 0.8  # largest distance of the second pose from the middle of the range [rad or m]
+_MAX_DISTANCE = 0.8  # largest distance of the second pose from the middle of the range [rad or m]
 _AXIS = 0.08  # half the length of a drawn axis over the size of the arm
 
 
 def picture(robot: Robot) -> Figure:
     """Return a picture of the arm near zero and away from the middle of its range."""
-    low, high, _ = robot.reach
-    middle = 0.5 * (low + high)
-    away = np.minimum(0.25 * (high - low), _TURN)
-    poses = {"near q = 0": np.clip(0.0, low, high), "away from mid-range": middle + away}
-    with styled():
+    lower, upper, _ = robot.reach
+    middle = 0.5 * (lower + upper)
+    away = np.minimum(0.25 * (upper - lower), _MAX_DISTANCE)
+    poses = {"near q = 0": np.clip(0.0, lower, upper), "away from mid-range": middle + away}
+    with apply_style():
         figure = Figure(figsize=(7.4, 3.9), layout="constrained")
         for k, (title, q) in enumerate(poses.items(), start=1):
             axis = figure.add_subplot(1, 2, k, projection="3d")
@@ -66,7 +66,7 @@ def _line(axis: Any, start: Array, end: Array, colour: str, width: float) -> Non
 
 _ROW = 1.55
 _BINS = 40
-_LEAST = 1e-9  # round-off of a range of values
+_MIN_RANGE = 1e-9  # round-off of a range of values
 _DESIGN_ROW = 1.8
 _WIDTH = 9.0
 _DPI = 120
@@ -90,7 +90,7 @@ def joints(views: Sequence[JointView]) -> Figure:
     widths = [1.0, 1.0, 0.6, 0.6]
     margins = (0.54, 0.5, 0.3)
     gaps = (0.3, 0.58)
-    with styled():
+    with apply_style():
         figure, axes = grid(size, len(views), 4, margins, gaps, width_ratios=widths)
         for row, view in zip(axes, views, strict=True):
             for line in view.velocities:
@@ -101,7 +101,7 @@ def joints(views: Sequence[JointView]) -> Figure:
                 _note(row[1], "no model")
             for axis, values in ((row[2], view.covered), (row[3], view.loads)):
                 axis.set_yticks([])
-                if values is None or np.ptp(values) < _LEAST:
+                if values is None or np.ptp(values) < _MIN_RANGE:
                     _note(axis, "no model" if values is None else "none")
                 else:
                     axis.hist(values, bins=_BINS, color=SERIES[2])
@@ -115,22 +115,22 @@ def joints(views: Sequence[JointView]) -> Figure:
     return figure
 
 
-def _note(axis: Axes, why: str) -> None:
+def _note(axis: Axes, text: str) -> None:
     axis.set_xticks([])
     axis.set_yticks([])
-    axis.text(0.5, 0.5, why, ha="center", fontsize=8, transform=axis.transAxes)
+    axis.text(0.5, 0.5, text, ha="center", fontsize=8, transform=axis.transAxes)
 
 
-def excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
+def write_excitation(path: Path, motion: Excitation, joints: Sequence[str]) -> None:
     """Write a picture of a designed motion with its limits."""
     t, q, dq, _ = motion.setpoints()
-    figure = limited_motion(t, q, dq, motion.limits, joints)
+    figure = draw_limited_motion(t, q, dq, motion.limits, joints)
     with written_whole(path) as temporary:
         # The version of the library would change the bytes.
         figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
 
 
-def limited_motion(
+def draw_limited_motion(
     t: Array, q: Array, dq: Array, limits: Limits, joints: Sequence[str], *, speeds: bool = False
 ) -> Figure:
     """Draw positions and velocities (N, n) with limits, and the time at `speeds` both ways."""

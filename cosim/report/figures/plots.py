@@ -10,23 +10,23 @@ from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
 from numpy.typing import NDArray
 
 from cosim.report.figures.chart import Panel, grid, plot, proxy
-from cosim.report.figures.style import INK, SERIES, SOFT, styled
+from cosim.report.figures.style import INK, SERIES, SOFT, apply_style
 from hesr_model.inference.comparison import ErrorRatio
 from hesr_model.support.arrays import Array
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 _FINE = tuple(0.05 * k for k in range(10, 41))
 _COARSE = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
-_NARROW = 1.7  # width of the range above which ticks are coarse
+_MAX_FINE_RANGE = 1.7  # width of the range above which ticks are coarse
 _LETTER = 0.075  # width of a letter of a law's name [in]
 _LOOP_COLUMNS = 5
-_REACH = 0.25  # range of loops over the maximum speed; laws differ little beyond it
-_SEEN = 700  # maximum number of measured points of a loop
+_MAX_SPEED_SHARE = 0.25  # range of loops over the maximum speed; laws differ little beyond it
+_MAX_MEASURED_POINTS = 700  # maximum number of measured points of a loop
 
 
 def sheets(panels: Sequence[tuple[str, Panel]]) -> Figure:
     """Draw panels of closed lines over named axes next to each other, with a legend below each."""
-    with styled():
+    with apply_style():
         figure, axes = grid((9.0, 2.95), 1, len(panels), (0.66, 0.26, 0.84))
         for axis, (x, panel) in zip(axes[0], panels, strict=True):
             for line in panel.lines:
@@ -57,21 +57,24 @@ def loops(
     """Draw torque [N.m] over velocity [rad/s] (N,) near reversals by law, thinned to `points`."""
     columns = min(_LOOP_COLUMNS, len(laws))
     rows = ceil(len(laws) / columns)
-    with styled():
+    with apply_style():
         _, height = size = (9.0, 1.75 * rows + 0.55)
         margins = (0.63, 0.25, 0.5)
         gaps = (0.11, 0.26)
         figure, axes = grid(size, rows, columns, margins, gaps, sharex=True, sharey=True)
         fastest = float(np.max(np.abs(measured[0])))
-        slow = np.abs(measured[0]) <= _REACH * fastest
-        reach, near = (_REACH * fastest, slow) if slow.any() else (fastest, ~slow)
+        slow = np.abs(measured[0]) <= _MAX_SPEED_SHARE * fastest
+        reach, near = (_MAX_SPEED_SHARE * fastest, slow) if slow.any() else (fastest, ~slow)
         count = int(np.count_nonzero(near))
-        seen, every = (max(1, count // most) for most in (points or _SEEN, points or count + 1))
+        measured_step, law_step = (
+            max(1, count // max_points)
+            for max_points in (points or _MAX_MEASURED_POINTS, points or count + 1)
+        )
         low, high = np.quantile(measured[1][near], (0.002, 0.998))
         margin = 0.15 * (high - low)
         for axis, (title, (dq, tau)) in zip(axes.flat, laws.items(), strict=False):
-            axis.plot(*_parts(near, *measured, seen), color=SOFT, linewidth=0.6, alpha=0.7)
-            axis.plot(*_parts(near, dq, tau, every), color=SERIES[0], linewidth=1.2)
+            axis.plot(*_parts(near, *measured, measured_step), color=SOFT, linewidth=0.6, alpha=0.7)
+            axis.plot(*_parts(near, dq, tau, law_step), color=SERIES[0], linewidth=1.2)
             axis.set_title(title, fontsize=8.5)
             axis.set(xlim=(-reach, reach), ylim=(low - margin, high + margin))
         for axis in axes.flat[len(laws) :]:
@@ -83,22 +86,22 @@ def loops(
 
 def ratios(laws: Mapping[str, Sequence[ErrorRatio]], joints: Sequence[str], *, x: str) -> Figure:
     """Draw a dot with its interval for each law and joint, on a logarithmic axis."""
-    with styled():
-        left = 0.2 + _LETTER * max(map(len, laws))
-        figure, [[axis]] = grid((9.0, 0.34 * len(laws) + 1.1), 1, 1, (left, 0.24, 0.44))
+    with apply_style():
+        left_margin = 0.2 + _LETTER * max(map(len, laws))
+        figure, [[axis]] = grid((9.0, 0.34 * len(laws) + 1.1), 1, 1, (left_margin, 0.24, 0.44))
         offsets = np.linspace(-0.27, 0.27, len(joints)) if len(joints) > 1 else [0.0]
         for k, (joint, offset) in enumerate(zip(joints, offsets, strict=True)):
-            found = [row[k] for row in laws.values()]
-            values = np.array([ratio.value for ratio in found])
+            joint_ratios = [row[k] for row in laws.values()]
+            values = np.array([ratio.value for ratio in joint_ratios])
             low, high = np.array(
                 [
                     [ratio.value if end is None else end for end in (ratio.low, ratio.high)]
-                    for ratio in found
+                    for ratio in joint_ratios
                 ]
             ).T
             axis.errorbar(
                 values,
-                np.arange(len(found)) + offset,
+                np.arange(len(joint_ratios)) + offset,
                 xerr=np.maximum(np.array([values - low, high - values]), 0.0),
                 fmt=_MARKERS[k % len(_MARKERS)],
                 color=SERIES[k % len(SERIES)],
@@ -121,7 +124,7 @@ def ratios(laws: Mapping[str, Sequence[ErrorRatio]], joints: Sequence[str], *, x
 def _ratio_axis(axis: Axes) -> None:
     axis.set_xscale("log")
     low, high = axis.get_xlim()
-    steps = _FINE if high / low < _NARROW else _COARSE
+    steps = _FINE if high / low < _MAX_FINE_RANGE else _COARSE
     axis.set_xticks([t for t in steps if low <= t <= high])
     axis.xaxis.set_major_formatter(ScalarFormatter())
     axis.xaxis.set_minor_locator(NullLocator())
@@ -129,8 +132,8 @@ def _ratio_axis(axis: Axes) -> None:
 
 
 def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple[Array, Array]:
-    shown = near.copy()
-    shown[:-1] |= near[1:]
-    shown[1:] |= near[:-1]
-    rows = np.flatnonzero(shown | np.roll(shown, 1))[::every]
-    return x[rows], np.where(shown, y, np.nan)[rows]
+    near_rows = near.copy()
+    near_rows[:-1] |= near[1:]
+    near_rows[1:] |= near[:-1]
+    rows = np.flatnonzero(near_rows | np.roll(near_rows, 1))[::every]
+    return x[rows], np.where(near_rows, y, np.nan)[rows]

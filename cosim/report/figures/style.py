@@ -106,7 +106,7 @@ def strokes(names: Sequence[str]) -> dict[str, Stroke]:
     }
 
 
-styled = partial(rc_context, _RC)  # applies the style of the report
+apply_style = partial(rc_context, _RC)  # applies the style of the report
 
 
 def _settle(figure: Figure) -> None:
@@ -122,7 +122,7 @@ def _print(figure: Figure, kind: str, file: Any) -> None:
     getattr(canvas(figure), f"print_{kind}")(file, metadata={varying: None})
 
 
-def _drawn(figure: Figure, salt: str, *, opaque: bool = False) -> str:
+def _render_svg(figure: Figure, salt: str, *, opaque: bool = False) -> str:
     _settle(figure)
     figure.patch.set_visible(opaque)
     text = io.StringIO()
@@ -134,18 +134,20 @@ def _drawn(figure: Figure, salt: str, *, opaque: bool = False) -> str:
 
 def svg(figure: Figure, key: str) -> str:
     """Return a figure as SVG with the page's colours and fonts; `key` prefixes its identifiers."""
-    drawn = _drawn(figure, key)
+    svg_text = _render_svg(figure, key)
     width, height = 72.0 * figure.get_size_inches()
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'viewBox="0 0 {width:g} {height:g}" aria-hidden="true">{_inner(drawn, key)}'
+        f'viewBox="0 0 {width:g} {height:g}" aria-hidden="true">{_inner(svg_text, key)}'
     )
 
 
 def write_svg(figure: Figure, path: Path) -> None:
     """Write a figure as a standalone SVG with reproducible bytes."""
     with written_whole(path) as temporary:
-        temporary.write_text(_short(_drawn(figure, path.stem, opaque=True)), encoding="utf-8")
+        temporary.write_text(
+            _shorten_paths(_render_svg(figure, path.stem, opaque=True)), encoding="utf-8"
+        )
 
 
 def write(figure: Figure, stem: Path) -> None:
@@ -157,32 +159,39 @@ def write(figure: Figure, stem: Path) -> None:
             _print(figure, kind, temporary)
 
 
-def _short(body: str) -> str:
-    return _PATH.sub(lambda m: _relative(m[0]), body)
+def _shorten_paths(body: str) -> str:
+    return _PATH.sub(lambda m: _to_relative_path(m[0]), body)
 
 
-def _relative(path: str) -> str:
+def _to_relative_path(path: str) -> str:
     parts: list[str] = []
     last = [0, 0]
     before = ""
     for command, numbers in _COMMAND.findall(path):
         tenths = [round(10.0 * float(number)) for number in numbers.split()]
-        shown = tenths
+        coordinates = tenths
         if command == "L":
-            shown = [now - then for now, then in zip(tenths, last, strict=True)]
+            coordinates = [now - then for now, then in zip(tenths, last, strict=True)]
             command = "l"
-        parts += ["" if command == before == "l" else command, *(f"{v / 10: g}" for v in shown)]
+        parts += [
+            "" if command == before == "l" else command,
+            *(f"{v / 10: g}" for v in coordinates),
+        ]
         last, before = tenths[-2:] or last, command
     return "".join(parts).replace(" 0.", " .").replace("-0.", "-.")
 
 
-def _inner(drawn: str, key: str) -> str:
-    body = drawn[drawn.index("<svg") :]
+def _inner(svg_text: str, key: str) -> str:
+    body = svg_text[svg_text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    used = set(re.findall(r"#([\w.-]+)", " ".join(re.findall(r'(?:href="|url\()#[\w.-]+', body))))
-    body = re.sub(r' id="([\w.-]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in used else "", body)
+    used_ids = set(
+        re.findall(r"#([\w.-]+)", " ".join(re.findall(r'(?:href="|url\()#[\w.-]+', body)))
+    )
+    body = re.sub(
+        r' id="([\w.-]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in used_ids else "", body
+    )
     body = re.sub(r'(href="|url\()#([\w.-]+)', rf"\1#{key}-\2", body)
-    body = _short(body)
+    body = _shorten_paths(body)
     body = re.sub(r"font: ([\d.]+px) '[^\"]*?(?=[;\"])", r"font-size: \1", body)
     body = re.sub(
         r"font: (bold |700 )([\d.]+px) '[^\"]*?(?=[;\"])", r"font-weight: 600; font-size: \2", body

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cosim.report.figures.chart import Chart, Panel
 
 _PIXELS = 105  # pixels per inch of a row's height
-_MOST_VALUES = 50_000  # maximum number of values of a chart; more are thinned
+_MAX_VALUES = 50_000  # maximum number of values of a chart; more are thinned
 _DIGITS = 5  # digits of the largest value of a line; more hardly compress
 _LEVEL = 6  # of compression
 
@@ -28,16 +28,16 @@ def can_zoom() -> bool:
 
 def zoom_data(chart: "Chart") -> str:
     """Return the data of a chart, packed as text; the page makes Bokeh's models of it."""
-    every = sum(len(line.y) for line in chart.lines) // _MOST_VALUES + 1
+    step = sum(len(line.y) for line in chart.lines) // _MAX_VALUES + 1
     times = {id(line.x): line.x for line in chart.lines}
     numbers = {key: k for k, key in enumerate(times)}
 
-    def shown(panel: "Panel") -> dict[str, Any]:
-        of_panel = [
+    def describe_panel(panel: "Panel") -> dict[str, Any]:
+        panel_lines = [
             {
                 "name": line.name,
                 "time": numbers[id(line.x)],
-                "y": _rounded(line.y[::every]),
+                "y": _round_values(line.y[::step]),
                 "colour": line.stroke.colour,
                 "width": max(line.stroke.width, 1.2),
                 "dash": [max(round(length), 1) for length in line.stroke.dash],
@@ -45,38 +45,39 @@ def zoom_data(chart: "Chart") -> str:
             for line in panel.lines
         ]
         marks = [place for place, _ in panel.marks]
-        return {"title": panel.title, "y": panel.y, "lines": of_panel, "marks": marks}
+        return {"title": panel.title, "y": panel.y, "lines": panel_lines, "marks": marks}
 
     data = {
         "x": chart.x,
         "height": round(_PIXELS * chart.height),
-        "times": [_rounded(x[::every]) for x in times.values()],
-        "rows": [[shown(panel) for panel in row] for row in chart.rows],
+        "times": [_round_values(x[::step]) for x in times.values()],
+        "rows": [[describe_panel(panel) for panel in row] for row in chart.rows],
         "names": {
-            one.name: {"colour": one.stroke.colour, "dash": one.stroke.dash} for one in chart.lines
+            chart_line.name: {"colour": chart_line.stroke.colour, "dash": chart_line.stroke.dash}
+            for chart_line in chart.lines
         },
     }
-    return packed(json.dumps(data, separators=(",", ":")))
+    return pack_text(json.dumps(data, separators=(",", ":")))
 
 
 def library() -> str:
     """Return Bokeh's script, packed as text."""
     folder = Path(getattr(find_spec("bokeh"), "origin", "")).parent
     script = folder / "server" / "static" / "js" / "bokeh.min.js"
-    return packed(script.read_text(encoding="utf-8"))
+    return pack_text(script.read_text(encoding="utf-8"))
 
 
-def packed(text: str) -> str:
+def pack_text(text: str) -> str:
     """Return text compressed (zlib) and in base64."""
     return base64.b64encode(zlib.compress(text.encode(), _LEVEL)).decode()
 
 
-def unpacked(text: str) -> str:
+def unpack_text(text: str) -> str:
     """Return the text that was packed."""
     return zlib.decompress(base64.b64decode(text)).decode()
 
 
-def _rounded(values: Array) -> list[float | None]:
+def _round_values(values: Array) -> list[float | None]:
     size = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0)) or 1.0
     rounded = np.round(values, _DIGITS - ceil(log10(size))).tolist()
     return [value if isfinite(value) else None for value in rounded]  # JSON has no others

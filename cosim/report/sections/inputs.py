@@ -9,7 +9,7 @@ from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.style import MEASURED, strokes
 from cosim.report.figures.zoom import can_zoom
 from cosim.report.results import Results
-from cosim.report.tables.table import ResultTable, number, rounded, row_of
+from cosim.report.tables.table import ResultTable, make_row, number, rounded
 from cosim.study.results import HEALTH, SavedLog, read_findings
 from cosim.study.verdict import VERDICT
 from hesr_model.rigid_body.identification import RigidBody
@@ -29,7 +29,7 @@ def data(results: Results) -> dict[str, Any]:
     run = results.run
     findings = sorted(read_findings(results.folder), key=lambda finding: not finding.logs)
     rows = [
-        row_of(
+        make_row(
             log.name,
             ", ".join(_ROLES.get(role, f"test ‘{role}’") for role in log.roles) or "–",
             number(log.rows, max(3, len(str(log.rows)))),
@@ -57,7 +57,7 @@ def data(results: Results) -> dict[str, Any]:
 def body(results: Results) -> dict[str, Any]:
     """Return the identified parameters and their torque."""
     body = results.body
-    log = results.log_of("identification")
+    log = results.find_log("identification")
     weighted = ", weighted by the noise of each joint" if body.weighting == "wls" else ""
     return {
         "body": body,
@@ -94,15 +94,17 @@ def parameters(body: RigidBody) -> ResultTable:
     sprung = any(name.endswith(".const") for name in body.names)
     springs = "; springs: k [N.m/rad], others [N.m]" if sprung else ""
     gears = "; elastic gears: friction of motor and link, SI units" if body.gears else ""
-    more = [(f"{g.joint}.{n}", *found) for g in body.gears for n, found in g.parameters.items()]
+    gear_rows = [
+        (f"{g.joint}.{n}", *estimate) for g in body.gears for n, estimate in g.parameters.items()
+    ]
     base = zip(body.base, body.standard_errors, strict=True)
-    rows = [*((body.names[k], body.parameters[k], error) for k, error in base), *more]
+    rows = [*((body.names[k], body.parameters[k], error) for k, error in base), *gear_rows]
     return ResultTable(
         caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]"
         f"{springs}{gears}; each includes the parameters that depend on it",
         head=("parameter", "value", "± 95 %"),
         rows=[
-            row_of(name, number(value, 4), number(_INTERVAL * error, 2))
+            make_row(name, number(value, 4), number(_INTERVAL * error, 2))
             for name, value, error in rows
         ],
     )
@@ -125,7 +127,9 @@ def provenance(results: Results) -> dict[str, Any]:
         "hashes": ResultTable(
             caption="SHA-256 of the input files",
             head=("file", "SHA-256"),
-            rows=[row_of(name, Markup("<code>{}</code>").format(digest)) for name, digest in files],
+            rows=[
+                make_row(name, Markup("<code>{}</code>").format(digest)) for name, digest in files
+            ],
             numeric=False,
         ),
     }

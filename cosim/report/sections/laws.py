@@ -19,20 +19,20 @@ from cosim.report.tables.laws import properties as properties_table
 from cosim.report.tables.table import (
     ResultTable,
     TableCell,
-    fixed,
+    fixed_cell,
+    join_law_titles,
+    make_row,
     number,
-    on_joints,
-    row_of,
     title,
 )
 from cosim.study.scores import MEASURED_START, REFERENCE
-from fmu_src.friction.friction_component import exposed
-from fmu_src.pages.datasheet import certified
+from fmu_src.friction.friction_component import is_exposed
+from fmu_src.pages.datasheet import describe_certificate
 from fmu_src.pages.live import live_assets, live_section
 from fmu_src.pages.mathml import equations as typeset
 from fmu_src.pages.mathml import symbol
 from fmu_src.run.archive import Archive
-from hesr_model.audit.audit import ENCODER
+from hesr_model.audit.audit import ENCODER_NOISE
 from hesr_model.audit.properties import combine_results
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import papers_law, registry
@@ -56,16 +56,18 @@ def equations(results: Results) -> dict[str, Any]:
         {
             "title": title(law),
             "joints": [
-                (short, typeset(one, numbers=exposed(one)))
-                for short, one in zip(results.joints, results.models[law].laws, strict=True)
+                (short, typeset(friction_law, numbers=is_exposed(friction_law)))
+                for short, friction_law in zip(
+                    results.joints, results.models[law].laws, strict=True
+                )
             ],
         }
-        for law in results.shown(*results.recommended, papers_law())
+        for law in results.find_fitted(*results.recommended, papers_law())
     ]
     coefficients = {
         law: _coefficients(results, model)
         for law, model in results.models.items()
-        if all(map(exposed, model.laws))
+        if all(map(is_exposed, model.laws))
     }
     return {"laws": entries, "coefficients": coefficients}
 
@@ -86,7 +88,7 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
         words=(1,),
         head=("coefficient", "unit", *results.joints),
         rows=[
-            row_of(
+            make_row(
                 Markup("{} {}").format(Markup(symbol(name)), quantity.description),
                 "–" if quantity.unit == "1" else quantity.unit,
                 *(cell(law, name) for law in model.laws),
@@ -101,19 +103,21 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
     model = results.models.get(papers_law())
     if model is None:
         return None
-    named = zip(results.joints, model.laws, strict=True)
+    named_laws = zip(results.joints, model.laws, strict=True)
     # Without an effect of h, a law has no such state.
-    pairs = [(n, law) for n, law in named if any(r.name == "h" for r in law.form.relaxations)]
+    pairs = [(n, law) for n, law in named_laws if any(r.name == "h" for r in law.form.relaxations)]
     if not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
     first = pairs[0][1]
     alpha = first.values["alpha"]
     beta = first.values["beta"]
     speed = model.trained[0].speed if model.trained else _SPEED
-    near = np.linspace(-4.0 / beta, 4.0 / beta, 201)
+    small_speeds = np.linspace(-4.0 / beta, 4.0 / beta, 201)
     styles = strokes(list(_FACTORS.values()))
     slopes = tuple(
-        Line(name=name, x=1e3 * near, y=np.tanh(f * beta * near), stroke=styles[name])
+        Line(
+            name=name, x=1e3 * small_speeds, y=np.tanh(f * beta * small_speeds), stroke=styles[name]
+        )
         for f, name in _FACTORS.items()
     )
     widths = tuple(
@@ -121,13 +125,16 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
         for f, name in _FACTORS.items()
     )
     styles = strokes(results.joints)
-    fitted = tuple(_loop(law, speed, short, styles) for short, law in pairs)
+    fitted_loops = tuple(_loop(law, speed, short, styles) for short, law in pairs)
     slow, dq = (f"dq [{results.unit(unit, 0)}]" for unit in ("mrad/s", "rad/s"))
     picture = sheets(
         (
             (slow, Panel(title="(a) β: slope at rest", y="tanh(β dq)", lines=slopes)),
             (dq, Panel(title="(b) α: width of the loop", y="h", lines=widths)),
-            (f"dq [{results.unit('rad/s')}]", Panel(title="(c) as fitted", y="h", lines=fitted)),
+            (
+                f"dq [{results.unit('rad/s')}]",
+                Panel(title="(c) as fitted", y="h", lines=fitted_loops),
+            ),
         )
     )
     return {
@@ -155,13 +162,13 @@ def ablation(results: Results) -> dict[str, Any] | None:
     variants = [n for n in results.run.variants if n in laws and not n.endswith("_relaxed")]
     tables = {}
     if variants:
-        whole = results.run.variants[variants[-1]]
-        ladder = [*variants, *([whole] if whole in laws else [])]
+        full_law = results.run.variants[variants[-1]]
+        ladder = [*variants, *([full_law] if full_law in laws else [])]
         tables["variants"] = ResultTable(
             caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
             "more than that above it",
             head=("variant", *results.joints),
-            rows=[row_of(title(law), *map(number, laws[law].rmse)) for law in ladder],
+            rows=[make_row(title(law), *map(number, laws[law].rmse)) for law in ladder],
         )
     if steps:
         tables["steps"] = ResultTable(
@@ -169,7 +176,7 @@ def ablation(results: Results) -> dict[str, Any] | None:
             words=(1,),
             head=("from, to", "adds", *results.joints),
             rows=[
-                row_of(f"{title(a)} → {title(b)}", part, *_changes(laws[a].rmse, laws[b].rmse))
+                make_row(f"{title(a)} → {title(b)}", part, *_changes(laws[a].rmse, laws[b].rmse))
                 for a, b, part in steps
             ],
         )
@@ -190,11 +197,11 @@ def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
 
 def live(results: Results) -> dict[str, Any] | None:
     """Return the interactive plots of the recommended law, ParFam-H and the reference."""
-    laws = dict.fromkeys((Path(results.fmu).stem, *results.shown(papers_law(), REFERENCE)))
-    found = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
+    laws = dict.fromkeys((Path(results.fmu).stem, *results.find_fitted(papers_law(), REFERENCE)))
+    data_by_law = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
     lives = [
         (law, title(law), Markup(live_section(data, key=f"live-{law}")))
-        for law, data in found.items()
+        for law, data in data_by_law.items()
         if data is not None
     ]
     return {"lives": lives, "assets": Markup(live_assets())} if lives else None
@@ -215,15 +222,18 @@ _ROUNDING = 1e-6  # energy of round-off [J]
 
 def audit(results: Results) -> dict[str, Any] | None:
     """Return the figures of the audit of every law."""
-    found = results.audits
-    if not found:
+    audits = results.audits
+    if not audits:
         return None
     energy = ResultTable(
         caption="Maximum energy of a law over a closed cycle [J], and chatter of its torque at "
         f"rest [{results.unit('N.m')}]",
-        head=("law", *(f"{what} {j}" for what in ("energy", "chatter") for j in results.joints)),
+        head=(
+            "law",
+            *(f"{quantity} {j}" for quantity in ("energy", "chatter") for j in results.joints),
+        ),
         rows=[
-            row_of(
+            make_row(
                 title(law),
                 *(
                     TableCell(text="none", value=0.0)
@@ -231,17 +241,17 @@ def audit(results: Results) -> dict[str, Any] | None:
                     else number(a.generated, 2)
                     for a in audit.audits
                 ),
-                *(fixed(a.chatter, 2) for a in audit.audits),
+                *(fixed_cell(a.chatter, 2) for a in audit.audits),
             )
-            for law, audit in found.items()
+            for law, audit in audits.items()
         ],
     )
     proofs = ResultTable(
         caption="Passivity of each law and joint",
         head=("law", "joint", "certificate"),
         rows=[
-            row_of(title(law), joint, certified(c, slides=slides))
-            for law, audit in found.items()
+            make_row(title(law), joint, describe_certificate(c, slides=slides))
+            for law, audit in audits.items()
             for joint, c, slides in zip(
                 results.joints, audit.certificates, results.models[law].slides, strict=True
             )
@@ -249,15 +259,19 @@ def audit(results: Results) -> dict[str, Any] | None:
         numeric=False,
     )
     return {
-        "noise": f"{1e6 * ENCODER:.0f}",
+        "noise": f"{1e6 * ENCODER_NOISE:.0f}",
         "energy": energy,
         "proofs": proofs,
         "proven": sum(
-            all(c.verdict == "proven" for c in audit.certificates) for audit in found.values()
+            all(c.verdict == "proven" for c in audit.certificates) for audit in audits.values()
         ),
-        "passive": sum(all(a.generated < _ROUNDING for a in of.audits) for of in found.values()),
+        "passive": sum(
+            all(a.generated < _ROUNDING for a in model_audit.audits)
+            for model_audit in audits.values()
+        ),
         "audits": [
-            (law, audit_table(law, of.audits, results.sliding)) for law, of in found.items()
+            (law, audit_table(law, model_audit.audits, results.sliding))
+            for law, model_audit in audits.items()
         ],
     }
 
@@ -267,10 +281,10 @@ def properties(results: Results) -> dict[str, Any] | None:
     if not results.properties:
         return None
     laws = results.recommended
-    properties = combine_results(on_joints(laws), results.properties, laws)
+    properties = combine_results(join_law_titles(laws), results.properties, laws)
     sheet = plugins.load("hesr.sheets").get("properties")  # of the extras
     return {
         "properties": properties_table(results.properties, full=True),
-        "law": on_joints(laws),
+        "law": join_law_titles(laws),
         "sheet": properties and sheet and Markup(sheet.load()(properties, sliding=results.sliding)),
     }

@@ -37,9 +37,9 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
     run = results.run
     truths = results.truths
     test = results.tests[0]
-    found = results.comparisons[test].ratios
-    reference = "its reference" if found.fair else title(found.reference)
-    laws = {title(law): row for law, row in found.laws.items()}
+    law_ratios = results.comparisons[test].ratios
+    reference = "its reference" if law_ratios.fair else title(law_ratios.reference)
+    laws = {title(law): row for law, row in law_ratios.laws.items()}
     return {
         "test": test,
         "reference": reference,
@@ -47,16 +47,16 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
         "moving": f"{MOVING:g}",
         "window": f"{WINDOW:g}",
         "tests": [_test(results, test) for test in results.tests],
-        "left_out": tables.left_out(results.models, results.sliding),
-        "truths": truths and tables.other_truths(results.comparisons, truths, run.truth),
-        "family": tables.own_friction(run.truth),
+        "left_out": tables.cross_validation(results.models, results.sliding),
+        "truths": truths and tables.compare_truths(results.comparisons, truths, run.truth),
+        "family": tables.describe_true_friction(run.truth),
         "paper": loop_tables.table_ii(results.joints) if run.robot == loop_tables.ROBOT else None,
     }
 
 
 def _test(results: Results, test: str) -> dict[str, Any]:
     comparison = results.comparisons[test]
-    log = results.log_of(test)
+    log = results.find_log(test)
     simulated = results.simulated.get(test)
     split = test != results.tests[0] and test in {band.test for band in results.run.bands}
     table, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
@@ -86,18 +86,18 @@ def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
 
 
 def _key_laws(results: Results) -> list[str]:
-    laws = results.shown(BASELINE, papers_law(), results.best)
+    laws = results.find_fitted(BASELINE, papers_law(), results.best)
     return laws if len(laws) > 1 else results.key_laws[:3]
 
 
 def chirp(results: Results) -> dict[str, Any] | None:
     """Compare the laws on both sides of a chirp's middle frequency."""
     bands_of = results.run.bands
-    laws = results.shown(_NETWORK, papers_law(), results.best)
+    laws = results.find_fitted(_NETWORK, papers_law(), results.best)
     laws = laws if len(laws) > 1 else _key_laws(results)
     tests = []
     for test in dict.fromkeys(band.test for band in bands_of):
-        log = results.log_of(test)
+        log = results.find_log(test)
         parts = [band for band in bands_of if band.test == test]
         marks = tuple((band.start, "split") for band in parts if band.start > 0.0)
         tests.append(
@@ -109,8 +109,8 @@ def chirp(results: Results) -> dict[str, Any] | None:
                 "errors": [_errors(results, band.name) for band in parts],
             }
         )
-    shown = ", ".join(map(title, laws))
-    return {"tests": tests, "laws": shown, "moving": f"{MOVING:g}"} if tests else None
+    law_titles = ", ".join(map(title, laws))
+    return {"tests": tests, "laws": law_titles, "moving": f"{MOVING:g}"} if tests else None
 
 
 def _chart(
@@ -154,7 +154,7 @@ def _lines(t: Array, laws: Mapping[str, Array], styles: Mapping[str, Stroke]) ->
 def moving_rms(t: Array, error: Array) -> Array:
     """Return the RMS error (N,) within a window of `MOVING` around each time."""
     total = np.concatenate([[0.0], np.cumsum(error**2)])
-    first, last = (np.searchsorted(t, t + way * 0.5 * MOVING) for way in (-1.0, 1.0))
+    first, last = (np.searchsorted(t, t + sign * 0.5 * MOVING) for sign in (-1.0, 1.0))
     return np.asarray(np.sqrt((total[last] - total[first]) / np.maximum(last - first, 1)))
 
 
@@ -171,8 +171,8 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
         t=torques["t"],
         coverage=LEVEL,
         **{
-            name: np.column_stack([torques[f"{own}{k}"] for k in joints])
-            for name, own in names.items()
+            name: np.column_stack([torques[f"{column}{k}"] for k in joints])
+            for name, column in names.items()
         },
     )
     name = f"95 % band of {title(law)}"
@@ -183,7 +183,7 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
 def loops(results: Results) -> dict[str, Any] | None:
     """Draw torque over velocity by joint: key laws in the page, all laws in files."""
     test = results.tests[0]
-    log = results.log_of(test)
+    log = results.find_log(test)
     if log is None:
         return None
     torques = results.torques(log)
@@ -199,22 +199,24 @@ def loops(results: Results) -> dict[str, Any] | None:
             if f"{law}.tau_f{k}" in torques
         }
         key_laws = {law: laws[law] for law in (*results.key_laws, ORACLE) if law in laws}
-        few, whole = (
+        page_figure, file_figure = (
             loop_panels(
                 (dq, measured),
-                {title(law): line for law, line in chosen.items()},
+                {title(law): line for law, line in chosen_laws.items()},
                 x=f"dq of {short} [{results.unit('rad/s', k - 1)}]",
                 y=f"friction [{results.unit('N.m', k - 1)}]",
-                points=most,
+                points=max_points,
             )
-            for chosen, most in ((key_laws, points), (laws, None))
+            for chosen_laws, max_points in ((key_laws, points), (laws, None))
         )
-        figures.append({"joint": name, "heading": f"{short}: {name}", "few": few, "whole": whole})
+        figures.append(
+            {"joint": name, "heading": f"{short}: {name}", "few": page_figure, "whole": file_figure}
+        )
     return {"test": test, "log": log, "span": f"{_LOOPS:g}", "figures": figures}
 
 
-_OWN = Scheme(compensation="torque_error")
-_INVERSE = Scheme(compensation="servo_inversion")
+_TORQUE_ERROR_SCHEME = Scheme(compensation="torque_error")
+_INVERSION_SCHEME = Scheme(compensation="servo_inversion")
 _CAPTION = "Tracking: RMSE [mrad], mean over the motions"
 
 
@@ -223,32 +225,41 @@ def tracking(results: Results) -> dict[str, Any] | None:
     if results.loop is None:
         return None
     desired, measured = (
-        [row for row in results.loop.tracking if (row.scheme.source == "desired") == wanted]
-        for wanted in (True, False)
+        [row for row in results.loop.tracking if (row.scheme.source == "desired") == is_desired]
+        for is_desired in (True, False)
     )
-    own = [row for row in desired if not row.scheme.Kx]
-    more = {}
+    rows_without_kx = [row for row in desired if not row.scheme.Kx]
+    further_tables = {}
     if measured:
         caption = "RMSE [mrad] with friction evaluated on measured or filtered velocity"
-        more["tracking_measured_velocity"] = loop_tables.tracking(caption, measured)
+        further_tables["tracking_measured_velocity"] = loop_tables.tracking(caption, measured)
     if results.loop.long:
         caption = f"One motion of {results.run.controller['drift']:g} s: RMSE [mrad]"
-        more["tracking_long"] = loop_tables.tracking(caption, results.loop.long)
+        further_tables["tracking_long"] = loop_tables.tracking(caption, results.loop.long)
     if results.run.robot == loop_tables.ROBOT:
-        more["paper_tracking"] = loop_tables.table_iii(results.joints)
+        further_tables["paper_tracking"] = loop_tables.table_iii(results.joints)
     return {
         "motions": desired[0].rmse.shape[0],
         "Kx": f"{results.run.controller['Kx']:g}",
         "diagram": render("controller.svg"),
-        "own": loop_tables.tracking(f"{_CAPTION}, torque error scheme", _under(_OWN, own)),
-        "inverse": loop_tables.tracking(f"{_CAPTION}, servo inversion", _under(_INVERSE, desired)),
-        "figures": {scheme.name: _figure(results, scheme) for scheme in (_OWN, _INVERSE)},
-        "titles": {scheme.name: scheme.title for scheme in (_OWN, _INVERSE)},
-        "more": more,
+        "own": loop_tables.tracking(
+            f"{_CAPTION}, torque error scheme", _select_rows(_TORQUE_ERROR_SCHEME, rows_without_kx)
+        ),
+        "inverse": loop_tables.tracking(
+            f"{_CAPTION}, servo inversion", _select_rows(_INVERSION_SCHEME, desired)
+        ),
+        "figures": {
+            scheme.name: _figure(results, scheme)
+            for scheme in (_TORQUE_ERROR_SCHEME, _INVERSION_SCHEME)
+        },
+        "titles": {
+            scheme.name: scheme.title for scheme in (_TORQUE_ERROR_SCHEME, _INVERSION_SCHEME)
+        },
+        "more": further_tables,
     }
 
 
-def _under(scheme: Scheme, rows: Sequence[Tracked]) -> list[Tracked]:
+def _select_rows(scheme: Scheme, rows: Sequence[Tracked]) -> list[Tracked]:
     kinds = (scheme.compensation, "none")
     return [row for kind in kinds for row in rows if row.scheme.compensation == kind]
 
@@ -261,17 +272,17 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
         return None
     styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
     first = next(iter(paths.values()))
-    whole = {law: path for law, path in paths.items() if len(path.t) == len(first.t)}
-    drawn = partial(_lines, first.t, styles=styles)
+    complete_paths = {law: path for law, path in paths.items() if len(path.t) == len(first.t)}
+    make_lines = partial(_lines, first.t, styles=styles)
     rows = []
     for k, short in enumerate(results.joints):
         desired = Line(name="desired", x=first.t, y=first.q_d[:, k], stroke=DESIRED)
-        position = {law: path.q[:, k] for law, path in whole.items()}
-        error = {law: 1e3 * np.abs(path.q - path.q_d)[:, k] for law, path in whole.items()}
+        position = {law: path.q[:, k] for law, path in complete_paths.items()}
+        error = {law: 1e3 * np.abs(path.q - path.q_d)[:, k] for law, path in complete_paths.items()}
         rows.append(
             (
-                Panel(title=short, y="q [rad]", lines=(*drawn(position), desired)),
-                Panel(title="", y="|error| [mrad]", lines=drawn(error)),
+                Panel(title=short, y="q [rad]", lines=(*make_lines(position), desired)),
+                Panel(title="", y="|error| [mrad]", lines=make_lines(error)),
             )
         )
     return Chart(x="t [s]", rows=tuple(rows), height=1.4)
@@ -279,13 +290,13 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
 
 def following(results: Results) -> dict[str, Any] | None:
     """Return predicted following errors of the robot on a log with commands."""
-    found = results.following
-    if found is None:
+    following_errors = results.following
+    if following_errors is None:
         return None
     return {
-        "found": found,
-        "sentence": loop_tables.benefit(found, results.sliding),
-        "errors": loop_tables.following(found, results.sliding),
+        "found": following_errors,
+        "sentence": loop_tables.benefit(following_errors, results.sliding),
+        "errors": loop_tables.following(following_errors, results.sliding),
     }
 
 

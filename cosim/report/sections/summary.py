@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from cosim.report.figures.chart import Chart, Line, Panel, drawn
+from cosim.report.figures.chart import Chart, Line, Panel, draw_chart
 from cosim.report.figures.style import MEASURED, SERIES, Stroke
 from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables import table
 from cosim.report.tables.laws import find_most_passing
-from cosim.report.tables.scores import leading, ratio_notes
+from cosim.report.tables.scores import find_leader, ratio_notes
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison
 from hesr_model.audit.properties import EXPECTATIONS
 from hesr_model.fitting.estimator import papers_law
 from hesr_model.inference.comparison import ErrorRatio
 
-_FEW = 3  # maximum number of joints whose figures are listed
-_FINDINGS = 2  # number of findings in the first layer
+_MAX_LISTED_JOINTS = 3  # maximum number of joints whose figures are listed
+_MAX_LISTED_FINDINGS = 2  # number of findings in the first layer
 _WIDTH = 4.4
 _HEIGHT = 1.9  # size of the plot [in], readable on a phone
 
@@ -30,25 +30,30 @@ def summary(results: Results) -> dict[str, Any]:
     """Return the values of the first layer."""
     laws = results.recommended
     findings = read_findings(results.folder)
-    found = results.properties
-    paper = found.get(papers_law())
-    most = find_most_passing(found) if found else None
+    properties = results.properties
+    paper = properties.get(papers_law())
+    most_passing = find_most_passing(properties) if properties else None
     return {
         "run": results.run,
         "verdict": results.verdict,
-        "law": table.on_joints(laws),
+        "law": table.join_law_titles(laws),
         "fmu": results.fmu if (results.folder / results.fmu).is_file() else "",
         "findings": len(findings),
-        "first": [replace(finding, remedy="").sentence for finding in findings[:_FINDINGS]],
+        "first": [
+            replace(finding, remedy="").sentence for finding in findings[:_MAX_LISTED_FINDINGS]
+        ],
         "errors": errors(results, laws),
         "plot": _plot(results, laws),
         "laws": len(results.models),
         "tests": len(results.tests),
         "has_loop": results.loop is not None,
         "floor": _floor(results),
-        "winners": [(table.title(leading(of)), plant) for plant, of in results.truths.items()],
+        "winners": [
+            (table.title(find_leader(plant_errors)), plant)
+            for plant, plant_errors in results.truths.items()
+        ],
         "passed": paper and paper.passed,
-        "most": most and (", ".join(map(table.title, most[0])), most[1]),
+        "most": most_passing and (", ".join(map(table.title, most_passing[0])), most_passing[1]),
         "checks": len(EXPECTATIONS),
     }
 
@@ -57,53 +62,58 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
     """Return error, unexplained share, and ratio to the strongest reference of a law per joint."""
     test = results.tests[0]
     comparison = results.comparisons[test]
-    own = comparison.of(laws).rmse
-    places = table.decimals(own)
+    rmse = comparison.combine_scores(laws).rmse
+    places = table.decimals(rmse)
     head = ["joint", "RMSE", "unexplained"]
     columns = [
-        [table.fixed(error, places) for error in own],
+        [table.fixed_cell(error, places) for error in rmse],
         [
             table.TableCell(text=f"{100 * s:.0f} %", value=100 * s)
-            for s in comparison.unexplained(own)
+            for s in comparison.unexplained_shares(rmse)
         ],
     ]
-    caption = f"Error of {table.on_joints(laws)} on ‘{test}’ [{results.unit('N.m')}]"
-    found = _reference(comparison, laws)
-    if found:
-        references, ratios, role = found
+    caption = f"Error of {table.join_law_titles(laws)} on ‘{test}’ [{results.unit('N.m')}]"
+    reference = _reference(comparison, laws)
+    if reference:
+        references, ratios, role = reference
         head += ["reference", "ratio"]
-        names = table.on_joints(references)
-        said = f"{names}, {role}" if len(set(references)) == 1 else f"{role} ({names})"
-        caption += f" and of {said}; small: 95\u00a0% interval"
+        names = table.join_law_titles(references)
+        reference_text = f"{names}, {role}" if len(set(references)) == 1 else f"{role} ({names})"
+        caption += f" and of {reference_text}; small: 95\u00a0% interval"
         columns += [
-            [table.fixed(error, places) for error in comparison.of(references).rmse],
-            [table.fixed(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
+            [
+                table.fixed_cell(error, places)
+                for error in comparison.combine_scores(references).rmse
+            ],
+            [table.fixed_cell(ratio.value, 2, notes=ratio_notes(ratio)[1:]) for ratio in ratios],
         ]
-    rows = [table.row_of(*cells) for cells in zip(results.joints, *columns, strict=True)]
+    rows = [table.make_row(*cells) for cells in zip(results.joints, *columns, strict=True)]
     return table.ResultTable(caption=caption, head=head, rows=rows)
 
 
 def _reference(
     comparison: Comparison, laws: Sequence[str]
 ) -> tuple[Sequence[str], Sequence[ErrorRatio], str] | None:
-    found = comparison.ratios
+    law_ratios = comparison.ratios
     joints = list(enumerate(laws))
-    if any(law in found.laws for law in laws):
+    if any(law in law_ratios.laws for law in laws):
         itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
-        known = [law in found.laws for law in laws]
-        references = [found.of(law, k) if known[k] else law for k, law in joints]
-        ratios = [found.laws[law][k] if known[k] else itself for k, law in joints]
+        has_ratio = [law in law_ratios.laws for law in laws]
+        references = [
+            law_ratios.find_reference(law, k) if has_ratio[k] else law for k, law in joints
+        ]
+        ratios = [law_ratios.laws[law][k] if has_ratio[k] else itself for k, law in joints]
         return references, ratios, "the strongest reference"
     rivals = [
         other
-        for other in found.laws
-        if all(found.of(other, k) == law for k, law in joints)
+        for other in law_ratios.laws
+        if all(law_ratios.find_reference(other, k) == law for k, law in joints)
         and other != ORACLE
         and not other.endswith(MEASURED_START)
     ]
     if not rivals:
         return None
-    rival = min(rivals, key=lambda other: fmean(ratio.value for ratio in found.laws[other]))
+    rival = min(rivals, key=lambda other: fmean(ratio.value for ratio in law_ratios.laws[other]))
     inverse = [
         ErrorRatio(
             value=1.0 / ratio.value,
@@ -111,19 +121,19 @@ def _reference(
             high=ratio.low and 1.0 / ratio.low,
             p=ratio.p,
         )
-        for ratio in found.laws[rival]
+        for ratio in law_ratios.laws[rival]
     ]
-    role = f"the best law with {table.on_joints(laws)} as its reference"
+    role = f"the best law with {table.join_law_titles(laws)} as its reference"
     return [rival] * len(inverse), inverse, role
 
 
 def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     test = results.tests[0]
-    log = results.log_of(test)
+    log = results.find_log(test)
     comparison = results.comparisons[test]
     if log is None:
         return None
-    worst = int(np.argmax(comparison.unexplained(comparison.of(laws).rmse)))
+    worst = int(np.argmax(comparison.unexplained_shares(comparison.combine_scores(laws).rmse)))
     (k, short, name), law = results.numbered[worst], laws[worst]
     torques = results.torques(log)
     t = torques["t"]
@@ -137,7 +147,7 @@ def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     panel = Panel(title=f"{short}: {name}, {table.title(law)}", y=f"friction [{unit}]", lines=lines)
     chart = Chart(x="t [s]", rows=((panel,),), height=_HEIGHT, window=(0.0, WINDOW))
     return {
-        "figure": drawn(chart, _WIDTH),
+        "figure": draw_chart(chart, _WIDTH),
         "joint": name,
         "short": short,
         "law": table.title(law),
@@ -151,9 +161,11 @@ def _floor(results: Results) -> dict[str, str] | None:
     if ORACLE not in scores:
         return None
     floor = scores[ORACLE].rmse
-    above = 100.0 * float(np.mean(np.divide(scores[best].rmse, floor)) - 1.0)
+    excess_percent = 100.0 * float(np.mean(np.divide(scores[best].rmse, floor)) - 1.0)
     places = table.decimals([max(floor)])
-    few = len(floor) <= _FEW
-    shown = [f"{value:.{places}f}" for value in (floor if few else (min(floor), max(floor)))]
-    listed = (" / " if few else " – ").join(shown)
-    return {"error": listed, "best": table.title(best), "above": f"{above:.0f}"}
+    lists_all = len(floor) <= _MAX_LISTED_JOINTS
+    error_texts = [
+        f"{value:.{places}f}" for value in (floor if lists_all else (min(floor), max(floor)))
+    ]
+    error_range = (" / " if lists_all else " – ").join(error_texts)
+    return {"error": error_range, "best": table.title(best), "above": f"{excess_percent:.0f}"}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.report.tables.table import ResultTable, TableCell, fixed, joints, row_of, title
+from cosim.report.tables.table import ResultTable, TableCell, fixed_cell, joints, make_row, title
 from hesr_model.audit.audit import Audit
 from hesr_model.audit.properties import EXPECTATIONS, Expectation, Properties, PropertyResult
 from hesr_model.fitting.estimator import registry
@@ -22,73 +22,77 @@ if TYPE_CHECKING:
     from fmu_src.friction.convention import Convention
 
 _DIGITS = 4  # maximum length of a figure without its sign
-_LITTLE = 1e-4  # passing figures below this are shown as 0
+_MIN_SHOWN = 1e-4  # passing figures below this are shown as 0
 
 
-def properties(found: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
+def properties(properties_by_law: Mapping[str, Properties], *, full: bool = False) -> ResultTable:
     """Return figure and verdict of each joint, by law and check; `full` names checks."""
     return ResultTable(
         caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
         head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
         rows=[
-            row_of(title(name), *(_cell(properties, e) for e in EXPECTATIONS.values()))
-            for name, properties in found.items()
+            make_row(title(name), *(_cell(properties, e) for e in EXPECTATIONS.values()))
+            for name, properties in properties_by_law.items()
         ],
     )
 
 
-def find_most_passing(found: Mapping[str, Properties]) -> tuple[list[str], int]:
+def find_most_passing(properties_by_law: Mapping[str, Properties]) -> tuple[list[str], int]:
     """Return the laws that pass the most checks on all joints, and the number of these."""
-    most = max(properties.passed for properties in found.values())
-    return [name for name, properties in found.items() if properties.passed == most], most
+    max_passed = max(properties.passed for properties in properties_by_law.values())
+    return [
+        name for name, properties in properties_by_law.items() if properties.passed == max_passed
+    ], max_passed
 
 
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
     """Return the meaning of the columns of `properties`."""
     rows = []
     for e in EXPECTATIONS.values():
-        who = "; ".join(re.sub(r" \((\d+)\):.*", r" \1", s) for s in e.sources)
-        said = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({who})"
-        rows.append(row_of(e.short, said))
+        sources_text = "; ".join(re.sub(r" \((\d+)\):.*", r" \1", s) for s in e.sources)
+        meaning = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({sources_text})"
+        rows.append(make_row(e.short, meaning))
     return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
 
 
-def reasons(found: Mapping[str, Properties]) -> ResultTable:
+def reasons(properties_by_law: Mapping[str, Properties]) -> ResultTable:
     """Return reasons of failures and other remarks by law."""
     rows = []
-    for name, properties in found.items():
-        rows.append(row_of(title(name)))
+    for name, properties in properties_by_law.items():
+        rows.append(make_row(title(name)))
         for key, expectation in EXPECTATIONS.items():
             by_reason: dict[str, list[str]] = {}
             for short, joint in zip(joints(len(properties.joints)), properties.joints, strict=True):
-                said = joint.findings[key].reason
-                if said:
-                    by_reason.setdefault(said, []).append(short)
+                reason = joint.findings[key].reason
+                if reason:
+                    by_reason.setdefault(reason, []).append(short)
             rows += [
-                row_of(expectation.short, " ".join(where), said)
-                for said, where in by_reason.items()
+                make_row(expectation.short, " ".join(joint_names), reason)
+                for reason, joint_names in by_reason.items()
             ]
     return ResultTable(caption="Why", head=("property", "joint", "found"), rows=rows, numeric=False)
 
 
 def _cell(properties: Properties, expectation: Expectation) -> TableCell:
-    found = [joint.findings[expectation.key] for joint in properties.joints]
+    property_results = [joint.findings[expectation.key] for joint in properties.joints]
     return TableCell(
-        text="\n".join(_figure(one, expectation) for one in found),
-        marks=tuple(one.verdict for one in found),
+        text="\n".join(
+            _figure(property_result, expectation) for property_result in property_results
+        ),
+        marks=tuple(property_result.verdict for property_result in property_results),
     )
 
 
-def _figure(found: PropertyResult, expectation: Expectation) -> str:
-    value = found.figures[0].value if found.figures else None
-    if value is None or found.verdict not in ("pass", "fail"):
+def _figure(property_result: PropertyResult, expectation: Expectation) -> str:
+    value = property_result.figures[0].value if property_result.figures else None
+    if value is None or property_result.verdict not in ("pass", "fail"):
         return ""
-    shown = expectation.factor * value
-    little = abs(shown) < _LITTLE and found.verdict == "pass"
-    return _short(0.0 if little else shown)
+    scaled = expectation.factor * value
+    little = abs(scaled) < _MIN_SHOWN and property_result.verdict == "pass"
+    return _shorten_number(0.0 if little else scaled)
 
 
-def _short(value: float) -> str:
+def _shorten_number(value: float) -> str:
     for digits in (3, 2, 1):
         text = np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
         if len(text.removeprefix("-")) <= _DIGITS:
@@ -103,22 +107,22 @@ def robot_tables(robot: Robot) -> tuple[ResultTable, ResultTable]:
 
 
 def _joints(robot: Robot) -> ResultTable:
-    low, high, speed = robot.limits
+    lower, upper, speed = robot.limits
     torque = np.where(robot.torque_limits > 0.0, robot.torque_limits, np.inf)
     gears = robot.description.gear_ratio or (np.inf,) * robot.n
     places = zip(robot.tree, robot.places(np.zeros(robot.n)), strict=True)
     axes = {frame.name: rotation @ frame.axis for frame, (rotation, _) in places}
     rows = []
     for j, (name, slides) in enumerate(zip(robot.joints, robot.slides, strict=True)):
-        stated = np.isfinite([low[j], speed[j], torque[j]]).any()
+        has_limits = np.isfinite([lower[j], speed[j], torque[j]]).any()
         rows.append(
-            row_of(
-                f"{name} [{unit_of_joint('rad', slides=slides)}]",
+            make_row(
+                f"{name} [{unit_of_joint('rad', is_prismatic=slides)}]",
                 " ".join(f"{x:.3g}" for x in np.round(axes[name], 6) + 0.0),
-                f"{low[j]:.4g} to {high[j]:.4g}" if np.isfinite(low[j]) else "–",
-                *map(_stated, (speed[j], torque[j])),
-                robot.description.model.name if stated else "not stated",
-                _stated(gears[j]),
+                f"{lower[j]:.4g} to {upper[j]:.4g}" if np.isfinite(lower[j]) else "–",
+                *map(_format_finite, (speed[j], torque[j])),
+                robot.description.model.name if has_limits else "not stated",
+                _format_finite(gears[j]),
             )
         )
     limits = ("position limits", "speed limit", "torque limit", "source of limits")
@@ -126,15 +130,17 @@ def _joints(robot: Robot) -> ResultTable:
     return ResultTable(caption="Joints", head=head, rows=rows, words=(1, 2, 5))
 
 
-def _stated(value: float) -> str:
+def _format_finite(value: float) -> str:
     return f"{value:.4g}" if np.isfinite(value) else "–"
 
 
 def _links(robot: Robot) -> ResultTable:
     rows = []
     for frame, (mass, centre, inertia) in zip(robot.tree, robot.bodies, strict=True):
-        about = inertia[np.diag_indices(3)].tolist() + inertia[np.triu_indices(3, 1)].tolist()
-        rows.append(row_of(frame.name, *(f"{x:.4g}" for x in (mass, *centre, *about))))
+        inertia_entries = (
+            inertia[np.diag_indices(3)].tolist() + inertia[np.triu_indices(3, 1)].tolist()
+        )
+        rows.append(make_row(frame.name, *(f"{x:.4g}" for x in (mass, *centre, *inertia_entries))))
     inertias = (f"I{axes} in kg.m2" for axes in ("xx", "yy", "zz", "xy", "xz", "yz"))
     head = ("link after joint", "mass in kg", *(f"{axis} in m" for axis in "xyz"), *inertias)
     note = "Centre of mass in the frame of the joint, inertia about it; fixed parts are included."
@@ -146,7 +152,7 @@ def laws() -> ResultTable:
     return ResultTable(
         caption="",
         head=("name", "law", "equation"),
-        rows=[row_of(name, entry.title, entry.as_text()) for name, entry in registry().items()],
+        rows=[make_row(name, entry.title, entry.as_text()) for name, entry in registry().items()],
         numeric=False,
     )
 
@@ -158,63 +164,66 @@ def audit(name: str, audits: Sequence[Audit], sliding: Sequence[bool] = ()) -> R
     return ResultTable(
         caption=f"Audit of {title(name)}",
         head=("", *joints(len(audits))),
-        rows=[row_of(label, *cells) for label, cells in audit_rows(audits, sliding).items()],
+        rows=[make_row(label, *cells) for label, cells in audit_rows(audits, sliding).items()],
     )
 
 
-def convention(name: str, found: "Convention") -> ResultTable:
+def convention(name: str, errors: "Convention") -> ResultTable:
     """Return the error of each input setting of an FMU, by joint."""
     from fmu_src.friction.reference import SETTINGS
 
-    torque, speed = (unit_of_joints(unit, found.sliding) for unit in ("N.m", "rad/s"))
+    torque, speed = (unit_of_joints(unit, errors.sliding) for unit in ("N.m", "rad/s"))
     rows = []
     for truth, by_setting in (
-        ("against the replay of a log", found.replay),
-        ("against continuous time", found.continuous),
+        ("against the replay of a log", errors.replay),
+        ("against continuous time", errors.continuous),
     ):
-        rows.append(row_of(truth))
+        rows.append(make_row(truth))
         for setting, of_joints in by_setting.items():
-            cells = [fixed(e.rmse, 3, notes=(fixed(e.rmse_reversal, 3).text,)) for e in of_joints]
-            rows.append(row_of(setting, *cells))
+            cells = [
+                fixed_cell(e.rmse, 3, notes=(fixed_cell(e.rmse_reversal, 3).text,))
+                for e in of_joints
+            ]
+            rows.append(make_row(setting, *cells))
     return ResultTable(
         caption=f"{name}: RMSE [{torque}] of all rows; small: within 0.1 s of reversals",
-        head=("inputs", *joints(len(found.joints))),
+        head=("inputs", *joints(len(errors.joints))),
         rows=rows,
-        note=f"Velocity: a sine of {found.frequency:g} Hz and "
-        f"{', '.join(f'{v:.3g}' for v in found.speeds)} {speed}, in steps of {found.step:g} s. "
-        + "; ".join(f"{way}: {text}" for way, text in SETTINGS.items()),
+        note=f"Velocity: a sine of {errors.frequency:g} Hz and "
+        f"{', '.join(f'{v:.3g}' for v in errors.speeds)} {speed}, in steps of {errors.step:g} s. "
+        + "; ".join(f"{setting_name}: {text}" for setting_name, text in SETTINGS.items()),
     )
 
 
-def leaving(
-    names: Sequence[str], found: Sequence[Mapping[str, Excess]], sliding: Sequence[bool] = ()
+def describe_excesses(
+    names: Sequence[str], excesses: Sequence[Mapping[str, Excess]], sliding: Sequence[bool] = ()
 ) -> str:
     """Return one line per joint and input that leaves the trained range."""
     slides = sliding or (False,) * len(names)
     units = {**INPUT_UNITS, TEMPERATURE.name: TEMPERATURE.unit}
     return "\n".join(
         f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
-        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(units[name], slides=s)}."
-        for joint, of_joint, s in zip(names, found, slides, strict=True)
+        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(units[name], is_prismatic=s)}."
+        for joint, of_joint, s in zip(names, excesses, slides, strict=True)
         for name, excess in of_joint.items()
     )
 
 
-def rigid_body(found: RigidBody, sliding: Sequence[bool] = ()) -> str:
+def rigid_body(body: RigidBody, sliding: Sequence[bool] = ()) -> str:
     """Return a summary of the rigid body."""
-    rotors = sum(name.endswith(".Ir") for name in found.names)
-    more = f" ({rotors} of them rotor inertias)" if rotors else ""
-    errors = ", ".join(f"{e:.3g}" for e in found.rmse)
-    body = (
-        f"Rigid body: {len(found.base)} base parameters of {len(found.names)}{more}, condition "
-        f"{found.condition:.3g}, from {', '.join(found.logs)}; residual RMSE {errors} "
+    rotors = sum(name.endswith(".Ir") for name in body.names)
+    rotor_text = f" ({rotors} of them rotor inertias)" if rotors else ""
+    errors = ", ".join(f"{e:.3g}" for e in body.rmse)
+    sentence = (
+        f"Rigid body: {len(body.base)} base parameters of {len(body.names)}{rotor_text}, condition "
+        f"{body.condition:.3g}, from {', '.join(body.logs)}; residual RMSE {errors} "
         f"{unit_of_joints('N.m', sliding)}."
     )
-    return "\n".join([body, *map(_gear, found.gears)])
+    return "\n".join([sentence, *map(_gear, body.gears)])
 
 
 def _gear(gear: ElasticGear) -> str:
-    shown = {
+    parameter_texts = {
         name: " +- ".join(f"{float(f'{x:.{n}g}'):.6g}" for x, n in ((value, 4), (1.96 * error, 2)))
         for name, (value, error) in gear.parameters.items()
     }
@@ -222,6 +231,9 @@ def _gear(gear: ElasticGear) -> str:
     if 1.96 * error > 0.2 * stiffness:
         return (
             f"Gear of {gear.joint}: these logs do not determine its stiffness "
-            f"({shown['stiffness']} N.m/rad); record faster motion, or a payload."
+            f"({parameter_texts['stiffness']} N.m/rad); record faster motion, or a payload."
         )
-    return f"Gear of {gear.joint} [SI]: {', '.join(f'{n} {text}' for n, text in shown.items())}."
+    return (
+        f"Gear of {gear.joint} [SI]: "
+        f"{', '.join(f'{n} {text}' for n, text in parameter_texts.items())}."
+    )

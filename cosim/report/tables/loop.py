@@ -8,7 +8,7 @@ import numpy as np
 from cosim.loop.closed_loop import StandIn
 from cosim.loop.traces import Following, LoopOutcome, Overcompensation, Tracked
 from cosim.report.tables import table
-from cosim.report.tables.table import ResultTable, number, row_of, title
+from cosim.report.tables.table import ResultTable, make_row, number, title
 from hesr_model.units import unit_of_joints
 
 ROBOT = "uf850"
@@ -36,7 +36,7 @@ def table_ii(joints: Sequence[str]) -> ResultTable:
     return ResultTable(
         caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
         head=("law", *joints),
-        rows=[row_of(title(law), *(number(v, 4) for v in row)) for law, row in TABLE_II.items()],
+        rows=[make_row(title(law), *(number(v, 4) for v in row)) for law, row in TABLE_II.items()],
     )
 
 
@@ -45,32 +45,34 @@ def table_iii(joints: Sequence[str]) -> ResultTable:
     return ResultTable(
         caption="Table III of the paper: RMSE of tracking [mrad] on the measured robot",
         head=("torque model", *joints),
-        rows=[row_of(title(law), *(mrad(v, 1) for v in row)) for law, row in TABLE_III.items()],
+        rows=[make_row(title(law), *(mrad(v, 1) for v in row)) for law, row in TABLE_III.items()],
     )
 
 
-def outcome(found: LoopOutcome) -> list[table.ResultTable]:
+def outcome(loop_outcome: LoopOutcome) -> list[table.ResultTable]:
     """Return all tables of a closed loop."""
-    shown = [tracking("Tracking: RMSE [mrad], mean over the motions", found.tracking)]
-    shown += [tracking("One long motion: RMSE [mrad]", found.long)] if found.long else []
-    shown += sweeps(found.sweeps)
-    more = found.overcompensation
-    return [*shown, *([overcompensation(more)] if more else [])]
+    tables = [tracking("Tracking: RMSE [mrad], mean over the motions", loop_outcome.tracking)]
+    tables += (
+        [tracking("One long motion: RMSE [mrad]", loop_outcome.long)] if loop_outcome.long else []
+    )
+    tables += sweeps(loop_outcome.sweeps)
+    overcompensations = loop_outcome.overcompensation
+    return [*tables, *([overcompensation(overcompensations)] if overcompensations else [])]
 
 
 def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:
     """Return errors by scheme and law; notes are their spread, or the end of a single motion."""
-    one = all(len(row.rmse) == 1 for row in rows)
+    is_single = all(len(row.rmse) == 1 for row in rows)
     table_rows = []
     digits = places(rows)
     for scheme in dict.fromkeys(row.scheme for row in rows):
-        table_rows.append(table.row_of(scheme.title))
+        table_rows.append(table.make_row(scheme.title))
         for row in rows:
             if row.scheme == scheme:
-                notes = row.last[0] if one else row.spread
+                notes = row.last[0] if is_single else row.spread
                 cells = [mrad(*part) for part in zip(row.mean, digits, notes, strict=True)]
-                table_rows.append(table.row_of(table.title(row.law), *cells))
-    small = "mean error of its last tenth" if one else "spread over the motions"
+                table_rows.append(table.make_row(table.title(row.law), *cells))
+    small = "mean error of its last tenth" if is_single else "spread over the motions"
     return table.ResultTable(
         caption=f"{caption}; small: {small}",
         head=("torque model", *table.joints(len(rows[0].mean))),
@@ -82,51 +84,55 @@ def sweeps(rows: Sequence[Tracked]) -> list[table.ResultTable]:
     """Return a table per scheme: error of the worst joint by change and law."""
     tables = []
     for scheme in dict.fromkeys(replace(row.scheme, change="") for row in rows):
-        found = {
+        worst_errors = {
             (row.scheme.change, row.law): row.mean.max()
             for row in rows
             if replace(row.scheme, change="") == scheme
         }
-        laws = list(dict.fromkeys(law for _, law in found))
+        laws = list(dict.fromkeys(law for _, law in worst_errors))
         tables.append(
             table.ResultTable(
                 caption=f"{scheme.title}: RMSE of the worst joint [mrad] under changes",
                 head=("change", *map(table.title, laws)),
                 rows=[
-                    table.row_of(change, *(mrad(found[change, law], 2) for law in laws))
-                    for change in dict.fromkeys(change for change, _ in found)
+                    table.make_row(change, *(mrad(worst_errors[change, law], 2) for law in laws))
+                    for change in dict.fromkeys(change for change, _ in worst_errors)
                 ],
             )
         )
     return tables
 
 
-def following(found: Following, sliding: Sequence[bool]) -> table.ResultTable | None:
+def following(errors: Following, sliding: Sequence[bool]) -> table.ResultTable | None:
     """Return predicted following errors with half-widths of their intervals; None without any."""
-    if not found.rows:
+    if not errors.rows:
         return None
     rows = []
-    for row in found.rows:
+    for row in errors.rows:
         columns = 1e3 * np.array([row.error, row.low, row.high]).T
         cells = [
             table.number(error, 2, notes=(f"{table.rounded(low, 2)} to {table.rounded(high, 2)}",))
             for error, low, high in columns
         ]
-        rows.append(table.row_of(table.title(row.command), *cells))
+        rows.append(table.make_row(table.title(row.command), *cells))
     return table.ResultTable(
-        caption=f"Following error on {found.log}, RMS [m{unit_of_joints('rad', sliding)}]; small: "
+        caption=f"Following error on {errors.log}, RMS [m{unit_of_joints('rad', sliding)}]; small: "
         "interval",
-        head=("command", *table.joints(len(found.rows[0].error))),
+        head=("command", *table.joints(len(errors.rows[0].error))),
         rows=rows,
     )
 
 
-def benefit(found: Following, sliding: Sequence[bool]) -> str:
+def benefit(following_errors: Following, sliding: Sequence[bool]) -> str:
     """Return how the recommended law reduces the following error where it does most, or why not."""
-    if not found.rows:
-        return f"The following error was not predicted: {found.missing}." if found.missing else ""
-    first = found.rows[0]
-    last = found.rows[-1]
+    if not following_errors.rows:
+        return (
+            f"The following error was not predicted: {following_errors.missing}."
+            if following_errors.missing
+            else ""
+        )
+    first = following_errors.rows[0]
+    last = following_errors.rows[-1]
     ratios = [new / old for new, old in zip(last.error, first.error, strict=True)]
     if min(ratios) >= 1.0:
         return "Feed-forward would not reduce the following error."
@@ -140,19 +146,19 @@ def benefit(found: Following, sliding: Sequence[bool]) -> str:
     )
 
 
-def overcompensation(found: Sequence[Overcompensation]) -> table.ResultTable:
+def overcompensation(overcompensations: Sequence[Overcompensation]) -> table.ResultTable:
     """Return the friction factor above which an arm at rest cycles."""
     return table.ResultTable(
         caption="Minimum factor on the friction torque at which the arm at rest begins to cycle",
         head=("law and scheme", "factor"),
         rows=[
-            table.row_of(
-                f"{table.title(one.law)}: {one.scheme.title}",
+            table.make_row(
+                f"{table.title(case.law)}: {case.scheme.title}",
                 table.TableCell(text="none up to 3")
-                if one.factor is None
-                else table.number(one.factor, 2),
+                if case.factor is None
+                else table.number(case.factor, 2),
             )
-            for one in found
+            for case in overcompensations
         ],
     )
 
@@ -162,7 +168,7 @@ def mrad(angle: float, digits: int, note: float | None = None) -> table.TableCel
     if not np.isfinite(angle):
         return table.TableCell(text="stopped")
     notes = () if note is None else (f"{1e3 * note:.3g}",)
-    return table.fixed(1e3 * angle, digits, notes=notes)
+    return table.fixed_cell(1e3 * angle, digits, notes=notes)
 
 
 def places(rows: Iterable[Tracked]) -> list[int]:

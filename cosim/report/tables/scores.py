@@ -5,10 +5,18 @@ from collections.abc import Mapping, Sequence
 from operator import truediv
 from statistics import geometric_mean
 
-from cosim.report.tables.table import ResultTable, TableCell, decimals, fixed, joints, row_of, title
+from cosim.report.tables.table import (
+    ResultTable,
+    TableCell,
+    decimals,
+    fixed_cell,
+    joints,
+    make_row,
+    title,
+)
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors
-from cosim.study.verdict import format_percent_above, separation
+from cosim.study.verdict import format_excess_percent, separation
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
 from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
@@ -35,30 +43,34 @@ def errors(
     """
     values = {law: getattr(of_law, measure) for law, of_law in comparison.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
-    whole = measure == "rmse"
-    ratios = comparison.ratios.laws if whole else {}
-    alone = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in comparison.leading]
-    ideal = comparison.zero_phase if whole else {}
-    best = alone if whole and len(values) > 1 and alone else [""] * len(comparison.joints)
+    covers_all_rows = measure == "rmse"
+    ratios = comparison.ratios.laws if covers_all_rows else {}
+    clear_leaders = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in comparison.leading]
+    zero_phase = comparison.zero_phase if covers_all_rows else {}
+    best = (
+        clear_leaders
+        if covers_all_rows and len(values) > 1 and clear_leaders
+        else [""] * len(comparison.joints)
+    )
     rows = []
-    if whole:
-        cells = [fixed(s, n) for s, n in zip(comparison.tau_std, places, strict=True)]
-        cells += [fixed(None, 2)] * bool(ideal)
-        rows.append(row_of("(std of friction)", *cells, quiet=True))
+    if covers_all_rows:
+        cells = [fixed_cell(s, n) for s, n in zip(comparison.tau_std, places, strict=True)]
+        cells += [fixed_cell(None, 2)] * bool(zero_phase)
+        rows.append(make_row("(std of friction)", *cells, quiet=True))
 
     def cell(law: str, k: int, value: float | None) -> TableCell:
         notes = ratio_notes(ratios[law][k]) if law in ratios else ()
-        return fixed(value, places[k], best=law == best[k], notes=notes)
+        return fixed_cell(value, places[k], best=law == best[k], notes=notes)
 
     ranked = sorted(values, key=lambda law: (law == ORACLE, comparison.size(law)))
-    for label, laws in _by_inputs(ranked, inputs).items():
+    for label, laws in _group_by_inputs(ranked, inputs).items():
         if label is not None:
-            rows.append(row_of(f"inputs {label}" if label else "for comparison"))
+            rows.append(make_row(f"inputs {label}" if label else "for comparison"))
         rows += [
-            row_of(
+            make_row(
                 title(law),
                 *(cell(law, k, value) for k, value in enumerate(values[law])),
-                *([_without_lag(values[law], ideal.get(law))] if ideal else []),
+                *([_zero_phase_cell(values[law], zero_phase.get(law))] if zero_phase else []),
             )
             for law in laws
         ]
@@ -69,13 +81,13 @@ def errors(
     small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
     if any(ratio.others for of_law in ratios.values() for ratio in of_law):
         small += " on these logs, then on other logs of the kind"
-    if ideal:
+    if zero_phase:
         small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
     words = MEASURES[measure].format(speed=speed)
     return ResultTable(
         caption=f"{name}: RMSE of the predicted torque [{unit}] {words}{small}"
-        f"{_fitted(comparison.per_log)}",
-        head=("law", *joints(len(comparison.joints)), *(["zero phase"] if ideal else [])),
+        f"{_describe_nuisances(comparison.per_log)}",
+        head=("law", *joints(len(comparison.joints)), *(["zero phase"] if zero_phase else [])),
         rows=rows,
     )
 
@@ -89,11 +101,24 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
         return None
     rows = []
     shorts = joints(len(comparison.joints))
-    for k, (short, one) in enumerate(zip(shorts, separation(comparison), strict=True)):
-        shown = format_percent_above(*one.detectable) if one.detectable else "too short"
-        names = ", ".join(map(title, one.tied)) or "none"
-        own = [title(law) for law in laws[k : k + 1]]
-        rows.append(row_of(short, *own, title(one.best), names, shown, f"{one.seconds:.0f} s"))
+    for k, (short, joint_separation) in enumerate(zip(shorts, separation(comparison), strict=True)):
+        detectable_text = (
+            format_excess_percent(*joint_separation.detectable)
+            if joint_separation.detectable
+            else "too short"
+        )
+        names = ", ".join(map(title, joint_separation.tied)) or "none"
+        recommended = [title(law) for law in laws[k : k + 1]]
+        rows.append(
+            make_row(
+                short,
+                *recommended,
+                title(joint_separation.best),
+                names,
+                detectable_text,
+                f"{joint_separation.seconds:.0f} s",
+            )
+        )
     return ResultTable(
         caption=f"{name}: laws that the test does not separate from the one with the lowest error",
         head=(
@@ -109,22 +134,22 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
     )
 
 
-def left_out(
+def cross_validation(
     models: Mapping[str, FrictionModel], sliding: Sequence[bool] = ()
 ) -> ResultTable | None:
     """Return the errors on training logs left out in turn, by law and joint; None if unknown."""
-    known = {law: model for law, model in models.items() if model.left_out_rmse}
-    if not known:
+    validated_models = {law: model for law, model in models.items() if model.left_out_rmse}
+    if not validated_models:
         return None
-    columns = list(zip(*(model.left_out_rmse for model in known.values()), strict=True))
+    columns = list(zip(*(model.left_out_rmse for model in validated_models.values()), strict=True))
     places = list(map(decimals, columns))
     return ResultTable(
         caption=f"RMSE on training logs left out in turn [{unit_of_joints('N.m', sliding)}]"
-        + ", of friction coordinates" * any(model.coupling for model in known.values()),
+        + ", of friction coordinates" * any(model.coupling for model in validated_models.values()),
         head=("law", *joints(len(columns))),
         rows=[
-            row_of(title(law), *map(fixed, model.left_out_rmse, places))
-            for law, model in known.items()
+            make_row(title(law), *map(fixed_cell, model.left_out_rmse, places))
+            for law, model in validated_models.items()
         ],
     )
 
@@ -139,35 +164,40 @@ def bands(name: str, comparison: Comparison) -> ResultTable:
         shares = (band.held_moving, band.held_reversal)
         notes = ["–" if share is None else f"{100.0 * share:.0f}" for share in shares]
         width = "–" if band.width is None else f"× {band.width:.2f}"
-        return fixed(100.0 * band.held, 1, notes=(*notes, width))
+        return fixed_cell(100.0 * band.held, 1, notes=(*notes, width))
 
     ranked = sorted(comparison.bands, key=lambda law: (law == ORACLE, comparison.size(law)))
     return ResultTable(
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
         head=("law", *joints(len(comparison.joints))),
-        rows=[row_of(title(law), *map(cell, comparison.bands[law])) for law in ranked],
+        rows=[make_row(title(law), *map(cell, comparison.bands[law])) for law in ranked],
     )
 
 
-def other_truths(
-    comparisons: Mapping[str, Comparison], others: Mapping[str, Errors], own: str = ""
+def compare_truths(
+    comparisons: Mapping[str, Comparison],
+    errors_by_truth: Mapping[str, Errors],
+    run_truth: str = "",
 ) -> ResultTable:
-    """Return errors over the reference's by plant of a twin; `own` is the run's, "" the MJCF's."""
-    first = next(iter(others.values()))
+    """Return errors over the reference's by plant of a twin; `run_truth` is that of the run."""
+    first = next(iter(errors_by_truth.values()))
     laws = list(dict.fromkeys(law for of_test in first.values() for law in of_test))
     scores = {test: comparisons[test].laws for test in first}
     here = {
         test: {law: of_test[law].rmse for law in laws if law in of_test}
         for test, of_test in scores.items()
     }
-    truths: Mapping[str, Errors] = {own or "MJCF": here, **others}
+    truths: Mapping[str, Errors] = {run_truth or "MJCF": here, **errors_by_truth}
     reference = REFERENCE if REFERENCE in laws else laws[0]
-    means = {law: [_mean_ratio(of, law, reference) for of in truths.values()] for law in laws}
+    means = {
+        law: [_mean_ratio(truth_errors, law, reference) for truth_errors in truths.values()]
+        for law in laws
+    }
     ranked = sorted(
         means, key=lambda law: (law == ORACLE, sum(m or float("inf") for m in means[law]))
     )
-    least = [
+    lowest = [
         min((m for law in laws if law != ORACLE and (m := means[law][k]) is not None), default=0.0)
         for k in range(len(truths))
     ]
@@ -176,16 +206,19 @@ def other_truths(
         "mean over joints and test sets",
         head=("law", *truths),
         rows=[
-            row_of(
+            make_row(
                 title(law),
-                *(fixed(m, 3, best=m == best) for m, best in zip(means[law], least, strict=True)),
+                *(
+                    fixed_cell(m, 3, best=m == best)
+                    for m, best in zip(means[law], lowest, strict=True)
+                ),
             )
             for law in ranked
         ],
     )
 
 
-def own_friction(truth: str) -> str:
+def describe_true_friction(truth: str) -> str:
     """Return a sentence on the family of a twin's true friction; "" is that of its MJCF."""
     if truth:
         return f"The friction of this simulated robot is '{truth}' of its plant."
@@ -194,7 +227,7 @@ def own_friction(truth: str) -> str:
     )
 
 
-def leading(errors: Errors) -> str:
+def find_leader(errors: Errors) -> str:
     """Return the law with the lowest geometric mean error."""
     laws = [law for law in next(iter(errors.values())) if law != ORACLE]
     return min(laws, key=lambda law: _mean_ratio(errors, law, laws[0]) or math.inf)
@@ -202,38 +235,52 @@ def leading(errors: Errors) -> str:
 
 def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
     logs = [
-        math.log(own / other)
+        math.log(law_error / reference_error)
         for row in errors.values()
         if law in row and reference in row
-        for own, other in zip(row[law], row[reference], strict=True)
+        for law_error, reference_error in zip(row[law], row[reference], strict=True)
     ]
     return math.exp(math.fsum(logs) / len(logs)) if logs else None
 
 
 def position_errors(
-    name: str, found: PositionErrors, comparison: Comparison, sliding: Sequence[bool] = ()
+    name: str,
+    simulated_errors: PositionErrors,
+    comparison: Comparison,
+    sliding: Sequence[bool] = (),
 ) -> ResultTable:
     """Return errors of laws by joint: torque for feed-forward, position for simulation."""
-    laws = list(found.windows)
+    laws = list(simulated_errors.windows)
     errors: list[list[Sequence[float | None]]] = [[comparison.laws[law].rmse for law in laws]]
-    errors += [[found.windows[law][k] for law in laws] for k in range(len(found.lengths))]
-    heads = [f"{length:g} s" for length in found.lengths]
-    if found.open_loop:
-        errors.append([found.open_loop.get(law, (None,) * len(found.joints)) for law in laws])
+    errors += [
+        [simulated_errors.windows[law][k] for law in laws]
+        for k in range(len(simulated_errors.lengths))
+    ]
+    heads = [f"{length:g} s" for length in simulated_errors.lengths]
+    if simulated_errors.open_loop:
+        errors.append(
+            [
+                simulated_errors.open_loop.get(law, (None,) * len(simulated_errors.joints))
+                for law in laws
+            ]
+        )
         heads.append("open loop")
     rows = []
-    for j, joint in enumerate(joints(len(found.joints))):
+    for j, joint in enumerate(joints(len(simulated_errors.joints))):
         columns = [
             [e and scale * e for e in (of_law[j] for of_law in column)]
             for column, scale in zip(errors, (1.0, *[1e3] * len(heads)), strict=True)
         ]
-        least = [min((e for e in column if e is not None), default=None) for column in columns]
+        lowest = [min((e for e in column if e is not None), default=None) for column in columns]
         places = [decimals(column) for column in columns]
-        rows += [row_of(joint)] * (len(found.joints) > 1)
+        rows += [make_row(joint)] * (len(simulated_errors.joints) > 1)
         rows += [
-            row_of(
+            make_row(
                 title(law),
-                *(fixed(e, p, best=e == b) for e, p, b in zip(row, places, least, strict=True)),
+                *(
+                    fixed_cell(e, p, best=e == b)
+                    for e, p, b in zip(row, places, lowest, strict=True)
+                ),
             )
             for law, *row in zip(laws, *columns, strict=True)
         ]
@@ -248,13 +295,13 @@ def position_errors(
     )
 
 
-def _without_lag(errors: Sequence[float], ideal: Sequence[float] | None) -> TableCell:
-    if ideal is None or min(*errors, *ideal) <= 0.0:
-        return fixed(None, 2)
-    return fixed(geometric_mean(map(truediv, ideal, errors)), 2)
+def _zero_phase_cell(errors: Sequence[float], zero_phase: Sequence[float] | None) -> TableCell:
+    if zero_phase is None or min(*errors, *zero_phase) <= 0.0:
+        return fixed_cell(None, 2)
+    return fixed_cell(geometric_mean(map(truediv, zero_phase, errors)), 2)
 
 
-def _fitted(per_log: Sequence[str] | None) -> str:
+def _describe_nuisances(per_log: Sequence[str] | None) -> str:
     if per_log is None:
         return ""
     if not per_log:
@@ -266,11 +313,11 @@ def ratio_notes(ratio: ErrorRatio) -> tuple[str, ...]:
     """Return a ratio, its interval, and that for other logs if known."""
     if ratio.low is None or ratio.high is None:
         return f"{ratio.value:.2f}", "too short"
-    others = ["{:.2f}–{:.2f}".format(*ratio.others)] if ratio.others else []
-    return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}", *others
+    other_intervals = ["{:.2f}–{:.2f}".format(*ratio.others)] if ratio.others else []
+    return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}", *other_intervals
 
 
-def _by_inputs(
+def _group_by_inputs(
     laws: Sequence[str], inputs: Mapping[str, str] | None
 ) -> dict[str | None, list[str]]:
     if inputs is None:

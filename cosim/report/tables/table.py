@@ -46,10 +46,10 @@ class TableRow:
     quiet: bool = False
 
 
-def row_of(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
+def make_row(head: str | Markup, *cells: TableCell | str | Markup, quiet: bool = False) -> TableRow:
     """Return a row."""
-    shown = [cell if isinstance(cell, TableCell) else TableCell(text=cell) for cell in cells]
-    return TableRow(head=head, cells=shown, quiet=quiet)
+    row_cells = [cell if isinstance(cell, TableCell) else TableCell(text=cell) for cell in cells]
+    return TableRow(head=head, cells=row_cells, quiet=quiet)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,23 +83,25 @@ def joints(count: int) -> tuple[str, ...]:
     return tuple(f"J{k}" for k in range(1, count + 1))
 
 
-def on_joints(laws: Sequence[str]) -> str:
+def join_law_titles(laws: Sequence[str]) -> str:
     """Return the titles of laws with the short names of their joints; one law of all alone."""
-    where: dict[str, list[str]] = {}
+    joints_by_title: dict[str, list[str]] = {}
     for law, name in zip(laws, joints(len(laws)), strict=True):
-        where.setdefault(title(law), []).append(name)
-    if len(where) == 1:
-        return next(iter(where))
-    return "; ".join(f"{law} on {', '.join(of)}" for law, of in where.items())
+        joints_by_title.setdefault(title(law), []).append(name)
+    if len(joints_by_title) == 1:
+        return next(iter(joints_by_title))
+    return "; ".join(
+        f"{law} on {', '.join(joint_names)}" for law, joint_names in joints_by_title.items()
+    )
 
 
 def title(law: str) -> str:
     """Return the title of a law; a variant keeps its name."""
     if law in set(StandIn):
         return StandIn(law).words
-    known = registry()
+    laws = registry()
     name = law.removesuffix(MEASURED_START)
-    return known[name].title + law[len(name) :] if name in known else law
+    return laws[name].title + law[len(name) :] if name in laws else law
 
 
 def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:
@@ -109,7 +111,7 @@ def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ())
     return TableCell(text=rounded(value, digits), value=value, notes=notes)
 
 
-def fixed(
+def fixed_cell(
     value: float | None, decimals: int, *, best: bool = False, notes: tuple[str, ...] = ()
 ) -> TableCell:
     """Return the cell of a number with fixed decimals."""
@@ -176,11 +178,13 @@ def markdown(table: ResultTable) -> str:
         (f"**{row.head}**" if not row.cells else str(row.head), *map(_text, row.cells))
         for row in table.rows
     ]
-    whole = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
-    escaped = ([cell.replace("|", r"\|") for cell in row] for row in (table.head, sides, *whole))
+    padded_rows = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
+    escaped = (
+        [cell.replace("|", r"\|") for cell in row] for row in (table.head, sides, *padded_rows)
+    )
     lines = [f"| {' | '.join(row)} |" for row in escaped]
-    shown = table.caption.replace("; small: ", "; in brackets: ")
-    caption = [f"{shown}.", ""] if shown else []
+    caption_text = table.caption.replace("; small: ", "; in brackets: ")
+    caption = [f"{caption_text}.", ""] if caption_text else []
     return "\n".join([*caption, *lines, *(["", table.note] if table.note else [])]) + "\n"
 
 

@@ -14,11 +14,13 @@ from hesr_model.audit.properties import MARKS
 _COLOURS = {"pass": "green", "fail": "red"}
 
 
-def show(*shown: "ResultTable | str") -> None:
+def show(*contents: "ResultTable | str") -> None:
     """Print tables and text."""
     console = Console()
-    for one in shown:
-        console.print(Drawn(one) if isinstance(one, ResultTable) else one)
+    for table_or_text in contents:
+        console.print(
+            Drawn(table_or_text) if isinstance(table_or_text, ResultTable) else table_or_text
+        )
 
 
 class Drawn:
@@ -52,21 +54,21 @@ class Drawn:
         if first + sum(widths.values()) + len(widths) > room:
             first = min(first, room // 2, room - 1 - max(widths.values()))
         block: dict[int, int | None] = {0: first}
-        used = first
+        used_width = first
         for k, width in widths.items():
-            if len(block) > 1 and used + 1 + width > room:
+            if len(block) > 1 and used_width + 1 + width > room:
                 yield block
                 block = {0: first}
-                used = first
+                used_width = first
             block[k] = width
-            used += 1 + width
+            used_width += 1 + width
         yield block
 
     def _block(self, widths: dict[int, int | None]) -> Table:
-        shown = Table(box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False, show_edge=False)
+        rich_table = Table(box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False, show_edge=False)
         for k, width in widths.items():
             right = k > 0 and self._table.numeric and k not in self._table.words
-            shown.add_column(
+            rich_table.add_column(
                 Text(self._table.head[k]),
                 justify="right" if right else "left",
                 overflow="fold",
@@ -74,8 +76,8 @@ class Drawn:
                 no_wrap=k == 0 and width is None,
             )
         for head, cells in zip(self._heads, self._cells, strict=True):
-            shown.add_row(head, *(cells[k - 1] for k in widths if k) if cells else ())
-        return shown
+            rich_table.add_row(head, *(cells[k - 1] for k in widths if k) if cells else ())
+        return rich_table
 
 
 def _width(texts: Sequence[Text]) -> int:

@@ -9,11 +9,11 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from fmu_src.arm.native import arm_page, arm_stimuli, description, licences, model_name
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.arm.table import SignalTable, variables
-from fmu_src.export.description import RELEASED, Description, to_xml
+from fmu_src.export.description import RELEASE_DATE, Description, to_xml
 from fmu_src.export.interface import Interface
-from fmu_src.export.package import check_request, own_licence, write_archive
+from fmu_src.export.package import check_request, read_licence, write_archive
 from fmu_src.run.reference_results import result_files
 from fmu_src.run.trust import remember
 from hesr_model.errors import ConfigError
@@ -28,37 +28,37 @@ _MODULE = "hesr_python_arm"  # unique: all Python FMUs of a process share the li
 def export_python_arm(mjcf: Path, table: Path | SignalTable | None, output: Path) -> Path:
     """Write an MJCF, without references to files, as an FMU for hosts with HESR and MuJoCo."""
     check_request(output, ("linux64",))
-    signals = signals_of(mjcf, table)
+    signals = read_signals(mjcf, table)
     interface = Interface(
         variables=variables(signals), model_exchange=False, directional_derivatives=False
     )
     description_of_arm = description(signals, model_name(signals.model, mjcf))
-    about = _about(mjcf, table, interface, description_of_arm)
+    about = _describe_arm(mjcf, table, interface, description_of_arm)
     with scratch_folder() as folder:
         parts = [Path(folder, MODEL), Path(folder, ABOUT)]
         parts[0].write_bytes(mjcf.read_bytes())
         parts[1].write_text(json.dumps(about), encoding="utf-8")
         try:
-            signals_of(parts[0])
+            read_signals(parts[0])
         except ConfigError as error:
             raise ConfigError(
                 f"{mjcf}: refers to other files, which python-arm does not support."
             ) from error
-        with zipfile.ZipFile(_built(Path(folder), parts)) as archive:
+        with zipfile.ZipFile(_build_fmu(Path(folder), parts)) as archive:
             members = {name: archive.read(name) for name in sorted(archive.namelist())}
     members["modelDescription.xml"] = about["xml"].encode()  # PythonFMU's has no line breaks
     members |= arm_page(signals, interface, description_of_arm)
     members |= result_files(members, arm_stimuli(signals))
-    members |= own_licence()
-    write_archive(members | licences("pythonfmu"), output, RELEASED)
+    members |= read_licence()
+    write_archive(members | licences("pythonfmu"), output, RELEASE_DATE)
     remember(output)
     return output
 
 
-def _about(
+def _describe_arm(
     mjcf: Path, table: Path | SignalTable | None, interface: Interface, about: Description
 ) -> dict[str, Any]:
-    named = SignalTable.read(table) if isinstance(table, Path) else table
+    signal_table = SignalTable.read(table) if isinstance(table, Path) else table
     content = hashlib.sha256(to_xml(interface, about, "") + mjcf.read_bytes()).hexdigest()
     root = ET.fromstring(to_xml(interface, about, content))
     kind = root.find("CoSimulation")
@@ -70,20 +70,20 @@ def _about(
     return {
         "identifier": about.identifier,
         "xml": text.decode(),
-        "signals": named and named.model_dump(),
+        "signals": signal_table and signal_table.model_dump(),
     }
 
 
-def _built(folder: Path, parts: list[Path]) -> Path:
+def _build_fmu(folder: Path, parts: list[Path]) -> Path:
     from pythonfmu.builder import FmuBuilder  # slow to import
 
     script = folder / "slave" / f"{_MODULE}.py"
     script.parent.mkdir()
     script.write_bytes(Path(__file__).with_name("slave.py").read_bytes())
-    places = list(sys.path)
+    module_paths = list(sys.path)
     try:
         FmuBuilder.build_FMU(script, dest=folder / "built.fmu", project_files=parts)
     finally:  # undo the builder's changes
-        sys.path[:] = places
+        sys.path[:] = module_paths
         sys.modules.pop(_MODULE, None)
     return folder / "built.fmu"

@@ -18,19 +18,19 @@ from fmu_src.arm.table import (
     SEED,
     ArmSignals,
     Loss,
+    join_seed_halves,
     noise_name,
-    seed_of,
     variables,
 )
 from hesr_model.errors import SimulationError
 from hesr_model.logs.noise import standard_normal
 from hesr_model.support.arrays import Array
 
-_LEAST_SCALE = 1e-9  # without friction; bristles need a stiffness
+_MIN_SCALE = 1e-9  # without friction; bristles need a stiffness
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_MAX = 1e10  # beyond it MuJoCo zeroes controls and resets states
-_BLOCK = 256  # noise samples drawn at once
-_LEAST_LEVEL = 1e-9  # [N.m] MuJoCo has no friction constraint for a joint without friction
+_MAX_MAGNITUDE = 1e10  # beyond it MuJoCo zeroes controls and resets states
+_NOISE_BLOCK_SIZE = 256  # noise samples drawn at once
+_MIN_LEVEL = 1e-9  # [N.m] MuJoCo has no friction constraint for a joint without friction
 
 
 class LossState:
@@ -60,16 +60,22 @@ class LossState:
         self._update(model, data)
 
     def _update(self, model: Any, data: Any) -> None:
-        of = self._of
+        columns = self._of
         torque = data.qfrc_spring[self._carrier] + data.qfrc_gravcomp[self._carrier]
         speed = data.qvel[self._dof]
-        numbers = (self._load, of["direct"], of["speed"], of["evolution"], of["age"])
-        [self.levels] = level_function()(torque, speed, self.ages, of["constant"], *numbers)
+        numbers = (
+            self._load,
+            columns["direct"],
+            columns["speed"],
+            columns["evolution"],
+            columns["age"],
+        )
+        [self.levels] = level_function()(torque, speed, self.ages, columns["constant"], *numbers)
         self.apply(model)
 
     def apply(self, model: Any) -> None:
         """Write the levels into a model."""
-        model.dof_frictionloss[self._dof] = np.maximum(self._scale * self.levels, _LEAST_LEVEL)
+        model.dof_frictionloss[self._dof] = np.maximum(self._scale * self.levels, _MIN_LEVEL)
 
     def torque(self, model: Any, data: Any) -> Array:
         """Return the torque against the motion at the evaluated instant [N.m]."""
@@ -92,7 +98,7 @@ class Simulation:
         }
         self._noisy = [k for k, o in enumerate(signals.outputs) if o.noise is not None]
         self._state_size = mujoco.mj_stateSize(signals.model, _STATE)
-        drives = [(c, k) for k, one in enumerate(signals.inputs) for c in one.controls]
+        drives = [(c, k) for k, arm_input in enumerate(signals.inputs) for c in arm_input.controls]
         self._controls, self._driven = np.array(drives, dtype=int).reshape(-1, 2).T
         self._streams = np.array([signals.outputs[k].stream for k in self._noisy])
         self.reset()
@@ -104,18 +110,18 @@ class Simulation:
 
     def reset(self, parameters: Mapping[str, float] | None = None) -> Array:
         """Start with these parameters, the others by default, and return the outputs."""
-        given = self.defaults | dict(parameters or {})
-        self._check(given)
-        self.parameters = given
+        parameter_values = self.defaults | dict(parameters or {})
+        self._check(parameter_values)
+        self.parameters = parameter_values
         self.samples = 0
         self._adapt()
         data = self._data
         for start in self.signals.starts:
-            data.qpos[start.position] = given[start.name]
+            data.qpos[start.position] = parameter_values[start.name]
             if start.activation is not None:
-                data.act[start.activation] = given[start.name]
+                data.act[start.activation] = parameter_values[start.name]
             if start.other is not None:
-                data.qpos[start.other] = given[start.name]
+                data.qpos[start.other] = parameter_values[start.name]
         mujoco.mj_forward(self._model, data)
         acting = data.qfrc_smooth.copy()
         for start in self.signals.starts:
@@ -130,19 +136,22 @@ class Simulation:
         Raises SimulationError, with the state unchanged, for another `dt`, excessive inputs or
         divergence.
         """
-        own = self.timestep
-        count = round(dt / own)
-        if count < 1 or abs(dt - count * own) > 1e-6 * own:
+        timestep = self.timestep
+        count = round(dt / timestep)
+        if count < 1 or abs(dt - count * timestep) > 1e-6 * timestep:
             raise SimulationError(
-                f"the step is {dt:g} s; a multiple of the simulation's own, {own:g} s, is needed."
+                f"the step is {dt:g} s; a multiple of the simulation's own, {timestep:g} s, is "
+                "needed."
             )
         before = self._state()
         losses = (self._losses.levels, self._losses.ages)
         data = self._data
         values = np.atleast_1d(np.asarray(inputs, dtype=float))
-        for one, value in zip(self.signals.inputs, values.tolist(), strict=True):
-            if not abs(value) <= _MAX:
-                raise SimulationError(f"{one.name} is {value:g}; the largest is {_MAX:g}.")
+        for arm_input, value in zip(self.signals.inputs, values.tolist(), strict=True):
+            if not abs(value) <= _MAX_MAGNITUDE:
+                raise SimulationError(
+                    f"{arm_input.name} is {value:g}; the largest is {_MAX_MAGNITUDE:g}."
+                )
         data.ctrl[self._controls] = values[self._driven]
         with _quiet():
             self._advance(count)
@@ -168,18 +177,18 @@ class Simulation:
         guess = data.qacc_warmstart.copy()
         mujoco.mj_forward(self._model, data)
         data.qacc_warmstart[:] = guess
-        found: Array = self._weights @ data.sensordata
+        outputs: Array = self._weights @ data.sensordata
         if self.signals.losses:
-            found += self._lost @ self._losses.torque(self._model, data)
+            outputs += self._lost @ self._losses.torque(self._model, data)
         if self._noisy:
-            found[self._noisy] += self._sigma * self._noise(self.samples)
-        return found
+            outputs[self._noisy] += self._sigma * self._noise(self.samples)
+        return outputs
 
     def _noise(self, sample: int) -> Array:
         row = sample - self._drawn_from
         if not 0 <= row < len(self._drawn):
             self._drawn_from = sample
-            counters = np.arange(sample, sample + _BLOCK)[:, None]
+            counters = np.arange(sample, sample + _NOISE_BLOCK_SIZE)[:, None]
             self._drawn = standard_normal(self._seed, self._streams, counters)
             row = 0
         return np.asarray(self._drawn[row])
@@ -213,8 +222,8 @@ class Simulation:
         self._losses.ages = ages
         self._losses.apply(self._model)
 
-    def _check(self, given: Mapping[str, float]) -> None:
-        for name, value in given.items():
+    def _check(self, parameters: Mapping[str, float]) -> None:
+        for name, value in parameters.items():
             if name not in self.defaults:
                 raise SimulationError(f"there is no parameter '{name}'.")
             if not np.isfinite(value):
@@ -223,35 +232,36 @@ class Simulation:
             if value < 0 and not signed:
                 raise SimulationError(f"{name} is {value:g}; it must not be negative.")
         delay = self.signals.delay
-        if delay and given[LATENCY] > delay.longest * (1 + 1e-9):
+        if delay and parameters[LATENCY] > delay.longest * (1 + 1e-9):
             raise SimulationError(
-                f"latency is {given[LATENCY]:g} s; the model's buffers hold {delay.longest:g} s."
+                f"latency is {parameters[LATENCY]:g} s; the model's buffers hold "
+                f"{delay.longest:g} s."
             )
 
     def _adapt(self) -> None:
-        given = self.parameters
+        parameters = self.parameters
         signals = self.signals
         self._model = model = copy.copy(signals.model)
-        scale = given.get(SCALE, 1.0)
-        least = max(scale, _LEAST_SCALE)
+        scale = parameters.get(SCALE, 1.0)
+        element_scale = max(scale, _MIN_SCALE)
         for actuator in signals.friction:
-            model.actuator_biasprm[actuator, [0, 3, 4]] *= least
-            model.actuator_dynprm[actuator, [5, 6]] *= least
-            model.actuator_damping[actuator] *= least
-            model.actuator_dampingpoly[actuator] *= least
+            model.actuator_biasprm[actuator, [0, 3, 4]] *= element_scale
+            model.actuator_dynprm[actuator, [5, 6]] *= element_scale
+            model.actuator_damping[actuator] *= element_scale
+            model.actuator_dampingpoly[actuator] *= element_scale
         model.dof_damping[[loss.dof for loss in signals.losses]] *= scale
         self._losses = LossState(signals.losses, scale)
         for actuator in signals.delay.actuators if signals.delay else ():
             step = float(model.opt.timestep)
             interpolated = model.actuator_history[actuator, 1] > 0
             model.actuator_delay[actuator] = (
-                given[LATENCY]
+                parameters[LATENCY]
                 if interpolated
-                else max(np.ceil(given[LATENCY] / step - 1e-6) - 0.5, 0.0) * step
+                else max(np.ceil(parameters[LATENCY] / step - 1e-6) - 0.5, 0.0) * step
             )
         self._data = mujoco.MjData(model)
         if signals.payload is not None:
-            model.body_mass[signals.payload] += given[PAYLOAD]
+            model.body_mass[signals.payload] += parameters[PAYLOAD]
             mujoco.mj_setConst(model, self._data)
             mujoco.mj_resetData(model, self._data)
         self._weights = np.zeros((len(signals.outputs), model.nsensordata))
@@ -261,15 +271,17 @@ class Simulation:
         self._lost = np.zeros((len(signals.outputs), len(signals.losses)))
         for row, output in zip(self._lost, signals.outputs, strict=True):
             row[list(output.losses)] = 1.0
-        self._sigma = np.array([given[noise_name(signals.outputs[k])] for k in self._noisy])
+        self._sigma = np.array([parameters[noise_name(signals.outputs[k])] for k in self._noisy])
         self._drawn, self._drawn_from = np.empty((0, len(self._noisy))), 0
-        self._seed = seed_of(*(int(given.get(f"{SEED}[{half}]", 0)) for half in (1, 2)))
+        self._seed = join_seed_halves(
+            *(int(parameters.get(f"{SEED}[{half}]", 0)) for half in (1, 2))
+        )
 
     def _has_diverged(self) -> bool:
         data = self._data
         first = int(mujoco.mjtWarning.mjWARN_CONTACTFULL)
         extremes = (data.qpos.max(), -data.qpos.min(), data.qvel.max(), -data.qvel.min())
-        bounded = all(extreme <= _MAX for extreme in extremes)  # false for NaN
+        bounded = all(extreme <= _MAX_MAGNITUDE for extreme in extremes)  # false for NaN
         return not bounded or bool(data.warning.number[first:].any())
 
 

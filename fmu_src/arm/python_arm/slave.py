@@ -13,7 +13,7 @@ from pythonfmu.enums import Fmi2Status
 
 from fmu_src.arm.python_arm.export import ABOUT, MODEL
 from fmu_src.arm.python_arm.simulation import Simulation
-from fmu_src.arm.signals import signals_of
+from fmu_src.arm.signals import read_signals
 from fmu_src.arm.table import SignalTable
 from hesr_model.errors import HesrError
 
@@ -30,7 +30,7 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         self.modelName = self._about["identifier"]
         table = self._about["signals"]
         self._simulation = Simulation(
-            signals_of(folder / MODEL, table and SignalTable.model_validate(table))
+            read_signals(folder / MODEL, table and SignalTable.model_validate(table))
         )
         self._variables = self._simulation.variables
         self._values = [variable.start for variable in self._variables]
@@ -82,12 +82,12 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
 
     def do_step(self, time: float, step: float) -> bool:
         """Simulate to the last multiple of the simulation's own step; log a failure's reason."""
-        own = self._simulation.timestep
-        due = math.floor((time + step - self._start) / own + _ROUNDING) - self._steps
+        timestep = self._simulation.timestep
+        due = math.floor((time + step - self._start) / timestep + _ROUNDING) - self._steps
         if due < 1:
             return True
         try:
-            outputs = self._simulation.step([self._values[k] for k in self._inputs], due * own)
+            outputs = self._simulation.step([self._values[k] for k in self._inputs], due * timestep)
         except HesrError as error:
             self.log(str(error), Fmi2Status.discard)
             return False
@@ -102,8 +102,8 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
             )
         except HesrError:
             # PythonFMU releases these when a call raises, and again at the end.
-            for held in (self, type(self), self.log_queue):
-                ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
+            for python_object in (self, type(self), self.log_queue):
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(python_object))
             raise
         self._show(outputs.tolist())
         self._stale = False

@@ -23,7 +23,7 @@ from hesr_model.equations.functions import absolute, clip, exceeds, larger, posi
 from hesr_model.equations.memory import DT
 from hesr_model.friction.inputs import DQ, TORQUE
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.scales import CHANGE, CHANGE_OF_OFFSET, parts
+from hesr_model.friction.scales import MIN_CHANGE, MIN_OFFSET_CHANGE, split_torque
 from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
 
 
@@ -45,8 +45,8 @@ class Tuning:
     clipped: float = 3.0  # [standard deviations] limit of the innovation in use
     hold: float = 0.5  # time without learning after an outlier [s]
     carried: float = 0.25  # share of the learned factors in the next log
-    change: float = CHANGE  # smallest detected change
-    change_of_offset: float = CHANGE_OF_OFFSET
+    change: float = MIN_CHANGE  # smallest detected change
+    change_of_offset: float = MIN_OFFSET_CHANGE
     alarm: float = 20.0  # threshold of the log-likelihood ratio
 
 
@@ -70,7 +70,7 @@ _FACTORS = (
     ("viscosity", "1", "factor on viscous friction of {joint}"),
     ("offset", "N.m", "offset of {joint} in addition to that of the law"),
 )
-_PLACES = range(len(_FACTORS))
+_FACTOR_INDICES = range(len(_FACTORS))
 _ALARMS = {
     "drift": ("change of the friction of {joint}", ((-1, "fallen"), (0, "none"), (1, "risen"))),
     "shift": (
@@ -87,15 +87,17 @@ HEALTH = (
     (5, "at_limit"),
 )
 """Values of `health`: the factors adapt, or the reason why they do not."""
-_HUGE = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
-_MIXED = sympy.Float(1e-7)  # share of correlations lost per sample, which keeps round-off harmless
-_LEAST_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
-_TINY = sympy.Float(1e-200)
+_MAX_REGRESSOR = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
+_CORRELATION_LOSS = sympy.Float(
+    1e-7
+)  # share of correlations lost per sample, which keeps round-off harmless
+_MIN_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
+_DIVISION_GUARD = sympy.Float(1e-200)
 
 _Limits = dict[str, tuple[float, float]]
 
 
-def own_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
+def build_joint_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[Parameter, ...]:
     """Return a joint's parameters beyond its law; `noise` [N.m], top `speed` [rad/s]."""
     rows = (
         ("noise", "N.m", "standard deviation of the unexplained torque", noise),
@@ -122,10 +124,10 @@ def adaptive_component(
     `noise` of the unexplained torque [N.m], largest `speed` [rad/s]; `viscosity_least` keeps the
     passivity certificate of the ripple.
     """
-    own = own_parameters(tuning, noise, speed)
-    sigma = larger(own[0].symbol, _LEAST_NOISE)
+    joint_parameters = build_joint_parameters(tuning, noise, speed)
+    sigma = larger(joint_parameters[0].symbol, _MIN_NOISE)
     warm = warmth(previous(TORQUE)) if thermal else None
-    law_parts = parts(law, previous("level"), warm.coulomb if warm else sympy.S.One)
+    law_parts = split_torque(law, previous("level"), warm.coulomb if warm else sympy.S.One)
     viscous = law_parts.viscous
     viscosity = previous("viscosity")
     if warm:  # the factor after temperature still covers the ripple
@@ -138,49 +140,63 @@ def adaptive_component(
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
     torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.rest
     torque += previous("offset")
-    begin = sympy.S.Zero if warm else None
-    moving = exceeds(absolute(DQ), own[1].symbol)
-    saturates = exceeds(absolute(MEASURED.symbol), own[2].symbol) * exceeds(own[2].symbol, 0)
-    alarms, sums = _alarms(tuning, sigma)
+    torque_start = sympy.S.Zero if warm else None
+    is_moving = exceeds(absolute(DQ), joint_parameters[1].symbol)
+    saturates = exceeds(absolute(MEASURED.symbol), joint_parameters[2].symbol) * exceeds(
+        joint_parameters[2].symbol, 0
+    )
+    alarms, sums = _build_alarms(tuning, sigma)
     base = law.form.component
     return replace(
         base,
         inputs=(*base.inputs, *INPUTS, *((TEMPERATURE,) if warm else ())),
-        parameters=(*base.parameters, *own, *(thermal_parameters(thermal) if thermal else ())),
+        parameters=(
+            *base.parameters,
+            *joint_parameters,
+            *(thermal_parameters(thermal) if thermal else ()),
+        ),
         memory=(*((warm.memory,) if warm else ()), *law_parts.memory),
         equations=(
-            _output(TORQUE, "N.m", "friction {effort} of {joint}", torque, begin),
-            *_factors(tuning, sigma, own, limits),
+            _output_equation(TORQUE, "N.m", "friction {effort} of {joint}", torque, torque_start),
+            *_build_factors(tuning, sigma, joint_parameters, limits),
             *alarms,
-            _health(limits, moving, saturates),
+            _build_health(limits, is_moving, saturates),
             *law_parts.sensitivities,
-            _hidden("raw", MEASURED.symbol - RIGID.symbol - _named(TORQUE)),
+            _hidden_equation("raw", MEASURED.symbol - RIGID.symbol - _make_symbol(TORQUE)),
             # NaN counts as 0; large values are clipped to the usual tail of the noise.
-            _hidden("innovation", clip(_number(_named("raw")), tuning.clipped * _expected(sigma))),
-            *(
-                _hidden(f"phi_{name}", moving * clip(_number(e), _HUGE * sigma))
-                for name, e in (("level", law_parts.along), ("viscosity", viscous))
+            _hidden_equation(
+                "innovation",
+                clip(
+                    _replace_nan(_make_symbol("raw")), tuning.clipped * _expected_deviation(sigma)
+                ),
             ),
-            *_gains(tuning, sigma, moving, saturates),
-            *_covariance(deviations),
+            *(
+                _hidden_equation(
+                    f"phi_{name}",
+                    is_moving * clip(_replace_nan(expression), _MAX_REGRESSOR * sigma),
+                )
+                for name, expression in (("level", law_parts.along), ("viscosity", viscous))
+            ),
+            *_build_gains(tuning, sigma, is_moving, saturates),
+            *_build_covariance(deviations),
             *sums,
         ),
     )
 
 
-def _named(name: str) -> sympy.Symbol:
+def _make_symbol(name: str) -> sympy.Symbol:
     return sympy.Symbol(name, real=True)
 
 
-_PHI = (_named("phi_level"), _named("phi_viscosity"), sympy.Integer(1))
-_G = tuple(_named(f"g_{i}") for i in _PLACES)
+_PHI = (_make_symbol("phi_level"), _make_symbol("phi_viscosity"), sympy.Integer(1))
+_G = tuple(_make_symbol(f"g_{i}") for i in _FACTOR_INDICES)
 
 
-def _p(i: int, j: int) -> str:
+def _covariance_name(i: int, j: int) -> str:
     return f"P_{min(i, j)}{max(i, j)}"
 
 
-def _output(
+def _output_equation(
     name: str, unit: str, text: str, expression: sympy.Expr, start: sympy.Expr | None = None
 ) -> Equation:
     return Equation(
@@ -188,64 +204,79 @@ def _output(
     )
 
 
-def _hidden(name: str, expression: sympy.Expr, start: sympy.Expr | None = None) -> Equation:
+def _hidden_equation(
+    name: str, expression: sympy.Expr, start: sympy.Expr | None = None
+) -> Equation:
     return Equation(name=name, expression=expression, start=start)
 
 
-def _factors(
-    tuning: Tuning, sigma: sympy.Expr, own: tuple[Parameter, ...], limits: _Limits
+def _build_factors(
+    tuning: Tuning, sigma: sympy.Expr, joint_parameters: tuple[Parameter, ...], limits: _Limits
 ) -> list[Equation]:
 
-    def limited(name: str, x: sympy.Expr) -> sympy.Expr:
+    def limit_factor(name: str, x: sympy.Expr) -> sympy.Expr:
         if name not in limits:
             return clip(x, tuning.offset * sigma)
-        return larger(_at_most(x, limits[name][1]), limits[name][0])
+        return larger(_minimum(x, limits[name][1]), limits[name][0])
 
-    steps = [g * _named("gain") * _named("innovation") for g in _G]
+    steps = [g * _make_symbol("gain") * _make_symbol("innovation") for g in _G]
     steps[2] = clip(steps[2], tuning.offset_rate * sigma * DT)
     factors = [
-        _output(name, unit, text, limited(name, previous(name) + x), limited(name, first.symbol))
-        for (name, unit, text), x, first in zip(_FACTORS, steps, own[3:], strict=True)
+        _output_equation(
+            name,
+            unit,
+            text,
+            limit_factor(name, previous(name) + x),
+            limit_factor(name, first.symbol),
+        )
+        for (name, unit, text), x, first in zip(_FACTORS, steps, joint_parameters[3:], strict=True)
     ]
     for i, (name, unit, _) in enumerate(_FACTORS):
         text = f"standard deviation of {name}[{{number}}]"
-        factors.append(_output(f"{name}_sd", unit, text, sympy.sqrt(positive(_named(_p(i, i))))))
+        factors.append(
+            _output_equation(
+                f"{name}_sd", unit, text, sympy.sqrt(positive(_make_symbol(_covariance_name(i, i))))
+            )
+        )
     return factors
 
 
-def _alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
+def _build_alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], list[Equation]]:
     rows = (
         ("drift", "friction", _PHI[0] + _PHI[1], sympy.Float(tuning.change)),
         ("shift", "offset", _PHI[2], tuning.change_of_offset * sigma),
     )
-    weight = _named("weight")
-    error = _named("innovation")
+    weight = _make_symbol("weight")
+    error = _make_symbol("innovation")
     alarms = []
     sums = []
-    for name, of, regressor, change in rows:
-        up, down = (exceeds(_named(f"{of}_{way}"), tuning.alarm) for way in ("up", "down"))
+    for name, sum_prefix, regressor, change in rows:
+        rises, falls = (
+            exceeds(_make_symbol(f"{sum_prefix}_{direction}"), tuning.alarm)
+            for direction in ("up", "down")
+        )
         text, values = _ALARMS[name]
         alarm = Equation(
-            name=name, description=text, output=True, expression=up - down, values=values
+            name=name, description=text, output=True, expression=rises - falls, values=values
         )
         alarms.append(alarm)
-        for sum_name, d in ((f"{of}_up", change), (f"{of}_down", -change)):
+        for sum_name, d in ((f"{sum_prefix}_up", change), (f"{sum_prefix}_down", -change)):
             gain = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
-            total = _at_most(positive(previous(sum_name) + gain), 1.5 * tuning.alarm)
-            sums.append(_hidden(sum_name, total, sympy.S.Zero))
+            total = _minimum(positive(previous(sum_name) + gain), 1.5 * tuning.alarm)
+            sums.append(_hidden_equation(sum_name, total, sympy.S.Zero))
     return alarms, sums
 
 
-def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equation:
+def _build_health(limits: _Limits, is_moving: sympy.Expr, saturates: sympy.Expr) -> Equation:
     at_limit = sum(
-        exceeds(_named(name), high - 1e-9) + exceeds(low + 1e-9, _named(name))
-        for name, (low, high) in limits.items()
+        exceeds(_make_symbol(name), upper - 1e-9) + exceeds(lower + 1e-9, _make_symbol(name))
+        for name, (lower, upper) in limits.items()
     )
     reasons = {
         "at_limit": exceeds(at_limit, 0.5),
-        "outlier": 1 - _named("settled"),  # also shortly after one
+        "outlier": 1 - _make_symbol("settled"),  # also shortly after one
         "saturated": saturates,
-        "slow": 1 - moving,
+        "slow": 1 - is_moving,
         "switched_off": 1 - exceeds(ADAPT.symbol, 0.5),
     }
     numbers = {reason: number for number, reason in HEALTH}
@@ -261,60 +292,70 @@ def _health(limits: _Limits, moving: sympy.Expr, saturates: sympy.Expr) -> Equat
     )
 
 
-def _expected(sigma: sympy.Expr) -> sympy.Expr:
-    return sympy.sqrt(sigma**2 + _named("spread"))
+def _expected_deviation(sigma: sympy.Expr) -> sympy.Expr:
+    return sympy.sqrt(sigma**2 + _make_symbol("spread"))
 
 
-def _gains(
-    tuning: Tuning, sigma: sympy.Expr, moving: sympy.Expr, saturates: sympy.Expr
+def _build_gains(
+    tuning: Tuning, sigma: sympy.Expr, is_moving: sympy.Expr, saturates: sympy.Expr
 ) -> tuple[Equation, ...]:
     spread, learns, settled, weight, gain = map(
-        _named, ("spread", "learns", "settled", "weight", "gain")
+        _make_symbol, ("spread", "learns", "settled", "weight", "gain")
     )
     hold = tuning.hold
-    looks = exceeds(ADAPT.symbol, 0.5) * moving * (1 - saturates)
-    fits = exceeds(tuning.outlier * _expected(sigma), absolute(_named("raw")))
+    looks = exceeds(ADAPT.symbol, 0.5) * is_moving * (1 - saturates)
+    fits = exceeds(tuning.outlier * _expected_deviation(sigma), absolute(_make_symbol("raw")))
     density = 2 * tuning.correlation_time * sigma**2
-    forgets = learns * DT / ((tuning.forgetting_time + DT) * (spread + _TINY))
+    forgets = learns * DT / ((tuning.forgetting_time + DT) * (spread + _DIVISION_GUARD))
     return (
         *(
-            _hidden(g.name, sum(previous(_p(i, j)) * _PHI[j] for j in _PLACES))
+            _hidden_equation(
+                g.name, sum(previous(_covariance_name(i, j)) * _PHI[j] for j in _FACTOR_INDICES)
+            )
             for i, g in enumerate(_G)
         ),
-        _hidden("spread", positive(sum(x * g for x, g in zip(_PHI, _G, strict=True)))),
-        _hidden("calm", fits * _at_most(previous("calm") + DT, hold), sympy.Float(hold)),
-        _hidden("settled", 1 - exceeds(hold, _named("calm"))),
-        _hidden("learns", looks * settled),
-        _hidden("weight", looks * DT / (density + spread * DT)),
-        _hidden("gain", weight * settled),
-        _hidden("net", gain - forgets),
+        _hidden_equation("spread", positive(sum(x * g for x, g in zip(_PHI, _G, strict=True)))),
+        _hidden_equation("calm", fits * _minimum(previous("calm") + DT, hold), sympy.Float(hold)),
+        _hidden_equation("settled", 1 - exceeds(hold, _make_symbol("calm"))),
+        _hidden_equation("learns", looks * settled),
+        _hidden_equation("weight", looks * DT / (density + spread * DT)),
+        _hidden_equation("gain", weight * settled),
+        _hidden_equation("net", gain - forgets),
     )
 
 
-def _covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
-    cut = [_named(f"cut_{i}") for i in _PLACES]
-    grown = {
-        (i, j): previous(_p(i, j)) - _G[i] * _G[j] * _named("net")
-        for i in _PLACES
-        for j in _PLACES[i:]
+def _build_covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
+    cut = [_make_symbol(f"cut_{i}") for i in _FACTOR_INDICES]
+    updated = {
+        (i, j): previous(_covariance_name(i, j)) - _G[i] * _G[j] * _make_symbol("net")
+        for i in _FACTOR_INDICES
+        for j in _FACTOR_INDICES[i:]
     }
-    found = [
-        _hidden(x.name, d / larger(d, sympy.sqrt(positive(grown[i, i]))))
+    equations = [
+        _hidden_equation(x.name, d / larger(d, sympy.sqrt(positive(updated[i, i]))))
         for i, (x, d) in enumerate(zip(cut, deviations, strict=True))
     ]
-    for (i, j), e in grown.items():
+    for (i, j), e in updated.items():
         if i == j:
-            limited = larger(e * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
-            found.append(_hidden(_p(i, j), limited, sympy.S.Zero + deviations[i] ** 2))
+            variance = larger(e * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
+            equations.append(
+                _hidden_equation(
+                    _covariance_name(i, j), variance, sympy.S.Zero + deviations[i] ** 2
+                )
+            )
         else:
-            mixed = e * cut[i] * cut[j] * (1 - _MIXED * _named("learns"))
-            found.append(_hidden(_p(i, j), mixed, sympy.S.Zero))
-    return found
+            cross_covariance = (
+                e * cut[i] * cut[j] * (1 - _CORRELATION_LOSS * _make_symbol("learns"))
+            )
+            equations.append(
+                _hidden_equation(_covariance_name(i, j), cross_covariance, sympy.S.Zero)
+            )
+    return equations
 
 
-def _number(x: sympy.Expr) -> sympy.Expr:
+def _replace_nan(x: sympy.Expr) -> sympy.Expr:
     return positive(x) - positive(-x)
 
 
-def _at_most(x: sympy.Expr, most: float) -> sympy.Expr:
-    return -larger(-x, -most)
+def _minimum(x: sympy.Expr, upper: float) -> sympy.Expr:
+    return -larger(-x, -upper)

@@ -8,12 +8,12 @@ import numpy as np
 
 from fmu_src.export.package import Content, Version, check_request, write_fmu
 from fmu_src.export.toolchain import HOST
-from fmu_src.friction.discrete_fmu import THERMAL_LINES, discrete_equations, documented
-from fmu_src.friction.friction_fmu import about_model, bare_content
+from fmu_src.friction.discrete_fmu import THERMAL_LINES, add_documentation, discrete_equations
+from fmu_src.friction.friction_fmu import build_bare_content, describe_friction_fmu
 from fmu_src.friction.validity import require_numbers
 from hesr.extras.adaptive.component import ADAPT, TUNING, Tuning, adaptive_component
 from hesr.extras.adaptive.fmu_page import ADAPTIVE_NOTES, adaptive_lines
-from hesr_model.audit.certificate import least_viscosity
+from hesr_model.audit.certificate import find_min_viscous_scale
 from hesr_model.equations.component import Component, Parameter
 from hesr_model.equations.stepping import Steps
 from hesr_model.errors import SimulationError
@@ -39,20 +39,20 @@ def export_adaptive(
     With `no_documentation` it has neither page nor reference results.
     """
     check_request(path, platforms)
-    whole = adaptive_content(model, bare=no_documentation)
-    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+    content = adaptive_content(model, bare=no_documentation)
+    return write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def adaptive_content(model: FrictionModel, *, bare: bool = False) -> Content:
     """Return the adaptive FMU before compilation."""
-    about = about_model(model, "adaptive", "that adapts to measured torques")
+    about = describe_friction_fmu(model, "adaptive", "that adapts to measured torques")
     equations = discrete_equations(model, adaptive_components(model), (ADAPT,))
     require_numbers(model)
-    whole = bare_content(model, about, *equations)
+    content = build_bare_content(model, about, *equations)
     if bare:
-        return whole
+        return content
     lines = (*(THERMAL_LINES if model.thermal else ()), *adaptive_lines(TUNING))
-    return documented(whole, model, lines, ADAPTIVE_NOTES)
+    return add_documentation(content, model, lines, ADAPTIVE_NOTES)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +82,7 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
             tuning,
             noise=noise,
             speed=trained_range.speed,
-            viscosity_least=least_viscosity(law),
+            viscosity_least=find_min_viscous_scale(law),
             thermal=thermal,
         )
         for law, noise, trained_range, thermal in rows
@@ -109,32 +109,32 @@ class Follower:
 
     def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
         """Follow the records of all joints in one log; `tau` may hold NaN."""
-        found = tuple(r.joint for r in records)
-        if found != self._model.joints:
+        joints = tuple(r.joint for r in records)
+        if joints != self._model.joints:
             raise SimulationError(
                 f"friction model '{self._model.law}': the records are of the joints "
-                f"{', '.join(found) or 'none'}, not {', '.join(self._model.joints)}."
+                f"{', '.join(joints) or 'none'}, not {', '.join(self._model.joints)}."
             )
-        return [self._of_joint(j, record, adapt) for j, record in enumerate(records)]
+        return [self._follow_joint(j, record, adapt) for j, record in enumerate(records)]
 
-    def _of_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
+    def _follow_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law = self._model.laws[j]
         steps = self._steps[j]
-        columns, more = build_inputs(record)
+        columns, record_values = build_inputs(record)
         columns["tau_meas"] = record.measured
         columns["tau_rigid"] = record.of_bodies
         columns["adapt"] = np.full_like(record.t, float(adapt))
-        slow = len(steps.component.memory) - len(law.start)
-        start = (*(0.0,) * slow, *law.start)
-        values = steps.over(record.t, columns, self._values[j] | more, start)
+        extra_state_count = len(steps.component.memory) - len(law.start)
+        initial_state = (*(0.0,) * extra_state_count, *law.start)
+        values = steps.simulate(record.t, columns, self._values[j] | record_values, initial_state)
         outputs = dict(zip(steps.observed, values, strict=True))
-        for name, known in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):
-            learned = self._tuning.carried * (float(outputs[name][-1]) - known)
-            self._values[j][f"{name}_start"] = known + learned
+        for name, neutral in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):
+            learned_change = self._tuning.carried * (float(outputs[name][-1]) - neutral)
+            self._values[j][f"{name}_start"] = neutral + learned_change
         return Followed(record=record, fixed=predict_record(law, record), outputs=outputs)
 
 
-_SHARED = 0.5  # share of joints above which a change is shared
+_MIN_SHARED_SHARE = 0.5  # share of joints above which a change is shared
 _ESTIMATES = ("level", "level_sd", "viscosity", "viscosity_sd", "offset", "offset_sd")
 
 POINTS_TO = {
@@ -208,26 +208,28 @@ def watch(model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]) -> Fol
     return FollowedLogs(
         model=model,
         followed=followed,
-        states=tuple(_state(one) for log in followed for one in log),
-        alarms=tuple(alarm for log in followed for alarm in _alarms(log)),
+        states=tuple(
+            _summarise_joint(estimates) for log_estimates in followed for estimates in log_estimates
+        ),
+        alarms=tuple(alarm for log_estimates in followed for alarm in _find_alarms(log_estimates)),
     )
 
 
-def _state(one: Followed) -> State:
-    last = {name: float(column[-1]) for name, column in one.outputs.items()}
-    known = np.isfinite(one.record.tau)
+def _summarise_joint(estimates: Followed) -> State:
+    last_outputs = {name: float(column[-1]) for name, column in estimates.outputs.items()}
+    is_finite = np.isfinite(estimates.record.tau)
     return State(
-        log=one.record.log,
-        joint=one.record.joint,
-        **{name: last[name] for name in _ESTIMATES},
-        learning=float(np.mean(one.outputs["health"] == 0.0)),
-        rmse_fixed=rmse((one.fixed - one.record.tau)[known]),
-        rmse=rmse((one.outputs["tau"] - one.record.tau)[known]),
+        log=estimates.record.log,
+        joint=estimates.record.joint,
+        **{name: last_outputs[name] for name in _ESTIMATES},
+        learning=float(np.mean(estimates.outputs["health"] == 0.0)),
+        rmse_fixed=rmse((estimates.fixed - estimates.record.tau)[is_finite]),
+        rmse=rmse((estimates.outputs["tau"] - estimates.record.tau)[is_finite]),
     )
 
 
-def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
-    found = [
+def _find_alarms(log_estimates: Sequence[Followed]) -> Iterator[Alarm]:
+    alarms = [
         Alarm(
             log=record.log,
             joint=record.joint,
@@ -235,20 +237,30 @@ def _alarms(log: Sequence[Followed]) -> Iterator[Alarm]:
             kind=kind,
             sign=int(alarm[row]),
         )
-        for one in log
-        for record in [one.record]
+        for estimates in log_estimates
+        for record in [estimates.record]
         for kind in ("drift", "shift")
-        for alarm in [one.outputs[kind]]
+        for alarm in [estimates.outputs[kind]]
         for row in np.flatnonzero((alarm != 0.0) & (np.diff(alarm, prepend=0.0) != 0.0))
     ]
-    shared = shared_signs(((a.joint, a.sign) for a in found if a.kind == "drift"), len(log))
-    for alarm in sorted(found, key=lambda a: a.time):
-        kind = "shared drift" if alarm.kind == "drift" and alarm.sign in shared else alarm.kind
+    shared_drift_signs = find_shared_signs(
+        ((a.joint, a.sign) for a in alarms if a.kind == "drift"), len(log_estimates)
+    )
+    for alarm in sorted(alarms, key=lambda a: a.time):
+        kind = (
+            "shared drift"
+            if alarm.kind == "drift" and alarm.sign in shared_drift_signs
+            else alarm.kind
+        )
         yield replace(alarm, kind=kind)
 
 
-def shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
+def find_shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
     """Return the signs of drifts (joint, sign) that most joints share."""
-    found = set(drifts)
-    most = max(1.0, _SHARED * joints)
-    return [sign for sign in (1, -1) if sum(own == sign for _, own in found) > most]
+    joint_signs = set(drifts)
+    threshold = max(1.0, _MIN_SHARED_SHARE * joints)
+    return [
+        sign
+        for sign in (1, -1)
+        if sum(drift_sign == sign for _, drift_sign in joint_signs) > threshold
+    ]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from cosim.report.figures.chart import Chart, Line, Panel, drawn
+from cosim.report.figures.chart import Chart, Line, Panel, draw_chart
 from cosim.report.figures.style import SERIES, Stroke
 from cosim.report.markup import ResultFigure
-from cosim.report.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, make_row
 from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.adaptive.monitor import FollowedLogs
 from hesr_model.findings import Finding
@@ -18,7 +18,7 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.text import count_noun
 from hesr_model.support.typed_files import to_json
 
-_MOST_ALARMS = 12
+_MAX_LISTED_ALARMS = 12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -39,18 +39,18 @@ class Monitoring(Answer, FollowedLogs):
 
     def summary(self) -> str:
         """Return the alarms and the last state of each joint."""
-        count = len(self.alarms)
-        lines = [f"{count_noun(count, 'change')} of friction found."]
+        alarm_count = len(self.alarms)
+        lines = [f"{count_noun(alarm_count, 'change')} of friction found."]
         lines += [
-            f"{one.log}, {one.joint}, {one.time:.1f} s: {one.change} than known ({one.kind}); "
-            f"likely cause: {one.points_to}"
-            for one in self.alarms[:_MOST_ALARMS]
+            f"{row.log}, {row.joint}, {row.time:.1f} s: {row.change} than known ({row.kind}); "
+            f"likely cause: {row.points_to}"
+            for row in self.alarms[:_MAX_LISTED_ALARMS]
         ]
-        if count > _MOST_ALARMS:
-            lines.append(f"{count - _MOST_ALARMS} more alarms: --verbose lists them.")
-        for one in self.states[-len(self.model.joints) :]:
-            level, viscosity, offset = one.intervals()
-            lines.append(f"{one.joint}: level {level}, viscous factor {viscosity}, offset {offset}")
+        if alarm_count > _MAX_LISTED_ALARMS:
+            lines.append(f"{alarm_count - _MAX_LISTED_ALARMS} more alarms: --verbose lists them.")
+        for row in self.states[-len(self.model.joints) :]:
+            level, viscosity, offset = row.intervals()
+            lines.append(f"{row.joint}: level {level}, viscous factor {viscosity}, offset {offset}")
         return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
@@ -64,8 +64,8 @@ class Monitoring(Answer, FollowedLogs):
     def result(self) -> Any:
         """Return states and alarms."""
         return {
-            "states": [to_json(one) for one in self.states],
-            "alarms": [to_json(one) | {"points_to": one.points_to} for one in self.alarms],
+            "states": [to_json(row) for row in self.states],
+            "alarms": [to_json(row) | {"points_to": row.points_to} for row in self.alarms],
         }
 
 
@@ -73,11 +73,11 @@ _TREND_SECTION = "Trends"
 _TRENDS = {"level": "level", "viscosity": "viscous factor", "offset": "offset [N.m; N]"}
 
 
-def alarm_table(watched: FollowedLogs) -> ResultTable:
+def alarm_table(followed_logs: FollowedLogs) -> ResultTable:
     """Return the alarms."""
     rows = [
-        row_of(f"{a.log}: {a.joint}", f"{a.time:.1f}", a.kind, a.change, a.points_to)
-        for a in watched.alarms
+        make_row(f"{a.log}: {a.joint}", f"{a.time:.1f}", a.kind, a.change, a.points_to)
+        for a in followed_logs.alarms
     ]
     head = ("log: joint", "time in s", "alarm", "torque", "points to")
     return ResultTable(caption="Changes of friction", head=head, rows=rows, section="Alarms")
@@ -108,7 +108,7 @@ def draw_trends(watched: FollowedLogs) -> list[ResultFigure]:
             ResultFigure(
                 section=_TREND_SECTION,
                 key=f"trend-{j + 1}",
-                drawing=drawn(chart),
+                drawing=draw_chart(chart),
                 caption=f"Joint {joint}: factors on its Coulomb and viscous friction, and its "
                 "offset.",
                 alt=f"Level, viscous factor and offset of {joint} over time, with bands.",
@@ -127,17 +127,17 @@ def _trend_lines(t: Array, value: Array, half_width: Array) -> tuple[Line, ...]:
     )
 
 
-def state_table(watched: FollowedLogs) -> ResultTable:
+def state_table(followed_logs: FollowedLogs) -> ResultTable:
     """Return the states after each log."""
     rows = [
-        row_of(
+        make_row(
             f"{s.log}: {s.joint}",
             *s.intervals(),
             f"{s.rmse_fixed:.3g}",
             f"{s.rmse:.3g}",
             f"{100 * s.learning:.0f}",
         )
-        for s in watched.states
+        for s in followed_logs.states
     ]
     factors = ("level", "viscous factor", "offset")
     head = ("log: joint", *factors, "error of the law", "followed", "learning in %")

@@ -13,11 +13,11 @@ from fmu_src.blocks.block import vector
 from fmu_src.equations.header import SOLVER, Joint, equations_header
 from fmu_src.export.description3 import Terminal
 from fmu_src.export.interface import Interface, Variable
-from fmu_src.export.package import Content, Version, check_request, own_source, write_fmu
+from fmu_src.export.package import Content, Version, check_request, read_c_source, write_fmu
 from fmu_src.export.toolchain import HOST
 from fmu_src.friction import friction_component
-from fmu_src.friction.embedded_model import embedding
-from fmu_src.friction.friction_fmu import description_of
+from fmu_src.friction.embedded_model import embed_model
+from fmu_src.friction.friction_fmu import describe_fmu
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import drive_html, model_title
 from fmu_src.run.reference_results import ROWS, Stimuli, waves
@@ -40,7 +40,7 @@ class Motors:
     ratio: tuple[float, ...]  # turns of the motor per turn of the joint
 
 
-_NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
+_REQUIREMENTS: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
     "inertia": ("kg.m2", "a positive number", 0.0, lambda value: value > 0.0),
     "stiffness": ("N.m/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
     "damping": ("N.m.s/rad", "a number that is not negative", 0.0, lambda value: value >= 0.0),
@@ -49,7 +49,7 @@ _NEEDED: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
 """Unit, requirement in words, default value, and test."""
 
 
-def motors(
+def build_motors(
     joints: int,
     *,
     inertia: Sequence[float],
@@ -58,21 +58,23 @@ def motors(
     ratio: Sequence[float] | None = None,
 ) -> Motors:
     """Return the motors of a number of joints, by default rigid and without a gear."""
-    found = {}
-    given = (inertia, stiffness, damping, ratio)
-    for numbers, (name, (unit, text, usual, sound)) in zip(given, _NEEDED.items(), strict=True):
-        values = (usual,) * joints if numbers is None else tuple(map(float, numbers))
+    properties = {}
+    arguments = (inertia, stiffness, damping, ratio)
+    for numbers, (name, (unit, text, default, is_valid)) in zip(
+        arguments, _REQUIREMENTS.items(), strict=True
+    ):
+        values = (default,) * joints if numbers is None else tuple(map(float, numbers))
         if len(values) != joints:
             raise ExportError(
                 f"drive: '{name}' has {len(values)} values; {joints} are needed, one per joint."
             )
-        for joint, value in enumerate(values, start=1):
-            if not (isfinite(value) and sound(value)):
+        for number, value in enumerate(values, start=1):
+            if not (isfinite(value) and is_valid(value)):
                 raise ExportError(
-                    f"drive: '{name}' of joint {joint} is {value:g} {unit}; expected {text}."
+                    f"drive: '{name}' of joint {number} is {value:g} {unit}; expected {text}."
                 )
-        found[name] = values
-    return Motors(**found)
+        properties[name] = values
+    return Motors(**properties)
 
 
 _INPUTS = (
@@ -89,55 +91,66 @@ _PARAMETERS = (
     ("q_start", "rad", "initial angle of the motor"),
     ("dq_start", "rad/s", "initial speed of the motor"),
 )
-_AT_LINK = (
+_LINK_DEPENDENCIES = (
     *("q_link[{}]", "dq_link[{}]", "q_start[{}]", "dq_start[{}]"),
     *("stiffness[{}]", "damping[{}]", "ratio[{}]"),
 )
 _OUTPUTS = (
     ("q", "rad", "motor angle", ("q_start[{}]",)),
     ("dq", "rad/s", "motor speed", ("dq_start[{}]",)),
-    ("tau_link", "N.m", "torque on the link at the end of the last step", _AT_LINK),
+    ("tau_link", "N.m", "torque on the link at the end of the last step", _LINK_DEPENDENCIES),
     ("ddq", "rad/s2", "motor acceleration over the last inner step; 0 before the first", ()),
 )
 
 
-def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Interface:
+def _build_interface(
+    model: FrictionModel, laws: Sequence[Joint], joint_motors: Motors
+) -> Interface:
     zeros = (0.0,) * len(model.laws)
     torque = sympy.Symbol(TORQUE, real=True)
     friction: list[Variable] = []
-    own_laws: list[Variable] = []
-    for joint, (name, law, own_law) in enumerate(
+    law_variables: list[Variable] = []
+    for number, (name, law, joint_equations) in enumerate(
         zip(model.joints, model.laws, laws, strict=True), start=1
     ):
         sources = {
-            "dq": (f"dq_start[{joint}]", f"ratio[{joint}]"),
-            "q": (f"q_start[{joint}]", f"ratio[{joint}]"),
-            "tau_load": friction_component.mixed("tau_load", joint, model.coupling),
+            "dq": (f"dq_start[{number}]", f"ratio[{number}]"),
+            "q": (f"q_start[{number}]", f"ratio[{number}]"),
+            "tau_load": friction_component.find_joint_signals("tau_load", number, model.coupling),
         }
-        made_of = friction_component.dependencies(own_law, torque, sources)
+        dependencies = friction_component.dependencies(joint_equations, torque, sources)
         text = f"friction torque of {name} over the last inner step, on its side of the gear"
         friction.append(
-            Variable(f"tau_f[{joint}]", "output", text, unit="N.m", dependencies=made_of)
+            Variable(f"tau_f[{number}]", "output", text, unit="N.m", dependencies=dependencies)
         )
-        own_laws += friction_component.law_variables(law, joint, own_law, sources)
+        law_variables += friction_component.law_variables(law, number, joint_equations, sources)
     choice = friction_component.discretisation(
         model, "how the states of the friction are relaxed over an inner step"
     )
-    found = [
+    rotary_variables = [
         variable for n, unit, text in _INPUTS for variable in vector(n, "input", unit, text, zeros)
     ]
-    for n, unit, text, deps in _OUTPUTS:
-        found += _coupled(model.coupling, list(vector(n, "output", unit, text, zeros, deps)))
-    found += friction
+    for n, unit, text, dependency_patterns in _OUTPUTS:
+        rotary_variables += _couple_dependencies(
+            model.coupling, list(vector(n, "output", unit, text, zeros, dependency_patterns))
+        )
+    rotary_variables += friction
     for n, unit, text in _PARAMETERS:
-        found += vector(n, "fixed", unit, text, getattr(own, n, zeros))
-    found.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
-    found += [choice, friction_component.start_mode(), *friction_component.scales(model), *own_laws]
-    variables = [_at_joint(variable, model.slides) for variable in found]
+        rotary_variables += vector(n, "fixed", unit, text, getattr(joint_motors, n, zeros))
+    rotary_variables.append(
+        Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP)
+    )
+    rotary_variables += [
+        choice,
+        friction_component.start_mode(),
+        *friction_component.scales(model),
+        *law_variables,
+    ]
+    variables = [_adapt_to_joint(variable, model.slides) for variable in rotary_variables]
     inputs = {variable.name for variable in variables if variable.role == "input"}
     return Interface(
         variables=tuple(
-            friction_component.of_the_last_step(variable, inputs) for variable in variables
+            friction_component.make_inputs_initial(variable, inputs) for variable in variables
         ),
         own=1,  # STARTED of drive.c
         model_exchange=False,
@@ -148,37 +161,44 @@ def _interface(model: FrictionModel, laws: Sequence[Joint], own: Motors) -> Inte
     )
 
 
-def _at_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
+def _adapt_to_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
     joint = re.search(r"\[(\d+)\]", variable.name)
     if joint is None or not slides[int(joint[1]) - 1]:
         return variable
-    return friction_component.sliding(variable, _WORDS)
+    return friction_component.to_sliding(variable, _PRISMATIC_WORDS)
 
 
-_WORDS = {"torque": "force", "angle": "position", "inertia": "mass", "flexspline": "spring"}
+_PRISMATIC_WORDS = {
+    "torque": "force",
+    "angle": "position",
+    "inertia": "mass",
+    "flexspline": "spring",
+}
 
 
-def _coupled(coupling: Coupling | None, outputs: Sequence[Variable]) -> Iterator[Variable]:
+def _couple_dependencies(
+    coupling: Coupling | None, outputs: Sequence[Variable]
+) -> Iterator[Variable]:
     for link, variable in enumerate(outputs, start=1):
         if coupling is None or not variable.name.startswith("tau_link["):
             yield variable
             continue
-        found = [
+        dependencies = [
             name
-            for motor in friction_component.adding(link, coupling)
+            for motor in friction_component.find_added_coordinates(link, coupling)
             for dependency in outputs[motor - 1].dependencies
             for name in (
-                friction_component.mixed(dependency.partition("[")[0], motor, coupling)
+                friction_component.find_joint_signals(dependency.partition("[")[0], motor, coupling)
                 if dependency.startswith(("q_link[", "dq_link["))
                 else (dependency,)
             )
         ]
-        yield replace(variable, dependencies=tuple(dict.fromkeys(found)))
+        yield replace(variable, dependencies=tuple(dict.fromkeys(dependencies)))
 
 
 _VECTORS = [*(n for n, *_ in (*_INPUTS, *_OUTPUTS)), "tau_f", *(n for n, *_ in _PARAMETERS)]
-_PLACES = {name.upper(): f"{name}[1]" for name in _VECTORS}
-_PLACES |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
+_MACRO_VARIABLES = {name.upper(): f"{name}[1]" for name in _VECTORS}
+_MACRO_VARIABLES |= {name.upper(): name for name in ("substep", "discretisation", "start_mode")}
 
 FLANGE = Terminal(
     name="flange",
@@ -188,7 +208,7 @@ FLANGE = Terminal(
 )
 """Terminal of each joint, on the joint side of the gear."""
 
-_UNKNOWN = 10.0  # default friction torque [N.m]
+_DEFAULT_FRICTION = 10.0  # default friction torque [N.m]
 
 
 def export_drive(
@@ -211,19 +231,21 @@ def export_drive(
     """
     check_request(path, platforms)
     require_exportable(model, "a drive")
-    own = motors(
+    joint_motors = build_motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
     )
-    whole = content(model, own, bare=bare)
-    return write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+    fmu_content = content(model, joint_motors, bare=bare)
+    return write_fmu(fmu_content, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
-def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content:
+def content(model: FrictionModel, joint_motors: Motors, *, bare: bool = False) -> Content:
     """Return the FMU of a drive before compilation."""
-    joints = friction_component.joints_of(model, names={TORQUE: "tau_f"})
-    interface = _interface(model, joints, own)
-    header = equations_header(joints, interface, _PLACES, wanted=SOLVER, coupling=model.coupling)
-    about = description_of(
+    joints = friction_component.build_joints(model, names={TORQUE: "tau_f"})
+    interface = _build_interface(model, joints, joint_motors)
+    header = equations_header(
+        joints, interface, _MACRO_VARIABLES, calls=SOLVER, coupling=model.coupling
+    )
+    about = describe_fmu(
         model,
         name=f"Drive of {model.robot} with {model_title(model)}",
         identifier=f"drive_{model.law}",
@@ -232,28 +254,32 @@ def content(model: FrictionModel, own: Motors, *, bare: bool = False) -> Content
         step=SUBSTEP,
     )
     names = ("balance.h", "coupling.h", "drive.c", "drive_step.h", "law_math.h", "root.h")
-    sources = {name: own_source(name) for name in names}
+    sources = {name: read_c_source(name) for name in names}
     members = {}
     if not bare:
         page = drive_html(model, interface, about).encode()
-        members = {"documentation/index.html": page, **embedding(model)}
+        members = {"documentation/index.html": page, **embed_model(model)}
     return Content(
         table=interface,
         about=about,
         sources=sources | {"equations.h": header},
         members=members,
-        stimuli=_stimuli(model, own),
+        stimuli=_build_stimuli(model, joint_motors),
         terminals=(FLANGE,),
     )
 
 
-def _stimuli(model: FrictionModel, own: Motors) -> Stimuli:
-    trained = model.trained or (None,) * len(model.joints)
+def _build_stimuli(model: FrictionModel, joint_motors: Motors) -> Stimuli:
+    trained_ranges = model.trained or (None,) * len(model.joints)
     sizes = {}
     loads = {}
-    for i, (trained_range, ratio) in enumerate(zip(trained, own.ratio, strict=True), start=1):
-        friction = max(map(abs, trained_range.tau)) if trained_range else _UNKNOWN
-        sizes[f"tau_motor[{i}]"] = float(f"{3.0 * (friction or _UNKNOWN) / abs(ratio):.2g}")
-        load = sum(trained_range.tau_load) / 2.0 if trained_range else 0.0
-        loads[f"tau_load[{i}]"] = np.full(ROWS + 1, float(f"{load:.3g}"))
+    for number, (trained_range, ratio) in enumerate(
+        zip(trained_ranges, joint_motors.ratio, strict=True), start=1
+    ):
+        friction = max(map(abs, trained_range.tau)) if trained_range else _DEFAULT_FRICTION
+        sizes[f"tau_motor[{number}]"] = float(
+            f"{3.0 * (friction or _DEFAULT_FRICTION) / abs(ratio):.2g}"
+        )
+        tau_load = sum(trained_range.tau_load) / 2.0 if trained_range else 0.0
+        loads[f"tau_load[{number}]"] = np.full(ROWS + 1, float(f"{tau_load:.3g}"))
     return Stimuli(step=SUBSTEP, inputs={**waves(sizes), **loads})

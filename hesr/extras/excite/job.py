@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.loop.excite import export_twin, loaded_arm, record, twin_plant
+from cosim.loop.excite import export_twin, load_arm, record, twin_plant
 from cosim.study.forecast import SUFFIX
 from cosim.study.study import Twin
 from cosim.workflow.answer import PluginJob, Written
@@ -14,7 +14,7 @@ from hesr.extras.excite.motion import PlannedMotion
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.logs.tables import read_table
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.progress import Stages, counted, silent
+from hesr_model.support.progress import Stages, report_progress, silent
 from hesr_model.support.typed_files import Config, RelativePath
 
 
@@ -32,28 +32,34 @@ def _run(
     path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
 ) -> Written:
     """Record each motion without a log; plans are copied next to their logs."""
-    given = [name for name, value in options.items() if value]
-    if given:
-        raise ArgumentError(f"'{given[0]}' is for a sweep; {path} is a twin.")
-    chosen = TwinFile.read(path)
+    option_names = [name for name, value in options.items() if value]
+    if option_names:
+        raise ArgumentError(f"'{option_names[0]}' is for a sweep; {path} is a twin.")
+    twin_file = TwinFile.read(path)
     logs = output or path.parent / "logs"
-    motions = sorted(path.parent.glob(chosen.plays))
-    left = [motion for motion in motions if not (logs / f"{motion.stem}.csv").exists()]
-    if not left:
-        raise ConfigError(f"{path}: each of the {len(motions)} motions '{chosen.plays}' has a log.")
+    motions = sorted(path.parent.glob(twin_file.plays))
+    unrecorded = [motion for motion in motions if not (logs / f"{motion.stem}.csv").exists()]
+    if not unrecorded:
+        raise ConfigError(
+            f"{path}: each of the {len(motions)} motions '{twin_file.plays}' has a log."
+        )
     files = []
-    twin = Twin(plant=chosen.plant, signals=chosen.signals, motions=path, truth=chosen.truth)
+    twin = Twin(
+        plant=twin_file.plant, signals=twin_file.signals, motions=path, truth=twin_file.truth
+    )
     with scratch_folder() as folder:
         plant, signals = twin_plant(twin, path, folder)
-        with loaded_arm(plant, fmu=export_twin(plant, folder, signals)) as arm:
-            for motion in counted(left, lambda *of: progress("running the arm", *of)):
+        with load_arm(plant, fmu=export_twin(plant, folder, signals)) as arm:
+            for motion in report_progress(
+                unrecorded, lambda *counts: progress("running the arm", *counts)
+            ):
                 table = read_table(motion)
                 names = ["t", *(f"q{k + 1}" for k in range(len(plant.joints)))]
                 t, *q = table.numbers(names).T
                 rate = float(1.0 / np.median(np.diff(t)))
-                planned = PlannedMotion(rate=rate, rows=np.column_stack(q))
+                planned_motion = PlannedMotion(rate=rate, rows=np.column_stack(q))
                 files.append(logs / f"{motion.stem}.csv")
-                record(arm, planned, chosen.seed, name=motion.stem).log.write(files[-1])
+                record(arm, planned_motion, twin_file.seed, name=motion.stem).log.write(files[-1])
                 plan = motion.with_suffix(SUFFIX)
                 if plan.is_file():
                     shutil.copyfile(plan, files[-1].with_suffix(SUFFIX))

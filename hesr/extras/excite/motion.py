@@ -14,10 +14,10 @@ from hesr_model.support.arrays import Array
 
 _PEAK_SPEED = 1.875
 _PEAK_ACCELERATION = 5.7736  # of the quintic blend, for unit way and time
-_SPARE = 1.05  # factor on the time of a move
-_ENVELOPE = 0.1  # share of a chirp that fades in, and out
-_FIRST = 0.1
-_LAST = 1.0  # frequencies of a chirp [Hz]
+_TIME_MARGIN = 1.05  # factor on the time of a move
+_FADE_SHARE = 0.1  # share of a chirp that fades in, and out
+_FIRST_FREQUENCY = 0.1
+_LAST_FREQUENCY = 1.0  # frequencies of a chirp [Hz]
 
 Pulse = tuple[float, float, float, float]  # speed [rad/s], its ramps, hold and rest after it [s]
 
@@ -32,9 +32,9 @@ class PlannedMotion(Trajectory):
 
     @cached_property
     def _spline(self) -> Any:
-        still = [(k, np.zeros(self.rows.shape[1])) for k in (1, 2)]
+        rest_conditions = [(k, np.zeros(self.rows.shape[1])) for k in (1, 2)]
         t = np.arange(len(self.rows)) / self.rate
-        return make_interp_spline(t, self.rows, k=5, bc_type=(still, still))
+        return make_interp_spline(t, self.rows, k=5, bc_type=(rest_conditions, rest_conditions))
 
     @property
     def duration(self) -> float:
@@ -43,8 +43,8 @@ class PlannedMotion(Trajectory):
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """See `Trajectory.sample`."""
-        at = np.clip(t, 0.0, self.duration)
-        return self._spline(at), self._spline(at, 1), self._spline(at, 2)
+        clipped_t = np.clip(t, 0.0, self.duration)
+        return self._spline(clipped_t), self._spline(clipped_t, 1), self._spline(clipped_t, 2)
 
     def setpoints(self) -> tuple[Array, Array, Array, Array]:
         """Return times (N,) [s] and q, dq, ddq (N, n), with exact ends."""
@@ -54,33 +54,33 @@ class PlannedMotion(Trajectory):
         return t, self.rows, dq, ddq
 
 
-def pulses(program: Sequence[Pulse], t: Array) -> Array:
+def compute_pulses(program: Sequence[Pulse], t: Array) -> Array:
     """Return the displacement (N,) [rad] of pulses of velocity, one after another.
 
     A pulse rises to its speed, holds it, falls to 0 and rests: it travels speed (ramp + hold), with
     a largest acceleration of 1.5 speed / ramp.
     """
 
-    def risen(s: Array) -> Array:  # integral of the step 3 s^2 - 2 s^3
+    def integrate_step(s: Array) -> Array:  # integral of the step 3 s^2 - 2 s^3
         x = np.clip(s, 0.0, 1.0)
         return np.asarray(x**3 - 0.5 * x**4 + np.maximum(s - 1.0, 0.0))
 
-    way = np.zeros_like(t)
+    displacement = np.zeros_like(t)
     start = 0.0
-    for speed, ramp, hold, rest in program:
+    for speed, ramp, hold, pause in program:
         s = (t - start) / ramp
-        way += speed * ramp * (risen(s) - risen(s - 1.0 - hold / ramp))
-        start += 2.0 * ramp + hold + rest
-    return way
+        displacement += speed * ramp * (integrate_step(s) - integrate_step(s - 1.0 - hold / ramp))
+        start += 2.0 * ramp + hold + pause
+    return displacement
 
 
-def moved(start: Array, end: Array, limits: Limits, rate: float) -> Array:
+def plan_move(start: Array, end: Array, limits: Limits, rate: float) -> Array:
     """Return rows (N, n) from rest to rest, without the first, within speeds and accelerations."""
-    way = np.abs(end - start)
-    least = [_PEAK_SPEED * way / limits.velocity]
-    least.append(np.sqrt(_PEAK_ACCELERATION * way / limits.acceleration))
-    count = max(1, int(np.ceil(_SPARE * rate * np.max(least))))
-    rows = start + (end - start) * _blend(np.arange(1, count + 1)[:, None] / count)
+    distance = np.abs(end - start)
+    durations = [_PEAK_SPEED * distance / limits.velocity]
+    durations.append(np.sqrt(_PEAK_ACCELERATION * distance / limits.acceleration))
+    row_count = max(1, int(np.ceil(_TIME_MARGIN * rate * np.max(durations))))
+    rows = start + (end - start) * _blend(np.arange(1, row_count + 1)[:, None] / row_count)
     rows[-1] = end
     return np.asarray(rows)
 
@@ -89,16 +89,16 @@ def _blend(s: Array) -> Array:
     return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
 
 
-def faded_chirp(start: Array, limits: Limits, t: Array) -> Array:
+def compute_chirp(start: Array, limits: Limits, t: Array) -> Array:
     """Return rows (N, n) of a chirp from 0.1 to 1 Hz around `start` (n,), at rest at both ends.
 
     Its frequency rises geometrically; positions, speeds and accelerations stay within the limits,
     but for its envelope.
     """
-    growth = np.log(_LAST / _FIRST) / t[-1]
-    rate = 2.0 * np.pi * _FIRST * np.exp(growth * t)[:, None]
+    growth = np.log(_LAST_FREQUENCY / _FIRST_FREQUENCY) / t[-1]
+    rate = 2.0 * np.pi * _FIRST_FREQUENCY * np.exp(growth * t)[:, None]
     room = np.maximum(0.9 * np.minimum(start - limits.lower, limits.upper - start), 1e-9)
     size = 1.0 / (1.0 / room + rate / limits.velocity + rate**2 / limits.acceleration)
-    fade = _blend(np.clip(np.minimum(t, t[-1] - t) / (_ENVELOPE * t[-1]), 0.0, 1.0))[:, None]
+    fade = _blend(np.clip(np.minimum(t, t[-1] - t) / (_FADE_SHARE * t[-1]), 0.0, 1.0))[:, None]
     angle = (rate - rate[0]) / growth + np.arange(len(start))
     return np.asarray(start + fade * size * np.sin(angle))

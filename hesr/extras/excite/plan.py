@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.report.figures.motions import limited_motion
-from cosim.report.figures.style import styled
+from cosim.report.figures.motions import draw_limited_motion
+from cosim.report.figures.style import apply_style
 from cosim.report.markup import ResultFigure
 from cosim.report.result_page import write_answer
 from cosim.study.forecast import FORMAT, SUFFIX
@@ -50,31 +50,31 @@ def write_urscript(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> 
         raise ConfigError(f"URScript is for {_UR_JOINTS} joints; this robot has {len(joints)}.")
     q = motion.rows
     end = f", t={1.0 / motion.rate!r}, lookahead_time=0.1, gain=300)"
-    moves = "\n".join(f"  servoj({_row(row)}{end}" for row in q)
-    about = {"head": HEAD, "count": len(q), "rate": motion.rate, "start": _row(q[0])}
-    _fill("urscript.txt", path, **about, moves=moves)
+    moves = "\n".join(f"  servoj({_format_row(row)}{end}" for row in q)
+    header_fields = {"head": HEAD, "count": len(q), "rate": motion.rate, "start": _format_row(q[0])}
+    _fill_template("urscript.txt", path, **header_fields, moves=moves)
 
 
 def write_ros2(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
     """Write a trajectory_msgs/msg/JointTrajectory as YAML."""
     points = []
     for k, rows in enumerate(zip(*motion.setpoints()[1:], strict=True)):
-        q, dq, ddq = map(_row, rows)
+        q, dq, ddq = map(_format_row, rows)
         sec, nanosec = divmod(round(k * 1e9 / motion.rate), 10**9)
         points.append(
             f"- {{positions: {q}, velocities: {dq}, accelerations: {ddq}, effort: [], "
             f"time_from_start: {{sec: {sec}, nanosec: {nanosec}}}}}"
         )
     names = ", ".join("'" + name.replace("'", "''") + "'" for name in joints)
-    _fill("ros2.txt", path, head=HEAD, joints=names, points="\n".join(points))
+    _fill_template("ros2.txt", path, head=HEAD, joints=names, points="\n".join(points))
 
 
-def _fill(template: str, path: Path, **values: Any) -> None:
+def _fill_template(template: str, path: Path, **values: Any) -> None:
     text = (models_folder() / "motions" / template).read_text(encoding="utf-8")
     path.write_text(text.format(**values), encoding="utf-8")
 
 
-def _row(values: Array) -> str:
+def _format_row(values: Array) -> str:
     return f"[{', '.join(np.format_float_positional(x, trim='0') for x in values)}]"
 
 
@@ -99,8 +99,8 @@ _PURPOSES = {
     "test": "scores: motions that no law is trained on",
 }
 _UR_RATE = 500.0  # [Hz] of the controllers that need a position per period
-_LEAST = 10.0
-_MOST = 1e4  # [s] of a motion
+_MIN_DURATION = 10.0
+_MAX_DURATION = 1e4  # [s] of a motion
 
 
 def plan_motions(
@@ -115,27 +115,28 @@ def plan_motions(
     progress: Stages = silent,
 ) -> Written:
     """Plan motions of a purpose and write them with a page; see `hesr.excite`."""
-    model = Robot(robot)
-    chosen = MotionSettings.read(settings) if settings else MotionSettings()
+    loaded_robot = Robot(robot)
+    motion_settings = MotionSettings.read(settings) if settings else MotionSettings()
     if after:  # new poses and tests
-        chosen = chosen.model_copy(update={"seed": chosen.seed + 1000})
-    if format == "urscript" and not chosen.sample_rate:
-        chosen = chosen.model_copy(update={"sample_rate": _UR_RATE})
-    wanted = "friction" if after else purpose
-    times = {name: own for name, own in TIMES.items() if wanted in (name, "all")}
+        motion_settings = motion_settings.model_copy(update={"seed": motion_settings.seed + 1000})
+    if format == "urscript" and not motion_settings.sample_rate:
+        motion_settings = motion_settings.model_copy(update={"sample_rate": _UR_RATE})
+    motion_purpose = "friction" if after else purpose
+    times = {name: duration for name, duration in TIMES.items() if motion_purpose in (name, "all")}
     factor = 1.0 if time is None else time / sum(times.values())
-    for name, own in times.items():
-        if not _LEAST <= factor * own <= _MOST:
+    for name, duration in times.items():
+        if not _MIN_DURATION <= factor * duration <= _MAX_DURATION:
             raise ConfigError(
-                f"'time' gives the motion for {name} {factor * own:.3g} s; it needs {_LEAST:g} to "
-                f"{_MOST:g} s."
+                f"'time' gives the motion for {name} {factor * duration:.3g} s; it needs "
+                f"{_MIN_DURATION:g} to "
+                f"{_MAX_DURATION:g} s."
             )
     lines: list[str] = []
     stages = partial(progress, "planning the motion")
     try:
-        planner = Planner(guard := Guard(model, chosen), chosen)
+        planner = Planner(guard := Guard(loaded_robot, motion_settings), motion_settings)
         if after:
-            motions, expected, lines = plan_sequel(planner, after, sum(times.values()) * factor)
+            motions, forecast, lines = plan_sequel(planner, after, sum(times.values()) * factor)
         else:
             motions = {n: planner.plan(n, factor * t, progress=stages) for n, t in times.items()}
     except HesrError as error:
@@ -151,13 +152,13 @@ def plan_motions(
     figures = []
     for name, motion in motions.items():
         path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
-        files.append(write_motion(path, motion, model.joints, kind))
+        files.append(write_motion(path, motion, loaded_robot.joints, kind))
         if after and name == "friction":
             files.append(files[-1].with_suffix(SUFFIX))
-            write_json(files[-1], {"format": FORMAT, **to_json(expected)})
-        with styled():
+            write_json(files[-1], {"format": FORMAT, **to_json(forecast)})
+        with apply_style():
             t, q, dq, _ = motion.setpoints()
-            figure = limited_motion(t, q, dq, guard.stated, model.joints, speeds=True)
+            figure = draw_limited_motion(t, q, dq, guard.stated, loaded_robot.joints, speeds=True)
         figures.append(
             ResultFigure(
                 section=f"Motion for {name}",
@@ -167,11 +168,13 @@ def plan_motions(
                 alt="Position, velocity and speeds by joint.",
             )
         )
-    checked = "the model's geometry" if guard.clearance.exact else "capsules around the links"
+    contact_shapes = (
+        "the model's geometry" if guard.clearance.exact else "capsules around the links"
+    )
     answer = Written(
         format="hesr-motions-1",
-        title=f"Motions for {model.name}",
-        origin=f"Contacts were checked with {checked}.",
+        title=f"Motions for {loaded_robot.name}",
+        origin=f"Contacts were checked with {contact_shapes}.",
         lines=[*lines, HEAD],
         drawn=figures,
         data={"start": planner.start.tolist(), "parts": {n: m.parts for n, m in motions.items()}},

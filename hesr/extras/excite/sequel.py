@@ -26,10 +26,10 @@ MIXES = (
     Mix(steady=0.7, nested=0.25, why="reversals within reversals"),
     Mix(steady=0.8, nested=0.08, rests=0.12, why="rests and slow break-away"),
 )
-_LAWS = 3  # recommended, and tied with it
-_STEP = 1e-4  # relative step of a coefficient
-_BINS = np.geomspace(0.003, 1.0, 9)
-_SEEN = 0.3  # speeds over the limit; [s] that show one
+_MAX_LAWS = 3  # recommended, and tied with it
+_RELATIVE_STEP = 1e-4  # relative step of a coefficient
+_SPEED_BINS = np.geomspace(0.003, 1.0, 9)
+_MIN_SEEN_TIME = 0.3  # speeds over the limit; [s] that show one
 
 Rows = Mapping[str, Any]  # t [s], dq [rad/s], q [rad], tau_load [N.m] of a log, (N,) each
 
@@ -46,7 +46,7 @@ class Knowledge:
     def residual(self, law: FrictionLaw) -> Array:
         """Return measured minus predicted torque [N.m] over all logs."""
         pairs = zip(self.torques, self.logs, strict=True)
-        return np.concatenate([torque - predict(law, **rows) for torque, rows in pairs])
+        return np.concatenate([tau - predict(law, **rows) for tau, rows in pairs])
 
     @cached_property
     def _variance(self) -> float:
@@ -55,87 +55,107 @@ class Knowledge:
 
     def score(self, new: Rows) -> float:
         """Return what rows would resolve: log widths, difference of laws, and unseen speeds."""
-        ratios = [r for law in self.laws.values() for r in self.shrinking(law, new).values()]
-        gained = -np.mean(np.log(ratios or [1.0]))
+        ratios = [
+            r for law in self.laws.values() for r in self.predict_shrinkage(law, new).values()
+        ]
+        gain = -np.mean(np.log(ratios or [1.0]))
         torques = [predict(law, **new) for law in self.laws.values()]
-        apart = np.mean([np.mean((torque - torques[0]) ** 2) for torque in torques])
-        apart /= self._variance
-        unseen = (self._times(self.logs) < _SEEN) & (self._times([new]) >= _SEEN)
-        return float(gained + 0.25 * np.log1p(apart) + np.mean(unseen))
+        law_difference = np.mean(
+            [np.mean((tau_predicted - torques[0]) ** 2) for tau_predicted in torques]
+        )
+        law_difference /= self._variance
+        newly_seen = (self._measure_times(self.logs) < _MIN_SEEN_TIME) & (
+            self._measure_times([new]) >= _MIN_SEEN_TIME
+        )
+        return float(gain + 0.25 * np.log1p(law_difference) + np.mean(newly_seen))
 
-    def shrinking(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
+    def predict_shrinkage(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
         """Return the standard error of each coefficient with further rows, over today's.
 
         Noise and misfit per row remain those of the covariance.
         """
         if law.covariance is None:
             return {}
-        slopes = self._slopes(law)
-        more = _slopes(law, new)
-        before = slopes.T @ slopes
+        slopes = self._compute_slopes(law)
+        new_slopes = _compute_slopes(law, new)
+        information = slopes.T @ slopes
         size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
-        both = [x / np.outer(size, size) for x in (before, before + more.T @ more)]
-        now, then = (np.diag(np.linalg.pinv(x, rcond=1e-10, hermitian=True)) for x in both)
-        ratios = np.sqrt(np.clip(then / np.maximum(now, 1e-300), 1e-12, 1.0))
+        normal_matrices = [
+            x / np.outer(size, size) for x in (information, information + new_slopes.T @ new_slopes)
+        ]
+        present_variance, expected_variance = (
+            np.diag(np.linalg.pinv(x, rcond=1e-10, hermitian=True)) for x in normal_matrices
+        )
+        ratios = np.sqrt(
+            np.clip(expected_variance / np.maximum(present_variance, 1e-300), 1e-12, 1.0)
+        )
         return dict(zip(law.covariance.names, ratios.tolist(), strict=True))
 
-    def expected(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
+    def predict_ratios(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
         """Return the expected ratios of `shrinking` as a fit with further rows would state them.
 
         The law misses the new motion at least as it misses the logs, and at most also by its
         difference from the best law. The result is the geometric mean of both cases.
         """
-        pairs = [(self.residual(one), one) for one in self.laws.values()]
-        least, best = min(pairs, key=lambda pair: np.linalg.norm(pair[0]))
-        ratios = self.shrinking(law, new)
-        if not ratios or best is law:
+        pairs = [(self.residual(candidate), candidate) for candidate in self.laws.values()]
+        best_residual, best_law = min(pairs, key=lambda pair: np.linalg.norm(pair[0]))
+        ratios = self.predict_shrinkage(law, new)
+        if not ratios or best_law is law:
             return ratios
-        own = self.residual(law)
-        slopes = self._slopes(law)
+        residual = self.residual(law)
+        slopes = self._compute_slopes(law)
         names = list(ratios)
-        blocks = blocks_of_time(np.zeros(len(own), dtype=int))
-        now = covariance_of_fit(names, slopes, own, blocks).standard_errors
-        apart = predict(best, **new) - predict(law, **new)
-        missed = np.concatenate([own, np.resize([*least, *least[::-1]], len(apart)) + apart])
-        both = np.concatenate([slopes, _slopes(law, new)])
-        size = np.maximum(np.linalg.norm(both, axis=0), 1e-150)
-        missed -= both @ (np.linalg.lstsq(both / size, missed, rcond=1e-6)[0] / size)
-        labels = np.repeat([0, 1], [len(own), len(apart)])
-        then = covariance_of_fit(names, both, missed, labels).standard_errors
-        most = then / np.maximum(now, 1e-300)
+        blocks = blocks_of_time(np.zeros(len(residual), dtype=int))
+        present_errors = covariance_of_fit(names, slopes, residual, blocks).standard_errors
+        law_difference = predict(best_law, **new) - predict(law, **new)
+        residuals = np.concatenate(
+            [
+                residual,
+                np.resize([*best_residual, *best_residual[::-1]], len(law_difference))
+                + law_difference,
+            ]
+        )
+        all_slopes = np.concatenate([slopes, _compute_slopes(law, new)])
+        size = np.maximum(np.linalg.norm(all_slopes, axis=0), 1e-150)
+        residuals -= all_slopes @ (
+            np.linalg.lstsq(all_slopes / size, residuals, rcond=1e-6)[0] / size
+        )
+        labels = np.repeat([0, 1], [len(residual), len(law_difference)])
+        expected_errors = covariance_of_fit(names, all_slopes, residuals, labels).standard_errors
+        largest_ratios = expected_errors / np.maximum(present_errors, 1e-300)
         return {
             name: float(np.sqrt(ratio * max(ratio, top)))
-            for (name, ratio), top in zip(ratios.items(), most, strict=True)
+            for (name, ratio), top in zip(ratios.items(), largest_ratios, strict=True)
         }
 
-    def _slopes(self, law: FrictionLaw) -> Array:
-        return np.concatenate([_slopes(law, rows) for rows in self.logs])
+    def _compute_slopes(self, law: FrictionLaw) -> Array:
+        return np.concatenate([_compute_slopes(law, rows) for rows in self.logs])
 
-    def _times(self, logs: Sequence[Rows]) -> Array:
+    def _measure_times(self, logs: Sequence[Rows]) -> Array:
         """Return the time [s] at each speed, forwards and backwards."""
-        times = np.zeros((2, len(_BINS) - 1))
+        times = np.zeros((2, len(_SPEED_BINS) - 1))
         for rows in logs:
             step = float(np.median(np.diff(rows["t"])))
             for time, sign in zip(times, (1.0, -1.0), strict=True):
-                time += step * np.histogram(sign * rows["dq"] / self.speed, _BINS)[0]
+                time += step * np.histogram(sign * rows["dq"] / self.speed, _SPEED_BINS)[0]
         return times
 
 
-def _slopes(law: FrictionLaw, rows: Rows) -> Array:
+def _compute_slopes(law: FrictionLaw, rows: Rows) -> Array:
     """Return the torque's derivatives (N, P) by the coefficients of the covariance."""
     columns = []
     for name in law.covariance.names if law.covariance else ():
-        value = law.values[name]
-        step = _STEP * max(abs(law.values[name]), 1e-6)
+        coefficient = law.values[name]
+        step = _RELATIVE_STEP * max(abs(law.values[name]), 1e-6)
         up, down = (
             predict(replace(law, values={**law.values, name: x}), **rows)
-            for x in (value + step, value - step)
+            for x in (coefficient + step, coefficient - step)
         )
         columns.append((up - down) / (2.0 * step))
     return np.stack(columns, axis=1)
 
 
-def knowledge(results: Results, guard: Guard) -> list[Knowledge]:
+def gather_knowledge(results: Results, guard: Guard) -> list[Knowledge]:
     """Return what results know of each joint; raise ConfigError if they lack what is needed."""
     verdict = results.verdict
     models = results.models
@@ -146,29 +166,35 @@ def knowledge(results: Results, guard: Guard) -> list[Knowledge]:
     if any(model.coupling for model in models.values()):
         raise ConfigError(f"{folder}: motions after results need joints without coupling.")
     traces = [{n: x.astype(float) for n, x in results.torques(log).items()} for log in logs]
-    found = []
-    for j, (law, of_joint) in enumerate(zip(results.recommended, verdict.joints, strict=True), 1):
-        names = dict.fromkeys((law, of_joint.best, *of_joint.tied))
-        columns = {"t": "t", "dq": f"dq{j}", "q": f"q{j}", "tau_load": f"tau_rb{j}"}
-        if f"tau_load{j}" in traces[0]:
-            columns["tau_load"] = f"tau_load{j}"
-        found.append(
+    known_joints = []
+    for number, (law_name, joint_verdict) in enumerate(
+        zip(results.recommended, verdict.joints, strict=True), 1
+    ):
+        names = dict.fromkeys((law_name, joint_verdict.best, *joint_verdict.tied))
+        columns = {"t": "t", "dq": f"dq{number}", "q": f"q{number}", "tau_load": f"tau_rb{number}"}
+        if f"tau_load{number}" in traces[0]:
+            columns["tau_load"] = f"tau_load{number}"
+        known_joints.append(
             Knowledge(
-                laws={n: models[n].laws[j - 1] for n in list(names)[:_LAWS] if n in models},
+                laws={
+                    n: models[n].laws[number - 1] for n in list(names)[:_MAX_LAWS] if n in models
+                },
                 logs=[{n: trace[c] for n, c in columns.items()} for trace in traces],
-                torques=[trace[f"tau{j}"] - trace[f"tau_rb{j}"] for trace in traces],
-                speed=float(guard.stated.velocity[j - 1]),
+                torques=[trace[f"tau{number}"] - trace[f"tau_rb{number}"] for trace in traces],
+                speed=float(guard.stated.velocity[number - 1]),
             )
         )
-    return found
+    return known_joints
 
 
-def rows_of(motion: PlannedMotion, guard: Guard) -> list[Rows]:
+def build_joint_rows(motion: PlannedMotion, guard: Guard) -> list[Rows]:
     """Return the rows of each joint along a motion."""
     t, q, dq, ddq = motion.setpoints()
-    load = guard.torque(q, dq, ddq)
-    each = range(guard.robot.n)
-    return [{"t": t, "dq": dq[:, j], "q": q[:, j], "tau_load": load[:, j]} for j in each]
+    tau_load = guard.torque(q, dq, ddq)
+    joint_indices = range(guard.robot.n)
+    return [
+        {"t": t, "dq": dq[:, j], "q": q[:, j], "tau_load": tau_load[:, j]} for j in joint_indices
+    ]
 
 
 def plan_sequel(
@@ -180,50 +206,63 @@ def plan_sequel(
     """
     results = Results.read(folder)
     guard = planner.guard
-    known = knowledge(results, guard)
+    known_joints = gather_knowledge(results, guard)
     joints = guard.robot.joints
     assert results.verdict is not None
-    open_ = any(joint.tied for joint in results.verdict.joints)
-    tested = 0.4 * time if open_ and 0.4 * time >= comparison.LEAST_SECONDS else 0.0
+    open_ = any(known_joint.tied for known_joint in results.verdict.joints)
+    test_time = 0.4 * time if open_ and 0.4 * time >= comparison.MIN_SECONDS else 0.0
     candidates = []
     for mix in MIXES:
-        motion = next(planner.strokes(time - tested, [mix] * len(joints)))
-        candidates.append((mix, rows_of(motion, guard)))
-    scores = [[joint.score(rows[j]) for _, rows in candidates] for j, joint in enumerate(known)]
-    best = [MIXES[int(np.argmax(of_joint))] for of_joint in scores]
-    motions = {"friction": planner.friction(time - tested, best)}
-    if tested:
-        motions["test"] = planner.plan("test", tested)
+        motion = next(planner.strokes(time - test_time, [mix] * len(joints)))
+        candidates.append((mix, build_joint_rows(motion, guard)))
+    scores = [
+        [known_joint.score(rows[j]) for _, rows in candidates]
+        for j, known_joint in enumerate(known_joints)
+    ]
+    best_mixes = [MIXES[int(np.argmax(joint_scores))] for joint_scores in scores]
+    motions = {"friction": planner.friction(time - test_time, best_mixes)}
+    if test_time:
+        motions["test"] = planner.plan("test", test_time)
     widths: dict[str, dict[str, dict[str, float]]] = {}
-    shown = {}
+    detectable = {}
     lines = []
-    for j, (joint, rows) in enumerate(zip(known, rows_of(motions["friction"], guard), strict=True)):
-        line = f"{joints[j]}: {best[j].why}"
-        for name, law in joint.laws.items():
-            now = law.standard_errors
-            ratios = joint.expected(law, rows)
-            then = {n: error * ratios[n] for n, error in now.items() if n in ratios}
-            widths.setdefault(name, {})[joints[j]] = then
-            if then and name == next(iter(joint.laws)):
-                n = max(then, key=lambda n: now[n] / max(abs(law.values[n]), 1e-300))
-                line += f", {n} of {name} from +-{now[n]:.2g} to +-{then[n]:.2g}"
-        if tested and (was := results.verdict.joints[j].detectable):
-            shown[joints[j]] = _detectable(results, j, was[1], tested)
-            line += f", differences of {100 * (shown[joints[j]] - 1):.0f} % between laws"
+    for j, (known_joint, rows) in enumerate(
+        zip(known_joints, build_joint_rows(motions["friction"], guard), strict=True)
+    ):
+        line = f"{joints[j]}: {best_mixes[j].why}"
+        for law_name, law in known_joint.laws.items():
+            present_errors = law.standard_errors
+            ratios = known_joint.predict_ratios(law, rows)
+            expected_errors = {
+                n: error * ratios[n] for n, error in present_errors.items() if n in ratios
+            }
+            widths.setdefault(law_name, {})[joints[j]] = expected_errors
+            if expected_errors and law_name == next(iter(known_joint.laws)):
+                n = max(
+                    expected_errors,
+                    key=lambda n: present_errors[n] / max(abs(law.values[n]), 1e-300),
+                )
+                line += (
+                    f", {n} of {law_name} from +-{present_errors[n]:.2g} to "
+                    f"+-{expected_errors[n]:.2g}"
+                )
+        if test_time and (detected_before := results.verdict.joints[j].detectable):
+            detectable[joints[j]] = _predict_detectable(results, j, detected_before[1], test_time)
+            line += f", differences of {100 * (detectable[joints[j]] - 1):.0f} % between laws"
         lines.append(f"{line}.")
-    return motions, Forecast(widths=widths, detectable=shown), lines
+    return motions, Forecast(widths=widths, detectable=detectable), lines
 
 
-def _detectable(results: Results, joint: int, ratio: float, seconds: float) -> float:
+def _predict_detectable(results: Results, j: int, ratio: float, seconds: float) -> float:
     """Return the smallest ratio of errors that a test of the same kind of `seconds` would show."""
     assert results.verdict is not None
     test = results.verdict.test
-    before = sum(log.duration for log in results.run.logs if test in log.roles)
-    count = max(1, len(results.comparisons[test].detectable[joint]))
+    tested_seconds = sum(log.duration for log in results.run.logs if test in log.roles)
+    count = max(1, len(results.comparisons[test].detectable[j]))
 
     def error(time: float) -> float:
         degrees = time / comparison.SECONDS_PER_DEGREE
         level = comparison.SIGNIFICANCE / comparison.calibration(count, degrees) / count
         return float(comparison.detection_factor(degrees, level) / np.sqrt(time))
 
-    return float(ratio ** (error(seconds) / error(before)))
+    return float(ratio ** (error(seconds) / error(tested_seconds)))

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
-ENOUGH = 5  # minimum sample size
-_NORMAL = 1.4826  # standard deviation of a normal distribution over its MAD
+MIN_SAMPLE_SIZE = 5  # minimum sample size
+_MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its MAD
 _EFFICIENCY = 0.37  # statistical efficiency of the MAD
-_ALIKE = 1e-3  # values within this fraction of the median are never outliers
+_OUTLIER_TOLERANCE = 1e-3  # values within this fraction of the median are never outliers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,26 +28,28 @@ class Deviation:
     p: float
 
 
-def deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
+def compute_deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
     """Return the distance of each of at least `ENOUGH` values from the median of all.
 
     Standard `errors`, None if unknown, limit the distance.
     """
     x = np.array(values, dtype=float)
-    own = np.array([0.0 if error is None else error for error in errors])
+    std_errors = np.array([0.0 if error is None else error for error in errors])
     median = float(np.median(x))
     if np.all(x > 0.0):
-        own, x = own / x, np.log(x)
-        least = _ALIKE
+        std_errors, x = std_errors / x, np.log(x)
+        smallest_scale = _OUTLIER_TOLERANCE
     else:
-        least = _ALIKE * (float(np.median(np.abs(x))) or float(np.max(np.abs(x))) or 1.0)
-    apart = x - np.median(x)
-    mad = _NORMAL * float(np.median(np.abs(apart)))
-    z = apart / np.maximum(np.maximum(mad, own), least)
+        smallest_scale = _OUTLIER_TOLERANCE * (
+            float(np.median(np.abs(x))) or float(np.max(np.abs(x))) or 1.0
+        )
+    distances = x - np.median(x)
+    mad = _MAD_TO_DEVIATION * float(np.median(np.abs(distances)))
+    z = distances / np.maximum(np.maximum(mad, std_errors), smallest_scale)
     p = 2.0 * stdtr(_EFFICIENCY * (len(x) - 1), -np.abs(z))
     return [
-        Deviation(value=float(value), median=median, z=float(one), p=float(chance))
-        for value, one, chance in zip(values, z, p, strict=True)
+        Deviation(value=float(value), median=median, z=float(z_score), p=float(p_value))
+        for value, z_score, p_value in zip(values, z, p, strict=True)
     ]
 
 
@@ -60,11 +62,11 @@ class Trend:
     p: float
 
 
-def trend(days: Sequence[float], values: Sequence[float]) -> Trend | None:
+def fit_trend(days: Sequence[float], values: Sequence[float]) -> Trend | None:
     """Return the trend of values over days; None if too few."""
     x = np.array(days, dtype=float)
     y = np.array(values, dtype=float)
-    if len(x) < ENOUGH or not np.ptp(x) > 0.0:
+    if len(x) < MIN_SAMPLE_SIZE or not np.ptp(x) > 0.0:
         return None
     x0 = x - x.mean()
     slope = float(x0 @ y / (x0 @ x0))

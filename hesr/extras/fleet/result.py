@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.report.tables.table import ResultTable, TableCell, fixed, number, row_of
+from cosim.report.tables.table import ResultTable, TableCell, fixed_cell, make_row, number
 from cosim.workflow.answer import Answer, shorten_lines
-from hesr.extras.fleet.deviation import ENOUGH, Trend
+from hesr.extras.fleet.deviation import MIN_SAMPLE_SIZE, Trend
 from hesr_model.findings import Finding
-from hesr_model.logs.tables import arrow
+from hesr_model.logs.tables import import_arrow
 from hesr_model.support.typed_files import to_json
 
 
@@ -50,15 +50,21 @@ class RobotResult:
     @property
     def laws(self) -> list[str]:
         """Names of the fitted laws."""
-        return [law for law in dict.fromkeys(one.law for one in self.joints) if law != BODY]
+        return [
+            law_name
+            for law_name in dict.fromkeys(joint_result.law for joint_result in self.joints)
+            if law_name != BODY
+        ]
 
-    def of_law(self, law: str) -> "list[JointResult]":
+    def select_law(self, law_name: str) -> "list[JointResult]":
         """Return the results of a law by joint."""
-        return [one for one in self.joints if one.law == law]
+        return [joint_result for joint_result in self.joints if joint_result.law == law_name]
 
-    def structure(self, law: str) -> str:
+    def structure(self, law_name: str) -> str:
         """Return the structures of a law, as JSON."""
-        return f"[{', '.join(one.structure for one in self.of_law(law))}]"
+        return (
+            f"[{', '.join(joint_result.structure for joint_result in self.select_law(law_name))}]"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,23 +135,23 @@ class FleetResult(Answer):
 
     def summary(self) -> str:
         """Return the largest deviations and changes."""
-        deviating = {one.robot for one in self.deviants}
-        worse = [one for one in self.changes if one.worse]
+        deviating = {row.robot for row in self.deviants}
+        worse = [row for row in self.changes if row.worse]
         lines = [
             f"{len(self.robots)} robots: {len(deviating)} deviate from their type, "
-            f"{len({one.robot for one in worse})} got worse."
+            f"{len({row.robot for row in worse})} got worse."
         ]
         if self.reused:
             lines.append(f"Complete before: {self.reused} robots.")
         lines += [
-            f"{one.robot}, {one.joint or 'rigid body'}: {one.name} is {one.value:.3g}, its type "
-            f"has {one.median:.3g} (z = {one.z:.1f})"
-            for one in self.deviants[:5]
+            f"{row.robot}, {row.joint or 'rigid body'}: {row.name} is {row.value:.3g}, its type "
+            f"has {row.median:.3g} (z = {row.z:.1f})"
+            for row in self.deviants[:5]
         ]
         lines += [
-            f"{one.robot}, {one.joint}: {one.kind} changed by {100 * one.change:+.0f} % of "
-            f"friction; likely cause: {one.points_to}"
-            for one in worse[:5]
+            f"{row.robot}, {row.joint}: {row.kind} changed by {100 * row.change:+.0f} % of "
+            f"friction; likely cause: {row.points_to}"
+            for row in worse[:5]
         ]
         lines += [finding.sentence for finding in self.findings[:5]]
         return shorten_lines(lines, self.files)
@@ -160,13 +166,13 @@ class FleetResult(Answer):
             "folder": str(self.folder),
             "robots": len(self.robots),
             "reused": self.reused,
-            "deviants": [to_json(one) for one in self.deviants],
-            "changes": [to_json(one) for one in self.changes],
-            "not_used": {one.robot: one.sentences for one in self.broken},
+            "deviants": [to_json(row) for row in self.deviants],
+            "changes": [to_json(row) for row in self.changes],
+            "not_used": {row.robot: row.sentences for row in self.broken},
         }
 
 
-_MOST = 30  # maximum rows per table; the Parquet file is complete
+_MAX_TABLE_ROWS = 30  # maximum rows per table; the Parquet file is complete
 
 
 def all_tables(fleet: FleetResult) -> Iterator[ResultTable]:
@@ -188,76 +194,83 @@ def types(fleet: FleetResult) -> ResultTable:
         {robot.robot for robot in fleet.broken},
     ]
     counts = [Counter(type_of[name] for name in names) for names in columns]
-    few = [t for t in sorted(counts[0]) if counts[0][t] < ENOUGH]
+    small_types = [t for t in sorted(counts[0]) if counts[0][t] < MIN_SAMPLE_SIZE]
     return ResultTable(
         caption=f"Fleet {fleet.name}",
         head=("type", "robots", "deviate", "got worse", "with findings", "not all used"),
-        rows=[row_of(t, *(fixed(c[t], 0) for c in counts)) for t in sorted(counts[0])],
-        note=f"Fewer than {ENOUGH} robots are not compared: {', '.join(few)}." if few else "",
+        rows=[make_row(t, *(fixed_cell(c[t], 0) for c in counts)) for t in sorted(counts[0])],
+        note=f"Fewer than {MIN_SAMPLE_SIZE} robots are not compared: {', '.join(small_types)}."
+        if small_types
+        else "",
     )
 
 
 def deviants(fleet: FleetResult) -> ResultTable:
     """Return the deviating numbers."""
     rows = []
-    for d in fleet.deviants[:_MOST]:
-        law = "rigid body" if d.law == BODY else d.law
-        numbers = (number(d.value, 4), number(d.median, 4), fixed(d.z, 1), _p(d.p))
-        rows.append(row_of(d.robot, law, d.joint or "–", d.name, *numbers))
+    for d in fleet.deviants[:_MAX_TABLE_ROWS]:
+        law_name = "rigid body" if d.law == BODY else d.law
+        numbers = (number(d.value, 4), number(d.median, 4), fixed_cell(d.z, 1), _p_cell(d.p))
+        rows.append(make_row(d.robot, law_name, d.joint or "–", d.name, *numbers))
     return ResultTable(
         caption="Robots that deviate from their type",
         head=("robot", "law", "joint", "number", "value", "median", "z", "p"),
         rows=rows,
         words=(1, 2, 3),
         note=f"z in robust standard deviations, p adjusted for all numbers compared."
-        f"{_more(len(fleet.deviants))}",
+        f"{_describe_omission(len(fleet.deviants))}",
     )
 
 
 def changes(fleet: FleetResult) -> ResultTable:
     """Return the changes, worse ones first."""
     rows = []
-    for c in fleet.changes[:_MOST]:
-        numbers = (_share(c.change, 1), _share(c.per_day, 2), _p(c.p))
+    for c in fleet.changes[:_MAX_TABLE_ROWS]:
+        numbers = (_share_cell(c.change, 1), _share_cell(c.per_day, 2), _p_cell(c.p))
         worse = "yes" if c.worse else "no"
-        rows.append(row_of(c.robot, c.law, c.joint, c.kind, *numbers, worse, c.points_to))
+        rows.append(make_row(c.robot, c.law, c.joint, c.kind, *numbers, worse, c.points_to))
     return ResultTable(
         caption="Robots that have changed",
         head=("robot", "law", "joint", "what", "change", "per day", "p", "worse", "points to"),
         rows=rows,
         words=(1, 2, 3, 7, 8),
-        note=f"Shares of friction; p adjusted for all trends.{_more(len(fleet.changes))}",
+        note="Shares of friction; p adjusted for all "
+        f"trends.{_describe_omission(len(fleet.changes))}",
     )
 
 
 def broken(fleet: FleetResult) -> ResultTable:
     """Return omissions with their reasons."""
-    rows = [row_of(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
+    rows = [make_row(robot.robot, text) for robot in fleet.broken for text in robot.sentences]
     return ResultTable(caption="Not used", head=("robot", "why"), rows=rows, numeric=False)
 
 
-def _more(count: int) -> str:
-    return f" {count - _MOST} more are in the Parquet file." if count > _MOST else ""
+def _describe_omission(count: int) -> str:
+    return (
+        f" {count - _MAX_TABLE_ROWS} more are in the Parquet file."
+        if count > _MAX_TABLE_ROWS
+        else ""
+    )
 
 
-def _share(share: float, decimals: int) -> TableCell:
+def _share_cell(share: float, decimals: int) -> TableCell:
     return TableCell(text=f"{100.0 * share:+.{decimals}f} %".replace("-", "−"), value=share)
 
 
-def _p(p: float) -> TableCell:
+def _p_cell(p: float) -> TableCell:
     return TableCell(text="< 0.001" if p < 1e-3 else f"{p:.3f}", value=p)
 
 
 BODY = "rigid_body"  # name in place of a law for the rigid body
 
 
-_NUMBERS = ("logs", "rows")
+_COUNT_COLUMNS = ("logs", "rows")
 _TRENDS = ("level", "offset", "error")
 
 
 def write_table(path: Path, fleet: FleetResult) -> None:
     """Write the file; a rigid body has no joint, a failed robot no law."""
-    pa = arrow()
+    pa = import_arrow()
     text = pa.string()
     number = pa.float64()
     by_name = pa.map_(text, number)
@@ -265,27 +278,31 @@ def write_table(path: Path, fleet: FleetResult) -> None:
     schema = pa.schema(
         [
             *((name, text) for name in ("type", "robot", "law", "joint", "structure", "fmu")),
-            *((name, pa.int64()) for name in _NUMBERS),
+            *((name, pa.int64()) for name in _COUNT_COLUMNS),
             *((name, number) for name in ("rmse", "tau_std")),
             *((name, by_name) for name in ("coefficients", "standard_errors", "z")),
-            *((f"{name}_{what}", number) for name in _TRENDS for what in ("change", "per_day")),
+            *(
+                (f"{name}_{measure}", number)
+                for name in _TRENDS
+                for measure in ("change", "per_day")
+            ),
             *((name, pa.bool_()) for name in ("deviates", "worse")),
             *((name, texts) for name in ("changes", "findings", "refused")),
             ("failure", text),
         ]
     )
-    table = pa.Table.from_pylist(list(_rows(fleet)), schema=schema)
+    table = pa.Table.from_pylist(list(_build_rows(fleet)), schema=schema)
     pa.parquet.write_table(table, path, compression="zstd")
 
 
-def _rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
+def _build_rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
     deviating = {(d.robot, d.law, d.joint) for d in fleet.deviants}
     changes: dict[tuple[str, str, str], list[str]] = {}
     for change in fleet.changes:
         changes.setdefault((change.robot, change.law, change.joint), []).append(change.kind)
     worse = {(c.robot, c.law, c.joint) for c in fleet.changes if c.worse}
     for robot in fleet.robots:
-        of_robot: dict[str, Any] = {
+        robot_row: dict[str, Any] = {
             "type": robot.type,
             "robot": robot.robot,
             "logs": robot.logs,
@@ -295,24 +312,24 @@ def _rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
             "failure": robot.failure or None,
         }
         if robot.failure:
-            yield of_robot
-        for one in robot.joints:
-            key = (robot.robot, one.law, one.joint)
-            fmu = fleet.fmus.get((robot.type, one.law, robot.structure(one.law)))
-            found = of_robot | {
-                "law": one.law,
-                "joint": one.joint,
-                "structure": one.structure,
-                "coefficients": list(one.values.items()),
-                "standard_errors": list(one.errors.items()),
+            yield robot_row
+        for joint_result in robot.joints:
+            key = (robot.robot, joint_result.law, joint_result.joint)
+            fmu = fleet.fmus.get((robot.type, joint_result.law, robot.structure(joint_result.law)))
+            row = robot_row | {
+                "law": joint_result.law,
+                "joint": joint_result.joint,
+                "structure": joint_result.structure,
+                "coefficients": list(joint_result.values.items()),
+                "standard_errors": list(joint_result.errors.items()),
                 "z": list(fleet.z.get(key, {}).items()),
                 "fmu": fmu.relative_to(fleet.folder).as_posix() if fmu else None,
                 "deviates": key in deviating,
                 "worse": key in worse,
                 "changes": changes.get(key, []),
             }
-            if one.law != BODY:
-                found |= {"rmse": one.rmse, "tau_std": one.tau_std}
-            for name, trend in one.trends.items():
-                found |= {f"{name}_change": trend.change, f"{name}_per_day": trend.slope}
-            yield found
+            if joint_result.law != BODY:
+                row |= {"rmse": joint_result.rmse, "tau_std": joint_result.tau_std}
+            for name, trend in joint_result.trends.items():
+                row |= {f"{name}_change": trend.change, f"{name}_per_day": trend.slope}
+            yield row

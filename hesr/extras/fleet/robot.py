@@ -12,25 +12,25 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cosim.study.scores import by_joint
-from fmu_src.friction.friction_component import exposed
-from hesr.extras.fleet.deviation import trend
+from cosim.study.scores import transpose_records
+from fmu_src.friction.friction_component import is_exposed
+from hesr.extras.fleet.deviation import fit_trend
 from hesr.extras.fleet.result import BODY, JointResult, RobotResult
 from hesr.extras.fleet.study import FleetStudy, Member
 from hesr.extras.ssp.parameter_set import export_ssv
 from hesr_model.errors import ArtifactError, FitError, HesrError, LogError
 from hesr_model.findings import Finding
-from hesr_model.fitting.days import own_of_log
+from hesr_model.fitting.days import solve_nuisances
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
-from hesr_model.health.examine import check_body, check_laws, examine, merged
+from hesr_model.health.examine import check_body, check_laws, examine, merge_findings
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.sample import Sample
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.accumulation import Streamed
 from hesr_model.rigid_body.identification import RigidBody
-from hesr_model.rigid_body.residual import at_friction, motion_records
+from hesr_model.rigid_body.residual import motion_records, transform_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import sha256
@@ -39,12 +39,12 @@ from hesr_model.support.typed_files import from_json, read_json, to_json, write_
 RESULT = "result.json"
 RESULT_FORMAT = "hesr-fleet-robot-1"
 
-_VERSIONED = ("hesr", "numpy", "scipy", "sympy", "pin")
+_VERSIONED_PACKAGES = ("hesr", "numpy", "scipy", "sympy", "pin")
 
 
-def look_at(member: Member, study: FleetStudy, folder: Path) -> bool:
+def process_robot(member: Member, study: FleetStudy, folder: Path) -> bool:
     """Process one robot into its folder; return whether it was complete before."""
-    key = _key(member, study)
+    key = _compute_key(member, study)
     file = folder / RESULT
     with suppress(ArtifactError):  # missing or incomplete
         if read_result(folder).key == key:
@@ -67,22 +67,22 @@ def read_result(folder: Path) -> RobotResult:
     return from_json(RobotResult, read_json(file, RESULT_FORMAT), file, "a robot of a fleet")
 
 
-def _key(member: Member, study: FleetStudy) -> str:
+def _compute_key(member: Member, study: FleetStudy) -> str:
     kind = member.kind
     files = [kind.robot, *(path for _, path in member.logs)]
     if kind.robot.is_file():
         files.insert(1, RobotDescription.read(kind.robot).model)
-    about = {
+    hashed_inputs = {
         "robot": (member.name, member.type, kind.accept),
         "names": [name for name, _ in member.logs],
-        "files": [_hash(file) for file in files],
+        "files": [_compute_hash(file) for file in files],
         "study": study.model_dump(mode="json", include={"seed", "laws", "options", "rows"}),
-        "versions": [version(name) for name in _VERSIONED],
+        "versions": [version(name) for name in _VERSIONED_PACKAGES],
     }
-    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(hashed_inputs, sort_keys=True).encode()).hexdigest()
 
 
-def _hash(file: Path) -> str | None:
+def _compute_hash(file: Path) -> str | None:
     try:
         return sha256(file)
     except OSError:
@@ -114,49 +114,51 @@ class _Robot:
         study = self._study
         if not member.logs:
             raise LogError(f"{self._where}: its folders contain no log.")
-        stream, sample = self._collected(None)
+        stream, sample = self._collect(None)
         if not stream.fits:  # a joint that is always slow
-            stream, sample = self._collected(stream.slow)
+            stream, sample = self._collect(stream.slow)
         body = stream.body(sample, self._where)
-        records = by_joint([motion_records(motion, self._model, body) for motion in sample])
-        source = {
+        records = transpose_records(
+            [motion_records(motion, self._model, body) for motion in sample]
+        )
+        provenance = {
             "robot": member.name,
             "fleet": study.name,
             "sample": sum(len(motion.t) for motion in sample),
             **self._model.description.constants,
         }
-        failed: dict[str, FitError] = {}
+        failures: dict[str, FitError] = {}
         models = fit_models(
             study.laws,
             records,
             robot=member.name,
             seed=study.seed,
             options=study.options,
-            provenance=source,
+            provenance=provenance,
             workers=1,
-            left_out=failed.__setitem__,
+            left_out=failures.__setitem__,
         )
         findings = [*check_body(body, self._model), *check_laws(models, records)]
-        for law, model in models.items():
-            model.write(folder / f"{law}.json")
-            if all(map(exposed, model.laws)):
-                export_ssv(model, folder / f"{law}.ssv")
-        replace(body, provenance=source).write(folder / f"{BODY}.json")
+        for law_name, model in models.items():
+            model.write(folder / f"{law_name}.json")
+            if all(map(is_exposed, model.laws)):
+                export_ssv(model, folder / f"{law_name}.ssv")
+        replace(body, provenance=provenance).write(folder / f"{BODY}.json")
         return RobotResult(
             key=self._key,
             robot=member.name,
             type=member.type,
             logs=len(member.logs) - len(self._refused),
             rows=stream.rows,
-            refused=(*self._refused.values(), *map(str, failed.values())),
-            findings=tuple(merged([*self._findings, *findings])),
-            joints=(_of_body(body), *self._joints(models, body)),
+            refused=(*self._refused.values(), *map(str, failures.values())),
+            findings=tuple(merge_findings([*self._findings, *findings])),
+            joints=(_summarise_body(body), *self._evaluate_joints(models, body)),
         )
 
-    def _collected(self, slow: Any) -> tuple[Streamed, list[Motion]]:
+    def _collect(self, slow: Any) -> tuple[Streamed, list[Motion]]:
         stream = Streamed(self._model, slow)
         sample = Sample(self._study.rows, self._study.seed)
-        for parts in self._motions(check=slow is None):
+        for parts in self._read_motions(check=slow is None):
             for part in parts:
                 stream.add(part)
                 sample.add(part)
@@ -165,7 +167,7 @@ class _Robot:
             raise LogError(f"none of its {len(self._refused)} logs can be used, the first: {first}")
         return stream, sample.motions()
 
-    def _motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
+    def _read_motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
         cutoff = self._model.description.log.filter_cutoff
         for name, path in self._member.logs:
             if name in self._refused:
@@ -185,43 +187,49 @@ class _Robot:
     def _check(self, log: Log) -> None:
         accept = self._member.kind.accept
         findings = examine([log], self._model.description, self._model).findings
-        wrong = [
+        errors = [
             finding
             for finding in findings
             if finding.severity == "error" and finding.check not in accept
         ]
-        if wrong:
+        if errors:
             raise LogError(
                 "; ".join(
-                    f"{finding.sentence.removesuffix('.')} [{finding.check}]" for finding in wrong
+                    f"{finding.sentence.removesuffix('.')} [{finding.check}]" for finding in errors
                 )
             )
-        self._findings = merged([*self._findings, *findings])
+        self._findings = merge_findings([*self._findings, *findings])
 
-    def _joints(self, models: Mapping[str, FrictionModel], body: RigidBody) -> list[JointResult]:
-        plain = replace(body, covariance=None)
-        found: dict[tuple[str, int], dict[str, _Day]] = {}
-        for parts in self._motions():
-            records = [at_friction(motion_records(part, self._model, plain)) for part in parts]
-            for law, model in models.items():
-                for joint, own in enumerate(model.laws):
-                    predicted = np.concatenate(
-                        [predict_record(own, joint_records[joint]) for joint_records in records]
+    def _evaluate_joints(
+        self, models: Mapping[str, FrictionModel], body: RigidBody
+    ) -> list[JointResult]:
+        bare_body = replace(body, covariance=None)
+        days_by_law: dict[tuple[str, int], dict[str, _Day]] = {}
+        for parts in self._read_motions():
+            records = [
+                transform_records(motion_records(part, self._model, bare_body)) for part in parts
+            ]
+            for law_name, model in models.items():
+                for j, law in enumerate(model.laws):
+                    tau_predicted = np.concatenate(
+                        [predict_record(law, joint_records[j]) for joint_records in records]
                     )
-                    tau = np.concatenate([joint_records[joint].tau for joint_records in records])
-                    found.setdefault((law, joint), {})[parts[0].name] = _day(predicted, tau)
+                    tau = np.concatenate([joint_records[j].tau for joint_records in records])
+                    days_by_law.setdefault((law_name, j), {})[parts[0].name] = _evaluate_day(
+                        tau_predicted, tau
+                    )
         days = self._member.days
         return [
-            _joint(models[law], joint, of_logs, [days[log] for log in of_logs])
-            for (law, joint), of_logs in found.items()
+            _summarise_joint(models[law_name], j, log_days, [days[log] for log in log_days])
+            for (law_name, j), log_days in days_by_law.items()
         ]
 
 
-def _day(predicted: Array, tau: Array) -> _Day:
-    nuisances = own_of_log(predicted, tau, ("level", "offset"))
+def _evaluate_day(tau_predicted: Array, tau: Array) -> _Day:
+    nuisances = solve_nuisances(tau_predicted, tau, ("level", "offset"))
     return _Day(
         rows=len(tau),
-        rmse=rmse(predicted - tau),
+        rmse=rmse(tau_predicted - tau),
         total=float(tau.sum()),
         squares=float(tau @ tau),
         level=nuisances.level,
@@ -229,35 +237,35 @@ def _day(predicted: Array, tau: Array) -> _Day:
     )
 
 
-def _joint(
-    model: FrictionModel, joint: int, logs: Mapping[str, _Day], days: Sequence[float]
+def _summarise_joint(
+    model: FrictionModel, j: int, logs: Mapping[str, _Day], days: Sequence[float]
 ) -> JointResult:
-    law = model.laws[joint]
-    of = list(logs.values())
-    rows = sum(day.rows for day in of)
-    error = float(np.sqrt(sum(day.rows * day.rmse**2 for day in of) / rows))
-    mean = sum(day.total for day in of) / rows
-    tau_std = float(np.sqrt(max(sum(day.squares for day in of) / rows - mean**2, 0.0)))
-    size = tau_std or 1.0
+    law = model.laws[j]
+    log_days = list(logs.values())
+    rows = sum(day.rows for day in log_days)
+    error = float(np.sqrt(sum(day.rows * day.rmse**2 for day in log_days) / rows))
+    mean = sum(day.total for day in log_days) / rows
+    tau_std = float(np.sqrt(max(sum(day.squares for day in log_days) / rows - mean**2, 0.0)))
+    scale = tau_std or 1.0
     courses = {
-        "level": [day.level for day in of],
-        "offset": [day.offset / size for day in of],
-        "error": [day.rmse / size for day in of],
+        "level": [day.level for day in log_days],
+        "offset": [day.offset / scale for day in log_days],
+        "error": [day.rmse / scale for day in log_days],
     }
-    trends = ((name, trend(days, values)) for name, values in courses.items())
+    trends = ((name, fit_trend(days, values)) for name, values in courses.items())
     return JointResult(
         law=model.law,
-        joint=model.joints[joint],
+        joint=model.joints[j],
         structure=json.dumps(law.structure, sort_keys=True),
         values=law.values,
         errors=law.standard_errors,
         rmse=error,
         tau_std=tau_std,
-        trends={name: one for name, one in trends if one is not None},
+        trends={name: course_trend for name, course_trend in trends if course_trend is not None},
     )
 
 
-def _of_body(body: RigidBody) -> JointResult:
+def _summarise_body(body: RigidBody) -> JointResult:
     names = [body.names[k] for k in body.base]
     return JointResult(
         law=BODY,

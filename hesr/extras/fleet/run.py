@@ -11,9 +11,9 @@ import numpy as np
 
 from cosim.report.result_page import write_answer
 from fmu_src import export_fmu
-from fmu_src.friction.friction_component import exposed
-from hesr.extras.adaptive.monitor import POINTS_TO, shared_signs
-from hesr.extras.fleet.deviation import ENOUGH, Deviation, deviations
+from fmu_src.friction.friction_component import is_exposed
+from hesr.extras.adaptive.monitor import POINTS_TO, find_shared_signs
+from hesr.extras.fleet.deviation import MIN_SAMPLE_SIZE, Deviation, compute_deviations
 from hesr.extras.fleet.result import (
     BODY,
     Change,
@@ -23,27 +23,27 @@ from hesr.extras.fleet.result import (
     RobotResult,
     write_table,
 )
-from hesr.extras.fleet.robot import look_at, read_result
-from hesr.extras.fleet.study import FleetStudy, members
-from hesr.extras.sweep.work import taken
+from hesr.extras.fleet.robot import process_robot, read_result
+from hesr.extras.fleet.study import FleetStudy, find_members
+from hesr.extras.sweep.work import lock_folder
 from hesr_model.findings import Finding
 from hesr_model.fitting.estimator import estimator
-from hesr_model.fitting.uncertainty import MOST_COEFFICIENTS
+from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
 from hesr_model.friction.model import FrictionModel
 from hesr_model.health.examine import CHECKS, require_known
-from hesr_model.inference.comparison import holm
-from hesr_model.logs.tables import arrow
+from hesr_model.inference.comparison import adjust_by_holm
+from hesr_model.logs.tables import import_arrow
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.files import written_together
-from hesr_model.support.progress import Stages, counted, silent
+from hesr_model.support.progress import Stages, report_progress, silent
 
 Key = tuple[str, str, str, str]  # robot, law, joint, and name of a number
 _KINDS = {"level": "drift", "offset": "shift", "error": "error"}
 _POINTS_TO = POINTS_TO | {"error": "play, damage, or a sensor: no friction law explains it"}
 
 
-def compared(
+def compare_robots(
     robots: Sequence[RobotResult], level: float
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
     """Compare numbers of a type and law structure with at least `ENOUGH` robots.
@@ -52,72 +52,97 @@ def compared(
     """
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:
-        for one in robot.joints:
-            for name, value in _numbers(one):
-                group = (robot.type, one.law, one.joint, one.structure, name)
-                groups.setdefault(group, []).append((robot, value, one.errors.get(name)))
-    found: dict[Key, tuple[str, Deviation]] = {}
-    for (type_, law, joint, _, name), of in groups.items():
-        if len(of) >= ENOUGH:
-            each = deviations([value for _, value, _ in of], [error for *_, error in of])
-            for (robot, *_), apart in zip(of, each, strict=True):
-                found[robot.robot, law, joint, name] = type_, apart
-    p = holm({key: apart.p for key, (_, apart) in found.items()})
+        for joint_result in robot.joints:
+            for robot_name, value in _list_numbers(joint_result):
+                group = (
+                    robot.type,
+                    joint_result.law,
+                    joint_result.joint,
+                    joint_result.structure,
+                    robot_name,
+                )
+                groups.setdefault(group, []).append(
+                    (robot, value, joint_result.errors.get(robot_name))
+                )
+    typed_deviations: dict[Key, tuple[str, Deviation]] = {}
+    for (type_, law_name, joint, _, robot_name), entries in groups.items():
+        if len(entries) >= MIN_SAMPLE_SIZE:
+            group_deviations = compute_deviations(
+                [value for _, value, _ in entries], [error for *_, error in entries]
+            )
+            for (robot, *_), deviation in zip(entries, group_deviations, strict=True):
+                typed_deviations[robot.robot, law_name, joint, robot_name] = type_, deviation
+    adjusted_p = adjust_by_holm(
+        {key: deviation.p for key, (_, deviation) in typed_deviations.items()}
+    )
     deviants = []
     z: dict[tuple[str, str, str], dict[str, float]] = {}
-    for (name, law, joint, what), (type_, apart) in found.items():
-        z.setdefault((name, law, joint), {})[what] = apart.z
-        numbers = vars(apart) | {"p": p[name, law, joint, what]}
+    for (robot_name, law_name, joint, number_name), (type_, deviation) in typed_deviations.items():
+        z.setdefault((robot_name, law_name, joint), {})[number_name] = deviation.z
+        numbers = vars(deviation) | {"p": adjusted_p[robot_name, law_name, joint, number_name]}
         if numbers["p"] < level:
             deviants.append(
-                Deviant(robot=name, type=type_, law=law, joint=joint, name=what, **numbers)
+                Deviant(
+                    robot=robot_name,
+                    type=type_,
+                    law=law_name,
+                    joint=joint,
+                    name=number_name,
+                    **numbers,
+                )
             )
     return z, sorted(deviants, key=lambda d: (-abs(d.z), d.robot, d.law, d.joint, d.name))
 
 
-def _numbers(one: JointResult) -> Iterator[tuple[str, float]]:
-    if len(one.values) <= MOST_COEFFICIENTS or one.law == BODY:  # except coefficients of networks
-        yield from one.values.items()
-    if one.law != BODY:
-        yield "rmse", one.rmse
+def _list_numbers(joint_result: JointResult) -> Iterator[tuple[str, float]]:
+    if (
+        len(joint_result.values) <= MAX_COEFFICIENTS or joint_result.law == BODY
+    ):  # except coefficients of networks
+        yield from joint_result.values.items()
+    if joint_result.law != BODY:
+        yield "rmse", joint_result.rmse
 
 
-def changed(robots: Sequence[RobotResult], level: float, least: float) -> list[Change]:
-    """Return changes of at least the share `least` of friction at significance `level` (Holm)."""
+def find_changes(
+    robots: Sequence[RobotResult], level: float, smallest_share: float
+) -> list[Change]:
+    """Return changes of at least `smallest_share` of friction at significance `level` (Holm)."""
     trends = {
-        (robot.robot, one.law, one.joint, name): (robot, found)
+        (robot.robot, joint_result.law, joint_result.joint, robot_name): (robot, trend)
         for robot in robots
-        for one in robot.joints
-        for name, found in one.trends.items()
+        for joint_result in robot.joints
+        for robot_name, trend in joint_result.trends.items()
     }
-    p = holm({key: found.p for key, (_, found) in trends.items()})
-    counting = {
-        key: (robot, found)
-        for key, (robot, found) in trends.items()
-        if p[key] < level and abs(found.change) >= least
+    adjusted_p = adjust_by_holm({key: trend.p for key, (_, trend) in trends.items()})
+    significant = {
+        key: (robot, trend)
+        for key, (robot, trend) in trends.items()
+        if adjusted_p[key] < level and abs(trend.change) >= smallest_share
     }
     drifts: dict[tuple[str, str], list[tuple[str, int]]] = {}
-    for (name, law, joint, what), (_, found) in counting.items():
-        if what == "level":
-            drifts.setdefault((name, law), []).append((joint, _sign(found.change)))
+    for (robot_name, law_name, joint, number_name), (_, trend) in significant.items():
+        if number_name == "level":
+            drifts.setdefault((robot_name, law_name), []).append((joint, _sign(trend.change)))
     changes = []
-    for key, (robot, found) in counting.items():
-        name, law, joint, what = key
-        kind = _KINDS[what]
-        joints = sum(one.law == law for one in robot.joints)
-        if kind == "drift" and _sign(found.change) in shared_signs(drifts[name, law], joints):
+    for key, (robot, trend) in significant.items():
+        robot_name, law_name, joint, number_name = key
+        kind = _KINDS[number_name]
+        joints = sum(joint_result.law == law_name for joint_result in robot.joints)
+        if kind == "drift" and _sign(trend.change) in find_shared_signs(
+            drifts[robot_name, law_name], joints
+        ):
             kind = "shared drift"
         changes.append(
             Change(
-                robot=name,
+                robot=robot_name,
                 type=robot.type,
-                law=law,
+                law=law_name,
                 joint=joint,
                 kind=kind,
-                change=found.change,
-                per_day=found.slope,
-                p=p[key],
-                worse=what == "offset" or found.change > 0.0,
+                change=trend.change,
+                per_day=trend.slope,
+                p=adjusted_p[key],
+                worse=number_name == "offset" or trend.change > 0.0,
                 points_to=_POINTS_TO[kind],
             )
         )
@@ -142,41 +167,45 @@ def run_fleet(
 ) -> FleetResult:
     """Process incomplete robots, compare all, and write the results; 1 worker is this process."""
     study = FleetStudy.read(path)
-    for law in study.laws:
-        estimator(law)
+    for law_name in study.laws:
+        estimator(law_name)
     for robot in dict.fromkeys(kind.robot for kind in study.types.values()):
         Robot(RobotDescription.read(robot))
     for kind in study.types.values():
         require_known(kind.accept, CHECKS)
-    robots = members(study, path)
-    arrow()  # before the work
-    with taken(output, ROBOTS, ABOUT, {"key": study.name}):
-        jobs = [partial(look_at, robot, study, output / ROBOTS / robot.name) for robot in robots]
+    robots = find_members(study, path)
+    import_arrow()  # before the work
+    with lock_folder(output, ROBOTS, ABOUT, {"key": study.name}):
+        jobs = [
+            partial(process_robot, robot, study, output / ROBOTS / robot.name) for robot in robots
+        ]
         names = [robot.name for robot in robots]
         with parallel.results_of(jobs, workers, names=names) as done_before:
-            reused = sum(next(done_before) for _ in counted(jobs, partial(progress, study.name)))
+            reused = sum(
+                next(done_before) for _ in report_progress(jobs, partial(progress, study.name))
+            )
         results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
-        z, deviants = compared(results, study.level)
-        found = FleetResult(
+        z, deviants = compare_robots(results, study.level)
+        fleet = FleetResult(
             name=study.name,
             robots=results,
             z=z,
             deviants=tuple(deviants),
-            changes=tuple(changed(results, study.level, study.least_change)),
+            changes=tuple(find_changes(results, study.level, study.least_change)),
             fmus=write_types(study, results, output, progress) if study.fmu else {},
             folder=output,
             reused=0,
             findings=[
-                Finding(check="logs", where=one.robot, found=one.sentences[0])
-                for one in results
-                if one.sentences
+                Finding(check="logs", where=robot_result.robot, found=robot_result.sentences[0])
+                for robot_result in results
+                if robot_result.sentences
             ],
         )
         # The page of a continued run is that of an uninterrupted one.
         with written_together(output / PAGE) as file:
-            write_table(file(output / TABLE), found)
-            write_answer(found, file(output / PAGE))
-    return replace(found, reused=reused, files=(output / PAGE, output / TABLE))
+            write_table(file(output / TABLE), fleet)
+            write_answer(fleet, file(output / PAGE))
+    return replace(fleet, reused=reused, files=(output / PAGE, output / TABLE))
 
 
 class _Kind(NamedTuple):
@@ -191,14 +220,16 @@ def write_types(
     """Write FMUs with median coefficients by (type, law, structure), rarer structures numbered."""
     groups: dict[_Kind, list[RobotResult]] = {}
     for robot in robots:
-        for law in robot.laws:
-            groups.setdefault(_Kind(robot.type, law, robot.structure(law)), []).append(robot)
+        for law_name in robot.laws:
+            groups.setdefault(_Kind(robot.type, law_name, robot.structure(law_name)), []).append(
+                robot
+            )
     numbers: Counter[tuple[str, str]] = Counter()
     fmus: dict[tuple[str, str, str], Path] = {}
     for done, kind in enumerate(sorted(groups, key=lambda k: (-len(groups[k]), k))):
         progress("FMUs of the types", done, len(groups))
-        typical = _typical(kind, groups[kind], output)
-        if not all(map(exposed, typical.laws)):
+        typical = _build_typical(kind, groups[kind], output)
+        if not all(map(is_exposed, typical.laws)):
             continue
         numbers[kind.type, kind.law] += 1
         count = numbers[kind.type, kind.law]
@@ -209,12 +240,15 @@ def write_types(
     return fmus
 
 
-def _typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
+def _build_typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
     first = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
     laws = []
-    for joint, law in enumerate(first.laws):
-        of = [robot.of_law(kind.law)[joint].values for robot in robots]
-        values = {name: float(np.median([one[name] for one in of])) for name in law.values}
+    for j, law in enumerate(first.laws):
+        values_by_robot = [robot.select_law(kind.law)[j].values for robot in robots]
+        values = {
+            name: float(np.median([robot_values[name] for robot_values in values_by_robot]))
+            for name in law.values
+        }
         laws.append(replace(law, values=values, standard_errors={}, covariance=None))
     provenance = {"type": kind.type, "robots": len(robots)}
     return replace(first, robot=kind.type, laws=tuple(laws), provenance=provenance)

@@ -12,16 +12,16 @@ from pydantic import Field
 
 from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 from hesr_model.errors import ConfigError
-from hesr_model.logs.readers.formats import COLUMNS, format_of
-from hesr_model.support.text import quoted
+from hesr_model.logs.readers.formats import COLUMNS, find_format
+from hesr_model.support.text import quote
 from hesr_model.support.typed_files import Config, RelativePath
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 
-_TABLES = {".csv", ".gz", ".parquet", ".pq", ".feather"}
-_BAG = "metadata.yaml"  # marks a folder as a ROS 2 bag
-_WILD = re.compile(r"[*?\[]")
-_DAY = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
+_TABLE_SUFFIXES = {".csv", ".gz", ".parquet", ".pq", ".feather"}
+_BAG_FILE = "metadata.yaml"  # marks a folder as a ROS 2 bag
+_WILDCARD = re.compile(r"[*?\[]")
+_DATE_PATTERN = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 
 
 class RobotType(Config):
@@ -59,21 +59,25 @@ class Member:
     @property
     def days(self) -> dict[str, float]:
         """Days since the first log; indices unless all names hold a date."""
-        found = [_day(name) for name, _ in self.logs]
-        dated = [day for day in found if day is not None]
-        first = min(dated, default=0)
-        places = range(len(found)) if len(dated) < len(found) else (day - first for day in dated)
-        return {name: float(at) for (name, _), at in zip(self.logs, places, strict=True)}
+        log_days = [_find_day(name) for name, _ in self.logs]
+        dated_days = [day for day in log_days if day is not None]
+        first = min(dated_days, default=0)
+        places = (
+            range(len(log_days))
+            if len(dated_days) < len(log_days)
+            else (day - first for day in dated_days)
+        )
+        return {name: float(place) for (name, _), place in zip(self.logs, places, strict=True)}
 
 
-def members(study: FleetStudy, path: Path) -> list[Member]:
+def find_members(study: FleetStudy, path: Path) -> list[Member]:
     """Find the robots of a fleet and their logs."""
-    found: dict[str, Member] = {}
+    members_by_name: dict[str, Member] = {}
     for type_, kind in study.types.items():
         logs: dict[str, dict[str, Path]] = {}
-        for root, folder in _matching(path, type_, kind.logs):
+        for root, folder in _match_folders(path, type_, kind.logs):
             files = logs.setdefault(folder.name.rpartition("=")[2], {})
-            files |= {f.relative_to(root).with_suffix("").as_posix(): f for f in _logs_in(folder)}
+            files |= {f.relative_to(root).with_suffix("").as_posix(): f for f in _find_logs(folder)}
         if not logs:
             raise ConfigError(
                 f"{path}: type '{type_}': no folder matches '{kind.logs}'.",
@@ -82,38 +86,41 @@ def members(study: FleetStudy, path: Path) -> list[Member]:
                 key=f"types.{type_}.logs",
             )
         for name, files in logs.items():
-            if name in found:
+            if name in members_by_name:
                 raise ConfigError(
-                    f"{path}: robot '{name}' has the types '{found[name].type}' and '{type_}'; "
+                    f"{path}: robot '{name}' has the types '{members_by_name[name].type}' and "
+                    f"'{type_}'; "
                     "give each robot one type.",
                     code="fleet.two_types",
                     where=path,
                     key=f"types.{type_}.logs",
                 )
-            own = tuple(sorted(files.items()))
-            found[name] = Member(name=name, type=type_, kind=kind, logs=own)
-    return [found[name] for name in sorted(found)]
+            sorted_logs = tuple(sorted(files.items()))
+            members_by_name[name] = Member(name=name, type=type_, kind=kind, logs=sorted_logs)
+    return [members_by_name[name] for name in sorted(members_by_name)]
 
 
-def _matching(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
+def _match_folders(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
     parts = Path(pattern).parts
-    wild = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
+    wild = next((k for k, part in enumerate(parts) if _WILDCARD.search(part)), len(parts) - 1)
     root = path.parent.joinpath(*parts[:wild])
     try:
         return [(root, f) for f in sorted(root.glob("/".join(parts[wild:]))) if f.is_dir()]
     except (OSError, ValueError, NotImplementedError) as error:  # names that no folder can have
         raise ConfigError(
-            f"{path}: type '{type_}': {quoted(pattern)} is not a valid pattern of folders.",
+            f"{path}: type '{type_}': {quote(pattern)} is not a valid pattern of folders.",
             code="fleet.pattern",
             where=path,
             key=f"types.{type_}.logs",
         ) from error
 
 
-def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
-    found: list[Path] = []
-    own = Path(os.path.realpath(folder))
-    if any(other.is_relative_to(own) for other in above):  # its logs would count repeatedly
+def _find_logs(folder: Path, parent_folders: tuple[Path, ...] = ()) -> list[Path]:
+    logs: list[Path] = []
+    real_folder = Path(os.path.realpath(folder))
+    if any(
+        parent_folder.is_relative_to(real_folder) for parent_folder in parent_folders
+    ):  # its logs would count repeatedly
         raise ConfigError(
             f"{folder}: links to a folder that contains it; remove the link.",
             code="fleet.link",
@@ -122,15 +129,19 @@ def _logs_in(folder: Path, above: tuple[Path, ...] = ()) -> list[Path]:
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith((".", "_")):
             continue
-        if entry.is_dir() and not (entry / _BAG).exists():
-            found += _logs_in(entry, (*above, own))
-        elif entry.is_dir() or entry.suffix.lower() in _TABLES or format_of(entry) != COLUMNS:
-            found.append(entry)
-    return found
+        if entry.is_dir() and not (entry / _BAG_FILE).exists():
+            logs += _find_logs(entry, (*parent_folders, real_folder))
+        elif (
+            entry.is_dir()
+            or entry.suffix.lower() in _TABLE_SUFFIXES
+            or find_format(entry) != COLUMNS
+        ):
+            logs.append(entry)
+    return logs
 
 
-def _day(name: str) -> int | None:
-    for match in _DAY.finditer(name):
+def _find_day(name: str) -> int | None:
+    for match in _DATE_PATTERN.finditer(name):
         try:
             return date(*map(int, match.groups())).toordinal()
         except ValueError:

@@ -9,9 +9,9 @@ from typing import Any, cast
 
 from fmu_src.run.instance import WARNING, CallError, Instance, LoadError, UnpackedFmu
 
-MOST_REPEATS = 20  # of a discarded step, and of events at one instant
-ROUNDING = 1e-14  # step [s] left by the round-off of summed times
-_DISCARD = 2
+MAX_REPEATS = 20  # of a discarded step, and of events at one instant
+ROUNDING_STEP = 1e-14  # step [s] left by the round-off of summed times
+_DISCARD_STATUS = 2
 _OUTCOMES = {2: "is discarded", 3: "ends in an error", 4: "ends in a fatal error"}
 
 
@@ -56,7 +56,7 @@ class _Run:
             exchange=exchange,
         )
         self.fmu = Instance(fmu, self._hear, self.refusal)
-        self._inputs = self.fmu.buffer([one["reference"] for one in plan["inputs"]])
+        self._inputs = self.fmu.buffer([excitation["reference"] for excitation in plan["inputs"]])
         self._outputs = self.fmu.buffer(plan["outputs"])
 
     def _hear(self, status: int, text: str) -> None:
@@ -87,9 +87,9 @@ class _Run:
     def set_inputs(self, time: float) -> None:
         """Set the inputs of a time [s]: smooth, with two periods over the experiment."""
         cycle = 4.0 * math.pi * time / (self.step * self.plan["steps"])
-        for k, one in enumerate(self.plan["inputs"]):
-            swing = one["amplitude"] * math.sin(cycle + 2.4 * k)
-            self._inputs.values[k] = one["centre"] + swing
+        for k, excitation in enumerate(self.plan["inputs"]):
+            swing = excitation["amplitude"] * math.sin(cycle + 2.4 * k)
+            self._inputs.values[k] = excitation["centre"] + swing
         if self.plan["inputs"]:
             self._inputs.write()
 
@@ -103,14 +103,14 @@ class _Run:
 
     def do_step(self, step: float) -> None:
         """Step with the present inputs; repeat the step if it is discarded."""
-        for repeat in range(1, MOST_REPEATS + 1):
+        for repeat in range(1, MAX_REPEATS + 1):
             try:
                 self.fmu.step(self.time, step)
             except RefusedError as error:
-                if error.status == _DISCARD and repeat < MOST_REPEATS:
+                if error.status == _DISCARD_STATUS and repeat < MAX_REPEATS:
                     continue
                 which = f"fmi2DoStep of {step:.9g} s at {self.time:.9g} s"
-                often = f" each of {repeat} times" if error.status == _DISCARD else ""
+                often = f" each of {repeat} times" if error.status == _DISCARD_STATUS else ""
                 text = str(error).replace("fmi2DoStep", which, 1)
                 raise RefusedError(f"{text}{often}") from error
             break
@@ -140,14 +140,14 @@ def _steps(scenario: str, step: float, count: int) -> Iterator[float]:
         yield from [share * step for share in shares] * round(count / math.fsum(shares))
     elif scenario == "summed":  # as if the stop time were one round-off further
         yield from [step] * count
-        yield ROUNDING
+        yield ROUNDING_STEP
     elif scenario == "tiny":
         for _ in range(count):
-            yield ROUNDING
-            yield step - ROUNDING
+            yield ROUNDING_STEP
+            yield step - ROUNDING_STEP
 
 
-def _held(run: _Run, _scenario: str) -> None:
+def _hold_inputs(run: _Run, _scenario: str) -> None:
     for _ in range(run.plan["steps"] // 2 + 2):
         run.set_inputs(run.time)
         for _ in range(4):
@@ -165,7 +165,7 @@ def _refresh_outputs(run: _Run, _scenario: str) -> None:
         run.record()
 
 
-def _repeated(run: _Run, _scenario: str) -> None:
+def _repeat_steps(run: _Run, _scenario: str) -> None:
     """Take steps back, as masters with iteration or step control do."""
     longer = run.step * (2.0 if run.plan["variable"] else 1.0)
     for k in range(run.plan["steps"]):
@@ -182,7 +182,7 @@ def _repeated(run: _Run, _scenario: str) -> None:
         run.advance(run.step)
 
 
-_SIMULATIONS = {"refreshed": _refresh_outputs, "repeated": _repeated, "held": _held}
+_SIMULATIONS = {"refreshed": _refresh_outputs, "repeated": _repeat_steps, "held": _hold_inputs}
 
 
 def _solve(run: _Run, scenario: str) -> None:
@@ -190,7 +190,7 @@ def _solve(run: _Run, scenario: str) -> None:
     from fmpy.sundials import CVodeSolver
 
     fmu = run.fmu.slave
-    _events(run)
+    _handle_events(run)
     solver = CVodeSolver(
         nx=run.plan["states"],
         nz=run.plan["indicators"],
@@ -210,43 +210,43 @@ def _solve(run: _Run, scenario: str) -> None:
         end = (k + 1) * run.step
         run.set_inputs(time)
         events = 0
-        since = time
+        event_time = time
         while time < end:
-            found, _, time = _solved(run, solver, time, end)
+            has_event, _, time = _advance_solver(run, solver, time, end)
             run.fmu.ask("setTime", time)
-            asked, stop = run.fmu.ask("completedIntegratorStep")
+            requests_event, stop = run.fmu.ask("completedIntegratorStep")
             if stop:
                 raise RefusedError(f"fmi2CompletedIntegratorStep ends the run at {time:.9g} s")
-            if not found and not asked:
+            if not has_event and not requests_event:
                 continue
-            events = events + 1 if time - since < 1e-6 * run.step else 1
-            since = time
-            if events > MOST_REPEATS:
+            events = events + 1 if time - event_time < 1e-6 * run.step else 1
+            event_time = time
+            if events > MAX_REPEATS:
                 raise RefusedError(
-                    f"more than {MOST_REPEATS} events follow one another at {time:.9g} s, where "
+                    f"more than {MAX_REPEATS} events follow one another at {time:.9g} s, where "
                     "the inputs are held over the solver's step"
                 )
             run.fmu.ask("enterEventMode")
             if scenario != "late":
                 run.set_inputs(time)
-            _events(run)
+            _handle_events(run)
             run.set_inputs(time)
             solver.reset(time)
         run.time = time
         run.record()
 
 
-def _solved(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any, float]:
+def _advance_solver(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any, float]:
     size = run.plan["states"]
-    before = (ctypes.c_double * size)()
+    saved_states = (ctypes.c_double * size)()
     if size:
-        run.fmu.ask("getContinuousStates", before, size)
+        run.fmu.ask("getContinuousStates", saved_states, size)
     with suppress(Exception):  # FMPy raises bare exceptions
         return cast("tuple[bool, Any, float]", solver.step(time, end))
     # Held inputs jump, so CVODE may give up; only a second failure is the FMU's.
     run.fmu.ask("setTime", time)
     if size:
-        run.fmu.ask("setContinuousStates", before, size)
+        run.fmu.ask("setContinuousStates", saved_states, size)
     solver.reset(time)
     try:
         return cast("tuple[bool, Any, float]", solver.step(time, end))
@@ -254,8 +254,8 @@ def _solved(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any,
         raise RefusedError(f"CVODE fails ({error})") from error
 
 
-def _events(run: _Run) -> None:
-    for _ in range(MOST_REPEATS):
+def _handle_events(run: _Run) -> None:
+    for _ in range(MAX_REPEATS):
         if not run.fmu.ask("newDiscreteStates")[0]:
             break
     else:
@@ -263,8 +263,8 @@ def _events(run: _Run) -> None:
     run.fmu.ask("enterContinuousTimeMode")
 
 
-def _sizes(run: _Run, _scenario: str) -> None:
-    _events(run)
+def _set_excess_state(run: _Run, _scenario: str) -> None:
+    _handle_events(run)
     size = run.plan["states"] + 1
     run.found["taken"] = False
     with suppress(RefusedError):
@@ -272,4 +272,4 @@ def _sizes(run: _Run, _scenario: str) -> None:
         run.found["taken"] = True
 
 
-_EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _sizes}
+_EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _set_excess_state}

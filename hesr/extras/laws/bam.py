@@ -35,8 +35,8 @@ from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHAS = (1, 2, 3)  # candidate exponents of the Stribeck curve
 _AT_REST = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
-_AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
-_ANY = absolute(TAU_LOAD)
+_AHEAD, _BACK = (positive(side * sgn(DQ) * TAU_LOAD) for side in (1, -1))
+_LOAD_SIZE = absolute(TAU_LOAD)
 
 
 def _term(name: str, unit: str, description: str, factor: sympy.Expr) -> tuple[Any, sympy.Expr]:
@@ -45,12 +45,12 @@ def _term(name: str, unit: str, description: str, factor: sympy.Expr) -> tuple[A
 
 _LEVEL = _term("F_c", F_C.unit, F_C.description, sympy.Integer(1))
 _RISE = _term("F_e", "N.m", "rise of friction at rest", _AT_REST)
-_LOAD = _term("mu", "1", "friction per load", _ANY)
-_LOAD_RISE = _term("mu_e", "1", "its rise at rest", _AT_REST * _ANY)
+_LOAD = _term("mu", "1", "friction per load", _LOAD_SIZE)
+_LOAD_RISE = _term("mu_e", "1", "its rise at rest", _AT_REST * _LOAD_SIZE)
 _DRIVING = tuple(
-    _term(name + way, unit, f"{what}, {when}", factor * load**power)
-    for way, when, load in (("_d", "driving motor", _AHEAD), ("_b", "driven motor", _BACK))
-    for name, unit, what, factor, power in (
+    _term(name + side, unit, f"{text}, {when}", factor * load**power)
+    for side, when, load in (("_d", "driving motor", _AHEAD), ("_b", "driven motor", _BACK))
+    for name, unit, text, factor, power in (
         ("mu", "1", "friction per load", sympy.Integer(1), 1),
         ("mu_e", "1", "its rise at rest", _AT_REST, 1),
     )
@@ -73,8 +73,10 @@ class _Bam(OneForm):
         alpha = structure.get("alpha", 2)
         falls = cls._falls()
         if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
-            known = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
-            raise ArtifactError(f"law '{cls.name}' has {known} to choose, found {dict(structure)}.")
+            choices = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
+            raise ArtifactError(
+                f"law '{cls.name}' has {choices} to choose, found {dict(structure)}."
+            )
         at_rest = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
         level = sum(quantity.symbol * factor for quantity, factor in cls.terms).xreplace(
             {_AT_REST: at_rest}
@@ -101,8 +103,8 @@ class _Bam(OneForm):
         """Fit with each exponent and keep the least squares."""
         if not self._falls():
             return super().fit(records, rng)
-        rows = JointRows.of(records, coefficients=len(self.core({}).coefficients))
-        space = self.space().at_joint(slides=rows.sliding)
+        rows = JointRows.from_records(records, coefficients=len(self.core({}).coefficients))
+        space = self.space().scale_to_joint(is_prismatic=rows.sliding)
         fits = []
         for alpha in ALPHAS:
             problem = Separable(self.core({"alpha": alpha}), space, rows)

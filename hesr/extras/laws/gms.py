@@ -36,14 +36,14 @@ _FORCES = tuple(
 _CURVE = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
 _RATE = ATTRACTION.symbol / _CURVE
 # Distance of the bound below its value at rest; states begin at 0.
-_BELOW = Relaxation(name="y", unit="1", drive=_RATE * (RATIO.symbol - _CURVE), rate=_RATE)
+_BOUND_DROP = Relaxation(name="y", unit="1", drive=_RATE * (RATIO.symbol - _CURVE), rate=_RATE)
 _STOPS = tuple(
     Stop(
         name=f"x{i}",
         unit="1",
         velocity=DQ,
         deflection=float(f"{w:.4g}"),
-        bound=RATIO.symbol - _BELOW.state,
+        bound=RATIO.symbol - _BOUND_DROP.state,
     )
     for i, w in enumerate(_WIDTHS, start=1)
 )
@@ -62,7 +62,7 @@ class Gms(OneForm):
     everyday = False
     expressions = LawForm(
         coefficients=(*_FORCES, SIGMA_2, TAU_0, RATIO, V_S, ATTRACTION),
-        memory=(_BELOW, *_STOPS),
+        memory=(_BOUND_DROP, *_STOPS),
         output=_TORQUE + SIGMA_2.symbol * DQ + TAU_0.symbol,
     )
 

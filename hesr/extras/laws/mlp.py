@@ -43,8 +43,8 @@ def path(z: Array, y: Array, theta: Array, decays: Sequence[float]) -> list[Netw
     networks = []
     for decay in decays:
         point, cost = problem.train(point, decay)
-        bias, gains, trained = problem.split(point)
-        networks.append(Network(bias=bias, gains=gains, theta=trained, cost=cost))
+        bias, gains, trained_theta = problem.split(point)
+        networks.append(Network(bias=bias, gains=gains, theta=trained_theta, cost=cost))
     return networks
 
 
@@ -71,19 +71,19 @@ class _Problem:
     def train(self, point: Array, decay: float) -> tuple[Array, float]:
         """Return the point after Levenberg-Marquardt iterations, and its cost."""
         shrinkage = self._shrinkage(decay, len(point))
-        least, damping = _DAMPING
+        smallest_damping, damping = _DAMPING
         cost = self._cost(point, shrinkage)
         gram, gradient = self._normal_equations(point, shrinkage)
         for _ in range(ITERATIONS):
             trial = point - np.linalg.solve(gram + np.diag(damping * np.diag(gram)), gradient)
             trial_cost = self._cost(trial, shrinkage)
             if trial_cost < cost:
-                converged = cost - trial_cost < CONVERGED * cost
+                has_converged = cost - trial_cost < CONVERGED * cost
                 point = trial
                 cost = trial_cost
-                if converged:
+                if has_converged:
                     break
-                damping = max(damping / 5.0, least)
+                damping = max(damping / 5.0, smallest_damping)
                 gram, gradient = self._normal_equations(point, shrinkage)
             else:
                 damping *= 4.0
@@ -99,13 +99,15 @@ class _Problem:
 
     def _normal_equations(self, point: Array, shrinkage: Array) -> tuple[Array, Array]:
         bias, gains, theta = self.split(point)
-        value = np.tanh(self.x @ theta)
-        slope = (1.0 - value**2) * gains
-        of_theta = [slope * column[:, None] for column in self.x.T]
-        jacobian = np.asfortranarray(np.column_stack([np.ones(len(value)), value, *of_theta]))
+        activation = np.tanh(self.x @ theta)
+        slope = (1.0 - activation**2) * gains
+        theta_columns = [slope * column[:, None] for column in self.x.T]
+        jacobian = np.asfortranarray(
+            np.column_stack([np.ones(len(activation)), activation, *theta_columns])
+        )
         residual = jacobian[:, 1 : 1 + self.hidden] @ gains + (bias - self.y)
-        gram = jacobian.T @ jacobian / len(value) + np.diag(shrinkage)
-        return gram, jacobian.T @ residual / len(value) + shrinkage * point
+        gram = jacobian.T @ jacobian / len(activation) + np.diag(shrinkage)
+        return gram, jacobian.T @ residual / len(activation) + shrinkage * point
 
 
 MAX_HIDDEN = 16  # largest hidden layer
@@ -113,7 +115,7 @@ DECAYS = (3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 """Weight decays on standardised data; each network starts from that of the previous decay."""
 SEARCHED_ROWS = 1600
 """Rows for the comparison of choices; the chosen network is trained on all rows."""
-_TINY = 1e-12
+_MIN_SCALE = 1e-12
 
 
 @register
@@ -152,7 +154,7 @@ class MlpH(NetworkEstimator):
         self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
         level = float(rows.tau.mean())
-        scale = max(float(rows.tau.std()), _TINY)
+        scale = max(float(rows.tau.std()), _MIN_SCALE)
         y = (rows.tau - level) / scale
         folds = rows.folds
         starts = {
@@ -162,10 +164,10 @@ class MlpH(NetworkEstimator):
 
         def law(inputs: Inputs, hidden: int, decay: int) -> FrictionLaw:
             decays = DECAYS[: decay + 1]
-            found = [path(inputs.z, y, theta, decays)[-1] for theta in starts[hidden]]
-            return self._law(inputs, min(found, key=lambda network: network.cost), level, scale)
+            networks = [path(inputs.z, y, theta, decays)[-1] for theta in starts[hidden]]
+            return self._law(inputs, min(networks, key=lambda network: network.cost), level, scale)
 
-        return lambda inputs, hidden: left_out(inputs.z, y, folds, starts[hidden]), law
+        return lambda inputs, hidden: cross_validate(inputs.z, y, folds, starts[hidden]), law
 
     def _law(self, inputs: Inputs, network: Network, level: float, scale: float) -> FrictionLaw:
         gains = network.gains
@@ -185,10 +187,10 @@ class MlpH(NetworkEstimator):
             values[family.gain_name(k)] = float(scale * gains[unit])
             for x, value in zip(family.FEATURES, arguments[:, unit], strict=True):
                 values[family.argument_name(k, x)] = float(value)
-        return self._of(len(gains), values)
+        return self._build_law(len(gains), values)
 
 
-def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
+def cross_validate(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
     """Return (decays,) mean squares on left-out rows, relative to the variance of the torque.
 
     Standardised `z` (N, 3), `y` (N,); masks (N,) of left-out rows; hidden layers (4, H).
@@ -196,8 +198,8 @@ def left_out(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array])
     stride = max(1, len(y) // SEARCHED_ROWS)
     total = np.zeros(len(DECAYS))
     for fold in folds:
-        trained = np.flatnonzero(~fold)[::stride]
+        training_rows = np.flatnonzero(~fold)[::stride]
         for theta in starts:
-            for i, network in enumerate(path(z[trained], y[trained], theta, DECAYS)):
+            for i, network in enumerate(path(z[training_rows], y[training_rows], theta, DECAYS)):
                 total[i] += np.sum((network.output(z[fold]) - y[fold]) ** 2)
     return total / (len(y) * len(starts))

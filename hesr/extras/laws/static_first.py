@@ -16,7 +16,7 @@ from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
 FREE_RATIO = (0.01, 5.0)  # F_s / F_c; 0 would leave no bristle at rest
-_STIFF = (1.0e-5, 1.01e-5)  # [rad] deflection of bristles that follow the static curve
+_STIFF_DEFLECTIONS = (1.0e-5, 1.01e-5)  # [rad] deflection of bristles that follow the static curve
 
 
 @register
@@ -41,29 +41,33 @@ class LuGreStaticFirst(LuGre):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Fit the static curve (seeded by `rng`), then search the deflection F_c / sigma_0."""
         form = self.core({})
-        rows = JointRows.of(records, coefficients=len(form.coefficients))
-        space = self.space().at_joint(slides=rows.sliding)
+        rows = JointRows.from_records(records, coefficients=len(form.coefficients))
+        space = self.space().scale_to_joint(is_prismatic=rows.sliding)
         stiff = replace(
-            bristle_space(("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF),
+            bristle_space(
+                ("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF_DEFLECTIONS
+            ),
             values=(*space.values, ("sigma_1", sympy.Integer(0))),
         )
         curve = Separable(form, stiff, rows)
         problem = Separable(form, space, rows)
         static = curve.polish(curve.search(rng))
-        (f_c, *others), _ = curve.solve(static)
+        (f_c, *other_unknowns), _ = curve.solve(static)
 
-        def solved(place: float) -> tuple[float, Array, Array]:
-            point = np.array([place, *static[1:]])
+        def fit_bristle(coordinate: float) -> tuple[float, Array, Array]:
+            point = np.array([coordinate, *static[1:]])
             columns = problem.columns(point)
-            unknowns = np.array([f_c, 0.0, *others])
-            left = rows.tau - columns @ unknowns
+            unknowns = np.array([f_c, 0.0, *other_unknowns])
+            residual = rows.tau - columns @ unknowns
             slope = columns[:, 1]
-            unknowns[1] = max(0.0, float(slope @ left) / max(float(slope @ slope), 1e-300))
-            return float(np.sum((left - unknowns[1] * slope) ** 2)), point, unknowns
+            unknowns[1] = max(0.0, float(slope @ residual) / max(float(slope @ slope), 1e-300))
+            return float(np.sum((residual - unknowns[1] * slope) ** 2)), point, unknowns
 
-        places = np.linspace(problem.bounds[0, 0], problem.bounds[0, 1], 25)
-        best = int(np.argmin([solved(float(place))[0] for place in places]))
-        around = (places[max(best - 1, 0)], places[min(best + 1, 24)])
-        found = minimize_scalar(lambda place: solved(place)[0], bounds=around, method="bounded")
-        values = problem.values(*solved(float(found.x))[1:])
+        coordinates = np.linspace(problem.bounds[0, 0], problem.bounds[0, 1], 25)
+        best = int(np.argmin([fit_bristle(float(coordinate))[0] for coordinate in coordinates]))
+        bracket = (coordinates[max(best - 1, 0)], coordinates[min(best + 1, 24)])
+        optimum = minimize_scalar(
+            lambda coordinate: fit_bristle(coordinate)[0], bounds=bracket, method="bounded"
+        )
+        values = problem.values(*fit_bristle(float(optimum.x))[1:])
         return FrictionLaw(name=self.name, structure={}, form=form, values=values)

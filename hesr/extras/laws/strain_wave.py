@@ -58,7 +58,7 @@ RISE_D, RISE_B = (
     Coefficient(name=name, unit="1/(N.m)", description=f"relative rise per load, {which} motor")
     for name, which in (("rise_d", "driving"), ("rise_b", "driven"))
 )
-_AHEAD, _BACK = (positive(way * sgn(DQ) * TAU_LOAD) for way in (1, -1))
+_AHEAD, _BACK = (positive(side * sgn(DQ) * TAU_LOAD) for side in (1, -1))
 _BOUND = 1 + RISE_D.symbol * _AHEAD + RISE_B.symbol * _BACK
 _BOUND_MESH = replace(_MESH, rate=absolute(DQ) / (X_0.symbol * _BOUND))
 

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from fmu_src.friction.reference import trained_speed
 from fmu_src.friction.validity import require_exportable
-from hesr.extras.mjcf.parts import JointFriction, NoCounterpartError, parts_of
+from hesr.extras.mjcf.parts import JointFriction, NoCounterpartError, find_parts
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError, HesrError
@@ -32,7 +32,7 @@ from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 from hesr_model.motions.trajectories import random_fourier
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 from hesr_model.units import unit_of_joint
 
 RATIO = Coefficient(name="ratio", unit="1", description="static over Coulomb friction")
@@ -53,7 +53,7 @@ class Misfit:
     relative: float
 
 
-def projected(
+def project_law(
     law: FrictionLaw, trained_range: TrainedRange | None, sample_time: float
 ) -> tuple[FrictionLaw, Misfit, Misfit]:
     """Return the nearest law from parts of MuJoCo, and its errors on the fitted and another motion.
@@ -65,23 +65,29 @@ def projected(
     least squares with non-negative F_i and sigma_2, on the law along a Fourier motion at trained
     speeds. Reproducible bit for bit on one machine; the step of the law is `sample_time` [s].
     """
-    record, unseen = records(law, trained_range, sample_time)
-    form, space = _family(_poles(law))
-    problem = Separable(form, space, JointRows.of([record], coefficients=len(form.coefficients)))
+    record, test_record = simulate_records(law, trained_range, sample_time)
+    form, space = _build_family(_find_poles(law))
+    problem = Separable(
+        form, space, JointRows.from_records([record], coefficients=len(form.coefficients))
+    )
     with threadpool_limits(1):
         point = problem.polish(problem.search(np.random.default_rng(0)))
         unknowns, _ = problem.solve(point)
-    found = FrictionLaw(name="projected", form=form, values=problem.values(point, unknowns))
-    return found, misfit(found, record), misfit(found, unseen)
+    nearest_law = FrictionLaw(name="projected", form=form, values=problem.values(point, unknowns))
+    return (
+        nearest_law,
+        compute_misfit(nearest_law, record),
+        compute_misfit(nearest_law, test_record),
+    )
 
 
-def records(
+def simulate_records(
     law: FrictionLaw, trained_range: TrainedRange | None, sample_time: float
 ) -> list[FrictionRecord]:
     """Return records for the fit and the test of a projection."""
     peak = np.array([trained_speed(trained_range)])
     middle = np.zeros(1)
-    low, high = trained_range.tau_load if trained_range else (0.0, 0.0)
+    lowest, highest = trained_range.tau_load if trained_range else (0.0, 0.0)
     joint_records = []
     for seed, period in ((2, 40.0), (1, 20.0)):
         trajectory = random_fourier(
@@ -91,24 +97,26 @@ def records(
         q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
         if trained_range:
             q = q + trained_range.middle
-        load = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(2.0 * np.pi * _LOAD_FREQUENCY * t)
+        tau_load = 0.5 * (lowest + highest) + 0.5 * (highest - lowest) * np.cos(
+            2.0 * np.pi * _LOAD_FREQUENCY * t
+        )
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # checked below
-            tau = predict(law, t=t, dq=dq, q=q, tau_load=load)
+            tau = predict(law, t=t, dq=dq, q=q, tau_load=tau_load)
         if not np.all(np.isfinite(tau)):
             raise ExportError(
                 f"law '{law.name}': its torque is not finite at speeds up to "
                 f"{np.max(np.abs(dq)):.3g} rad/s, so it cannot be projected."
             )
         joint_records.append(
-            FrictionRecord(log="projection", joint="", t=t, dq=dq, q=q, tau_load=load, tau=tau)
+            FrictionRecord(log="projection", joint="", t=t, dq=dq, q=q, tau_load=tau_load, tau=tau)
         )
     return joint_records
 
 
-def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
+def compute_misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
     """Return the error of a law on a record."""
-    torque = predict(law, t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load)
-    difference = torque - record.tau
+    tau_predicted = predict(law, t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load)
+    difference = tau_predicted - record.tau
     largest = float(np.max(np.abs(record.tau)))
     return Misfit(
         rmse=rmse(difference),
@@ -116,14 +124,14 @@ def misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
     )
 
 
-def _poles(law: FrictionLaw) -> list[float]:
+def _find_poles(law: FrictionLaw) -> list[float]:
     values = {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
     angles = [wave.args[0] for wave in law.form.output.atoms(sympy.sin, sympy.cos)]
     slopes = (sympy.diff(angle, Q).subs(values) for angle in angles)
     return sorted({abs(float(slope)) for slope in slopes if slope.is_number and slope != 0})
 
 
-def _family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
+def _build_family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
     level = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
     bristles = tuple(
         Relaxation(name=f"z{i}", unit="rad", drive=DQ, rate=absolute(DQ) / (sympy.Float(x) * level))
@@ -138,15 +146,19 @@ def _family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
         quantity.symbol * (z.state + TIME.symbol * z.derivative) / sympy.Float(x)
         for quantity, z, x in zip(_FORCES, bristles, DEFLECTIONS, strict=True)
     )
-    torque += SIGMA_2.symbol * DQ + TAU_0.symbol + sum(c.symbol * wave for c, wave in waves)
-    linear = (*_FORCES, SIGMA_2, TAU_0, *(c for c, _ in waves))
+    torque += (
+        SIGMA_2.symbol * DQ
+        + TAU_0.symbol
+        + sum(coefficient.symbol * wave for coefficient, wave in waves)
+    )
+    linear = (*_FORCES, SIGMA_2, TAU_0, *(coefficient for coefficient, _ in waves))
     space = SearchSpace(
         bounds=(
             (RATIO.name, STATIC_RATIO_BOUNDS),
             (V_S.name, VELOCITY_BOUNDS),
             (TIME.name, TIME_BOUNDS),
         ),
-        linear=tuple(c.name for c in linear),
+        linear=tuple(coefficient.name for coefficient in linear),
         non_negative=len(_FORCES) + 1,
     )
     return LawForm(coefficients=(*linear, RATIO, V_S, TIME), memory=bristles, output=torque), space
@@ -211,48 +223,50 @@ def export_mjcf_law(
     require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
     with written_whole(path) as temporary:
         joints = [
-            _of_joint(model, index, project)
-            for index in counted(range(len(model.joints)), progress)
+            _export_joint(model, index, project)
+            for index in report_progress(range(len(model.joints)), progress)
         ]
-        report = Projection(joints=tuple(found for _, found in joints))
+        report = Projection(joints=tuple(projection for _, projection in joints))
         text = "".join(_document(model, [parts for parts, _ in joints], report))
         temporary.write_text(text, encoding="utf-8")
     return report
 
 
-def _of_joint(
-    model: FrictionModel, index: int, project: bool
+def _export_joint(
+    model: FrictionModel, j: int, project: bool
 ) -> tuple[JointFriction, JointProjection]:
-    law = model.laws[index]
-    joint = model.joints[index]
+    law = model.laws[j]
+    joint = model.joints[j]
     try:
-        return parts_of(law), JointProjection(joint=joint)
+        return find_parts(law), JointProjection(joint=joint)
     except NoCounterpartError as error:
-        slides = model.slides[index]
-        missing = error.at_joint(slides=slides)
-        refused = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
-        trained_range = model.trained[index] if model.trained else None
+        slides = model.slides[j]
+        missing = error.format_for_joint(slides=slides)
+        refusal = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
+        trained_range = model.trained[j] if model.trained else None
         try:
             if project:
-                nearest, fitted, unseen = projected(law, trained_range, model.sample_time)
+                nearest, fitted_misfit, test_misfit = project_law(
+                    law, trained_range, model.sample_time
+                )
             else:
-                records(
+                simulate_records(
                     law, trained_range, model.sample_time
                 )  # refuse what --project would also refuse
         except HesrError as reason:
-            raise ExportError(f"{refused} nor can it be projected: {reason}") from reason
+            raise ExportError(f"{refusal} nor can it be projected: {reason}") from reason
         if not project:
             raise ExportError(
-                f"{refused} --project writes the nearest bristles and their errors."
+                f"{refusal} --project writes the nearest bristles and their errors."
             ) from error
-        found = JointProjection(
+        projection = JointProjection(
             joint=joint,
             missing=missing,
-            fitted=fitted,
-            unseen=unseen,
-            unit=unit_of_joint("N.m", slides=slides),
+            fitted=fitted_misfit,
+            unseen=test_misfit,
+            unit=unit_of_joint("N.m", is_prismatic=slides),
         )
-        return parts_of(nearest), found
+        return find_parts(nearest), projection
 
 
 def _document(

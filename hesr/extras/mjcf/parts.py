@@ -18,7 +18,7 @@ from typing import Self
 
 import sympy
 
-from fmu_src.friction.validity import shown
+from fmu_src.friction.validity import to_text
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ExportError
@@ -37,9 +37,9 @@ class NoCounterpartError(ExportError):
         self._text = text
         self._unit = unit
 
-    def at_joint(self, *, slides: bool) -> str:
+    def format_for_joint(self, *, slides: bool) -> str:
         """Return the text in the unit of the joint."""
-        return self._text.replace("{unit}", unit_of_joint(self._unit, slides=slides))
+        return self._text.replace("{unit}", unit_of_joint(self._unit, is_prismatic=slides))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ class JointFriction:
     waves: tuple[Wave, ...]
 
 
-def parts_of(law: FrictionLaw) -> JointFriction:
+def find_parts(law: FrictionLaw) -> JointFriction:
     """Return the exact parts for a law; raises NoCounterpartError."""
     form = law.form
     if form.stops:
@@ -85,7 +85,7 @@ def parts_of(law: FrictionLaw) -> JointFriction:
             )
     values = {quantity.symbol: law.values[quantity.name] for quantity in form.coefficients}
     zeros = {symbol: 0 for symbol, value in values.items() if value == 0.0}
-    motions = [_Motion.of(r, zeros, values) for r in form.relaxations]
+    motions = [_Motion.from_relaxation(r, zeros, values) for r in form.relaxations]
     if form.relaxations and law.discretisation != "exact":
         raise NoCounterpartError("it has Euler steps, and MuJoCo relaxes a bristle exactly")
     forces = {s: sympy.S.Zero for r in form.relaxations for s in (r.state, r.derivative)}
@@ -103,23 +103,24 @@ def parts_of(law: FrictionLaw) -> JointFriction:
             [(state, factor)] = linear
             forces[state] += factor
         elif linear:
-            viscous += _number(factors[DQ], values, "its viscous friction")
+            viscous += _evaluate(factors[DQ], values, "its viscous friction")
         elif not states and not _uses_inputs(term):
-            torque = _number(term, values, "a term of its torque")
+            torque = _evaluate(term, values, "a term of its torque")
             waves.append(Wave(amplitude=-torque, poles=0.0, phase=math.pi / 2.0))
-        elif not states and (wave := _wave(term, values)):
+        elif not states and (wave := _find_wave(term, values)):
             waves.append(wave)
         elif TAU_LOAD in term.free_symbols:
             raise NoCounterpartError(
-                f"its torque has the term {shown(term)}, which depends on the load"
+                f"its torque has the term {to_text(term)}, which depends on the load"
             )
         else:
             raise NoCounterpartError(
-                f"its torque has the term {shown(term)}, which is neither a bristle's nor viscous "
+                f"its torque has the term {to_text(term)}, which is neither a bristle's nor "
+                "viscous "
                 "nor a ripple in the joint's angle alone"
             )
     bristles = [
-        _bristle(r, motion, forces[r.state], forces[r.derivative], values)
+        _build_bristle(r, motion, forces[r.state], forces[r.derivative], values)
         for r, motion in zip(form.relaxations, motions, strict=True)
     ]
     return JointFriction(
@@ -137,25 +138,28 @@ class _Motion:
     stribeck: float | None  # v_s [rad/s]
 
     @classmethod
-    def of(cls, relaxation: Relaxation, zeros: Mapping[sympy.Symbol, int], values: Values) -> Self:
+    def from_relaxation(
+        cls, relaxation: Relaxation, zeros: Mapping[sympy.Symbol, int], values: Values
+    ) -> Self:
         drive = relaxation.drive.subs(zeros)
         rate = relaxation.rate.subs(zeros)
         scale = sympy.cancel(drive / DQ)
-        own = f"its state '{relaxation.name}'"
-        if _uses_inputs(scale) or _number(scale, values, f"the drive of {own}") <= 0.0:
+        state_label = f"its state '{relaxation.name}'"
+        if _uses_inputs(scale) or _evaluate(scale, values, f"the drive of {state_label}") <= 0.0:
             raise NoCounterpartError(
-                f"{own} is driven by {shown(drive)}, a bristle by the velocity itself"
+                f"{state_label} is driven by {to_text(drive)}, a bristle by the velocity itself"
             )
         peaks = [e for e in rate.atoms(sympy.exp) if _uses_inputs(e)]
-        stribeck = _stribeck_velocity(peaks[0], values, own) if len(peaks) == 1 else None
+        stribeck = _stribeck_velocity(peaks[0], values, state_label) if len(peaks) == 1 else None
         speed = sympy.Dummy(positive=True)
         slope = sympy.cancel(
             rate.subs(dict.fromkeys(peaks, _PEAK)).subs(absolute(DQ), speed) / speed
         )
-        shaped = not peaks or stribeck is not None
-        if not shaped or speed in slope.free_symbols or _uses_inputs(slope):
+        is_shape_supported = not peaks or stribeck is not None
+        if not is_shape_supported or speed in slope.free_symbols or _uses_inputs(slope):
             raise NoCounterpartError(
-                f"{own} relaxes at the rate {shown(rate)}, a bristle in proportion to the speed "
+                f"{state_label} relaxes at the rate {to_text(rate)}, a bristle in proportion "
+                "to the speed "
                 "with one Stribeck peak at most"
             )
         return cls(scale=scale, rate=slope, peak=peaks[0] if peaks else None, stribeck=stribeck)
@@ -164,32 +168,32 @@ class _Motion:
 _PEAK = sympy.Symbol("_peak", positive=True)  # exp(-(v / v_s)^2): 1 at rest, 0 at speed
 
 
-def _stribeck_velocity(peak: sympy.Expr, values: Values, own: str) -> float | None:
+def _stribeck_velocity(peak: sympy.Expr, values: Values, state_label: str) -> float | None:
     square = sympy.cancel(-(DQ**2) / peak.args[0])
-    what = f"the Stribeck velocity of {own}"
-    if _uses_inputs(square) or _number(square, values, what) <= 0.0:
+    label = f"the Stribeck velocity of {state_label}"
+    if _uses_inputs(square) or _evaluate(square, values, label) <= 0.0:
         return None
-    return _number(sympy.sqrt(square), values, what)
+    return _evaluate(sympy.sqrt(square), values, label)
 
 
-def _wave(term: sympy.Expr, values: Values) -> Wave | None:
-    for function, lead in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
+def _find_wave(term: sympy.Expr, values: Values) -> Wave | None:
+    for function, phase_shift in ((sympy.sin, 0.0), (sympy.cos, math.pi / 2.0)):
         for wave in term.atoms(function):
             factor = term / wave
             angle = sympy.expand_mul(wave.args[0])
             poles = angle.coeff(Q, 1)
             phase = angle.coeff(Q, 0)
-            straight = sympy.expand_mul(angle - poles * Q - phase) == 0
-            if straight and not any(map(_uses_inputs, (factor, poles, phase))):
+            is_linear = sympy.expand_mul(angle - poles * Q - phase) == 0
+            if is_linear and not any(map(_uses_inputs, (factor, poles, phase))):
                 return Wave(
-                    amplitude=-_number(factor, values, "the amplitude of its ripple"),
-                    poles=_number(poles, values, "the waves per radian of its ripple"),
-                    phase=_number(phase, values, "the phase of its ripple") + lead,
+                    amplitude=-_evaluate(factor, values, "the amplitude of its ripple"),
+                    poles=_evaluate(poles, values, "the waves per radian of its ripple"),
+                    phase=_evaluate(phase, values, "the phase of its ripple") + phase_shift,
                 )
     return None
 
 
-def _bristle(
+def _build_bristle(
     relaxation: Relaxation,
     motion: _Motion,
     force: sympy.Expr,
@@ -197,35 +201,45 @@ def _bristle(
     values: Values,
 ) -> Bristle | None:
     stiffness = force * motion.scale
-    own = f"its state '{relaxation.name}'"
-    found = _number(stiffness, values, f"the stiffness of {own}")
-    micro = _number(damping * motion.scale, values, f"the damping of {own}")
-    if not found and not micro:
+    state_label = f"its state '{relaxation.name}'"
+    numeric_stiffness = _evaluate(stiffness, values, f"the stiffness of {state_label}")
+    micro_damping = _evaluate(damping * motion.scale, values, f"the damping of {state_label}")
+    if not numeric_stiffness and not micro_damping:
         return None
-    if found <= 0.0:
+    if numeric_stiffness <= 0.0:
         raise NoCounterpartError(
-            f"the torque of {own} has the factor {found:g} {{unit}}, and the stiffness of a "
+            f"the torque of {state_label} has the factor {numeric_stiffness:g} {{unit}}, and "
+            "the stiffness of a "
             "bristle is positive",
             "N.m/rad",
         )
     if motion.rate == 0:
-        raise NoCounterpartError(f"{own} never relaxes, a bristle in proportion to the speed")
+        raise NoCounterpartError(
+            f"{state_label} never relaxes, a bristle in proportion to the speed"
+        )
     level = sympy.cancel(stiffness / motion.rate)
     if not level.is_polynomial(_PEAK) or sympy.degree(level, _PEAK) > 1:
         raise NoCounterpartError(
-            f"the sliding torque of {own} is {shown(level.subs(_PEAK, motion.peak))}, a bristle's "
+            f"the sliding torque of {state_label} is "
+            f"{to_text(level.subs(_PEAK, motion.peak))}, a bristle's "
             "a constant with a Stribeck peak"
         )
     coulomb, static = (
-        _number(level.subs(_PEAK, peak), values, f"the sliding torque of {own}") for peak in (0, 1)
+        _evaluate(level.subs(_PEAK, peak), values, f"the sliding torque of {state_label}")
+        for peak in (0, 1)
     )
     if not (coulomb > 0.0 and static > 0.0):
         raise NoCounterpartError(
-            f"{own} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0", "N.m"
+            f"{state_label} slides at {coulomb:g} to {static:g} {{unit}}, a bristle at more than 0",
+            "N.m",
         )
     stribeck = 1.0 if motion.stribeck is None else motion.stribeck
     return Bristle(
-        stiffness=found, damping=micro, coulomb=coulomb, static=static, stribeck=stribeck
+        stiffness=numeric_stiffness,
+        damping=micro_damping,
+        coulomb=coulomb,
+        static=static,
+        stribeck=stribeck,
     )
 
 
@@ -233,8 +247,10 @@ def _uses_inputs(expression: sympy.Expr) -> bool:
     return not expression.free_symbols.isdisjoint(INPUTS)
 
 
-def _number(expression: sympy.Expr, values: Values, what: str) -> float:
+def _evaluate(expression: sympy.Expr, values: Values, label: str) -> float:
     value = expression.subs(values)
     if not value.is_real:
-        raise NoCounterpartError(f"its coefficients make {what} non-finite ({shown(expression)})")
+        raise NoCounterpartError(
+            f"its coefficients make {label} non-finite ({to_text(expression)})"
+        )
     return float(value)

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from fmu_src.friction.friction_component import exposed, nominal
+from fmu_src.friction.friction_component import is_exposed, nominal
 from fmu_src.friction.reference import UNKNOWN_SPEED, reference_motion
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages import datasheet
 from fmu_src.pages.datasheet import figure, spell_interval
 from fmu_src.pages.friction_page import model_title, title, training
-from fmu_src.pages.html import code_templates, rendered
-from hesr.extras.modelica.printer import FUNCTIONS, Equations, equations, start_of
+from fmu_src.pages.html import code_templates, render_template
+from hesr.extras.modelica.printer import FUNCTIONS, Equations, name_start_value, print_equations
 from hesr_model.audit.audit import Audit
 from hesr_model.equations.functions import sgn
 from hesr_model.equations.memory import DT
@@ -34,13 +34,15 @@ _KEYWORDS = """
     replaceable return stream then true type when while within
     time Real Integer Boolean String
 """
-_WORDS = frozenset(_KEYWORDS.split())
+_RESERVED_WORDS = frozenset(_KEYWORDS.split())
 _LIBRARIES = frozenset({"Modelica", "ModelicaServices", "Complex"})
 
 _FREQUENCY = 0.25  # frequency of the motions in the examples and of the reference motion [Hz]
 
 
-_STEADY = "steadyStart"  # parameter that starts states in the steady state of the first inputs
+_STEADY_START = (
+    "steadyStart"  # parameter that starts states in the steady state of the first inputs
+)
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -48,11 +50,11 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
     """Return the documentation of the law of joint `index`, from 0."""
     law = model.laws[index]
     trained_range = model.trained[index] if model.trained else None
-    return _page(
+    return _render_page(
         "modelica_joint.html.j2",
         joint=model.joints[index],
         title=title(law, ""),
-        numbers=equations_with_numbers(law) if exposed(law) else [],
+        numbers=equations_with_numbers(law) if is_exposed(law) else [],
         intervals=coefficient_lines(law) if law.standard_errors else [],
         start_samples=law.start_samples,
         seen=[
@@ -60,12 +62,12 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
             for name, unit in (INPUT_UNITS if trained_range else {}).items()
         ],
         rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,
-        verdict=datasheet.verdict(audit, known=bool(model.trained)) if audit else "",
+        verdict=datasheet.verdict(audit, is_trained=bool(model.trained)) if audit else "",
     )
 
 
-def _page(template: str, **values: Any) -> str:
-    page = rendered(template, (TEMPLATES,), **values)
+def _render_page(template: str, **values: Any) -> str:
+    page = render_template(template, (TEMPLATES,), **values)
     return f"<html>\n{page}</html>".encode("ascii", "xmlcharrefreplace").decode("ascii")
 
 
@@ -76,7 +78,7 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     """
     if path.suffix != ".mo":
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
-    odd = _oddity(path.stem, _WORDS | _LIBRARIES)
+    odd = _find_oddity(path.stem, _RESERVED_WORDS | _LIBRARIES)
     if odd:
         raise ExportError(
             f"{path}: the package name '{path.stem}' is {odd}; start with a letter, then use "
@@ -108,11 +110,11 @@ def package(model: FrictionModel, name: str) -> str:
     )
     escapes = str.maketrans({"\\": r"\\", '"': r"\""})
     environment.filters["quoted"] = lambda text: f'"{text.translate(escapes)}"'
-    laws = _forms(model.laws)
-    forms = [_form(form, law) for form, law in laws.items()]
-    audits, refused = datasheet.audited(model)
-    joints = _joints(model, {law.form: form for form, law in laws.items()}, audits)
-    info = _page(
+    laws = _name_forms(model.laws)
+    forms = [_describe_form(form, law) for form, law in laws.items()]
+    audits, refusal = datasheet.audit_laws(model)
+    joints = _describe_joints(model, {law.form: form for form, law in laws.items()}, audits)
+    documentation = _render_page(
         "modelica.html.j2",
         model=model,
         law=model_title(model),
@@ -123,7 +125,7 @@ def package(model: FrictionModel, name: str) -> str:
         training=training(model.provenance),
         speed=UNKNOWN_SPEED,
         audit=datasheet.audit_rows(audits),
-        refused=refused,  # the reason, without audits
+        refused=refusal,  # the reason, without audits
     )
     return environment.get_template("modelica.mo.j2").render(
         name=name,
@@ -131,17 +133,17 @@ def package(model: FrictionModel, name: str) -> str:
         forms=forms,
         joints=joints,
         frequency=_FREQUENCY,
-        info=info,
+        info=documentation,
     )
 
 
-def _oddity(name: str, taken: frozenset[str]) -> str:
-    if name in taken:
+def _find_oddity(name: str, reserved: frozenset[str]) -> str:
+    if name in reserved:
         return "taken by Modelica"
     return "" if name.isascii() and name.isidentifier() else "not a valid name in Modelica"
 
 
-def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
+def _name_forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
     first: dict[LawForm, FrictionLaw] = {}
     for law in laws:
         first.setdefault(law.form, law)
@@ -149,22 +151,24 @@ def _forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
         "".join(part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", law.name))
         for law in first.values()
     ]
-    stems = [s if s[:1].isalpha() and s not in _WORDS | _LIBRARIES else f"Law{s}" for s in stems]
+    stems = [
+        s if s[:1].isalpha() and s not in _RESERVED_WORDS | _LIBRARIES else f"Law{s}" for s in stems
+    ]
     return {
         stem if stems.count(stem) == 1 else f"{stem}_{stems[:i].count(stem) + 1}": law
         for i, (stem, law) in enumerate(zip(stems, first.values(), strict=True))
     }
 
 
-def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
+def _describe_form(name: str, law: FrictionLaw) -> dict[str, Any]:
     form = law.form
-    found = equations(form)
-    _check_names(law, found)
+    modelica_equations = print_equations(form)
+    _check_names(law, modelica_equations)
     coefficients = [
         (quantity.name, quantity.unit, quantity.description) for quantity in form.coefficients
     ]
     starts = [
-        (start_of(element.name), element.unit, f"Start value of {element.name}")
+        (name_start_value(element.name), element.unit, f"Start value of {element.name}")
         for element in form.memory
     ]
     return {
@@ -172,63 +176,69 @@ def _form(name: str, law: FrictionLaw) -> dict[str, Any]:
         "title": f"Equations of {title(law)}",
         "parameters": [*coefficients, *starts],
         "states": [(element.name, element.unit) for element in form.memory],
-        "equations": found,
-        "steady": _STEADY if found.beginning else "",
+        "equations": modelica_equations,
+        "steady": _STEADY_START if modelica_equations.beginning else "",
         "moving": f"{MOVING:g}",
     }
 
 
-def _check_names(law: FrictionLaw, found: Equations) -> None:
-    seen = {*(u.name for u in INPUTS), "tau", _STEADY}
-    names = [*law.values, *found.signs]
-    names += [n for element in law.form.memory for n in (element.name, start_of(element.name))]
+def _check_names(law: FrictionLaw, modelica_equations: Equations) -> None:
+    used_names = {*(u.name for u in INPUTS), "tau", _STEADY_START}
+    names = [*law.values, *modelica_equations.signs]
+    names += [
+        n for element in law.form.memory for n in (element.name, name_start_value(element.name))
+    ]
     for name in names:
-        odd = "used twice" if name in seen else _oddity(name, _WORDS | set(FUNCTIONS))
+        odd = (
+            "used twice"
+            if name in used_names
+            else _find_oddity(name, _RESERVED_WORDS | set(FUNCTIONS))
+        )
         if odd:
             raise ExportError(
                 f"law '{law.name}': the name '{name}' is {odd}; use distinct names of letters, "
                 "digits and underscores."
             )
-        seen.add(name)
+        used_names.add(name)
 
 
-def _joints(
+def _describe_joints(
     model: FrictionModel, names: Mapping[LawForm, str], audits: Sequence[Audit]
 ) -> list[dict[str, Any]]:
     motion = reference_motion(model, frequency=_FREQUENCY)
-    found = []
-    for i, law in enumerate(model.laws):
-        audit = audits[i] if audits else None
-        speed = float(np.abs(motion.dq[:, i]).max())
+    joint_entries = []
+    for j, law in enumerate(model.laws):
+        audit = audits[j] if audits else None
+        speed = float(np.abs(motion.dq[:, j]).max())
         largest = audit.largest if audit else 0.0
         parts = (
             law.form.output.subs(DT, 0),
             *(part for element in law.form.memory for part in element.parts),
         )
         jumps = any(part.has(sgn) for part in parts)
-        found.append(
+        joint_entries.append(
             {
-                "name": f"Joint{i + 1}",
-                "label": model.joints[i],
-                "title": f"Friction of {model.joints[i]}",
+                "name": f"Joint{j + 1}",
+                "label": model.joints[j],
+                "title": f"Friction of {model.joints[j]}",
                 "form": names[law.form],
-                "modifications": _modifications(law),
-                "info": joint_html(model, i, audit),
+                "modifications": _list_modifications(law),
+                "info": joint_html(model, j, audit),
                 "jumps": jumps,
                 "uses_load": TAU_LOAD in law.form.inputs,
-                "load": f"{motion.tau_load[:, i].mean():.4g}",
+                "load": f"{motion.tau_load[:, j].mean():.4g}",
                 "speed": f"{speed:.4g}",
                 # Overcomes the friction; the inertia keeps the speed near the trained ones.
                 "torque": "" if jumps or not largest else f"{1.5 * largest:.4g}",
                 "inertia": f"{largest / (2.0 * np.pi * _FREQUENCY * speed):.4g}",
             }
         )
-    return found
+    return joint_entries
 
 
-def _modifications(law: FrictionLaw) -> list[str]:
+def _list_modifications(law: FrictionLaw) -> list[str]:
     values = [f"{name}={value!r}" for name, value in law.values.items()]
     for element, start in zip(law.form.memory, law.start, strict=True):
-        values.append(f"{start_of(element.name)}={start!r}")
+        values.append(f"{name_start_value(element.name)}={start!r}")
         values.append(f"{element.name}(nominal={nominal(law, element):g})")
     return values

@@ -17,9 +17,9 @@ from hesr_model.equations.memory import DT, Relaxation
 from hesr_model.equations.program import Jumps, initial_state, initial_symbol
 from hesr_model.friction.law import SETTLING, LawForm
 
-_NAMES = "abs acos asin atan atan2 cos cosh der exp log sign sin sinh sqrt tan tanh"
-FUNCTIONS = tuple(_NAMES.split())  # functions and operators of Modelica in use
-_WIDTH = 96
+_FUNCTION_NAMES = "abs acos asin atan atan2 cos cosh der exp log sign sin sinh sqrt tan tanh"
+FUNCTIONS = tuple(_FUNCTION_NAMES.split())  # functions and operators of Modelica in use
+_LINE_WIDTH = 96
 
 
 class _Printer(LanguagePrinter):
@@ -64,58 +64,65 @@ class Equations:
     beginning: tuple[tuple[str, str], ...]  # empty if a rate depends on its state: no closed form
 
 
-def equations(form: LawForm) -> Equations:
+def print_equations(form: LawForm) -> Equations:
     """Return `der(x) = drive - rate*x` of each state, and `tau`."""
     bends = Jumps(form.component, every=True).expressions
     signs = [
         sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
         for i, e in enumerate(bends, start=1)
     ]
-    held = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
-    held |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
+    held_signs = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
+    held_signs |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
     printer = _Printer({element.derivative: f"der({element.name})" for element in form.memory})
 
-    def text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
+    def print_text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
         # No sign is held before the first event.
-        own = expression if begins else expression.xreplace(held)
-        return printer.text(own, level, of=expression)
+        substituted = expression if begins else expression.xreplace(held_signs)
+        return printer.text(substituted, level, of=expression)
 
     lines = [
-        f"der({element.name}) = {text(element.drive)} - "
-        f"{text(element.rate, PRECEDENCE['Mul'])}*{element.name}"
+        f"der({element.name}) = {print_text(element.drive)} - "
+        f"{print_text(element.rate, PRECEDENCE['Mul'])}*{element.name}"
         if isinstance(element, Relaxation)
-        else f"der({element.name}) = {text(element.continuous())}"
+        else f"der({element.name}) = {print_text(element.express_derivative())}"
         for element in form.memory
     ]
     return Equations(
         signs={
             s.name: f"if {x} > 0 then 1 elseif {x} < 0 then -1 else 0"
-            for s, x in zip(signs, map(text, bends), strict=True)
+            for s, x in zip(signs, map(print_text, bends), strict=True)
         },
-        lines=tuple(_wrapped(line) for line in (*lines, f"tau = {text(form.output.subs(DT, 0))}")),
+        lines=tuple(
+            _wrap_line(line) for line in (*lines, f"tau = {print_text(form.output.subs(DT, 0))}")
+        ),
         beginning=tuple(
-            (name, _wrapped(text(e, begins=True))) for name, e in _beginning(form).items()
+            (name, _wrap_line(print_text(e, begins=True)))
+            for name, e in _find_initial_equations(form).items()
         ),
     )
 
 
-def _beginning(form: LawForm) -> dict[str, sympy.Expr]:
+def _find_initial_equations(form: LawForm) -> dict[str, sympy.Expr]:
     if any(element.seeks for element in form.memory):
         return {}
-    found = initial_state(form.memory, SETTLING)
+    initial_expressions = initial_state(form.memory, SETTLING)
     names = {
-        element.state: sympy.Symbol(start_of(element.name), real=True) for element in form.memory
+        element.state: sympy.Symbol(name_start_value(element.name), real=True)
+        for element in form.memory
     }
     names |= {initial_symbol(element): element.state for element in form.memory}
-    return {element.name: found[initial_symbol(element)].xreplace(names) for element in form.memory}
+    return {
+        element.name: initial_expressions[initial_symbol(element)].xreplace(names)
+        for element in form.memory
+    }
 
 
-def start_of(state: str) -> str:
+def name_start_value(state: str) -> str:
     """Return the name of a state's start value."""
     return f"{state}_start"
 
 
-def _wrapped(line: str) -> str:
+def _wrap_line(line: str) -> str:
     return fill(
-        line, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        line, _LINE_WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )

@@ -7,10 +7,10 @@ from markupsafe import escape
 
 from fmu_src.arm.library import library
 from fmu_src.export.interface import to_c
-from fmu_src.export.package import with_headers
+from fmu_src.export.package import add_headers
 from fmu_src.export.toolchain import TARGETS, build
 from fmu_src.friction.friction_component import friction_equations
-from fmu_src.friction.validity import discretisation_of, require_exportable
+from fmu_src.friction.validity import find_discretisation, require_exportable
 from fmu_src.pages.html import code_templates
 from fmu_src.run.instance import PLATFORM
 from hesr_model.errors import ExportError
@@ -34,22 +34,22 @@ def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
         name=name,
         version=version("mujoco-core"),
         loaded=", ".join(str(int(TAU_LOAD in law.form.inputs)) for law in model.laws),
-        euler=float(discretisation_of(model) == "euler"),
+        euler=float(find_discretisation(model) == "euler"),
     )
     interface = to_c(table, "", model.sample_time)
     sources = {"interface.h": interface, "equations.h": header, "plugin.c": text}
     with scratch_folder() as home:
-        for file, content in with_headers(sources).items():
+        for file, content in add_headers(sources).items():
             (home / file).write_text(content, encoding="utf-8")
         flags = (*library(PLATFORM).flags, "-std=c11", "-ldl")  # as MuJoCo's headers
         binary = build(home / "plugin.c", path.stem, TARGETS[PLATFORM], flags)
     instances = "".join(
-        f'      <instance name="{name}.{i}"><config key="joint" value="{escape(joint)}"/>'
-        f'<config key="law" value="{i}"/></instance>\n'
-        for i, joint in enumerate(model.joints, start=1)
+        f'      <instance name="{name}.{number}"><config key="joint" value="{escape(joint)}"/>'
+        f'<config key="law" value="{number}"/></instance>\n'
+        for number, joint in enumerate(model.joints, start=1)
     )
     mjcf = f'<mujoco>\n  <extension>\n    <plugin plugin="{name}">\n{instances}'
-    with written_whole(path) as own, written_whole(path.with_suffix(".xml")) as scene:
-        own.write_bytes(binary)
+    with written_whole(path) as library_file, written_whole(path.with_suffix(".xml")) as scene:
+        library_file.write_bytes(binary)
         scene.write_text(mjcf + "    </plugin>\n  </extension>\n</mujoco>\n", encoding="utf-8")
     return path

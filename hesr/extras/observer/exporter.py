@@ -17,7 +17,7 @@ def prepare(request: ExportRequest) -> Mapping[str, Any]:
     from fmu_src.plant.plant_fmu import PlantBody
 
     options = dict(request.options)
-    options["body"] = PlantBody.of(options.pop("robot"), options.pop("rigid_body", None))
+    options["body"] = PlantBody.from_robot(options.pop("robot"), options.pop("rigid_body", None))
     return options
 
 

@@ -18,7 +18,7 @@ from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.html import code_templates
 from fmu_src.plant.plant_fmu import PlantBody
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr.extras.observer.observer_fmu import (
     BANDWIDTH,
     HERE,
@@ -27,14 +27,14 @@ from hesr.extras.observer.observer_fmu import (
     ObserverLimits,
     content,
     law_limits,
-    outputs_of,
+    list_outputs,
 )
 from hesr_model.equations.low_pass import low_pass_signals
 from hesr_model.errors import ExportError, LogError
-from hesr_model.fitting.calibration import SLOW_SPEEDS, variance_shares
+from hesr_model.fitting.calibration import SLOW_SPEEDS, fit_variance_shares
 from hesr_model.friction.band import LEVEL, shapes
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.robot_log import Log, parts_of
+from hesr_model.logs.robot_log import Log, collect_parts
 from hesr_model.logs.signals import measured_velocity
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, Mask
@@ -63,45 +63,49 @@ def export_observer(
     from the bands of the law. With `torque_constants` (n,) [N.m/A] the inputs are currents. Raises
     ExportError if model and robot do not fit, or there are no limits.
     """
-    alone = path.suffix == ".h"
-    if not alone:
+    is_header = path.suffix == ".h"
+    if not is_header:
         package.check_request(path, platforms)
     elif not re.fullmatch(r"[A-Za-z_]\w*", path.stem, re.ASCII):
         raise ExportError(f"{path}: '{path.stem}' is not a valid C name.")
-    require_exportable(model, "the C header of an observer", thermal=not alone)
+    require_exportable(model, "the C header of an observer", thermal=not is_header)
     sources = arguments.list_logs("calibration", calibration)
-    limits = limits_of(model, body, sources, bandwidth)
-    whole = content(
-        model, body, limits, bandwidth=bandwidth, constants=torque_constants, bare=alone
+    limits = compute_limits(model, body, sources, bandwidth)
+    fmu_content = content(
+        model, body, limits, bandwidth=bandwidth, constants=torque_constants, bare=is_header
     )
-    if not alone:
-        return package.write_fmu(whole, path, platforms=platforms, progress=progress, fmi=fmi)
+    if not is_header:
+        return package.write_fmu(fmu_content, path, platforms=platforms, progress=progress, fmi=fmi)
     with written_whole(path) as temporary:
-        temporary.write_text(header_of(whole, path.stem), encoding="utf-8", newline="\n")
+        temporary.write_text(build_header(fmu_content, path.stem), encoding="utf-8", newline="\n")
     return path
 
 
-def header_of(whole: package.Content, name: str) -> str:
+def build_header(fmu_content: package.Content, name: str) -> str:
     """Return an observer as one C header, with functions of the prefix `name`."""
-    _, sources = package.translation_unit(whole)
+    _, sources = package.translation_unit(fmu_content)
     missing = dict(sources)
 
-    def text_of(file: str) -> str:
+    def inline_includes(file: str) -> str:
         text = missing.pop(file, "")
-        return re.sub(r'#include "([^"]+)"\n', lambda m: text_of(m[1]), text)
+        return re.sub(r'#include "([^"]+)"\n', lambda m: inline_includes(m[1]), text)
 
     template = code_templates(HERE / "templates").get_template("observer.h.j2")
-    outputs = [(array.name, len(array.elements), array.place) for array in outputs_of(whole.table)]
-    own = text_of("observer.c")
-    return str(template.render(name=name, text=whole.about.text, own=own, outputs=outputs))
+    outputs = [
+        (array.name, len(array.elements), array.place) for array in list_outputs(fmu_content.table)
+    ]
+    observer_text = inline_includes("observer.c")
+    return str(
+        template.render(name=name, text=fmu_content.about.text, own=observer_text, outputs=outputs)
+    )
 
 
-_BEGINNING = 0.1  # [s] whose mean speed is that of the first sample, if none is logged
-_BLOCK = 1.0  # duration of the blocks whose maxima give the rate of false alarms [s]
-_TOP = 0.2  # share of the largest maxima that determine their tail
-_ENOUGH = 20_000  # rows for the shares; quantiles use all
-_LEAST = 60  # blocks
-_REST = 2  # column of rest in `band.shapes`
+_INITIAL_DURATION = 0.1  # [s] whose mean speed is that of the first sample, if none is logged
+_BLOCK_DURATION = 1.0  # duration of the blocks whose maxima give the rate of false alarms [s]
+_TAIL_SHARE = 0.2  # share of the largest maxima that determine their tail
+_MAX_SHARE_ROWS = 20_000  # rows for the shares; quantiles use all
+_MIN_BLOCKS = 60  # blocks
+_REST_COLUMN = 2  # column of rest in `band.shapes`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +124,7 @@ class ObservedLog:
         return np.asarray((size > self.outputs["contact_threshold"]).any(axis=1))
 
 
-def observed_logs(
+def observe_logs(
     model: FrictionModel,
     plant_body: PlantBody,
     limits: ObserverLimits,
@@ -128,51 +132,53 @@ def observed_logs(
     bandwidth: float = BANDWIDTH,
 ) -> list[ObservedLog]:
     """Run the observer over parts of logs, with logged speeds or else those behind the low pass."""
-    bare = content(model, plant_body, limits, bandwidth=bandwidth, bare=True)
-    arrays = outputs_of(bare.table)
-    found = []
-    names = [variable.name for variable in bare.table.variables if variable.role == "input"]
+    bare_content = content(model, plant_body, limits, bandwidth=bandwidth, bare=True)
+    arrays = list_outputs(bare_content.table)
+    observed = []
+    names = [variable.name for variable in bare_content.table.variables if variable.role == "input"]
     with (
         scratch_folder() as folder,
-        FmuInstance(package.write_fmu(bare, folder / "own.fmu")) as instance,
+        FmuInstance(package.write_fmu(bare_content, folder / "own.fmu")) as instance,
     ):
         inputs = instance.buffer(names)
         outputs = instance.buffer(
             [variable.name for array in arrays for variable in array.elements]
         )
-        for log in parts_of(logs):
-            dq = _speed(log, plant_body)
-            rows = np.hstack([log.q, dq, log.tau])
+        for part in collect_parts(logs):
+            dq = _find_speed(part, plant_body)
+            rows = np.hstack([part.q, dq, part.tau])
             if model.thermal:
-                if log.temperature is None:
-                    raise LogError(f"log '{log.name}': has no temperatures, which the law needs.")
-                rows = np.hstack([rows, log.temperature])
+                if part.temperature is None:
+                    raise LogError(f"log '{part.name}': has no temperatures, which the law needs.")
+                rows = np.hstack([rows, part.temperature])
             if instance.used:
                 instance.reset()
             inputs.values[:] = rows[0]
-            instance.initialise(time=float(log.t[0]), inputs=inputs)
-            first = outputs.read().copy()
-            others = through(instance, inputs, outputs, log.t[:-1], np.diff(log.t), rows[1:])
-            ends = np.cumsum([len(array.elements) for array in arrays])[:-1]
-            parts = np.split(np.vstack([first, others]), ends, axis=1)
-            own = {
+            instance.initialise(time=float(part.t[0]), inputs=inputs)
+            first_outputs = outputs.read().copy()
+            later_outputs = step_rows(
+                instance, inputs, outputs, part.t[:-1], np.diff(part.t), rows[1:]
+            )
+            output_ends = np.cumsum([len(array.elements) for array in arrays])[:-1]
+            parts = np.split(np.vstack([first_outputs, later_outputs]), output_ends, axis=1)
+            outputs_by_name = {
                 array.name: x.reshape(-1, *array.shape)
                 for array, x in zip(arrays, parts, strict=True)
             }
-            found.append(ObservedLog(name=log.name, t=log.t, dq=dq, outputs=own))
-    return found
+            observed.append(ObservedLog(name=part.name, t=part.t, dq=dq, outputs=outputs_by_name))
+    return observed
 
 
-def _speed(log: Log, plant_body: PlantBody) -> Array:
+def _find_speed(log: Log, plant_body: PlantBody) -> Array:
     if log.dq is not None:
         return log.dq
     speed = measured_velocity(log)
-    some = log.t - log.t[0] < _BEGINNING
-    speed[0] = np.mean(speed[some], axis=0)  # noise must not look like motion to the law
+    is_initial = log.t - log.t[0] < _INITIAL_DURATION
+    speed[0] = np.mean(speed[is_initial], axis=0)  # noise must not look like motion to the law
     return low_pass_signals(log.t, speed, plant_body.robot.description.log.filter_cutoff)
 
 
-def limits_of(
+def compute_limits(
     model: FrictionModel,
     plant_body: PlantBody,
     calibration: Sequence[LogSource],
@@ -188,88 +194,97 @@ def limits_of(
     if not calibration:
         return law_limits(model)
     joints = range(plant_body.robot.n)
-    logs = calibration_logs(calibration, plant_body.robot)
-    nothing = ObserverLimits(numbers=((0.0,) * len(joints),) * len(NAMES), factor=1.0)
-    runs = observed_logs(model, plant_body, nothing, logs, bandwidth)
-    blocks = [(k, second) for k, run in enumerate(runs) for second in run.t // _BLOCK]
+    logs = read_calibration_logs(calibration, plant_body.robot)
+    no_limits = ObserverLimits(numbers=((0.0,) * len(joints),) * len(NAMES), factor=1.0)
+    runs = observe_logs(model, plant_body, no_limits, logs, bandwidth)
+    blocks = [(k, second) for k, run in enumerate(runs) for second in run.t // _BLOCK_DURATION]
     _, starts = np.unique(blocks, axis=0, return_index=True)
-    if len(starts) < _LEAST:
+    if len(starts) < _MIN_BLOCKS:
         raise LogError(
-            f"'calibration': the logs without contact last {len(starts) * _BLOCK:g} s; at least "
-            f"{_LEAST * _BLOCK:g} s are needed."
+            f"'calibration': the logs without contact last {len(starts) * _BLOCK_DURATION:g} "
+            "s; at least "
+            f"{_MIN_BLOCKS * _BLOCK_DURATION:g} s are needed."
         )
-    found = [_of_joint(runs, j, bandwidth) for j in joints]
-    worst = np.max([errors for _, errors in found], axis=0)
-    maxima = np.sort(np.maximum.reduceat(worst, starts))
-    tail = maxima[-max(10, int(_TOP * len(maxima))) :]
-    rising = np.mean(tail - tail[0]) * (1.0 + 1.0 / np.sqrt(len(tail)))
-    tries = len(tail) / len(maxima) * HOUR / _BLOCK
+    joint_limits = [_calibrate_joint(runs, j, bandwidth) for j in joints]
+    largest_errors = np.max([errors for _, errors in joint_limits], axis=0)
+    maxima = np.sort(np.maximum.reduceat(largest_errors, starts))
+    tail = maxima[-max(10, int(_TAIL_SHARE * len(maxima))) :]
+    tail_scale = np.mean(tail - tail[0]) * (1.0 + 1.0 / np.sqrt(len(tail)))
+    tail_blocks_per_hour = len(tail) / len(maxima) * HOUR / _BLOCK_DURATION
     return ObserverLimits(
-        numbers=tuple(zip(*(numbers for numbers, _ in found), strict=True)),
-        factor=float(tail[0] + rising * np.log(tries)),
+        numbers=tuple(zip(*(numbers for numbers, _ in joint_limits), strict=True)),
+        factor=float(tail[0] + tail_scale * np.log(tail_blocks_per_hour)),
         duration=float(sum(np.ptp(run.t) for run in runs)),
         logs=tuple(log.name for log in logs),
     )
 
 
-def calibration_logs(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
+def read_calibration_logs(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
     """Return logs, reading those that are paths; a folder of results is read as its test logs."""
     logs: list[Log] = []
     for source in sources:
         if isinstance(source, Log):
             logs.append(source)
         elif (source / RUN).is_file():
-            logs += [Log.read(file, robot) for file in _left_out_files(source)]
+            logs += [Log.read(file, robot) for file in _find_unfitted_logs(source)]
         else:
             logs.append(Log.read(source, robot))
     return logs
 
 
-def _left_out_files(folder: Path) -> list[Path]:
+def _find_unfitted_logs(folder: Path) -> list[Path]:
     """Return the logs of a run that no law was fitted to, unchanged, near the folder."""
     run = SavedRun.read(folder / RUN)
-    trained = {log.sha256 for log in run.logs if {"identification", "training"} & {*log.roles}}
+    trained_hashes = {
+        log.sha256 for log in run.logs if {"identification", "training"} & {*log.roles}
+    }
     study = next((Path(w).parent for w in run.command.split() if w.endswith(".toml")), Path())
-    above = [place / way for place in folder.resolve().parents for way in (study, Path())]
-    found: dict[str, Path] = {}
+    ancestors = [
+        base_folder / subfolder
+        for base_folder in folder.resolve().parents
+        for subfolder in (study, Path())
+    ]
+    files_by_hash: dict[str, Path] = {}
     for log in run.logs:
-        if log.sha256 in trained:
+        if log.sha256 in trained_hashes:
             continue
-        places = [place / log.file for place in (folder / "logs", *above)]
-        same = (file for file in places if file.exists() and sha256(file) == log.sha256)
-        file = next(same, None)
+        candidates = [base_folder / log.file for base_folder in (folder / "logs", *ancestors)]
+        matches = (file for file in candidates if file.exists() and sha256(file) == log.sha256)
+        file = next(matches, None)
         if file is None:
             raise LogError(
                 f"{folder}: its log '{log.file}' is not in a folder above it, or has changed; give "
                 "'calibration' the log itself."
             )
-        found[log.sha256] = file
-    if not found:
+        files_by_hash[log.sha256] = file
+    if not files_by_hash:
         raise LogError(f"{folder}: no log was left out of the fit; give 'calibration' other logs.")
-    return list(found.values())
+    return list(files_by_hash.values())
 
 
-def _of_joint(
+def _calibrate_joint(
     runs: Sequence[ObservedLog], j: int, bandwidth: float
 ) -> tuple[tuple[float, ...], Array]:
     """Return a joint's numbers, and its errors over the half-width."""
     errors = np.concatenate([run.outputs["tau_ext"][:, j] for run in runs])
-    best: tuple[float, tuple[float, ...], Array] = (np.inf, (0.0,) * len(NAMES), errors)
-    some = slice(None, None, -(-len(errors) // _ENOUGH))
+    best_fit: tuple[float, tuple[float, ...], Array] = (np.inf, (0.0,) * len(NAMES), errors)
+    thinning = slice(None, None, -(-len(errors) // _MAX_SHARE_ROWS))
     for speed in SLOW_SPEEDS:
         parts = []
         for run in runs:
-            raw = shapes(run.dq[:, j], run.outputs["tau_load"][:, j], speed)
-            parts.append(low_pass_signals(run.t, np.stack(raw, axis=1), bandwidth))
+            shape_columns = shapes(run.dq[:, j], run.outputs["tau_load"][:, j], speed)
+            parts.append(low_pass_signals(run.t, np.stack(shape_columns, axis=1), bandwidth))
         columns = np.concatenate(parts)
-        found = variance_shares(columns[some], errors[some] ** 2, np.zeros_like(errors[some]))
-        variance = columns @ found + 1e-30
+        shares = fit_variance_shares(
+            columns[thinning], errors[thinning] ** 2, np.zeros_like(errors[thinning])
+        )
+        variance = columns @ shares + 1e-30
         loss = float(np.mean(np.log(variance) + errors**2 / variance))
-        if loss < best[0]:
-            found, squares = _scale_band(columns, found, errors**2)
-            floor, slow, *others = np.sqrt(found).tolist()
-            best = (loss, (floor, slow, speed, *others), np.sqrt(errors**2 / squares))
-    return best[1], best[2]
+        if loss < best_fit[0]:
+            shares, squares = _scale_band(columns, shares, errors**2)
+            floor, slow, *other_sizes = np.sqrt(shares).tolist()
+            best_fit = (loss, (floor, slow, speed, *other_sizes), np.sqrt(errors**2 / squares))
+    return best_fit[1], best_fit[2]
 
 
 def _scale_band(columns: Array, shares: Array, squares: Array) -> tuple[Array, Array]:
@@ -278,14 +293,16 @@ def _scale_band(columns: Array, shares: Array, squares: Array) -> tuple[Array, A
     Returns the shares and the squares of the half-widths (N,).
     """
     # One scale for both would contain more than 95 % at rest and less in motion.
-    moving = columns[:, _REST] < 0.5
-    moving |= not moving.any()
+    is_moving = columns[:, _REST_COLUMN] < 0.5
+    is_moving |= not is_moving.any()
     variance = columns @ shares + 1e-30
-    found = shares * float(np.quantile(squares[moving] / variance[moving], LEVEL))
-    found[_REST] = 0.0
-    more = (squares - columns @ found)[~moving] / columns[~moving, _REST]
-    found[_REST] = max(0.0, float(np.quantile(more, LEVEL))) if len(more) else 0.0
-    return found, columns @ found + 1e-30
+    scaled = shares * float(np.quantile(squares[is_moving] / variance[is_moving], LEVEL))
+    scaled[_REST_COLUMN] = 0.0
+    rest_shares = (squares - columns @ scaled)[~is_moving] / columns[~is_moving, _REST_COLUMN]
+    scaled[_REST_COLUMN] = (
+        max(0.0, float(np.quantile(rest_shares, LEVEL))) if len(rest_shares) else 0.0
+    )
+    return scaled, columns @ scaled + 1e-30
 
 
 def observe(
@@ -340,5 +357,5 @@ def observe(
     model = arguments.read_model(law)
     checked = arguments.read_checked_logs(sources, robot, accepted)
     plant_body = arguments.build_plant_body(checked.robot, rigid_body)
-    limits = limits_of(model, plant_body, calibration_sources, bandwidth)
-    return observed_logs(model, plant_body, limits, checked.logs, bandwidth)
+    limits = compute_limits(model, plant_body, calibration_sources, bandwidth)
+    return observe_logs(model, plant_body, limits, checked.logs, bandwidth)

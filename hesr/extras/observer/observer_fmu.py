@@ -13,14 +13,14 @@ from fmu_src.equations.header import SOLVER, equations_header
 from fmu_src.export import package
 from fmu_src.export.interface import ArrayVariable, Interface, Variable, literal
 from fmu_src.friction import friction_component
-from fmu_src.friction.embedded_model import embedding
-from fmu_src.friction.friction_fmu import description_of
+from fmu_src.friction.embedded_model import embed_model
+from fmu_src.friction.friction_fmu import describe_fmu
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.block_page import variable_groups
 from fmu_src.pages.friction_page import holding_torque, law_entries, model_title, title
-from fmu_src.pages.html import TEMPLATES, rendered
+from fmu_src.pages.html import TEMPLATES, render_template
 from fmu_src.plant.dynamics import dynamics_header, jacobian_header
-from fmu_src.plant.plant_fmu import PlantBody, at_joint, inertial_parameters, require_fitting
+from fmu_src.plant.plant_fmu import PlantBody, adapt_to_joint, inertial_parameters, require_fitting
 from fmu_src.run.reference_results import Stimuli, waves
 from hesr_model.equations.functions import larger
 from hesr_model.errors import ExportError
@@ -81,16 +81,16 @@ def law_limits(model: FrictionModel) -> ObserverLimits:
             )
         if law.band is None:
             raise ExportError(f"friction model '{model.law}' has no band; give 'calibration'.")
-        own = list(astuple(law.band)[: len(NAMES)])
+        band_numbers = list(astuple(law.band)[: len(NAMES)])
         if law.band.envelope:  # without measured rests friction is anywhere between both directions
-            own[3] = max(own[3], 2.0 * holding_torque(law))
-        rows.append(own)
+            band_numbers[3] = max(band_numbers[3], 2.0 * holding_torque(law))
+        rows.append(band_numbers)
         factors.append((-np.log(tries) / np.log(1.0 - LEVEL)) ** law.band.tail)
     return ObserverLimits(numbers=tuple(zip(*rows, strict=True)), factor=float(max(factors)))
 
 
 _LEAST_SPEED = 1e-9  # [rad/s] divisor that a host may set to 0
-_THERMAL = 5  # parameters of a thermal model with measured temperatures, the leading ones
+_THERMAL_COUNT = 5  # parameters of a thermal model with measured temperatures, the leading ones
 BANDWIDTH = 15.0  # default cut-off of the observer [Hz]
 HERE = Path(__file__).parent
 _INPUTS = (
@@ -121,7 +121,7 @@ def has_wrench(robot: Robot) -> bool:
     return robot.n >= 6 and parents == list(range(-1, robot.n - 1))
 
 
-def _parameters(
+def _build_parameters(
     model: FrictionModel,
     limits: ObserverLimits,
     bandwidth: float,
@@ -133,59 +133,78 @@ def _parameters(
     text = "contact threshold over the half-width of the limits"
     yield Variable("contact_factor", "tunable", text, unit="1", start=limits.factor, least=0.0)
     unit, text = ("N.m/A", "torque per current") if constants else ("1", "factor on tau_motor")
-    each = constants or np.ones(len(model.joints))
-    yield from vector("torque_constant", "tunable", unit, text, each)
+    torque_constants = constants or np.ones(len(model.joints))
+    yield from vector("torque_constant", "tunable", unit, text, torque_constants)
     for quantity, row in zip(NAMES, limits.numbers, strict=True):
-        for i, x in enumerate(row, start=1):
-            yield friction_component.of_joint(model, quantity, i, "tunable", start=x, least=0.0)
-    for ones in zip(
-        *(thermal_parameters(thermal)[:_THERMAL] for thermal in model.thermal), strict=True
+        for number, x in enumerate(row, start=1):
+            yield friction_component.build_joint_variable(
+                model, quantity, number, "tunable", start=x, least=0.0
+            )
+    for thermal_quantities in zip(
+        *(thermal_parameters(thermal)[:_THERMAL_COUNT] for thermal in model.thermal), strict=True
     ):
-        for i, one in enumerate(ones, start=1):
-            yield friction_component.of_joint(model, one, i, "tunable", start=one.start)
+        for number, thermal_quantity in enumerate(thermal_quantities, start=1):
+            yield friction_component.build_joint_variable(
+                model, thermal_quantity, number, "tunable", start=thermal_quantity.start
+            )
 
 
-def _interface(
-    model: FrictionModel, plant_body: PlantBody, own: Sequence[Variable], current: bool
+def _build_interface(
+    model: FrictionModel,
+    plant_body: PlantBody,
+    observer_parameters: Sequence[Variable],
+    current: bool,
 ) -> Interface:
-    laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
+    laws = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
     zeros = (0.0,) * len(laws)
     rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if current else _INPUTS[2]]
-    found = [
+    variables = [
         variable for n, unit, text in rows for variable in vector(n, "input", unit, text, zeros)
     ]
-    for i, thermal in enumerate(model.thermal, start=1):
-        of_joint = friction_component.of_joint(model, TEMPERATURE, i, "input")
-        found.append(replace(of_joint, start=thermal.reference))
-    inputs = tuple(variable.name for variable in found)
+    for number, thermal in enumerate(model.thermal, start=1):
+        temperature_input = friction_component.build_joint_variable(
+            model, TEMPERATURE, number, "input"
+        )
+        variables.append(replace(temperature_input, start=thermal.reference))
+    inputs = tuple(variable.name for variable in variables)
 
-    def mixed_inputs(i: int) -> dict[str, tuple[str, ...]]:
-        moving = {n: friction_component.mixed(n, i, model.coupling) for n in ("dq", "q")}
-        return {**moving, TAU_LOAD.name: ()}
+    def mixed_inputs(number: int) -> dict[str, tuple[str, ...]]:
+        motion_inputs = {
+            n: friction_component.find_joint_signals(n, number, model.coupling) for n in ("dq", "q")
+        }
+        return {**motion_inputs, TAU_LOAD.name: ()}
 
-    parameters = [*own, *inertial_parameters(plant_body), *friction_component.scales(model)]
-    of_laws = [
-        variable
-        for i, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1)
-        for variable in friction_component.law_variables(law, i, joint, mixed_inputs(i))
+    parameters = [
+        *observer_parameters,
+        *inertial_parameters(plant_body),
+        *friction_component.scales(model),
     ]
-    states = (variable.name for variable in of_laws if not variable.derivative_of)
-    made_of = (*inputs, *(variable.name for variable in parameters), *states)
+    law_variables = [
+        variable
+        for number, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1)
+        for variable in friction_component.law_variables(law, number, joint, mixed_inputs(number))
+    ]
+    states = (variable.name for variable in law_variables if not variable.derivative_of)
+    dependencies = (*inputs, *(variable.name for variable in parameters), *states)
     for name, unit, text in _OUTPUTS:
-        found += vector(name, "output", unit, text, zeros, made_of)
+        variables += vector(name, "output", unit, text, zeros, dependencies)
     text = "whether the external torque of a joint is beyond its threshold"
-    found.append(Variable("contact", "output", text, boolean=True, dependencies=made_of))
+    variables.append(Variable("contact", "output", text, boolean=True, dependencies=dependencies))
     for name, unit, shape, text in _WRENCH if has_wrench(plant_body.robot) else ():
-        for place in np.ndindex(*shape):
-            index = ",".join(str(k + 1) for k in place)
-            joint = Variable(f"{name}[{index}]", "output", text, unit=unit, dependencies=made_of)
-            found.append(joint)
-    relaxing = friction_component.discretisation(model, "how the states of friction are relaxed")
-    found += [*parameters, relaxing, friction_component.start_mode(), *of_laws]
-    turned = (at_joint(variable, model.slides) for variable in found)
+        for element in np.ndindex(*shape):
+            index = ",".join(str(k + 1) for k in element)
+            joint = Variable(
+                f"{name}[{index}]", "output", text, unit=unit, dependencies=dependencies
+            )
+            variables.append(joint)
+    discretisation = friction_component.discretisation(
+        model, "how the states of friction are relaxed"
+    )
+    variables += [*parameters, discretisation, friction_component.start_mode(), *law_variables]
+    joint_variables = (adapt_to_joint(variable, model.slides) for variable in variables)
     return Interface(
         variables=tuple(
-            friction_component.of_the_last_step(variable, inputs) for variable in turned
+            friction_component.make_inputs_initial(variable, inputs) for variable in joint_variables
         ),
         own=1 + len(laws) * (len(laws) + 4) + 10 * plant_body.robot.links,
         model_exchange=False,
@@ -193,7 +212,7 @@ def _interface(
     )
 
 
-def outputs_of(interface: Interface) -> list[ArrayVariable]:
+def list_outputs(interface: Interface) -> list[ArrayVariable]:
     """Return the outputs other than the contact."""
     return [
         array
@@ -264,33 +283,35 @@ def content(
     require_fitting(model, plant_body.robot)
     if not 0.0 < bandwidth < np.inf:
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
-    own = list(_parameters(model, limits, bandwidth, constants))
-    interface = _interface(model, plant_body, own, bool(constants))
-    thermal = (f"thermal_{f.name}" for f in fields(Thermal)[:_THERMAL])
+    observer_parameters = list(_build_parameters(model, limits, bandwidth, constants))
+    interface = _build_interface(model, plant_body, observer_parameters, bool(constants))
+    thermal = (f"thermal_{f.name}" for f in fields(Thermal)[:_THERMAL_COUNT])
     absent = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
-    first = {name.upper(): "contact" for name in absent}  # of an observer without these
-    named = [
+    macro_variables = {name.upper(): "contact" for name in absent}  # of an observer without these
+    named_arrays = [
         array
         for array in interface.arrays
         if array.name.isidentifier() and array.elements[0].role != "state"
     ]
-    first |= {array.name.upper(): array.elements[0].name for array in named}
-    first |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
-    first |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
-    first["SPRINGS"] = next((n for n in interface.places if n.startswith("spring[")), "gravity[1]")
-    laws = friction_component.joints_of(model, names={TORQUE: "tau_friction"})
+    macro_variables |= {array.name.upper(): array.elements[0].name for array in named_arrays}
+    macro_variables |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
+    macro_variables |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
+    macro_variables["SPRINGS"] = next(
+        (n for n in interface.places if n.startswith("spring[")), "gravity[1]"
+    )
+    laws = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
     names = ("coupling.h", "law_math.h", "regroup.h")
-    sources = {name: package.own_source(name) for name in names} | {
+    sources = {name: package.read_c_source(name) for name in names} | {
         "observer.c": (HERE / "observer.c").read_text(encoding="utf-8"),
         "dynamics.h": dynamics_header(plant_body.robot, of_joints=True),
         "jacobian.h": jacobian_header(plant_body.robot),
         "band.h": band_header(),
         "warmth.h": warmth_header(),
         "equations.h": equations_header(
-            laws, interface, first, wanted=SOLVER, coupling=model.coupling
+            laws, interface, macro_variables, calls=SOLVER, coupling=model.coupling
         ),
     }
-    about = description_of(
+    about = describe_fmu(
         model,
         name=f"Observer of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"observer_{model.law}",
@@ -299,13 +320,13 @@ def content(
     )
     if bare:
         return package.Content(table=interface, about=about, sources=sources, members={})
-    joints, refused = law_entries(model)
+    joints, refusal = law_entries(model)
     titles = list(dict.fromkeys(map(title, model.laws)))
     sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
-    sheet |= {"refused": refused, "bandwidth": bandwidth, "constants": constants}
+    sheet |= {"refused": refusal, "bandwidth": bandwidth, "constants": constants}
     sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(plant_body.robot)}
     sheet |= {"groups": variable_groups(interface)}
-    page = rendered("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
+    page = render_template("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
     inputs = waves(
         {variable.name: 1.0 for variable in interface.variables if variable.role == "input"}
     )
@@ -313,6 +334,6 @@ def content(
         table=interface,
         about=about,
         sources=sources,
-        members={"documentation/index.html": page.encode(), **embedding(model)},
+        members={"documentation/index.html": page.encode(), **embed_model(model)},
         stimuli=Stimuli(step=model.sample_time, inputs=inputs),
     )

@@ -11,8 +11,8 @@ import numpy as np
 from fmu_src.equations.c_functions import Functions
 from fmu_src.equations.header import Joint
 from fmu_src.export.interface import literal
-from fmu_src.export.package import own_source
-from fmu_src.friction.friction_component import joints_of
+from fmu_src.export.package import read_c_source
+from fmu_src.friction.friction_component import build_joints
 from fmu_src.friction.reference import ReferenceMotion, reference_motion, torques
 from fmu_src.friction.validity import require_exportable
 from fmu_src.pages.friction_page import model_title
@@ -22,18 +22,18 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_together
 
 TEMPLATES = Path(__file__).parent / "templates"
-_ROWS = 1000
+_ROW_COUNT = 1000
 _PERIODS = 2.5
 _PHASE = 0.35
-_HALVINGS = 12
+_MAX_HALVINGS = 12
 
 
-def write_beside(path: Path, text: str, model: FrictionModel) -> Path:
+def write_code_and_data(path: Path, text: str, model: FrictionModel) -> Path:
     """Write a code file and its test data (.csv); both or none."""
     rows = reference_rows(model)
     with written_together(path) as file:
-        for own, content in ((path, text), (path.with_suffix(".csv"), rows)):
-            file(own).write_text(content, encoding="utf-8", newline="\n")
+        for file_path, content in ((path, text), (path.with_suffix(".csv"), rows)):
+            file(file_path).write_text(content, encoding="utf-8", newline="\n")
     return path
 
 
@@ -43,25 +43,28 @@ def reference_rows(model: FrictionModel) -> str:
     Row 0 is at the start of the states, which move to each further row with its inputs held. Inputs
     are exact in single precision.
     """
-    motion, torque = _motion(model)
+    motion, tau = _find_motion(model)
     joints = range(1, len(model.joints) + 1)
-    names = ["t", *(f"{name}[{i}]" for name in ("dq", "q", "tau_load", "tau") for i in joints)]
-    columns = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, torque])
+    names = [
+        "t",
+        *(f"{name}[{number}]" for name in ("dq", "q", "tau_load", "tau") for number in joints),
+    ]
+    columns = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, tau])
     # Adding zero turns a negative zero into a positive one.
     lines = [",".join(f"{value + 0.0:.17g}" for value in row) for row in columns.tolist()]
     return "\n".join([",".join(names), *lines, ""])
 
 
-def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
-    for halved in range(_HALVINGS):
-        step = model.sample_time / 2**halved
+def _find_motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
+    for halvings in range(_MAX_HALVINGS):
+        step = model.sample_time / 2**halvings
         motion = reference_motion(
             model,
-            frequency=_PERIODS / (_ROWS * step),
+            frequency=_PERIODS / (_ROW_COUNT * step),
             periods=_PERIODS,
-            rows=_ROWS,
+            rows=_ROW_COUNT,
             phase=_PHASE,
-            lead_in=0.1 * _ROWS * step,
+            lead_in=0.1 * _ROW_COUNT * step,
         )
         inputs: Mapping[str, np.ndarray] = {
             name: getattr(motion, name).astype(np.float32).astype(float)
@@ -69,11 +72,11 @@ def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
         }
         motion = ReferenceMotion(t=motion.t, **inputs)
         try:
-            torque = torques(model, motion, "direct")
+            tau = torques(model, motion, "direct")
         except SimulationError:
             continue
-        if np.all(np.isfinite(torque)):
-            return motion, torque
+        if np.all(np.isfinite(tau)):
+            return motion, tau
     raise ExportError(
         f"friction model '{model.law}': torque is not finite at speeds up to "
         f"{np.abs(motion.dq).max():g} rad/s; no test data can be made."
@@ -81,7 +84,7 @@ def _motion(model: FrictionModel) -> tuple[ReferenceMotion, np.ndarray]:
 
 
 _LANES = 8  # robots per batch step: two vectors of AVX2, one of AVX-512
-_OWN_MATH = re.compile(r"^(?:static inline|IN_ONE_PLACE|QUICK) \w+ (\w+)\(", re.MULTILINE)
+_MATH_FUNCTION = re.compile(r"^(?:static inline|IN_ONE_PLACE|QUICK) \w+ (\w+)\(", re.MULTILINE)
 
 
 def export_c(model: FrictionModel, path: Path) -> Path:
@@ -96,37 +99,37 @@ def export_c(model: FrictionModel, path: Path) -> Path:
             f"{path}: '{path.stem}' is not a valid C name; start with a letter, then use letters, "
             "digits and underscores."
         )
-    return write_beside(path, header(model, path.stem), model)
+    return write_code_and_data(path, header(model, path.stem), model)
 
 
 def header(model: FrictionModel, name: str) -> str:
     """Return the text of the header with the prefix `name`."""
     require_exportable(model, "one C header", coupled=False)
-    joints = joints_of(model)
+    joints = build_joints(model)
     distinct = list(dict.fromkeys(j.component for j in joints))
     functions = [
         Functions(component, f"{name}_law_{i}") for i, component in enumerate(distinct, start=1)
     ]
     euler = any(law.discretisation == "euler" for law in model.laws)
     texts = []
-    for own in functions:
-        memory = own.component.memory
-        texts += [own.read(), own.invariants(), own.step()]
-        texts += [] if euler else [own.lanes()]
-        texts += [own.begin()] if memory else []
-        texts += [own.switches()] if own.jumps.expressions else []
-        texts += [own.rates()] if euler and memory else []
+    for law_functions in functions:
+        memory = law_functions.component.memory
+        texts += [law_functions.read(), law_functions.invariants(), law_functions.step()]
+        texts += [] if euler else [law_functions.lanes()]
+        texts += [law_functions.begin()] if memory else []
+        texts += [law_functions.switches()] if law_functions.jumps.expressions else []
+        texts += [law_functions.rates()] if euler and memory else []
     text = (
         code_templates(TEMPLATES)
         .get_template("law.h.j2")
         .render(
             name=name,
-            title=_comment(f"Friction of {model.robot} by {model_title(model)}"),
+            title=_escape_comment(f"Friction of {model.robot} by {model_title(model)}"),
             version=version("hesr"),
             sample_time=literal(model.sample_time),
-            law_math=own_source("law_math.h"),
+            law_math=read_c_source("law_math.h"),
             functions=[text.replace("QUICK ", "static ", 1) for text in texts],
-            joints=_rows(model, joints, {f.component: f for f in functions}, euler=euler),
+            joints=_build_rows(model, joints, {f.component: f for f in functions}, euler=euler),
             slides=model.slides,
             lanes=_LANES,
             shared=max(len(joint.component.shared) for joint in joints),
@@ -134,18 +137,18 @@ def header(model: FrictionModel, name: str) -> str:
         )
     )
     text = re.sub(r"\bLANES\b", f"{name.upper()}_LANES", text)
-    names = "|".join(_OWN_MATH.findall(own_source("law_math.h")))
+    names = "|".join(_MATH_FUNCTION.findall(read_c_source("law_math.h")))
     return re.sub(rf"\b({names})\(", r"law_\1(", text)
 
 
-def _rows(
+def _build_rows(
     model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     states = 0
     coefficients = 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
-        own = functions[joint.component]
+        law_functions = functions[joint.component]
         numbers = [
             (literal(value), quantity.name, quantity.unit)
             for quantity, value in zip(law.form.coefficients, law.values.values(), strict=True)
@@ -153,16 +156,16 @@ def _rows(
         rows.append(
             {
                 "place": len(rows),
-                "label": _comment(label),
-                "law": own.name,
+                "label": _escape_comment(label),
+                "law": law_functions.name,
                 "numbers": numbers,
                 "shared": len(joint.component.shared),
                 "starts": [literal(start) for start in law.start],
                 "states": len(law.form.memory),
                 "first_state": states,
                 "first_coefficient": coefficients,
-                "switches": len(own.jumps.expressions),
-                "invariants": max(len(own.invariant), 1),
+                "switches": len(law_functions.jumps.expressions),
+                "invariants": max(len(law_functions.invariant), 1),
                 "names": [element.name for element in law.form.memory],
                 "euler": euler and bool(law.form.relaxations),
             }
@@ -172,5 +175,5 @@ def _rows(
     return rows
 
 
-def _comment(text: str) -> str:
+def _escape_comment(text: str) -> str:
     return text.replace("*/", "* /").replace("\\", "/")

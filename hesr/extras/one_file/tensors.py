@@ -9,18 +9,18 @@ from typing import Any, Literal
 import sympy
 
 from fmu_src.equations.printer import LanguagePrinter
-from fmu_src.friction.validity import discretisation_of, require_exportable
+from fmu_src.friction.validity import find_discretisation, require_exportable
 from fmu_src.pages.friction_page import model_title
 from fmu_src.pages.html import code_templates
-from hesr.extras.one_file.c_header import TEMPLATES, write_beside
+from hesr.extras.one_file.c_header import TEMPLATES, write_code_and_data
 from hesr_model.equations.memory import DT, EULER
 from hesr_model.equations.program import (
     Assignments,
+    build_step,
+    build_straight_line,
     initial_state,
     initial_symbol,
-    moved,
-    sampled,
-    straight_line,
+    moved_symbol,
 )
 from hesr_model.errors import ExportError
 from hesr_model.friction.inputs import INPUTS, Q
@@ -30,13 +30,13 @@ from hesr_model.friction.model import FrictionModel
 Library = Literal["torch", "jax"]
 
 _TITLES: Mapping[Library, str] = {"torch": "PyTorch", "jax": "JAX"}
-_SHARED = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")
-_ARCS = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
-_OWN = ("positive", "larger", "clip", "exceeds", "over")
+_COMMON_FUNCTIONS = ("exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt")
+_ARC_FUNCTIONS = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2"}
+_HELPER_FUNCTIONS = ("positive", "larger", "clip", "exceeds", "over")
 
 _HIGH_BITS = 12
 """High bits of a factor on the position, half of single precision, so that products are exact."""
-_DIGITS = 40
+_TURN_DIGITS = 40
 
 
 class _turned(sympy.Function):  # type: ignore[misc] # noqa: N801 - SymPy is not typed
@@ -52,9 +52,9 @@ class _Printer(LanguagePrinter):
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         super().__init__(names)
-        self.known_functions = {name: f"xp.{name}" for name in _SHARED}
-        self.known_functions |= {name: f"xp.{other}" for name, other in _ARCS.items()}
-        self.known_functions |= {name: f"_{name}" for name in _OWN}
+        self.known_functions = {name: f"xp.{name}" for name in _COMMON_FUNCTIONS}
+        self.known_functions |= {name: f"xp.{other}" for name, other in _ARC_FUNCTIONS.items()}
+        self.known_functions |= {name: f"_{name}" for name in _HELPER_FUNCTIONS}
         self.known_functions |= {"sgn": "xp.sign", "absolute": "xp.abs", "Abs": "xp.abs"}
 
     def _print_Pow(self, expr: sympy.Pow) -> str:
@@ -86,44 +86,49 @@ class _Printer(LanguagePrinter):
     def _print__turned(self, expr: sympy.Function) -> str:
         factor, position = expr.args
         # Use more digits than those of a double, because whole turns are dropped.
-        turns = (sympy.Rational(float(factor)) / (2 * sympy.pi)).evalf(_DIGITS)
+        turns = (sympy.Rational(float(factor)) / (2 * sympy.pi)).evalf(_TURN_DIGITS)
         mantissa, exponent = frexp(float(turns))
-        high = ldexp(round(ldexp(mantissa, _HIGH_BITS)), exponent - _HIGH_BITS)
-        return f"_wrapped({self._print(position)}, {high!r}, {float(turns - high)!r})"
+        high_part = ldexp(round(ldexp(mantissa, _HIGH_BITS)), exponent - _HIGH_BITS)
+        return f"_wrapped({self._print(position)}, {high_part!r}, {float(turns - high_part)!r})"
 
 
-def _function(
+def _write_function(
     form: LawForm,
     name: str,
     program: Assignments,
-    more: Sequence[sympy.Symbol],
-    read: Sequence[sympy.Symbol],
+    extra_symbols: Sequence[sympy.Symbol],
+    output_symbols: Sequence[sympy.Symbol],
     ends: Sequence[sympy.Symbol],
 ) -> str:
     """Return the text of `name(c, dq, q, tau_load, *more, x_0, ..)`: outputs and ends of states."""
-    program = {symbol: _wrapped(e) for symbol, e in program.items()}
-    lines, names = straight_line(program, (*read, *ends))
+    program = {symbol: _wrap_angles(expression) for symbol, expression in program.items()}
+    lines, names = build_straight_line(program, (*output_symbols, *ends))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]
-    known = {quantity.symbol: f'c["{quantity.name}"]' for quantity in form.coefficients}
-    known |= {element.state: x for element, x in zip(form.memory, states, strict=True)}
-    known |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
-    printer = _Printer(known | names)
-    body = [f"{names.get(symbol, str(symbol))} = {printer.text(e)}" for symbol, e in lines.items()]
-    ended = "".join(f"{names[symbol]}, " for symbol in ends)
-    arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *more)), *states))
-    first = "".join(f"{names[symbol]}, " for symbol in read)
-    result = f"return {first}({ended.rstrip(' ')})"
-    return "\n".join([f"def {name}({arguments}):", *(f"    {line}" for line in (*body, result))])
+    printed_names = {quantity.symbol: f'c["{quantity.name}"]' for quantity in form.coefficients}
+    printed_names |= {element.state: x for element, x in zip(form.memory, states, strict=True)}
+    printed_names |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
+    printer = _Printer(printed_names | names)
+    body = [
+        f"{names.get(symbol, str(symbol))} = {printer.text(expression)}"
+        for symbol, expression in lines.items()
+    ]
+    end_names = "".join(f"{names[symbol]}, " for symbol in ends)
+    arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *extra_symbols)), *states))
+    first = "".join(f"{names[symbol]}, " for symbol in output_symbols)
+    return_line = f"return {first}({end_names.rstrip(' ')})"
+    return "\n".join(
+        [f"def {name}({arguments}):", *(f"    {line}" for line in (*body, return_line))]
+    )
 
 
-def _wrapped(expression: sympy.Expr) -> sympy.Expr:
+def _wrap_angles(expression: sympy.Expr) -> sympy.Expr:
     def wave(node: sympy.Expr) -> sympy.Expr:
         angle = sympy.expand(node.args[0])
         factor = angle.coeff(Q, 1)
-        rest = sympy.expand(angle - factor * Q)
-        if not factor.is_number or factor == 0 or Q in rest.free_symbols:
+        remainder = sympy.expand(angle - factor * Q)
+        if not factor.is_number or factor == 0 or Q in remainder.free_symbols:
             return node
-        return node.func(_turned(sympy.Float(factor), Q) + rest)
+        return node.func(_turned(sympy.Float(factor), Q) + remainder)
 
     return expression.replace(lambda node: isinstance(node, sympy.cos | sympy.sin), wave)
 
@@ -141,7 +146,7 @@ def export_jax(model: FrictionModel, path: Path) -> Path:
 def _export(model: FrictionModel, path: Path, library: Library) -> Path:
     if path.suffix != ".py":
         raise ExportError(f"{path}: a file for {_TITLES[library]} ends in .py.")
-    return write_beside(path, tensor_code(model, library), model)
+    return write_code_and_data(path, tensor_code(model, library), model)
 
 
 def tensor_code(model: FrictionModel, library: Library) -> str:
@@ -150,17 +155,17 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
     It steps batches of robots with their hidden states, all joints of one form together.
     """
     require_exportable(model, "a file of tensors")
-    discretisation = discretisation_of(model)
+    discretisation = find_discretisation(model)
     groups: dict[LawForm, list[int]] = {}
-    for i, law in enumerate(model.laws):
-        groups.setdefault(law.form, []).append(i)
+    for j, law in enumerate(model.laws):
+        groups.setdefault(law.form, []).append(j)
     laws = [
-        _law(f"_law_{n}", form, joints, [model.laws[i] for i in joints])
+        _describe_law(f"_law_{n}", form, joints, [model.laws[j] for j in joints])
         for n, (form, joints) in enumerate(groups.items(), start=1)
     ]
     template = code_templates(TEMPLATES).get_template(f"law_{library}.py.j2")
     title = f"Friction of {model.robot} by {model_title(model)}"
-    rendered: str = template.render(
+    module_text: str = template.render(
         title=title.replace("\\", "/").replace('"', "'"),
         library=_TITLES[library],
         version=version("hesr"),
@@ -170,18 +175,20 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
         euler=discretisation == "euler",
         laws=laws,
     )
-    return rendered
+    return module_text
 
 
-def _law(name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]) -> dict[str, Any]:
+def _describe_law(
+    name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]
+) -> dict[str, Any]:
     torque = form.component.outputs[0].symbol
-    ends = [moved(element) for element in form.memory]
+    ends = [moved_symbol(element) for element in form.memory]
     start = initial_state(form.memory, form.component.settling)
     first = [initial_symbol(element) for element in form.memory]
     return {
         "name": name,
-        "function": _function(form, name, sampled(form.component), (DT,), (torque,), ends),
-        "begin": _function(form, f"{name}_begin", start, (), (), first),
+        "function": _write_function(form, name, build_step(form.component), (DT,), (torque,), ends),
+        "begin": _write_function(form, f"{name}_begin", start, (), (), first),
         "joints": tuple(joints),
         "values": {
             quantity.name: tuple(law.values[quantity.name] for law in laws)

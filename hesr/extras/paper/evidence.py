@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from cosim.loop.closed_loop import PerJoint, Scheme, StandIn, Tracking
-from cosim.loop.excite import Recording, export_twin, recordings, twin_plant
+from cosim.loop.excite import Recording, export_twin, record_motions, twin_plant
 from cosim.loop.loops import assemble, build, motions, require_reachable
 from cosim.loop.motions import Motions
 from cosim.loop.traces import Tracked
-from cosim.study.scores import LogRecords, predict_models, records_of, within
+from cosim.study.scores import LogRecords, predict_models, select_records, select_window
 from cosim.study.steps import Job
 from cosim.study.study import Study, Twin
 from fmu_src.arm.truth import true_friction
@@ -85,26 +85,32 @@ class Case:
     tests: Mapping[str, Records]
     torques: Mapping[str, Mapping[str, list[list[Array]]]]  # [joint][log] by test and law
 
-    def errors(self, law: str, test: str, joint: int) -> list[Array]:
+    def errors(self, law_name: str, test: str, joint: int) -> list[Array]:
         """Return the errors (N,) [N.m] of a law on every log."""
-        pairs = zip(self.torques[test][law][joint], self.tests[test][joint], strict=True)
-        return [p - record.tau for p, record in pairs]
+        pairs = zip(self.torques[test][law_name][joint], self.tests[test][joint], strict=True)
+        return [tau_predicted - record.tau for tau_predicted, record in pairs]
 
     def ratio(
-        self, law: str, others: Sequence[str], test: str, joint: int, *, reversals: bool
+        self, examined_law: str, rivals: Sequence[str], test: str, joint: int, *, reversals: bool
     ) -> Number:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
-        logs = self.tests[test][joint]
+        joint_records = self.tests[test][joint]
         errors = {}
-        near = [
+        row_weights = [
             near_reversals(record.t, record.dq) if reversals else np.ones(len(record.t))
-            for record in logs
+            for record in joint_records
         ]
-        for name in (law, *others):
-            own = self.errors(name, test, joint)
-            errors[name] = [rows * error for rows, error in zip(near, own, strict=True)]
-        found = law_errors(errors, [float(np.median(np.diff(record.t))) for record in logs])
-        ratio = found.ratios(min(others, key=lambda o: found.log_rmse[found.laws.index(o)]))[law]
+        for law_name in (examined_law, *rivals):
+            law_residuals = self.errors(law_name, test, joint)
+            errors[law_name] = [
+                weights * error for weights, error in zip(row_weights, law_residuals, strict=True)
+            ]
+        law_comparison = law_errors(
+            errors, [float(np.median(np.diff(record.t))) for record in joint_records]
+        )
+        ratio = law_comparison.ratios(
+            min(rivals, key=lambda rival: law_comparison.log_rmse[law_comparison.laws.index(rival)])
+        )[examined_law]
         return Number(value=ratio.value, low=ratio.low, high=ratio.high)
 
 
@@ -121,24 +127,35 @@ class Evidence:
     tracked: Mapping[str, Mapping[str, Tracked]]  # by controller and law
 
 
-def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evidence:
+def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evidence:
     """Run the twin, fit all laws and run the closed loop, with files in `folder`."""
     job = Job(study=study, path=path, progress=progress)
     logs = study.logs
     plant, signals = twin_plant(study.twin, path, folder)
     assert signals is not None  # `Study` requires them with `tracking`
     arm = export_twin(plant, folder, signals)
-    made = {r.log.name: r for r in recordings(Motions.read(study.twin.motions), plant, fmu=arm)}
+    recorded = {
+        recording.log.name: recording
+        for recording in record_motions(Motions.read(study.twin.motions), plant, fmu=arm)
+    }
     robot = Robot(job.robot)
     forward, backward = (
-        [made[name].log for name in names] for names in (logs.identification, logs.reversed)
+        [recorded[name].log for name in names] for names in (logs.identification, logs.reversed)
     )
     body = identify(forward, robot, reversed_logs=backward, method="paper")
-    records = {name: [friction_records(r.log, robot, body)] for name, r in made.items()}
-    cases = {TWIN: dict(_cases(job, study, records, job.laws))}
+    records = {
+        name: [friction_records(recording.log, robot, body)] for name, recording in recorded.items()
+    }
+    cases = {TWIN: dict(_evaluate_cases(job, study, records, job.laws))}
     models = cases[TWIN][SWEEP].models
-    laws = [law for law in models if "lugre" in law or law in ("stribeck", study.literal)]
-    cases[LUGRE] = dict(_cases(job, study, _under(models["lugre"], records, made), laws))
+    laws = [
+        law_name
+        for law_name in models
+        if "lugre" in law_name or law_name in ("stribeck", study.literal)
+    ]
+    cases[LUGRE] = dict(
+        _evaluate_cases(job, study, _replace_truth(models["lugre"], records, recorded), laws)
+    )
     require_reachable(study.tracking, robot)
     truth = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
@@ -146,54 +163,77 @@ def gather(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evi
     build(folder, robot, body, plant, oracle=truth)
     tracking = study.tracking
     tracked = {}
-    fmus = {law: export_bare(models[law], folder / f"{law}.fmu") for law in tracking.sources}
-    for name, change in study.controllers.items():
-        changed = tracking.model_copy(update={"gains": tracking.gains.model_copy(update=change)})
-        loop = assemble(
-            folder, robot, tracking=changed, friction=fmus, plant=plant, progress=progress
+    fmus = {
+        law_name: export_bare(models[law_name], folder / f"{law_name}.fmu")
+        for law_name in tracking.sources
+    }
+    for name, gain_changes in study.controllers.items():
+        changed_tracking = tracking.model_copy(
+            update={"gains": tracking.gains.model_copy(update=gain_changes)}
         )
-        own = Scheme(compensation="torque_error")
-        rows = [loop.row(law, own) for law in (StandIn.BODY_ONLY, *fmus)]
+        loop = assemble(
+            folder, robot, tracking=changed_tracking, friction=fmus, plant=plant, progress=progress
+        )
+        scheme = Scheme(compensation="torque_error")
+        rows = [loop.row(law_name, scheme) for law_name in (StandIn.BODY_ONLY, *fmus)]
         rows.append(loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")))
-        ran = loop.track(rows, motions(changed), changed.duration, f"tracking, {name}", traced=True)
-        tracked[name] = {row.law: row for row in ran}
-    return Evidence(study, robot, body, made, records, cases, tracked)
+        tracked_rows = loop.track(
+            rows,
+            motions(changed_tracking),
+            changed_tracking.duration,
+            f"tracking, {name}",
+            traced=True,
+        )
+        tracked[name] = {row.law: row for row in tracked_rows}
+    return Evidence(study, robot, body, recorded, records, cases, tracked)
 
 
-def _under(truth: FrictionModel, records: LogRecords, made: Mapping[str, Recording]) -> LogRecords:
-    found = {}
-    for name, [of_joints] in records.items():
-        was = made[name].truth
-        inputs = zip(truth.laws, of_joints, was.dq.T, was.tau_f_true.T, strict=True)
-        found[name] = [
+def _replace_truth(
+    truth: FrictionModel, records: LogRecords, recorded: Mapping[str, Recording]
+) -> LogRecords:
+    records_by_log = {}
+    for name, [joint_records] in records.items():
+        true_signals = recorded[name].truth
+        inputs = zip(
+            truth.laws, joint_records, true_signals.dq.T, true_signals.tau_f_true.T, strict=True
+        )
+        records_by_log[name] = [
             [
-                replace(record, tau=record.tau - f + predict(law, t=record.t, dq=dq))
-                for law, record, dq, f in inputs
+                replace(record, tau=record.tau - tau_f + predict(law, t=record.t, dq=dq))
+                for law, record, dq, tau_f in inputs
             ]
         ]
-    return found
+    return records_by_log
 
 
-def _cases(
+def _evaluate_cases(
     job: Job, study: PaperStudy, records: LogRecords, laws: Sequence[str]
 ) -> Iterator[tuple[str, Case]]:
-    variants = {name: one for name, one in study.variants.items() if name in laws}
-    tests = {test: records_of(names, records) for test, names in study.logs.test.items()}
-    sines = [[records[name][0][k]] for k, name in enumerate(study.sine)]
-    for name, rows in {SINE: sines, SWEEP: records_of(study.logs.training, records)}.items():
+    variants = {name: variant for name, variant in study.variants.items() if name in laws}
+    tests = {test: select_records(names, records) for test, names in study.logs.test.items()}
+    sines = [[records[name][0][j]] for j, name in enumerate(study.sine)]
+    for name, rows in {SINE: sines, SWEEP: select_records(study.logs.training, records)}.items():
         models = fit_models(
             laws,
             rows,
             robot=job.robot.name,
             seed=study.seed,
-            options={**study.options, **{law: one.options for law, one in variants.items()}},
-            variants={law: one.law for law, one in variants.items()},
+            options={
+                **study.options,
+                **{law_name: variant.options for law_name, variant in variants.items()},
+            },
+            variants={law_name: variant.law for law_name, variant in variants.items()},
             progress=partial(job.progress, f"fitting laws to the {name}"),
         )
-        torques = {test: predict_models(models, tested) for test, tested in tests.items()}
+        torques = {
+            test: predict_models(models, test_records) for test, test_records in tests.items()
+        }
         for band in study.bands:
-            whole = torques[band.test].items()
-            parts = {law: within(tests[band.test], of, band.start, band.stop) for law, of in whole}
-            torques[band.name] = {law: part for law, (_, part) in parts.items()}
+            law_torques = torques[band.test].items()
+            parts = {
+                law_name: select_window(tests[band.test], test_torques, band.start, band.stop)
+                for law_name, test_torques in law_torques
+            }
+            torques[band.name] = {law_name: part for law_name, (_, part) in parts.items()}
             tests[band.name] = next(iter(parts.values()))[0]
         yield name, Case(models=models, training=rows, tests=tests, torques=torques)

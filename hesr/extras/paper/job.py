@@ -16,22 +16,31 @@ def _run(
     path: Path, *, output: Path | None = None, progress: Stages = silent, **options: Any
 ) -> Written:
     """Judge all claims and write results, page and tables, by default into ``results/NAME``."""
-    from hesr.extras.paper.evidence import gather
-    from hesr.extras.paper.report import FILE, FORMAT, PaperResult, opening, tables, write_page
+    from hesr.extras.paper.evidence import gather_evidence
+    from hesr.extras.paper.report import (
+        FILE,
+        FORMAT,
+        PaperResult,
+        compose_opening,
+        tables,
+        write_page,
+    )
 
-    given = [name for name, value in options.items() if value]
-    if given:
-        raise ArgumentError(f"'{given[0]}' is for a study of laws; omit it for {path}.")
+    option_names = [name for name, value in options.items() if value]
+    if option_names:
+        raise ArgumentError(f"'{option_names[0]}' is for a study of laws; omit it for {path}.")
     study = PaperStudy.read(path)
     folder = output or Path("results") / study.name
     command = f"hesr run {path.stem if path.is_absolute() else path.as_posix()}"
     with folder_written_whole(folder) as temporary, parallel.one_pool("hesr_model.fitting.fit"):
-        result = PaperResult.of(gather(study, path, temporary / "fmus", progress), command)
+        result = PaperResult.from_evidence(
+            gather_evidence(study, path, temporary / "fmus", progress), command
+        )
         write_json(temporary / FILE, {"format": FORMAT, **to_json(result)})
         write_page(temporary)
     return Written(
         format=FORMAT,
-        lines=[*opening(result), f"Report: {folder / 'report.html'}"],
+        lines=[*compose_opening(result), f"Report: {folder / 'report.html'}"],
         shown=[*tables(result).values()],
         data=to_json(result),
     )

@@ -30,35 +30,45 @@ from hesr_model.motions.trajectories import Fourier
 Values = Mapping[str, Number]
 
 
-def _number(value: float | Number) -> Number:
+def _as_number(value: float | Number) -> Number:
     return value if isinstance(value, Number) else Number(value=float(value))
 
 
-def _of_joints(of: Callable[..., float | Number]) -> Callable[..., Values]:
-    @wraps(of)
+def _measure_joints(measure_joint: Callable[..., float | Number]) -> Callable[..., Values]:
+    @wraps(measure_joint)
     def measure(*about: Any, **options: Any) -> Values:
-        found = enumerate(joints(about[0].robot.n))
-        return {name: _number(of(*about, joint, **options)) for joint, name in found}
+        numbered_joints = enumerate(joints(about[0].robot.n))
+        return {
+            name: _as_number(measure_joint(*about, joint, **options))
+            for joint, name in numbered_joints
+        }
 
     return measure
 
 
-def _of_cases(of: Callable[..., float | Number]) -> Callable[..., Values]:
-    @wraps(of)
-    def measure(e: Evidence, *, truth: str = TWIN, **options: Any) -> Values:
-        found = {one: _of_joints(of)(e, case, **options) for one, case in e.cases[truth].items()}
-        return {f"{one} {name}": v for one, own in found.items() for name, v in own.items()}
+def _measure_cases(measure_case: Callable[..., float | Number]) -> Callable[..., Values]:
+    @wraps(measure_case)
+    def measure(evidence: Evidence, *, truth: str = TWIN, **options: Any) -> Values:
+        values_by_case = {
+            motion: _measure_joints(measure_case)(evidence, case, **options)
+            for motion, case in evidence.cases[truth].items()
+        }
+        return {
+            f"{motion} {name}": v
+            for motion, joint_values in values_by_case.items()
+            for name, v in joint_values.items()
+        }
 
     return measure
 
 
-def _law(e: Evidence, case: Case, joint: int) -> FrictionLaw:
-    return case.models[e.study.literal].laws[joint]
+def _literal_law(evidence: Evidence, case: Case, joint: int) -> FrictionLaw:
+    return case.models[evidence.study.literal].laws[joint]
 
 
-@_of_cases
+@_measure_cases
 def errors(
-    e: Evidence,
+    evidence: Evidence,
     case: Case,
     joint: int,
     *,
@@ -68,97 +78,123 @@ def errors(
     reversals: bool = False,
 ) -> Number:
     """Return the RMSE of a law, by default the literal one, over the lowest one of others."""
-    return case.ratio(law or e.study.literal, others, test, joint, reversals=reversals)
+    return case.ratio(law or evidence.study.literal, others, test, joint, reversals=reversals)
 
 
-@_of_cases
+@_measure_cases
 def level(_: Evidence, case: Case, joint: int, *, law: str, test: str = "fourier") -> float:
     """Return the RMSE [N.m] of a law."""
     return rmse(np.concatenate(case.errors(law, test, joint)))
 
 
-@_of_cases
-def rise(e: Evidence, case: Case, joint: int, *, low: str, high: str, law: str = "") -> float:
+@_measure_cases
+def rise(
+    evidence: Evidence, case: Case, joint: int, *, low: str, high: str, law: str = ""
+) -> float:
     """Return the RMSE of a law on a band over that on a lower band."""
-    errors = (case.errors(law or e.study.literal, band, joint) for band in (low, high))
-    below, above = (rmse(np.concatenate(of_band)) for of_band in errors)
-    return above / below
+    errors = (case.errors(law or evidence.study.literal, band, joint) for band in (low, high))
+    lower_rmse, upper_rmse = (rmse(np.concatenate(band_errors)) for band_errors in errors)
+    return upper_rmse / lower_rmse
 
 
-@_of_cases
-def training(e: Evidence, case: Case, joint: int, *, other: str) -> float:
+@_measure_cases
+def training(evidence: Evidence, case: Case, joint: int, *, other: str) -> float:
     """Return the training error of the literal law over that of another one."""
-    own, its = (case.models[law].training_rmse[joint] for law in (e.study.literal, other))
-    return own / its
+    literal_error, other_error = (
+        case.models[law_name].training_rmse[joint] for law_name in (evidence.study.literal, other)
+    )
+    return literal_error / other_error
 
 
 def tracking(
-    e: Evidence, *, pairs: Sequence[tuple[str, str]], controllers: Sequence[tuple[str, str]]
+    evidence: Evidence, *, pairs: Sequence[tuple[str, str]], controllers: Sequence[tuple[str, str]]
 ) -> Values:
     """Return the RMSE of tracking of a law over that of another one, both under controllers.
 
     The value is the geometric mean over the motions, the interval Student's.
     """
-    found: dict[str, Number] = {}
-    for one, other in controllers:
-        for law, reference in pairs:
-            logs = np.log(e.tracked[one][law].rmse / e.tracked[other][reference].rmse)
-            half = stdtrit(len(logs) - 1, 0.975) * logs.std(axis=0, ddof=1) / np.sqrt(len(logs))
-            ends = np.exp(logs.mean(axis=0) + np.outer([0.0, -1.0, 1.0], half)).T.tolist()
-            label = f"{one}, to {title(reference)}," if len(pairs) > 1 else f"{one},"
-            numbers = zip(joints(len(ends)), ends, strict=True)
-            found |= {f"{label} {j}": Number(value=v, low=a, high=b) for j, (v, a, b) in numbers}
-    return found
+    ratios: dict[str, Number] = {}
+    for controller, other_controller in controllers:
+        for law_name, reference in pairs:
+            log_ratios = np.log(
+                evidence.tracked[controller][law_name].rmse
+                / evidence.tracked[other_controller][reference].rmse
+            )
+            half_widths = (
+                stdtrit(len(log_ratios) - 1, 0.975)
+                * log_ratios.std(axis=0, ddof=1)
+                / np.sqrt(len(log_ratios))
+            )
+            joint_intervals = np.exp(
+                log_ratios.mean(axis=0) + np.outer([0.0, -1.0, 1.0], half_widths)
+            ).T.tolist()
+            label = f"{controller}, to {title(reference)}," if len(pairs) > 1 else f"{controller},"
+            numbers = zip(joints(len(joint_intervals)), joint_intervals, strict=True)
+            ratios |= {f"{label} {j}": Number(value=v, low=a, high=b) for j, (v, a, b) in numbers}
+    return ratios
 
 
-def base_parameters(e: Evidence) -> Values:
+def base_parameters(evidence: Evidence) -> Values:
     """Return the number of base parameters without inertias of rotors."""
-    return {"": _number(sum(not e.body.names[k].endswith("Ir") for k in e.body.base))}
+    return {
+        "": _as_number(sum(not evidence.body.names[k].endswith("Ir") for k in evidence.body.base))
+    }
 
 
-def conditioning(e: Evidence, *, motion: str, seeds: int) -> Values:
+def conditioning(evidence: Evidence, *, motion: str, seeds: int) -> Values:
     """Return the condition number of a Fourier motion over the median of random ones."""
-    drawn = Motions.read(e.study.twin.motions).motions
-    [own] = [m for m in drawn if m.name == motion and isinstance(m, FourierMotion)]
-    every = [own.model_copy(update={"seed": s}) for s in (own.seed, *range(1, seeds + 1))]
-    motions = (cast(Fourier, m.trajectory()) for m in every)
-    first, *others = (condition(e.robot, e.body.base, m) for m in motions)
-    return {"": _number(first / float(np.median(others)))}
+    twin_motions = Motions.read(evidence.study.twin.motions).motions
+    [fourier_motion] = [
+        m for m in twin_motions if m.name == motion and isinstance(m, FourierMotion)
+    ]
+    seeded_motions = [
+        fourier_motion.model_copy(update={"seed": s})
+        for s in (fourier_motion.seed, *range(1, seeds + 1))
+    ]
+    motions = (cast(Fourier, m.trajectory()) for m in seeded_motions)
+    condition_number, *random_conditions = (
+        condition(evidence.robot, evidence.body.base, m) for m in motions
+    )
+    return {"": _as_number(condition_number / float(np.median(random_conditions)))}
 
 
-@_of_joints
-def body_error(e: Evidence, joint: int, *, test: str) -> float:
+@_measure_joints
+def body_error(evidence: Evidence, joint: int, *, test: str) -> float:
     """Return the RMS error of the rigid-body torque over the RMS of friction."""
-    truth = e.recordings[test].truth
-    record = e.records[test][0][joint]
+    truth = evidence.recordings[test].truth
+    record = evidence.records[test][0][joint]
     friction = truth.tau_f_true[:, joint]
     return rmse(record.tau_load - truth.tau_meas[:, joint] + friction) / rmse(friction)
 
 
-@_of_joints
-def explained(e: Evidence, joint: int, *, log: str, by: str) -> float:
+@_measure_joints
+def explained(evidence: Evidence, joint: int, *, log: str, by: str) -> float:
     """Return the share of a variance: of torque by the body, or of the residual by friction."""
-    truth = e.recordings[log].truth.tau_f_true[:, joint]
-    record = e.records[log][0][joint]
-    left, whole = (
+    truth = evidence.recordings[log].truth.tau_f_true[:, joint]
+    record = evidence.records[log][0][joint]
+    unexplained, total = (
         (record.tau, record.tau + record.tau_load)
         if by == "body"
         else (record.tau - truth, record.tau)
     )
-    return 1.0 - float(np.var(left) / np.var(whole))
+    return 1.0 - float(np.var(unexplained) / np.var(total))
 
 
-@_of_cases
-def euler_factor(e: Evidence, case: Case, joint: int) -> float:
+@_measure_cases
+def euler_factor(evidence: Evidence, case: Case, joint: int) -> float:
     """Return 1 - alpha dt of the literal law."""
-    return 1.0 - _law(e, case, joint).values["alpha"] * case.models[e.study.literal].sample_time
+    return (
+        1.0
+        - _literal_law(evidence, case, joint).values["alpha"]
+        * case.models[evidence.study.literal].sample_time
+    )
 
 
-@_of_cases
-def memory(e: Evidence, case: Case, joint: int, *, rest: float) -> float:
+@_measure_cases
+def memory(evidence: Evidence, case: Case, joint: int, *, rest: float) -> float:
     """Return the gap of the torques after sliding both ways and a rest [s], over that before it."""
-    law = _law(e, case, joint)
-    trained_range = case.models[e.study.literal].trained[joint]
+    law = _literal_law(evidence, case, joint)
+    trained_range = case.models[evidence.study.literal].trained[joint]
     dq = np.repeat(
         [0.5 * trained_range.speed, 0.0], [400, 1 + round(rest / trained_range.sample_time)]
     )
@@ -167,59 +203,66 @@ def memory(e: Evidence, case: Case, joint: int, *, rest: float) -> float:
     return float(gap[-1] / gap[400])
 
 
-@_of_cases
-def audited(e: Evidence, case: Case, joint: int, *, what: str) -> float:
+@_measure_cases
+def audited(evidence: Evidence, case: Case, joint: int, *, what: str) -> float:
     """Return a result of the passivity audit of the literal law: energy [J] or step [N.m]."""
-    trained_range = case.models[e.study.literal].trained[joint]
-    return float(getattr(audit(_law(e, case, joint), trained_range), what))
+    trained_range = case.models[evidence.study.literal].trained[joint]
+    return float(getattr(audit(_literal_law(evidence, case, joint), trained_range), what))
 
 
-@_of_joints
-def published(e: Evidence, joint: int) -> float:
+@_measure_joints
+def published(evidence: Evidence, joint: int) -> float:
     """Return the largest energy [J] that a cycle of the law of Table I generates."""
-    trained_range = next(iter(e.cases[TWIN].values())).models[e.study.literal].trained[joint]
+    trained_range = (
+        next(iter(evidence.cases[TWIN].values())).models[evidence.study.literal].trained[joint]
+    )
     return audit(
         FrictionModel.read(model_file("uf850-table1")).laws[joint], trained_range
     ).generated
 
 
-@_of_cases
-def moved(e: Evidence, case: Case, joint: int) -> float:
+@_measure_cases
+def moved(evidence: Evidence, case: Case, joint: int) -> float:
     """Return alpha after stage 3 over that of stage 1."""
-    rows = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
+    rows = JointRows.from_records(case.training[joint], coefficients=COEFFICIENTS)
     features = HysteresisFeatures(samples=rows, discretisation="euler")
-    return _law(e, case, joint).values["alpha"] / calibrate.geometric(features)[0]
+    return (
+        _literal_law(evidence, case, joint).values["alpha"]
+        / calibrate.estimate_from_loop(features)[0]
+    )
 
 
-@_of_cases
-def kept(e: Evidence, case: Case, joint: int, *, feature: str = "") -> int:
+@_measure_cases
+def kept(evidence: Evidence, case: Case, joint: int, *, feature: str = "") -> int:
     """Return the number of coefficients of the literal law, of 9, or of those of a feature."""
-    names = [name for name in _law(e, case, joint).values if name not in ("alpha", "beta")]
+    names = [
+        name for name in _literal_law(evidence, case, joint).values if name not in ("alpha", "beta")
+    ]
     return sum(name.endswith(feature) for name in names)
 
 
-@_of_cases
-def recovery(e: Evidence, case: Case, joint: int, *, noise: Sequence[float]) -> float:
+@_measure_cases
+def recovery(evidence: Evidence, case: Case, joint: int, *, noise: Sequence[float]) -> float:
     """Return the RMSE of the law found on torques of Table I, over their standard deviation."""
-    log = case.training[joint][0]
+    record = case.training[joint][0]
     law = FrictionModel.read(model_file("uf850-table1")).laws[joint]
-    clean = predict(law, t=log.t, dq=log.dq)
-    tau = clean + noise[joint] * np.random.default_rng(e.study.seed).normal(size=len(clean))
-    variant = e.study.variants[e.study.literal]
-    found = fit_joint(
-        variant.law, [replace(log, tau=tau)], seed=e.study.seed, options=variant.options
+    clean = predict(law, t=record.t, dq=record.dq)
+    tau = clean + noise[joint] * np.random.default_rng(evidence.study.seed).normal(size=len(clean))
+    variant = evidence.study.variants[evidence.study.literal]
+    fitted_law = fit_joint(
+        variant.law, [replace(record, tau=tau)], seed=evidence.study.seed, options=variant.options
     )
-    return rmse(predict(found, t=log.t, dq=log.dq) - clean) / float(np.std(clean))
+    return rmse(predict(fitted_law, t=record.t, dq=record.dq) - clean) / float(np.std(clean))
 
 
-@_of_cases
-def starts(e: Evidence, case: Case, joint: int, *, count: int, within: float) -> float:
+@_measure_cases
+def starts(evidence: Evidence, case: Case, joint: int, *, count: int, within: float) -> float:
     """Return the share of random starts whose local search finds the best fit of LuGre."""
-    rows = JointRows.of(case.training[joint], coefficients=COEFFICIENTS)
+    rows = JointRows.from_records(case.training[joint], coefficients=COEFFICIENTS)
     problem = Separable(LuGre.core({}), LuGre().space(), rows)
-    low, high = problem.bounds.T
-    points = np.random.default_rng(e.study.seed).uniform(low, high, (count, len(low)))
-    ends = (problem.solve(problem.polish(point, evaluations=60))[1] for point in points)
-    found = np.sqrt(np.array([*ends]) / len(rows.tau))
-    best = min(case.models["lugre"].training_rmse[joint], float(found.min()))
-    return float(np.mean(found <= within * best))
+    lower, upper = problem.bounds.T
+    points = np.random.default_rng(evidence.study.seed).uniform(lower, upper, (count, len(lower)))
+    final_costs = (problem.solve(problem.polish(point, evaluations=60))[1] for point in points)
+    final_errors = np.sqrt(np.array([*final_costs]) / len(rows.tau))
+    best = min(case.models["lugre"].training_rmse[joint], float(final_errors.min()))
+    return float(np.mean(final_errors <= within * best))

@@ -14,11 +14,11 @@ from cosim.report.tables.scores import ratio_notes
 from cosim.report.tables.table import (
     ResultTable,
     TableCell,
-    fixed,
+    fixed_cell,
     joints,
+    make_row,
     markdown,
     rounded,
-    row_of,
     title,
 )
 from cosim.workflow.answer import Written
@@ -65,78 +65,83 @@ class PaperResult:
     tracking: Mapping[str, Mapping[str, tuple[float, ...]]]  # [rad] by controller, law and joint
 
     @classmethod
-    def of(cls, e: Evidence, command: str) -> "PaperResult":
+    def from_evidence(cls, evidence: Evidence, command: str) -> "PaperResult":
         """Judge claims by the evidence."""
-        laws = {truth: next(iter(models.values())).models for truth, models in e.cases.items()}
+        laws = {
+            truth: next(iter(models.values())).models for truth, models in evidence.cases.items()
+        }
         return cls(
             command=command,
-            claims=tuple(judged(claim, e) for claim in e.study.claims),
+            claims=tuple(judge_claim(claim, evidence) for claim in evidence.study.claims),
             rmse={
-                t: {k: measures.level(e, truth=t, law=k) for k in models}
+                t: {k: measures.level(evidence, truth=t, law=k) for k in models}
                 for t, models in laws.items()
             },
             ratios={
                 t: {
-                    k: measures.errors(e, truth=t, others=[k])
+                    k: measures.errors(evidence, truth=t, others=[k])
                     for k in models
-                    if k != e.study.literal
+                    if k != evidence.study.literal
                 }
                 for t, models in laws.items()
             },
             tracking={
-                controller: {law: tuple(row.mean.tolist()) for law, row in rows.items()}
-                for controller, rows in e.tracked.items()
+                controller: {law_name: tuple(row.mean.tolist()) for law_name, row in rows.items()}
+                for controller, rows in evidence.tracked.items()
             },
         )
 
 
-def verdict(values: Sequence[Number], at_least: Limit | None, at_most: Limit | None) -> str:
+def judge_values(values: Sequence[Number], at_least: Limit | None, at_most: Limit | None) -> str:
     """Compare the intervals of values with limits.
 
     A claim is reproduced if all are within, not reproduced if one is outside, else not testable.
     """
-    low = np.array([v.value if v.low is None else v.low for v in values])
-    high = np.array([v.value if v.high is None else v.high for v in values])
-    least = -np.inf if at_least is None else np.array(at_least)
-    most = np.inf if at_most is None else np.array(at_most)
-    if np.any((high < least) | (low > most)):
+    lower_ends = np.array([v.value if v.low is None else v.low for v in values])
+    upper_ends = np.array([v.value if v.high is None else v.high for v in values])
+    lower_limit = -np.inf if at_least is None else np.array(at_least)
+    upper_limit = np.inf if at_most is None else np.array(at_most)
+    if np.any((upper_ends < lower_limit) | (lower_ends > upper_limit)):
         return REFUTED
-    return REPRODUCED if np.all((low >= least) & (high <= most)) else OPEN
+    return REPRODUCED if np.all((lower_ends >= lower_limit) & (upper_ends <= upper_limit)) else OPEN
 
 
-def judged(claim: Claim, e: Evidence) -> Judged:
+def judge_claim(claim: Claim, evidence: Evidence) -> Judged:
     """Measure a claim and judge it."""
     if not claim.measure:
         return Judged(claim=claim, values={}, verdict=OPEN)
-    found = getattr(measures, claim.measure)(e, **claim.options)
-    values = {label: v for label, v in found.items() if label.endswith(claim.joint)}
-    compared = verdict([*values.values()], claim.at_least, claim.at_most)
-    return Judged(claim=claim, values=values, verdict=compared)
+    measured = getattr(measures, claim.measure)(evidence, **claim.options)
+    values = {label: v for label, v in measured.items() if label.endswith(claim.joint)}
+    decision = judge_values([*values.values()], claim.at_least, claim.at_most)
+    return Judged(claim=claim, values=values, verdict=decision)
 
 
 def tables(result: PaperResult) -> dict[str, ResultTable]:
     """Return all tables by title."""
     return {
-        "Claims": _claims(result.claims),
-        "Prediction on the twin": _errors(result, TWIN, "the bristles of the MJCF are"),
-        "Prediction where LuGre is the truth": _errors(result, LUGRE, "LuGre is"),
-        "Tracking": _tracking(result.tracking),
+        "Claims": _build_claim_table(result.claims),
+        "Prediction on the twin": _build_error_table(result, TWIN, "the bristles of the MJCF are"),
+        "Prediction where LuGre is the truth": _build_error_table(result, LUGRE, "LuGre is"),
+        "Tracking": _build_tracking_table(result.tracking),
     }
 
 
-def _claims(claims: Sequence[Judged]) -> ResultTable:
+def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
     rows = [
-        row_of(
+        make_row(
             str(claim.number),
             f"{claim.text} ({claim.where})",
             claim.printed,
             claim.test,
-            "; ".join(f"{label} {_shown(v)}".strip() for label, v in one.values.items()) or "–",
-            _limits(claim),
-            one.verdict,
+            "; ".join(
+                f"{label} {_format_number(v)}".strip() for label, v in judged_claim.values.items()
+            )
+            or "–",
+            _format_limits(claim),
+            judged_claim.verdict,
         )
-        for one in claims
-        for claim in [one.claim]
+        for judged_claim in claims
+        for claim in [judged_claim.claim]
     ]
     return ResultTable(
         caption="Claims of the paper and the twin; in brackets 95\u00a0% intervals",
@@ -146,40 +151,49 @@ def _claims(claims: Sequence[Judged]) -> ResultTable:
     )
 
 
-def _shown(v: Number) -> str:
-    between = f" ({rounded(v.low)}–{rounded(v.high)})" if v.low and v.high else ""
-    return f"{rounded(v.value)}{between}"
+def _format_number(number: Number) -> str:
+    interval = (
+        f" ({rounded(number.low)}–{rounded(number.high)})" if number.low and number.high else ""
+    )
+    return f"{rounded(number.value)}{interval}"
 
 
-def _limits(claim: Claim) -> str:
+def _format_limits(claim: Claim) -> str:
     pairs = (("at least", claim.at_least), ("at most", claim.at_most))
-    found = [(word, np.atleast_1d(limit)) for word, limit in pairs if limit is not None]
-    return ", ".join(f"{word} {' / '.join(f'{x:g}' for x in limits)}" for word, limits in found)
+    stated_limits = [(word, np.atleast_1d(limit)) for word, limit in pairs if limit is not None]
+    return ", ".join(
+        f"{word} {' / '.join(f'{x:g}' for x in limits)}" for word, limits in stated_limits
+    )
 
 
-def _errors(result: PaperResult, truth: str, words: str) -> ResultTable:
-    def cells(law: str) -> Iterator[TableCell]:
-        ratios = result.ratios[truth].get(law, {})
-        for label, value in result.rmse[truth][law].items():
-            r = ratios.get(label)
-            found = r and ratio_notes(ErrorRatio(value=r.value, low=r.low, high=r.high))
-            yield fixed(value.value, 2, notes=found or ())
+def _build_error_table(result: PaperResult, truth: str, words: str) -> ResultTable:
+    def cells(law_name: str) -> Iterator[TableCell]:
+        ratios = result.ratios[truth].get(law_name, {})
+        for label, value in result.rmse[truth][law_name].items():
+            ratio = ratios.get(label)
+            notes = ratio and ratio_notes(
+                ErrorRatio(value=ratio.value, low=ratio.low, high=ratio.high)
+            )
+            yield fixed_cell(value.value, 2, notes=notes or ())
 
     return ResultTable(
         caption=f"RMSE of the predicted torque [N.m] where {words} the true friction; small: error "
         "of ParFam-H (paper) over that of the law, with its 95\u00a0% interval",
         head=("law", *next(iter(result.rmse[truth].values()))),
-        rows=[row_of(_TITLES.get(law, title(law)), *cells(law)) for law in result.rmse[truth]],
+        rows=[
+            make_row(_TITLES.get(law_name, title(law_name)), *cells(law_name))
+            for law_name in result.rmse[truth]
+        ],
     )
 
 
-def _tracking(errors: Mapping[str, Mapping[str, tuple[float, ...]]]) -> ResultTable:
+def _build_tracking_table(errors: Mapping[str, Mapping[str, tuple[float, ...]]]) -> ResultTable:
     rows = []
-    for controller, of in errors.items():
-        rows.append(row_of(controller))
+    for controller, errors_by_law in errors.items():
+        rows.append(make_row(controller))
         rows += [
-            row_of(_TITLES.get(law, title(law)), *(fixed(1e3 * v, 1) for v in row))
-            for law, row in of.items()
+            make_row(_TITLES.get(law_name, title(law_name)), *(fixed_cell(1e3 * v, 1) for v in row))
+            for law_name, row in errors_by_law.items()
         ]
     return ResultTable(
         caption="RMSE of tracking [mrad], mean over the motions",
@@ -190,44 +204,50 @@ def _tracking(errors: Mapping[str, Mapping[str, tuple[float, ...]]]) -> ResultTa
 
 def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
     """Write the page of a folder of results as .html, by default in the folder, or as .md."""
-    data = read_json(folder / FILE, FORMAT)
+    document = read_json(folder / FILE, FORMAT)
     path = output or folder / "report.html"
-    result = from_json(PaperResult, data, folder / FILE, "results of the paper's study")
+    result = from_json(PaperResult, document, folder / FILE, "results of the paper's study")
     if path.suffix not in (".md", ".html"):
         raise ArgumentError(f"{path}: reports of a study of claims are .html and .md.")
-    plain = path.suffix == ".md"
-    shown = tables(result)
+    is_markdown = path.suffix == ".md"
+    result_tables = tables(result)
     with written_together(path) as file:
-        files = Tables(path.parent / (f"{path.stem}_tables" if plain else TABLES), file)
-        for heading, one in shown.items():
-            files.csv(one, heading.lower().replace(" ", "_"))
-        if plain:
+        files = Tables(path.parent / (f"{path.stem}_tables" if is_markdown else TABLES), file)
+        for heading, result_table in result_tables.items():
+            files.csv(result_table, heading.lower().replace(" ", "_"))
+        if is_markdown:
             bodies = [rows[StandIn.BODY_ONLY] for rows in result.tracking.values()]
             text = _TEMPLATES.get_template("paper.md.j2").render(
                 command=result.command,
-                opening=opening(result),
+                opening=compose_opening(result),
                 bodies=[[f"{1e3 * error:.0f}" for error in body] for body in bodies],
                 controllers=[*result.tracking],
-                parts={heading: markdown(one) for heading, one in shown.items()},
+                parts={
+                    heading: markdown(result_table)
+                    for heading, result_table in result_tables.items()
+                },
                 files=[f"{files.folder.name}/{file}" for file in files.written],
             )
             file(path).write_text(text, encoding="utf-8")
         else:
             answer = Written(
                 title="Claims of the paper on the digital twin",
-                lines=opening(result),
-                shown=[replace(one, section=heading) for heading, one in shown.items()],
+                lines=compose_opening(result),
+                shown=[
+                    replace(result_table, section=heading)
+                    for heading, result_table in result_tables.items()
+                ],
             )
             write_answer(answer, file(path))
 
 
-def opening(result: PaperResult) -> list[str]:
+def compose_opening(result: PaperResult) -> list[str]:
     """Return what explains the claimed gain, and the numbers of verdicts."""
     ratios = result.ratios[LUGRE]
     text = _TEMPLATES.get_template("opening.j2").render(
         static=ratios["lugre_static_first"],
         bounded=ratios["lugre_static_first_textbook"],
         fair=ratios["lugre"],
-        verdicts=[one.verdict for one in result.claims],
+        verdicts=[judged_claim.verdict for judged_claim in result.claims],
     )
     return [line for line in text.splitlines() if line]

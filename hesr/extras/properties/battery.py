@@ -19,9 +19,9 @@ from hesr.extras.drive.drive_fmu import export_drive
 from hesr.extras.properties.bench import DriveBench, FrictionBench
 from hesr.extras.properties.break_away import breakaway, dissipation, dither, hold, stick_slip
 from hesr.extras.properties.presliding import memory, presliding
-from hesr.extras.properties.scale import INERTIA, Scale, measure_scale, standing_inertia
+from hesr.extras.properties.scale import INERTIA, Scale, compute_standing_inertia, measure_scale
 from hesr.extras.properties.sliding import chatter, coupling, lag, start, work
-from hesr_model.audit.audit import loads_of
+from hesr_model.audit.audit import choose_loads
 from hesr_model.audit.properties import (
     EXPECTATIONS,
     Figure,
@@ -41,11 +41,11 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 
 _SAMPLE_TIME = 5e-3  # [s] default
-_DRIVEN = (breakaway, stick_slip, dither, hold)
-_DRIVE = "drive"  # needs more than the scale
+_DRIVE_EXPERIMENTS = (breakaway, stick_slip, dither, hold)
+_DRIVE_KEY = "drive"  # needs more than the scale
 _NO_INERTIA = "Not run: the inertia of the joints is unknown; give it with --inertia."
 _NO_MODEL = "Not run: the FMU contains no law, which a JointDrive needs."
 
@@ -66,23 +66,27 @@ def run_battery(
     """
     if body is not None:
         subjects = [
-            replace(one, inertia=standing_inertia(*body, one.model)) if one.model else one
-            for one in subjects
+            replace(examined, inertia=compute_standing_inertia(*body, examined.model))
+            if examined.model
+            else examined
+            for examined in subjects
         ]
     for subject in subjects:
         _require_inertia(subject)
-    jobs = [partial(_measured, subject, load=load, kept=kept) for subject in subjects]
+    jobs = [partial(_measure_or_read, subject, load=load, checkpoints=kept) for subject in subjects]
     costs = [subject.model.size if subject.model else 0 for subject in subjects]
     with parallel.results_of(jobs, workers, costs, [s.name for s in subjects]) as results:
-        return [next(results) for _ in counted(jobs, progress)]
+        return [next(results) for _ in report_progress(jobs, progress)]
 
 
-def _measured(subject: Subject, *, load: float, kept: Path | None) -> Properties:
-    if kept is None or subject.model is None or subject.fmu is not None:
+def _measure_or_read(subject: Subject, *, load: float, checkpoints: Path | None) -> Properties:
+    if checkpoints is None or subject.model is None or subject.fmu is not None:
         return measure(subject, load=load)
-    about = [subject.model.to_json(), subject.inertia, load, version("hesr")]
-    key = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:24]
-    path = kept / f"{key}.json"
+    hashed_inputs = [subject.model.to_json(), subject.inertia, load, version("hesr")]
+    key = hashlib.sha256(
+        json.dumps(hashed_inputs, sort_keys=True, default=str).encode()
+    ).hexdigest()[:24]
+    path = checkpoints / f"{key}.json"
     with suppress(ArtifactError):  # missing or incomplete
         return read_properties(path)[subject.name]
     properties = measure(subject, load=load)
@@ -106,27 +110,36 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             bench = FrictionBench(instance)
             joints = bench.joints
             inertia = _require_inertia(subject, joints)
-            seen = _ranges(model, joints)
-            bench.places = np.array([trained_range.middle for trained_range in seen])
-            speed = np.array([trained_range.speed for trained_range in seen])
+            trained_ranges = _find_ranges(model, joints)
+            bench.places = np.array([trained_range.middle for trained_range in trained_ranges])
+            speed = np.array([trained_range.speed for trained_range in trained_ranges])
             scale = None
             try:
                 scale = measure_scale(bench, speed, load)
-                found = _moved(bench, scale, model, seen, inertia)
+                results_by_key = _run_motion_experiments(
+                    bench, scale, model, trained_ranges, inertia
+                )
             except SimulationError as error:
                 # Without steady sliding every property fails.
-                found = dict.fromkeys(EXPECTATIONS, [_given_up(error)] * joints)
+                results_by_key = dict.fromkeys(EXPECTATIONS, [_fail_property(error)] * joints)
         if scale and model and inertia is not None:
             # Prismatic joints obey the same equations, with a mass as inertia.
-            turning = replace(model, sliding=())
-            own = inertia.tolist()
-            drive = export_drive(turning, Path(folder, "drive.fmu"), inertia=own, bare=True)
+            rotary_model = replace(model, sliding=())
+            motor_inertia = inertia.tolist()
+            drive = export_drive(
+                rotary_model, Path(folder, "drive.fmu"), inertia=motor_inertia, bare=True
+            )
             with FmuInstance(drive) as instance:
-                driven = DriveBench(instance, bench.places)
-                loaded = np.array([TAU_LOAD in law.form.inputs for law in turning.laws])
-                runs = {e.__name__: partial(e, driven, scale) for e in _DRIVEN}
-                runs[_DRIVE] = partial(dissipation, driven, scale, _peaks(seen, scale), loaded)
-                found |= {key: _tried(run, joints) for key, run in runs.items()}
+                drive_bench = DriveBench(instance, bench.places)
+                is_loaded = np.array([TAU_LOAD in law.form.inputs for law in rotary_model.laws])
+                runs = {
+                    experiment.__name__: partial(experiment, drive_bench, scale)
+                    for experiment in _DRIVE_EXPERIMENTS
+                }
+                runs[_DRIVE_KEY] = partial(
+                    dissipation, drive_bench, scale, _peak_loads(trained_ranges, scale), is_loaded
+                )
+                results_by_key |= {key: _run_experiment(run, joints) for key, run in runs.items()}
     names = model.joints if model else [f"joint {k}" for k in range(1, joints + 1)]
     sliding = model.slides if model else (False,) * joints
     return Properties(
@@ -141,7 +154,10 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
                 deflection=float(scale.deflection[j]) if scale else 0.0,
                 inertia=None if inertia is None else float(inertia[j]),
                 findings={
-                    key: _finite(found[key][j]).at_joint(slides=sliding[j]) for key in EXPECTATIONS
+                    key: _drop_infinite_figures(results_by_key[key][j]).to_joint_units(
+                        is_prismatic=sliding[j]
+                    )
+                    for key in EXPECTATIONS
                 },
             )
             for j, name in enumerate(names)
@@ -149,92 +165,104 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
     )
 
 
-def _moved(
+def _run_motion_experiments(
     bench: FrictionBench,
     scale: Scale,
     model: FrictionModel | None,
-    seen: list[TrainedRange],
+    trained_ranges: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
     n = bench.joints
     laws = model.laws if model else (None,) * n
     states = [None if law is None else len(law.form.memory) for law in laws]
     loads = [
-        (scale.load,) if law is None else loads_of(law, trained_range)
-        for law, trained_range in zip(laws, seen, strict=True)
+        (scale.load,) if law is None else choose_loads(law, trained_range)
+        for law, trained_range in zip(laws, trained_ranges, strict=True)
     ]
     experiments: dict[str, Callable[[], list[PropertyResult]]] = {
         "presliding": partial(presliding, bench, scale),
         "memory": partial(memory, bench, scale, states),
-        "nested": partial(memory, bench, scale, states, _peaks(seen, scale)),
+        "nested": partial(memory, bench, scale, states, _peak_loads(trained_ranges, scale)),
         "start": partial(start, bench, scale),
         "lag": partial(lag, bench, scale),
-        "chatter": partial(chatter, bench, scale, seen),
-        "work": partial(work, bench, seen, loads),
+        "chatter": partial(chatter, bench, scale, trained_ranges),
+        "work": partial(work, bench, trained_ranges, loads),
     }
-    driven = (experiment.__name__ for experiment in _DRIVEN)
-    reasons = dict.fromkeys((*driven, _DRIVE), _NO_INERTIA if model else _NO_MODEL)
+    driven_names = (experiment.__name__ for experiment in _DRIVE_EXPERIMENTS)
+    reasons = dict.fromkeys((*driven_names, _DRIVE_KEY), _NO_INERTIA if model else _NO_MODEL)
     if inertia is None:
         reasons["coupling"] = _NO_INERTIA
     else:
         experiments["coupling"] = partial(coupling, bench, scale, inertia)
-    found = {key: [PropertyResult(verdict="not run", reason=r)] * n for key, r in reasons.items()}
-    return found | {key: _tried(experiment, n) for key, experiment in experiments.items()}
+    skipped_results = {
+        key: [PropertyResult(verdict="not run", reason=reason)] * n
+        for key, reason in reasons.items()
+    }
+    return skipped_results | {
+        key: _run_experiment(experiment, n) for key, experiment in experiments.items()
+    }
 
 
-def _peaks(seen: list[TrainedRange], scale: Scale) -> Array:
+def _peak_loads(trained_ranges: list[TrainedRange], scale: Scale) -> Array:
     """Return the largest trained load (n,) [N.m], or load plus friction level."""
-    trained = np.array([max(trained_range.tau_load, key=abs) for trained_range in seen])
-    return np.where(trained != 0.0, trained, scale.load + scale.level)
+    trained_loads = np.array(
+        [max(trained_range.tau_load, key=abs) for trained_range in trained_ranges]
+    )
+    return np.where(trained_loads != 0.0, trained_loads, scale.load + scale.level)
 
 
-def _tried(experiment: Callable[[], list[PropertyResult]], joints: int) -> list[PropertyResult]:
+def _run_experiment(
+    experiment: Callable[[], list[PropertyResult]], joints: int
+) -> list[PropertyResult]:
     try:
         return experiment()
     except SimulationError as error:
-        return [_given_up(error)] * joints
+        return [_fail_property(error)] * joints
 
 
-def _given_up(error: SimulationError) -> PropertyResult:
+def _fail_property(error: SimulationError) -> PropertyResult:
     return PropertyResult(verdict="fail", reason=f"The FMU gives up: {error}")
 
 
-def _finite(found: PropertyResult) -> PropertyResult:
+def _drop_infinite_figures(property_result: PropertyResult) -> PropertyResult:
     figures = (
         f if f.value is None or isfinite(f.value) else Figure(name=f.name, value=None, unit=f.unit)
-        for f in found.figures
+        for f in property_result.figures
     )
-    return replace(found, figures=tuple(figures))
+    return replace(property_result, figures=tuple(figures))
 
 
-def _ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
-    sample = model.sample_time if model else _SAMPLE_TIME
+def _find_ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
+    sample_time = model.sample_time if model else _SAMPLE_TIME
     if model and model.trained:
-        return [replace(trained_range, sample_time=sample) for trained_range in model.trained]
-    still = (0.0, 0.0)
+        return [replace(trained_range, sample_time=sample_time) for trained_range in model.trained]
+    zero_range = (0.0, 0.0)
     dq = (-UNKNOWN_SPEED, UNKNOWN_SPEED)
-    unknown = TrainedRange(sample_time=sample, dq=dq, q=still, tau_load=still, tau=still)
+    unknown = TrainedRange(
+        sample_time=sample_time, dq=dq, q=zero_range, tau_load=zero_range, tau=zero_range
+    )
     return [unknown] * joints
 
 
 def _require_inertia(subject: Subject, joints: int | None = None) -> Array | None:
     """Return the inertia of the joints [kg.m2]; None if unknown."""
     model = subject.model
-    given = subject.inertia
-    if given is None and model is not None:
-        given = INERTIA.get(model.robot)
-    if given is None:
+    inertia = subject.inertia
+    if inertia is None and model is not None:
+        inertia = INERTIA.get(model.robot)
+    if inertia is None:
         return None
-    wanted = len(model.laws) if model else joints
-    if wanted is not None and len(given) not in (1, wanted):
+    joint_count = len(model.laws) if model else joints
+    if joint_count is not None and len(inertia) not in (1, joint_count):
         raise ConfigError(
-            f"{subject.name}: {len(given)} inertias; expected one, or one for each of the {wanted} "
+            f"{subject.name}: {len(inertia)} inertias; expected one, or one for each of the "
+            f"{joint_count} "
             "joints."
         )
-    for joint, value in enumerate(given, start=1):
+    for number, value in enumerate(inertia, start=1):
         if not (isfinite(value) and value > 0.0):
             raise ConfigError(
-                f"{subject.name}: the inertia of joint {joint} is {value:g} kg.m2; expected a "
+                f"{subject.name}: the inertia of joint {number} is {value:g} kg.m2; expected a "
                 "positive number."
             )
-    return np.broadcast_to(np.array(given), (wanted or len(given),)).copy()
+    return np.broadcast_to(np.array(inertia), (joint_count or len(inertia),)).copy()

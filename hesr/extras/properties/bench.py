@@ -6,7 +6,7 @@ import numpy as np
 
 from fmu_src.friction.friction_component import GIVEN, START_MODE
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from fmu_src.run.variables import Value
 from hesr_model.errors import SimulationError
 from hesr_model.friction.inputs import INPUTS
@@ -14,9 +14,9 @@ from hesr_model.support.arrays import Array
 
 DISCRETISATION = "discretisation"
 _EXACT = 1.0
-_SUBSTEP = 5e-3  # [s] without exact integration
-_FOREVER = 1e4
-_LONG = 60.0  # [s] of steady sliding, with exact integration and without
+_MAX_SUBSTEP = 5e-3  # [s] without exact integration
+_EXACT_SLIDING_TIME = 1e4
+_SLIDING_TIME = 60.0  # [s] of steady sliding, with exact integration and without
 
 
 class _Bench:
@@ -49,10 +49,10 @@ class _Bench:
     def _hold_rows(self, dt: Array, rows: Array) -> Array:
         """Hold each row of inputs for its time (K,) [s]; return the outputs at the ends."""
         times = np.cumsum(np.concatenate([[self._time], dt]))
-        found = through(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
+        outputs = step_rows(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
         self._inputs.values[:] = rows[-1]
         self._time = float(times[-1])
-        return found
+        return outputs
 
 
 class FrictionBench(_Bench):
@@ -61,8 +61,8 @@ class FrictionBench(_Bench):
     def __init__(self, component: FmuInstance) -> None:
         names: set[str] = {v.name for v in component.description.modelVariables}
         joints = sum(name.startswith("tau[") for name in names)
-        wanted = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(joints, 1) + 1)]
-        for name in ("tau[1]", *wanted):
+        input_names = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(joints, 1) + 1)]
+        for name in ("tau[1]", *input_names):
             if name not in names:
                 raise SimulationError(
                     f"{component.fmu}: not a friction FMU: '{name}' is missing; it needs the "
@@ -72,7 +72,9 @@ class FrictionBench(_Bench):
         self.places = np.zeros(joints)
         self.exact = DISCRETISATION in names  # integrates exactly over any step
         self._settles = START_MODE in names
-        self.forever = _FOREVER if self.exact else _LONG  # time of steady sliding [s]
+        self.forever = (
+            _EXACT_SLIDING_TIME if self.exact else _SLIDING_TIME
+        )  # time of steady sliding [s]
 
     def start(
         self,
@@ -87,13 +89,13 @@ class FrictionBench(_Bench):
         In motion friction starts in its steady state if the FMU has one, except with `unmoved`.
         `exact` overrides the discretisation of the law.
         """
-        chosen = {DISCRETISATION: _EXACT} if exact and self.exact else {}
+        start_values = {DISCRETISATION: _EXACT} if exact and self.exact else {}
         if unmoved and self._settles:
-            chosen[START_MODE] = GIVEN
+            start_values[START_MODE] = GIVEN
         self._rows[0] = 0.0 if dq is None else dq
         self._rows[1] = self.places
         self._rows[2] = load
-        self._start(chosen)
+        self._start(start_values)
         return self._outputs.read().copy()
 
     def step(self, dt: float, dq: Array, q: Array) -> Array:
@@ -109,12 +111,14 @@ class FrictionBench(_Bench):
         The position `q` (K, n) [rad] is constant by default.
         """
         q = np.broadcast_to(self.places, dq.shape) if q is None else q
-        held = np.broadcast_to(self._rows[2], dq.shape) if load is None else load
-        parts = np.ones(len(dt), dtype=int)
+        load_rows = np.broadcast_to(self._rows[2], dq.shape) if load is None else load
+        substeps = np.ones(len(dt), dtype=int)
         if not self.exact:
-            parts = np.maximum(np.ceil(dt / _SUBSTEP).astype(int), 1)
-        rows = np.repeat(np.hstack([dq, q, held]), parts, axis=0)
-        return np.asarray(self._hold_rows(np.repeat(dt / parts, parts), rows)[np.cumsum(parts) - 1])
+            substeps = np.maximum(np.ceil(dt / _MAX_SUBSTEP).astype(int), 1)
+        rows = np.repeat(np.hstack([dq, q, load_rows]), substeps, axis=0)
+        return np.asarray(
+            self._hold_rows(np.repeat(dt / substeps, substeps), rows)[np.cumsum(substeps) - 1]
+        )
 
 
 class DriveBench(_Bench):
@@ -138,15 +142,17 @@ class DriveBench(_Bench):
 
         `stiffness` (n,) is that of the flexsplines [N.m/rad], `substep` the longest inner step [s].
         """
-        given = {"q_start": self.places, "stiffness": stiffness}
-        start: dict[str, Value] = {k: tuple(v.tolist()) for k, v in given.items() if v is not None}
+        vectors = {"q_start": self.places, "stiffness": stiffness}
+        start: dict[str, Value] = {
+            k: tuple(v.tolist()) for k, v in vectors.items() if v is not None
+        }
         if substep is not None:
             start["substep"] = substep
         self._rows[0] = torque
         self._rows[1] = self.places
         self._rows[2] = 0.0
         self._rows[3] = load
-        self._start(self._component.variables.expanded(start))
+        self._start(self._component.variables.expand_values(start))
 
     def step(self, dt: float) -> Array:
         """Step; return q, dq and friction torque (3, n), valid for one step."""
@@ -168,5 +174,5 @@ class DriveBench(_Bench):
         for row, values in enumerate((torque, link, None, load)):
             if values is not None:
                 rows[:, row] = values
-        found = self._hold_rows(dt, rows.reshape(len(dt), -1))
-        return np.moveaxis(found.reshape(len(dt), 3, self.joints), 1, 0)
+        outputs = self._hold_rows(dt, rows.reshape(len(dt), -1))
+        return np.moveaxis(outputs.reshape(len(dt), 3, self.joints), 1, 0)

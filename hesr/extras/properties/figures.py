@@ -3,7 +3,7 @@
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.report.figures.style import LINE, SERIES, SOFT, styled
+from cosim.report.figures.style import LINE, SERIES, SOFT, apply_style
 from fmu_src.pages.datasheet import figure as format_number
 from hesr_model.audit.properties import Plot
 
@@ -31,7 +31,7 @@ def draw_check(plot: Plot) -> Figure | None:
     curves = [curve for curve in plot.curves if len(curve.x) > 1]
     if not curves:
         return None
-    with styled():
+    with apply_style():
         figure = Figure(figsize=(_WIDTH / 72.0, _HEIGHT / 72.0))
         axes = figure.add_axes(_AXES)
         for curve, colour in zip(curves, SERIES, strict=False):
@@ -58,13 +58,13 @@ def _name_extremes(axes: Axes, plot: Plot) -> None:
     """Write the names of both axes with the extremes of the curves."""
     bounds = axes.dataLim
     x, y = plot.labels
-    left, right, lowest, highest = (
+    first_x, last_x, lowest, highest = (
         format_number(value, _DIGITS) for value in (bounds.x0, bounds.x1, bounds.y0, bounds.y1)
     )
     _write(axes, (0.0, 1.0), "left", f"{y}, {lowest} to {highest}")
-    _write(axes, (0.0, 0.0), "left", left)
+    _write(axes, (0.0, 0.0), "left", first_x)
     _write(axes, (0.5, 0.0), "center", x)
-    _write(axes, (1.0, 0.0), "right", right)
+    _write(axes, (1.0, 0.0), "right", last_x)
 
 
 def _name_curves(axes: Axes) -> None:
@@ -91,12 +91,12 @@ def _name_curves(axes: Axes) -> None:
             handle.set_visible(False)
 
 
-def _write(axes: Axes, place: tuple[float, float], alignment: str, text: str) -> None:
+def _write(axes: Axes, position: tuple[float, float], alignment: str, text: str) -> None:
     """Write a text above or below the axes at a place in shares of their size."""
-    is_above = place[1] > 0.0
+    is_above = position[1] > 0.0
     axes.annotate(
         text,
-        place,
+        position,
         xycoords="axes fraction",
         xytext=(0.0, _TEXT_GAP if is_above else -_TEXT_GAP),
         textcoords="offset points",

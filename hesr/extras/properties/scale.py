@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
-from hesr_model.audit.audit import ENCODER
+from hesr_model.audit.audit import ENCODER_NOISE
 from hesr_model.audit.properties import Curve, Figure, Plot, PropertyResult
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
@@ -27,15 +27,15 @@ _UNITS = {
 }
 
 
-def curve(label: str, x: Array, y: Array, *, closed: bool = False, most: int = 80) -> Curve:
-    """Return a line of at most `most` finite points (N,), rounded to four digits."""
+def curve(label: str, x: Array, y: Array, *, closed: bool = False, max_points: int = 80) -> Curve:
+    """Return a line of at most `max_points` finite points (N,), rounded to four digits."""
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = x[finite], y[finite]
-    keep = np.unique(np.linspace(0, len(x) - 1, min(len(x), most)).round().astype(int))
+    keep = np.unique(np.linspace(0, len(x) - 1, min(len(x), max_points)).round().astype(int))
     if closed and len(keep):
         keep = np.append(keep, keep[0])
-    rounded = [tuple(float(f"{v:.4g}") for v in part[keep]) for part in (x, y)]
-    return Curve(label=label, x=rounded[0], y=rounded[1])
+    rounded_points = [tuple(float(f"{v:.4g}") for v in part[keep]) for part in (x, y)]
+    return Curve(label=label, x=rounded_points[0], y=rounded_points[1])
 
 
 def plot(x: str, y: str, *curves: Curve) -> Plot:
@@ -43,18 +43,18 @@ def plot(x: str, y: str, *curves: Curve) -> Plot:
     return Plot(x=x, y=y, units=(_UNITS[x], _UNITS[y]), curves=curves)
 
 
-def figures(*measured: tuple[str, float | None, str]) -> tuple[Figure, ...]:
+def figures(*figure_rows: tuple[str, float | None, str]) -> tuple[Figure, ...]:
     """Return figures from name, value and SI unit."""
-    return tuple(Figure(name=name, value=value, unit=unit) for name, value, unit in measured)
+    return tuple(Figure(name=name, value=value, unit=unit) for name, value, unit in figure_rows)
 
 
-def judged(
-    *measured: tuple[str, float | None, str], wrong: Sequence[str], plot: Plot | None = None
+def judge(
+    *figure_rows: tuple[str, float | None, str], wrong: Sequence[str], plot: Plot | None = None
 ) -> PropertyResult:
     """Return a result that passes if the list of sentences `wrong` is empty."""
     return PropertyResult(
         verdict="fail" if wrong else "pass",
-        figures=figures(*measured),
+        figures=figures(*figure_rows),
         reason=" ".join(wrong),
         plot=plot,
     )
@@ -67,10 +67,10 @@ DEFLECTION = 1e-3  # [rad] default amplitude of pre-sliding
 INERTIA: Mapping[str, tuple[float, ...]] = {"uf850": (3.0, 3.0, 0.6)}
 """Inertia of the joints of shipped robots [kg.m2], the others at rest."""
 
-_NO_FRICTION = 1e-6  # [N.m] minimum of a divisor
-_SHARES = np.geomspace(1e-3, 1.0, 31)
-_DEFLECTIONS = (ENCODER, 1e-2)  # [rad] accepted range, from encoder resolution
-_BACK = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
+_MIN_FRICTION = 1e-6  # [N.m] minimum of a divisor
+_SPEED_SHARES = np.geomspace(1e-3, 1.0, 31)
+_DEFLECTION_RANGE = (ENCODER_NOISE, 1e-2)  # [rad] accepted range, from encoder resolution
+_RETURN_PATH = np.geomspace(1e-7, 0.5, 100)  # [rad] after a reversal
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,47 +88,51 @@ class Scale:
     @property
     def drives(self) -> Array:
         """Whether slow steady sliding back and forth releases energy, (n,)."""
-        return np.asarray((self.steady[_SHARES <= SLIDING * 1.001] < 0.0).any(axis=0))
+        return np.asarray((self.steady[_SPEED_SHARES <= SLIDING * 1.001] < 0.0).any(axis=0))
 
     @property
     def bears(self) -> Array:
         """Holding torque at rest (n,) [N.m]: the level, or less if friction rises with speed."""
         slowest = np.abs(self.steady[0])
-        return np.where(slowest > _NO_FRICTION, np.minimum(self.level, slowest), self.level)
+        return np.where(slowest > _MIN_FRICTION, np.minimum(self.level, slowest), self.level)
 
 
 def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     """Slide and reverse joints up to `speed` (n,) [rad/s] under a load [N.m]."""
-    speeds = _SHARES[:, None] * speed
-    both = []
+    speeds = _SPEED_SHARES[:, None] * speed
+    torques = []
     for sign in (1.0, -1.0):
         bench.start(load=load)
-        both.append(bench.move(np.full(len(speeds), bench.forever), sign * speeds))
-    steady = 0.5 * (both[0] - both[1])
-    offset = 0.5 * (both[0] + both[1])
-    at = int(np.argmin(np.abs(_SHARES - SLIDING)))
+        torques.append(bench.move(np.full(len(speeds), bench.forever), sign * speeds))
+    steady = 0.5 * (torques[0] - torques[1])
+    offset = 0.5 * (torques[0] + torques[1])
+    level_row = int(np.argmin(np.abs(_SPEED_SHARES - SLIDING)))
     creep = CREEP * speed
     bench.start(load=load)
-    before = bench.move(np.array([bench.forever]), creep[None])[0]
+    sliding_torque = bench.move(np.array([bench.forever]), creep[None])[0]
     # All joints reach the same share of their path at once.
-    back = _BACK / np.max(creep)
-    tau = bench.move(np.diff(back, prepend=0.0), np.broadcast_to(-creep, (len(back), len(creep))))
+    times = _RETURN_PATH / np.max(creep)
+    tau = bench.move(np.diff(times, prepend=0.0), np.broadcast_to(-creep, (len(times), len(creep))))
     # displacement at half of the torque change after the reversal [rad]
-    turned = (before - tau) / np.where(before == tau[-1], 1.0, before - tau[-1])
-    found = (back[:, None] * creep)[np.argmax(turned >= 0.5, axis=0), np.arange(bench.joints)]
-    inside = (found >= _DEFLECTIONS[0]) & (found <= _DEFLECTIONS[1])
+    return_share = (sliding_torque - tau) / np.where(
+        sliding_torque == tau[-1], 1.0, sliding_torque - tau[-1]
+    )
+    deflections = (times[:, None] * creep)[
+        np.argmax(return_share >= 0.5, axis=0), np.arange(bench.joints)
+    ]
+    is_accepted = (deflections >= _DEFLECTION_RANGE[0]) & (deflections <= _DEFLECTION_RANGE[1])
     return Scale(
         speed=speed,
         speeds=speeds,
         steady=steady,
-        level=np.maximum(np.abs(steady[at]), _NO_FRICTION),
-        offset=offset[at],
+        level=np.maximum(np.abs(steady[level_row]), _MIN_FRICTION),
+        offset=offset[level_row],
         load=load,
-        deflection=np.where(inside, found, DEFLECTION),
+        deflection=np.where(is_accepted, deflections, DEFLECTION),
     )
 
 
-def standing_inertia(
+def compute_standing_inertia(
     robot: Robot, body: RigidBody, model: FrictionModel
 ) -> tuple[float, ...] | None:
     """Return the inertia of each joint at the middle of the trained range [kg.m2].
@@ -144,8 +148,8 @@ def standing_inertia(
         else np.zeros(n)
     )
     q: Array = np.tile(middle, (n + 1, 1))
-    still = np.zeros_like(q)
+    standstill = np.zeros_like(q)
     # One joint accelerates per row; the last row is gravity.
-    torque = robot.torque(body.parameters, q, still, np.eye(n + 1, n))
-    found = np.diag(torque[:n] - torque[n])
-    return tuple(map(float, found)) if np.all(found > 0.0) else None
+    tau = robot.torque(body.parameters, q, standstill, np.eye(n + 1, n))
+    inertia = np.diag(tau[:n] - tau[n])
+    return tuple(map(float, inertia)) if np.all(inertia > 0.0) else None

@@ -5,7 +5,7 @@ from typing import Any
 
 from cosim.report.figures.style import svg
 from fmu_src.pages.datasheet import figure as format_number
-from fmu_src.pages.html import rendered
+from fmu_src.pages.html import render_template
 from hesr.extras.properties.figures import draw_check
 from hesr_model.audit import properties
 from hesr_model.audit.properties import EXPECTATIONS, Expectation
@@ -14,41 +14,49 @@ from hesr_model.units import unit_of_joint, unit_of_joints
 _DIGITS = 3
 
 
-def properties_section(found: properties.Properties, *, sliding: Sequence[bool] = ()) -> str:
+def properties_section(
+    law_properties: properties.Properties, *, sliding: Sequence[bool] = ()
+) -> str:
     """Return HTML: a table of properties by joint, then each experiment with its plots."""
-    slides = sliding or (False,) * len(found.joints)
-    return rendered(
+    slides = sliding or (False,) * len(law_properties.joints)
+    return render_template(
         "properties.html.j2",
-        joints=[joint.joint for joint in found.joints],
-        tau_load=f"{format_number(found.tau_load, _DIGITS)} {unit_of_joints('N.m', sliding)}",
-        sizes=[_sizes(joint, s) for joint, s in zip(found.joints, slides, strict=True)],
-        properties=[_property(found, e, sliding) for e in EXPECTATIONS.values()],
+        joints=[joint.joint for joint in law_properties.joints],
+        tau_load=f"{format_number(law_properties.tau_load, _DIGITS)} "
+        f"{unit_of_joints('N.m', sliding)}",
+        sizes=[
+            _list_sizes(joint, s) for joint, s in zip(law_properties.joints, slides, strict=True)
+        ],
+        properties=[_describe_property(law_properties, e, sliding) for e in EXPECTATIONS.values()],
     )
 
 
-def _sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[str, str]]:
+def _list_sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[str, str]]:
     rows = (
         ("trained speed", joint.speed, "rad/s"),
         ("friction level", joint.level, "N.m"),
         ("deflection", 1e3 * joint.deflection, "mrad"),
         ("inertia", joint.inertia, "kg.m2"),
     )
-    return [(name, _size(value, unit_of_joint(unit, slides=slides))) for name, value, unit in rows]
+    return [
+        (name, _format_size(value, unit_of_joint(unit, is_prismatic=slides)))
+        for name, value, unit in rows
+    ]
 
 
-def _size(value: float | None, unit: str) -> str:
+def _format_size(value: float | None, unit: str) -> str:
     return "not known" if value is None else f"{format_number(value, _DIGITS)} {unit}"
 
 
-def _property(
-    found: properties.Properties, expectation: Expectation, sliding: Sequence[bool]
+def _describe_property(
+    law_properties: properties.Properties, expectation: Expectation, sliding: Sequence[bool]
 ) -> dict[str, Any]:
     """Return the values of the template for one experiment: a cell and an entry per joint."""
     cells = []
     joints = []
-    for number, joint in enumerate(found.joints, start=1):
+    for number, joint in enumerate(law_properties.joints, start=1):
         result = joint.findings[expectation.key]
-        cells.append(_cell(result, expectation))
+        cells.append(_format_cell(result, expectation))
         entry = {
             "name": joint.joint,
             "verdict": properties.MARKS[result.verdict],
@@ -64,16 +72,21 @@ def _property(
     }
 
 
-def _cell(found: properties.PropertyResult, expectation: Expectation) -> str:
-    value = found.figures[0].value if found.figures else None
+def _format_cell(property_result: properties.PropertyResult, expectation: Expectation) -> str:
+    value = property_result.figures[0].value if property_result.figures else None
     if value is None:
-        return properties.MARKS[found.verdict]
-    return f"{properties.MARKS[found.verdict]} {format_number(expectation.factor * value, _DIGITS)}"
+        return properties.MARKS[property_result.verdict]
+    return (
+        f"{properties.MARKS[property_result.verdict]} "
+        f"{format_number(expectation.factor * value, _DIGITS)}"
+    )
 
 
-def _spell_range(one: properties.Figure) -> str:
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    return f"{one.name}: {format_number(one.value, _DIGITS)}{unit if one.value is not None else ''}"
+def _spell_range(property_figure: properties.Figure) -> str:
+    text = f"{property_figure.name}: {format_number(property_figure.value, _DIGITS)}"
+    if property_figure.value is None or property_figure.unit == "1":
+        return text
+    return f"{text} {property_figure.unit}"
 
 
 def _draw_plot(key: str, plot: properties.Plot | None) -> dict[str, str]:

@@ -6,7 +6,7 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from fmu_src.check.rules import RULES, rule_of
+from fmu_src.check.rules import RULES, find_rule
 from fmu_src.check.run import Report
 from hesr_model.findings import Finding, Severity
 from hesr_model.support.files import written_whole
@@ -22,13 +22,19 @@ def write_junit(path: Path, reports: Sequence[Report]) -> None:
         by_rule: dict[str, list[Finding]] = {}
         for finding in report.problems:
             by_rule.setdefault(finding.check, []).append(finding)
-        failed = sum(_failing(findings) for findings in by_rule.values())
-        about = {"name": str(report.path), "tests": str(len(by_rule) or 1), "errors": "0"}
-        suite = ET.SubElement(root, "testsuite", about, failures=str(failed), skipped="0")
+        failure_count = sum(_has_error(findings) for findings in by_rule.values())
+        suite_attributes = {
+            "name": str(report.path),
+            "tests": str(len(by_rule) or 1),
+            "errors": "0",
+        }
+        suite = ET.SubElement(
+            root, "testsuite", suite_attributes, failures=str(failure_count), skipped="0"
+        )
         for name, findings in (by_rule or {"check": []}).items():
             case = ET.SubElement(suite, "testcase", name=name, classname=str(report.path))
             text = "\n".join(f"{finding.severity}: {finding.found}" for finding in findings)
-            if _failing(findings):
+            if _has_error(findings):
                 ET.SubElement(case, "failure", message=findings[0].found, type=name).text = text
             elif findings:
                 ET.SubElement(case, "system-out").text = text
@@ -37,7 +43,7 @@ def write_junit(path: Path, reports: Sequence[Report]) -> None:
         temporary.write_bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n")
 
 
-def _failing(findings: Iterable[Finding]) -> bool:
+def _has_error(findings: Iterable[Finding]) -> bool:
     return any(finding.severity == "error" for finding in findings)
 
 
@@ -68,7 +74,7 @@ def write_sarif(path: Path, reports: Sequence[Report]) -> None:
                 "helpUri": rule.link,
                 "defaultConfiguration": {"level": _LEVELS[rule.severity]},
             }
-            for name, rule in zip(names, map(rule_of, names), strict=True)
+            for name, rule in zip(names, map(find_rule, names), strict=True)
         ],
     }
     data = {

@@ -10,8 +10,15 @@ from cosim.report.markup import Tables
 from cosim.report.results import AREAS, Results
 from cosim.report.tables.laws import find_most_passing, properties
 from cosim.report.tables.loop import outcome, tracking
-from cosim.report.tables.scores import bands, errors, leading, left_out, other_truths, own_friction
-from cosim.report.tables.table import ResultTable, TableRow, fixed, markdown, row_of, title
+from cosim.report.tables.scores import (
+    bands,
+    compare_truths,
+    cross_validation,
+    describe_true_friction,
+    errors,
+    find_leader,
+)
+from cosim.report.tables.table import ResultTable, TableRow, fixed_cell, make_row, markdown, title
 from cosim.study.scores import ORACLE, REFERENCE
 from hesr_model.audit.properties import EXPECTATIONS
 from hesr_model.fitting.estimator import papers_law
@@ -27,35 +34,46 @@ _INTRODUCTION = (
 def write_digest(folders: Sequence[Path], output: Path) -> Path:
     """Write the main tables of runs to a page, all tables to CSV files in a folder of its name."""
     runs = [Results.read(folder) for folder in folders]
-    data = output.with_name(f"{output.stem}_tables")  # not the name of a folder of results
+    tables_folder = output.with_name(f"{output.stem}_tables")  # not the name of a folder of results
     parts = ["# Results\n", _INTRODUCTION]
     with written_together(output) as file:
         if len(runs) > 1:
-            found = robots(runs)
-            Tables(data, file).csv(found, "robots")
-            parts += ["## Robots\n", markdown(found)]
+            robot_table = build_robot_table(runs)
+            Tables(tables_folder, file).csv(robot_table, "robots")
+            parts += ["## Robots\n", markdown(robot_table)]
         for results in runs:
-            tables = Tables(data / results.run.study, file)
-            for name, table in _data(results).items():
+            tables = Tables(tables_folder / results.run.study, file)
+            for name, table in _collect_tables(results).items():
                 tables.csv(table, name)
-            where = f"{data.name}/{results.run.study}"
-            files = ", ".join(f"[{Path(file).stem}]({where}/{file})" for file in tables.written)
-            parts += [*_run(results), f"All laws: {files}.\n"]
+            table_folder = f"{tables_folder.name}/{results.run.study}"
+            files = ", ".join(
+                f"[{Path(file).stem}]({table_folder}/{file})" for file in tables.written
+            )
+            parts += [*_describe_run(results), f"All laws: {files}.\n"]
         file(output).write_text("\n".join(parts), encoding="utf-8")
     return output
 
 
-def robots(runs: Sequence[Results]) -> ResultTable:
+def build_robot_table(runs: Sequence[Results]) -> ResultTable:
     """Return errors of the recommended law over those of the strongest reference, by joint."""
     rows = []
     for results in runs:
-        found = [results.against(k) for k in range(len(results.joints))]
-        known = [[one for *_, of in found if (one := of[area])] for area in AREAS]
-        means = (fixed(geometric_mean(of) if of else None, 2) for of in known)
-        rows += [row_of(results.run.robot), row_of("mean", "", "", *means)]
+        pairings = [results.compare_to_reference(k) for k in range(len(results.joints))]
+        ratios_by_area = [
+            [ratio for *_, ratios in pairings if (ratio := ratios[area])] for area in AREAS
+        ]
+        means = (
+            fixed_cell(geometric_mean(ratios) if ratios else None, 2) for ratios in ratios_by_area
+        )
+        rows += [make_row(results.run.robot), make_row("mean", "", "", *means)]
         rows += [
-            row_of(joint, title(law), title(other), *(fixed(of[area], 2) for area in AREAS))
-            for joint, (law, other, of) in zip(results.joints, found, strict=True)
+            make_row(
+                joint,
+                title(law_name),
+                title(reference),
+                *(fixed_cell(ratios[area], 2) for area in AREAS),
+            )
+            for joint, (law_name, reference, ratios) in zip(results.joints, pairings, strict=True)
         ]
     return ResultTable(
         caption="Error of the recommended law over that of the strongest classic law with the same "
@@ -67,26 +85,28 @@ def robots(runs: Sequence[Results]) -> ResultTable:
     )
 
 
-def _data(results: Results) -> dict[str, ResultTable]:
-    found = {}
+def _collect_tables(results: Results) -> dict[str, ResultTable]:
+    named_tables = {}
     for test, comparison in results.comparisons.items():
         name = file_name(test)
-        found[name] = errors(test, comparison, inputs=results.run.inputs, sliding=results.sliding)
+        named_tables[name] = errors(
+            test, comparison, inputs=results.run.inputs, sliding=results.sliding
+        )
         if comparison.bands:
-            found[f"{name}_bands"] = bands(test, comparison)
-    table = left_out(results.models, results.sliding)
+            named_tables[f"{name}_bands"] = bands(test, comparison)
+    table = cross_validation(results.models, results.sliding)
     if table:
-        found["left_out"] = table
+        named_tables["left_out"] = table
     if results.truths:
-        found["alternative_plants"] = other_truths(
+        named_tables["alternative_plants"] = compare_truths(
             results.comparisons, results.truths, results.run.truth
         )
     if results.loop:
         tables = enumerate(outcome(results.loop), start=1)
-        found |= {f"closed_loop_{k}": table for k, table in tables}
+        named_tables |= {f"closed_loop_{k}": table for k, table in tables}
     if results.properties:
-        found["physics_checks"] = properties(results.properties, full=True)
-    return found
+        named_tables["physics_checks"] = properties(results.properties, full=True)
+    return named_tables
 
 
 def file_name(test: str) -> str:
@@ -94,87 +114,96 @@ def file_name(test: str) -> str:
     return re.sub(r"[^\w.-]+", "_", test)
 
 
-def _run(results: Results) -> Iterator[str]:
+def _describe_run(results: Results) -> Iterator[str]:
     yield f"## {results.run.study}: {results.run.robot}\n"
     yield f"`{results.run.command}`\n"
     if results.verdict:
         yield f"{results.verdict.sentences[0]}\n"
     yield "### How well is the friction of unseen motions predicted?\n"
-    yield f"{_prediction(results)}\n"
-    yield markdown(short(results))
+    yield f"{_describe_prediction(results)}\n"
+    yield markdown(build_short_table(results))
     if results.truths:
         yield "### Does the order of the laws depend on the true friction?\n"
-        led = ", ".join(
-            f"{title(leading(of))} with {plant}" for plant, of in results.truths.items()
+        leaders_text = ", ".join(
+            f"{title(find_leader(of))} with {plant}" for plant, of in results.truths.items()
         )
-        yield f"{own_friction(results.run.truth)} Lowest error: {led}.\n"
-        table = other_truths(results.comparisons, results.truths, results.run.truth)
-        yield markdown(_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
+        yield f"{describe_true_friction(results.run.truth)} Lowest error: {leaders_text}.\n"
+        table = compare_truths(results.comparisons, results.truths, results.run.truth)
+        yield markdown(_select_rows(table, [REFERENCE, papers_law(), results.best, ORACLE]))
     if results.loop:
         yield "### Does friction compensation improve tracking?\n"
-        wanted = {*StandIn, REFERENCE, papers_law(), *results.recommended}
-        desired = (row for row in results.loop.tracking if row.scheme.source == "desired")
-        rows = [row for row in desired if row.law in wanted]
+        shown_laws = {*StandIn, REFERENCE, papers_law(), *results.recommended}
+        desired_rows = (row for row in results.loop.tracking if row.scheme.source == "desired")
+        rows = [row for row in desired_rows if row.law in shown_laws]
         laws = [row for row in rows if row.law not in set(StandIn)]
         body = [row for row in rows if row.law == StandIn.BODY_ONLY]
         if laws and body:
-            best = min(laws, key=lambda row: float(row.mean.mean()))
-            alone = next((row for row in body if row.scheme == best.scheme), body[0])
+            best_row = min(laws, key=lambda row: float(row.mean.mean()))
+            body_row = next((row for row in body if row.scheme == best_row.scheme), body[0])
             yield (
-                f"Yes: {best.scheme.title} with {title(best.law)} tracks to "
-                f"{1e3 * best.mean.mean():.2f} mrad, averaged over joints; "
-                f"{title(alone.law)} to {1e3 * alone.mean.mean():.2f} mrad.\n"
-                if best.mean.mean() < alone.mean.mean()
+                f"Yes: {best_row.scheme.title} with {title(best_row.law)} tracks to "
+                f"{1e3 * best_row.mean.mean():.2f} mrad, averaged over joints; "
+                f"{title(body_row.law)} to {1e3 * body_row.mean.mean():.2f} mrad.\n"
+                if best_row.mean.mean() < body_row.mean.mean()
                 else "No.\n"
             )
         yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", rows))
     if results.properties:
         yield "### Which laws behave as friction in physics checks?\n"
-        yield from _physics(results)
+        yield from _describe_physics(results)
 
 
-def _prediction(results: Results) -> str:
+def _describe_prediction(results: Results) -> str:
     comparison = results.comparisons[results.tests[0]]
-    best = results.best
-    left = 100.0 * comparison.size(best)
-    text = f"{title(best)} leaves {left:.0f} % of the friction unexplained, averaged over joints"
-    ratios = comparison.ratios.laws.get(best, ())
+    best_law = results.best
+    unexplained = 100.0 * comparison.size(best_law)
+    text = (
+        f"{title(best_law)} leaves {unexplained:.0f} % of the friction unexplained, "
+        "averaged over joints"
+    )
+    ratios = comparison.ratios.laws.get(best_law, ())
     if not ratios:
         return f"{text}."
     mean = geometric_mean(ratio.value for ratio in ratios)
     return f"{text}; its error is {mean:.2f} times that of its reference (geometric mean)."
 
 
-def short(results: Results) -> ResultTable:
+def build_short_table(results: Results) -> ResultTable:
     """Return the best law, its references and ParFam-H on the first test set."""
     test = results.tests[0]
-    best = results.best
+    best_law = results.best
     comparison = results.comparisons[test]
-    references = [comparison.ratios.of(best, k) for k in range(len(comparison.joints))]
-    return _rows(
-        errors(test, comparison, sliding=results.sliding), [*references, papers_law(), best]
+    references = [
+        comparison.ratios.find_reference(best_law, k) for k in range(len(comparison.joints))
+    ]
+    return _select_rows(
+        errors(test, comparison, sliding=results.sliding), [*references, papers_law(), best_law]
     )
 
 
-def _rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
+def _select_rows(table: ResultTable, laws: Sequence[str]) -> ResultTable:
     rows = {str(row.head): row for row in table.rows}
-    wanted = dict.fromkeys(map(title, laws))
-    shown: list[TableRow] = [row for row in table.rows if row.quiet]
-    shown += [rows[head] for head in wanted if head in rows]
-    return ResultTable(caption=table.caption, head=table.head, rows=shown)
+    titles = dict.fromkeys(map(title, laws))
+    selected_rows: list[TableRow] = [row for row in table.rows if row.quiet]
+    selected_rows += [rows[head] for head in titles if head in rows]
+    return ResultTable(caption=table.caption, head=table.head, rows=selected_rows)
 
 
-def _physics(results: Results) -> Iterator[str]:
-    found = results.properties
-    laws, most = find_most_passing(found)
+def _describe_physics(results: Results) -> Iterator[str]:
+    properties_by_law = results.properties
+    laws, most_passed = find_most_passing(properties_by_law)
     yield (
-        f"{', '.join(map(title, laws))}: {most} of {len(EXPECTATIONS)} checks passed on all "
-        f"joints, the most of {len(found)} laws.\n"
+        f"{', '.join(map(title, laws))}: {most_passed} of {len(EXPECTATIONS)} checks passed on all "
+        f"joints, the most of {len(properties_by_law)} laws.\n"
     )
     rows = [
-        row_of(title(law), str(found[law].passed), "; ".join(found[law].failed) or "–")
-        for law in dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
-        if law in found
+        make_row(
+            title(law_name),
+            str(properties_by_law[law_name].passed),
+            "; ".join(properties_by_law[law_name].failed) or "–",
+        )
+        for law_name in dict.fromkeys([REFERENCE, papers_law(), *results.recommended, *laws])
+        if law_name in properties_by_law
     ]
     head = ("law", "passed", "fails on at least one joint")
     yield markdown(ResultTable(caption="Physics checks", head=head, rows=rows, numeric=False))

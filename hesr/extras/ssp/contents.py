@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 from cosim.systems.system import SystemSpec
 from cosim.systems.wiring import Wiring
-from fmu_src.export.description import RELEASED
+from fmu_src.export.description import RELEASE_DATE
 from fmu_src.run.master import Element
 from fmu_src.run.variables import SI, Variables, model_description
 from hesr_model.errors import ConfigError, SimulationError
@@ -33,33 +33,33 @@ class SystemContents:
     created: str  # newest FMU, ISO 8601 in UTC with a final Z
 
     @property
-    def used(self) -> list[Element]:
+    def used_outputs(self) -> list[Element]:
         """Connected or observed outputs, in the order of the components."""
-        wanted = dict.fromkeys([*self.wiring.sources.values(), *self.wiring.observed])
+        referenced = dict.fromkeys([*self.wiring.sources.values(), *self.wiring.observed])
         return [
             (name, output)
             for name, variables in self.variables.items()
             for output in variables.feedthrough
-            if (name, output) in wanted
+            if (name, output) in referenced
         ]
 
     def units(self, elements: Iterable[Element]) -> dict[str, UnitExponents]:
         """Return the defined units of variables by name; the first one if definitions differ."""
-        found: dict[str, UnitExponents] = {}
+        units_by_name: dict[str, UnitExponents] = {}
         for name, variable in elements:
             unit, base = self.variables[name].unit(variable)
             if unit and base is not None:
-                found.setdefault(unit, base)
-        return found
+                units_by_name.setdefault(unit, base)
+        return units_by_name
 
     def unit(self, element: Element, defined: Mapping[str, UnitExponents]) -> dict[str, str]:
         """Return the XML attribute of a variable's unit, if defined."""
         name, variable = element
         unit, base = self.variables[name].unit(variable)
-        known = unit and base is not None and defined.get(unit) == base
-        return {"unit": str(unit)} if known and self.type_of(element) == "Real" else {}
+        is_defined = unit and base is not None and defined.get(unit) == base
+        return {"unit": str(unit)} if is_defined and self.find_type(element) == "Real" else {}
 
-    def type_of(self, element: Element) -> str:
+    def find_type(self, element: Element) -> str:
         """Return the type of a variable; Integer for an Enumeration, which libcosim refuses."""
         kind = self.variables[element[0]][element[1]].type
         return "Integer" if kind == "Enumeration" else str(kind)
@@ -68,7 +68,7 @@ class SystemContents:
 def read_contents(system: SystemSpec, path: Path) -> SystemContents:
     """Read the descriptions of a system's FMUs and check the system against them; see `Wiring`."""
     descriptions = {
-        component.name: description_of(component.fmu, f"{path}: component '{component.name}'")
+        component.name: read_description(component.fmu, f"{path}: component '{component.name}'")
         for component in system.components
     }
     variables = {
@@ -85,33 +85,33 @@ def read_contents(system: SystemSpec, path: Path) -> SystemContents:
         descriptions=descriptions,
         variables=variables,
         wiring=Wiring(system, variables, path),
-        created=_newest(d.generationDateAndTime for d in descriptions.values()),
+        created=_find_newest_date(d.generationDateAndTime for d in descriptions.values()),
     )
 
 
-def description_of(fmu: Path, where: str) -> Any:
+def read_description(fmu: Path, where: str) -> Any:
     """Return FMPy's description of an FMI 2.0 FMU for co-simulation; `where` is for messages."""
     if not fmu.is_file():
         raise ConfigError(f"{where}: there is no FMU {fmu}.")
     try:
-        found = model_description(fmu)
+        description = model_description(fmu)
     except SimulationError as error:
         raise SimulationError(f"{where}: {error}") from error
-    if found.fmiVersion != "2.0" or found.coSimulation is None:
+    if description.fmiVersion != "2.0" or description.coSimulation is None:
         raise ConfigError(f"{where}: {fmu} is not an FMI 2.0 FMU for co-simulation.")
-    return found
+    return description
 
 
-def _newest(dates: Iterable[str | None]) -> str:
-    found = []
+def _find_newest_date(dates: Iterable[str | None]) -> str:
+    valid_dates = []
     for text in dates:
         try:
             # Tools write fractions of seconds of any length.
             date = datetime.fromisoformat(re.sub(r"\.\d+", "", text or ""))
         except ValueError:
             continue
-        found.append(date if date.tzinfo else date.replace(tzinfo=UTC))
-    newest = max(found, default=datetime.fromisoformat(RELEASED))
+        valid_dates.append(date if date.tzinfo else date.replace(tzinfo=UTC))
+    newest = max(valid_dates, default=datetime.fromisoformat(RELEASE_DATE))
     return min(max(newest, _FIRST_DATE), _LAST_DATE).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -134,7 +134,7 @@ NAMESPACES = {
 UNIT_DEFAULTS = {key: 1.0 if key == "factor" else 0.0 for key in SI}
 
 
-def text_of(kind: str, value: float | str) -> str:
+def format_value(kind: str, value: float | str) -> str:
     """Return a value as in XML files, with all digits."""
     if kind == "String":
         return str(value)
@@ -149,46 +149,46 @@ def add_units(parent: ET.Element, tag: str, units: Mapping[str, UnitExponents]) 
         return
     definitions = ET.SubElement(parent, tag)
     for name, base in units.items():
-        said = {
+        attributes = {
             key: repr(float(value)) if key in ("factor", "offset") else str(int(value))
             for key, value in zip(SI, base, strict=True)
             if float(value) != UNIT_DEFAULTS[key]
         }
         unit = ET.SubElement(definitions, "ssc:Unit", name=name)
-        ET.SubElement(unit, "ssc:BaseUnit", said)
+        ET.SubElement(unit, "ssc:BaseUnit", attributes)
 
 
-def parameter_set(
+def build_parameter_set(
     values: Iterable[tuple[str, str, dict[str, str]]],
     units: Mapping[str, UnitExponents],
-    about: dict[str, str],
+    root_attributes: dict[str, str],
 ) -> ET.Element:
-    """Return `ssv:ParameterSet` of name, type and attributes of values; `about` is on its root."""
+    """Return `ssv:ParameterSet` of values, with `root_attributes` on its root."""
     namespaces = {key: NAMESPACES[key] for key in ("xmlns:ssc", "xmlns:ssv")}
-    root = ET.Element("ssv:ParameterSet", namespaces | about)
+    root = ET.Element("ssv:ParameterSet", namespaces | root_attributes)
     parameters = ET.SubElement(root, "ssv:Parameters")
-    for name, kind, said in values:
+    for name, kind, attributes in values:
         parameter = ET.SubElement(parameters, "ssv:Parameter", name=name)
-        ET.SubElement(parameter, f"ssv:{kind}", said)
+        ET.SubElement(parameter, f"ssv:{kind}", attributes)
     add_units(root, "ssv:Units", units)
     return root
 
 
 def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponents]:
     """Return the units defined by `ssc:Unit` elements; `where` is for messages."""
-    found: dict[str, UnitExponents] = {}
+    units: dict[str, UnitExponents] = {}
     for node in nodes:
         name = node.get("name", "")
         base = node.find("{*}BaseUnit")
-        said = {} if base is None else base.attrib
+        attributes = {} if base is None else base.attrib
         numbers = dict(UNIT_DEFAULTS)
-        for key in (key for key in SI if key in said):
+        for key in (key for key in SI if key in attributes):
             try:
-                numbers[key] = float(said[key])
+                numbers[key] = float(attributes[key])
             except ValueError as error:
                 raise ConfigError(
-                    f"{where}: {key} of unit '{name}' is '{said[key]}'; it must be a number."
+                    f"{where}: {key} of unit '{name}' is '{attributes[key]}'; it must be a number."
                 ) from error
         if base is not None:
-            found[name] = tuple(numbers.values())
-    return found
+            units[name] = tuple(numbers.values())
+    return units

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 def write_system(system_path: Path, output: Path, **options: Any) -> list[str]:
     """Write the SSP of a system; return a remark on missing parts."""
-    from cosim.systems.system import opened_system
+    from cosim.systems.system import open_system
     from hesr.extras.ssp.ssp import export_ssp
 
-    with opened_system(system_path) as system:
+    with open_system(system_path) as system:
         remark = export_ssp(system, system_path, output, **options)
     return [remark] if remark else []
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from fmu_src.export.description import si_exponents
-from fmu_src.friction.friction_component import exposed, place, scales
+from fmu_src.friction.friction_component import is_exposed, place, scales
 from fmu_src.friction.validity import require_numbers
 from fmu_src.pages.friction_page import model_title
-from hesr.extras.ssp.contents import UNIT_DEFAULTS, parameter_set
+from hesr.extras.ssp.contents import UNIT_DEFAULTS, build_parameter_set
 from hesr_model.errors import ExportError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.support.files import written_whole
@@ -36,17 +36,21 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
     if path.suffix != ".ssv":
         raise ExportError(f"{path}: a parameter set of SSP must end in .ssv.")
     require_numbers(model)
-    about = {
+    root_attributes = {
         "xmlns:hesr": COVARIANCE,
         "version": "1.0",
         "name": f"{model_title(model)} of {model.robot}",
         "generationTool": f"HESR {installed('hesr')}",
     }
-    found = _values(model)
-    values = ((name, "Real", {"value": repr(float(x)), "unit": unit}) for name, x, unit in found)
-    units = {unit: tuple((UNIT_DEFAULTS | si_exponents(unit)).values()) for *_, unit in found}
-    root = parameter_set(values, units, about)
-    joints = _covariances(model)
+    coefficients = _list_coefficients(model)
+    values = (
+        (name, "Real", {"value": repr(float(x)), "unit": unit}) for name, x, unit in coefficients
+    )
+    units = {
+        unit: tuple((UNIT_DEFAULTS | si_exponents(unit)).values()) for *_, unit in coefficients
+    }
+    root = build_parameter_set(values, units, root_attributes)
+    joints = _build_covariances(model)
     if joints:
         annotations = ET.SubElement(root, "ssv:Annotations")
         annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)
@@ -56,30 +60,32 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
     return path
 
 
-def _values(model: FrictionModel) -> list[tuple[str, float, str]]:
-    found = []
-    for i, law in enumerate(model.laws, start=1):
-        if exposed(law):
-            rows = zip(place(law, i).parameters, law.form.coefficients, strict=True)
-            found += [(name, law.values[quantity.name], quantity.unit) for name, quantity in rows]
-    shown = any(exposed(law) for law in model.laws)
+def _list_coefficients(model: FrictionModel) -> list[tuple[str, float, str]]:
+    coefficients = []
+    for number, law in enumerate(model.laws, start=1):
+        if is_exposed(law):
+            rows = zip(place(law, number).parameters, law.form.coefficients, strict=True)
+            coefficients += [
+                (name, law.values[quantity.name], quantity.unit) for name, quantity in rows
+            ]
+    has_exposed = any(is_exposed(law) for law in model.laws)
     return (
-        found
-        if shown
+        coefficients
+        if has_exposed
         else [(variable.name, variable.start, variable.unit or "1") for variable in scales(model)]
     )
 
 
-def _covariances(model: FrictionModel) -> list[ET.Element]:
-    found = []
-    for i, law in enumerate(model.laws, start=1):
-        if law.covariance is None or not exposed(law):
+def _build_covariances(model: FrictionModel) -> list[ET.Element]:
+    joint_elements = []
+    for number, law in enumerate(model.laws, start=1):
+        if law.covariance is None or not is_exposed(law):
             continue
-        names = dict(zip(law.values, place(law, i).parameters, strict=True))
+        names = dict(zip(law.values, place(law, number).parameters, strict=True))
         joint = ET.Element(
-            "hesr:Joint", number=str(i), names=" ".join(names[n] for n in law.covariance.names)
+            "hesr:Joint", number=str(number), names=" ".join(names[n] for n in law.covariance.names)
         )
         for row in law.covariance.matrix:
             ET.SubElement(joint, "hesr:Row").text = " ".join(repr(float(x)) for x in row)
-        found.append(joint)
-    return found
+        joint_elements.append(joint)
+    return joint_elements

@@ -25,14 +25,14 @@ from hesr.extras.ssp.contents import (
     UnitExponents,
     Version,
     add_units,
-    parameter_set,
+    build_parameter_set,
+    format_value,
     read_contents,
-    text_of,
 )
 from hesr.extras.ssp.ssp_results import result_files
 from hesr_model.errors import ConfigError
 from hesr_model.support.files import written_whole
-from hesr_model.support.text import listed
+from hesr_model.support.text import quote_names
 from hesr_model.support.xml_files import to_bytes
 
 PARAMETER_SET = "start"
@@ -40,7 +40,7 @@ PARAMETER_SET = "start"
 
 OMSIMULATOR = "org.openmodelica"
 OSP = "com.opensimulationplatform"
-_ENGINES = {
+_ENGINE_NAMESPACES = {
     "xmlns:oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
     "xmlns:hesr": COUPLING,
@@ -53,10 +53,10 @@ def export_ssp(system: SystemSpec, path: Path, output: Path, *, ssp: Version = "
     contents = read_contents(system, path)
     write_ssp(contents, output, version=ssp)
     # Engines refuse connectors of unconnected inputs, parameters and local variables.
-    used = set(contents.used)
-    observed = [".".join(e) for e in contents.wiring.observed if e not in used]
-    parts = [f"observes outputs only, not {listed(observed)}"] if observed else []
-    parts += [f"has no limits of {listed(system.limits)}"] if system.limits else []
+    used_outputs = set(contents.used_outputs)
+    observed = [".".join(e) for e in contents.wiring.observed if e not in used_outputs]
+    parts = [f"observes outputs only, not {quote_names(observed)}"] if observed else []
+    parts += [f"has no limits of {quote_names(system.limits)}"] if system.limits else []
     return f"The SSP {', and '.join(parts)}." if parts else None
 
 
@@ -89,28 +89,28 @@ def to_ssd(contents: SystemContents, version: Version) -> bytes:
     spec = contents.spec
     root = ET.Element(
         "ssd:SystemStructureDescription",
-        NAMESPACES | _ENGINES,
+        NAMESPACES | _ENGINE_NAMESPACES,
         version=version,
         name=spec.name,
         generationTool=f"HESR {installed('hesr')}",
         generationDateAndTime=contents.created,
     )
-    connectors = [*contents.wiring.sources, *contents.used]
+    connectors = [*contents.wiring.sources, *contents.used_outputs]
     units = contents.units(connectors)
     system = ET.SubElement(root, "ssd:System", name=spec.name)
     elements = ET.SubElement(system, "ssd:Elements")
     for component in spec.components:
-        elements.append(_component(contents, component, connectors, units))
+        elements.append(_build_component(contents, component, connectors, units))
     if contents.wiring.sources:
         connections = ET.SubElement(system, "ssd:Connections")
-        for (target, into), (source, out) in contents.wiring.sources.items():
+        for (target, input_name), (source, output_name) in contents.wiring.sources.items():
             ET.SubElement(
                 connections,
                 "ssd:Connection",
                 startElement=source,
-                startConnector=out,
+                startConnector=output_name,
                 endElement=target,
-                endConnector=into,
+                endConnector=input_name,
             )
     annotations = ET.SubElement(system, "ssd:Annotations")
     coupling = ET.SubElement(annotations, "ssc:Annotation", type=COUPLING_ANNOTATION)
@@ -130,12 +130,12 @@ def to_ssd(contents: SystemContents, version: Version) -> bytes:
     experiment = ET.SubElement(
         root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(spec.stop)
     )
-    algorithm = ET.SubElement(_annotation(experiment, OSP), "osp:Algorithm")
+    algorithm = ET.SubElement(_add_annotation(experiment, OSP), "osp:Algorithm")
     ET.SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(spec.step))
     return to_bytes(root)
 
 
-def _component(
+def _build_component(
     contents: SystemContents,
     component: ComponentSpec,
     connectors: list[Element],
@@ -149,24 +149,24 @@ def _component(
         source=resource(name, ".fmu"),
         implementation="CoSimulation",
     )
-    own = [variable for owner, variable in connectors if owner == name]
-    if own:
+    component_connectors = [variable for owner, variable in connectors if owner == name]
+    if component_connectors:
         table = ET.SubElement(node, "ssd:Connectors")
-        for variable in own:
+        for variable in component_connectors:
             causality = contents.variables[name][variable].causality
             connector = ET.SubElement(table, "ssd:Connector", name=variable, kind=causality)
-            kind = contents.type_of((name, variable))
+            kind = contents.find_type((name, variable))
             ET.SubElement(connector, f"ssc:{kind}", contents.unit((name, variable), units))
     if contents.wiring.start[name]:
         bindings = ET.SubElement(node, "ssd:ParameterBindings")
         ET.SubElement(bindings, "ssd:ParameterBinding", source=resource(name, ".ssv"))
-    if contents.spec.every(component) > 1:
-        step = contents.spec.every(component) * contents.spec.step
-        ET.SubElement(_annotation(node, OSP), "osp:StepSizeHint", value=repr(step))
+    if contents.spec.find_step_multiple(component) > 1:
+        step = contents.spec.find_step_multiple(component) * contents.spec.step
+        ET.SubElement(_add_annotation(node, OSP), "osp:StepSizeHint", value=repr(step))
     return node
 
 
-def _annotation(parent: ET.Element, kind: str) -> ET.Element:
+def _add_annotation(parent: ET.Element, kind: str) -> ET.Element:
     return ET.SubElement(ET.SubElement(parent, "ssd:Annotations"), "ssc:Annotation", type=kind)
 
 
@@ -174,7 +174,7 @@ def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
     """Return the start values of a component as a parameter set."""
     start = contents.wiring.start[component]
     units = contents.units((component, variable) for variable in start)
-    about = {
+    root_attributes = {
         "version": version,
         "name": PARAMETER_SET,
         "generationTool": f"HESR {installed('hesr')}",
@@ -182,7 +182,9 @@ def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
     }
     values = []
     for variable, value in start.items():
-        kind = contents.type_of((component, variable))
-        said = {"value": text_of(kind, value)} | contents.unit((component, variable), units)
-        values.append((variable, kind, said))
-    return to_bytes(parameter_set(values, units, about))
+        kind = contents.find_type((component, variable))
+        attributes = {"value": format_value(kind, value)} | contents.unit(
+            (component, variable), units
+        )
+        values.append((variable, kind, attributes))
+    return to_bytes(build_parameter_set(values, units, root_attributes))

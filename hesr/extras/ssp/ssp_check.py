@@ -12,11 +12,11 @@ from fmu_src.check.rules import Problem, findings
 from fmu_src.check.run import Report, check
 from fmu_src.run.variables import Variables, model_description
 from hesr.extras.ssp.contents import SSD
-from hesr.extras.ssp.ssp_reader import UnsupportedError, opened_ssp
+from hesr.extras.ssp.ssp_reader import UnsupportedError, open_ssp
 from hesr_model.errors import HesrError
-from hesr_model.findings import errors_first
+from hesr_model.findings import sort_by_severity
 
-_XML = (".ssd", ".ssv", ".ssm", ".ssb")
+_XML_SUFFIXES = (".ssd", ".ssv", ".ssm", ".ssb")
 
 
 def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
@@ -28,35 +28,38 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         files.mkdir()
         folder.mkdir()
         contents = archive.unpack(path, files)
-        found = findings([*contents.problems, *_described(contents, folder)])
-        if not any(finding.severity == "error" for finding in found):
-            found += findings(_structure(path))
+        ssp_findings = findings([*contents.problems, *_check_xml_members(contents, folder)])
+        if not any(finding.severity == "error" for finding in ssp_findings):
+            ssp_findings += findings(_check_structure(path))
         platforms: list[tuple[str, ...]] = []  # of each FMU
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
                 inner = check(file, vdmcheck=vdmcheck)
                 platforms.append(inner.platforms or ())
-                found += [replace(one, found=f"{name}: {one.found}") for one in inner.problems]
+                ssp_findings += [
+                    replace(inner_finding, found=f"{name}: {inner_finding.found}")
+                    for inner_finding in inner.problems
+                ]
                 skipped |= dict.fromkeys(f"{name}: {reason}" for reason in inner.skipped)
     return Report(
         path=path,
-        problems=tuple(errors_first(found)),
+        problems=tuple(sort_by_severity(ssp_findings)),
         skipped=tuple(skipped),
-        platforms=_shared(platforms) if platforms else None,
+        platforms=_find_shared_platforms(platforms) if platforms else None,
     )
 
 
-def _shared(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+def _find_shared_platforms(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the platforms of all FMUs."""
-    first, *others = platforms
-    return tuple(name for name in first if all(name in other for other in others))
+    first, *other_platforms = platforms
+    return tuple(name for name in first if all(name in other for other in other_platforms))
 
 
-def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
+def _check_xml_members(contents: Contents, folder: Path) -> Iterator[Problem]:
     if contents.names and SSD not in contents.names:
         yield "xml-unreadable", f"{SSD} is missing."
     for name, file in contents.files.items():
-        if not name.lower().endswith(_XML):
+        if not name.lower().endswith(_XML_SUFFIXES):
             continue
         root, problems = archive.parse(name, file)
         yield from problems
@@ -64,14 +67,21 @@ def _described(contents: Contents, folder: Path) -> Iterator[Problem]:
             yield from archive.schema_problems(name, file, folder)
 
 
-def _structure(path: Path) -> Iterator[Problem]:
+def _check_structure(path: Path) -> Iterator[Problem]:
     try:
-        with opened_ssp(path, {"stop": 1.0, "step": 1.0, "start": 0.0}, {}) as system:
-            about = {
+        with open_ssp(path, {"stop": 1.0, "step": 1.0, "start": 0.0}, {}) as system:
+            descriptions = {
                 component.name: (component.fmu, model_description(component.fmu))
                 for component in system.components
             }
-            Wiring(system, {name: Variables(*own) for name, own in about.items()}, path)
+            Wiring(
+                system,
+                {
+                    name: Variables(*description_pair)
+                    for name, description_pair in descriptions.items()
+                },
+                path,
+            )
     except UnsupportedError as error:
         yield "ssp-support", str(error).removeprefix(f"{path}: ")
     except HesrError as error:

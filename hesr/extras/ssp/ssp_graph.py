@@ -21,20 +21,22 @@ _NAME: TypeAdapter[str] = TypeAdapter(Name)
 def safe_names(names: Iterable[str]) -> dict[str, str]:
     """Map names of components to unique ones of allowed characters, numbered if they collide."""
     names = list(dict.fromkeys(names))
-    found = {name: name for name in names if _allowed(name)}
-    taken = set(found)
+    unique_names = {name: name for name in names if _is_allowed(name)}
+    used_names = set(unique_names)
     for name in names:
-        if name in found:
+        if name in unique_names:
             continue
-        plain = re.sub(r"[^0-9A-Za-z_]", "_", name)
-        plain = plain if _allowed(plain) else f"_{plain}"
-        numbered = (f"{plain}_{k}" for k in count(2))
-        found[name] = next(n for n in chain([plain], numbered) if n not in taken)
-        taken.add(found[name])
-    return found
+        cleaned = re.sub(r"[^0-9A-Za-z_]", "_", name)
+        cleaned = cleaned if _is_allowed(cleaned) else f"_{cleaned}"
+        numbered_names = (f"{cleaned}_{k}" for k in count(2))
+        unique_names[name] = next(
+            n for n in chain([cleaned], numbered_names) if n not in used_names
+        )
+        used_names.add(unique_names[name])
+    return unique_names
 
 
-def _allowed(name: str) -> bool:
+def _is_allowed(name: str) -> bool:
     try:
         _NAME.validate_python(name)
     except ValidationError:
@@ -47,9 +49,15 @@ TRUE = ("true", "1")
 ElementPath = tuple[str, ...]  # names of elements from the root system on
 ConnectorName = tuple[ElementPath, str]  # a connector
 Unit = tuple[str, UnitExponents | None]
-_EXPONENTS = len(SI) - 2
-_TAKEN = {"Linear": ("Real",), "Boolean": ("Boolean",), "Enumeration": ("Integer", "Enumeration")}
-_TAKEN |= {"Integer": ("Real", "Integer", "Enumeration")}  # FMI 3: Enumerations are Integers here
+_EXPONENT_COUNT = len(SI) - 2
+_RESULT_TYPES = {
+    "Linear": ("Real",),
+    "Boolean": ("Boolean",),
+    "Enumeration": ("Integer", "Enumeration"),
+}
+_RESULT_TYPES |= {
+    "Integer": ("Real", "Integer", "Enumeration")
+}  # FMI 3: Enumerations are Integers here
 """Types that transformations give."""
 
 
@@ -62,13 +70,13 @@ class Transformation:
     offset: float = 0.0
     table: Mapping[str, Any] = field(default_factory=dict)  # targets by texts of sources
 
-    def applied(self, value: Any, where: str) -> Any:
+    def apply(self, value: Any, where: str) -> Any:
         """Return a transformed parameter; values outside the table keep theirs."""
         try:
             if self.kind == "Linear":
                 return self.factor * value + self.offset
-            found = self.table[str(value)]
-            return found if self.kind in ("Boolean", "Enumeration") else int(found)
+            mapped_text = self.table[str(value)]
+            return mapped_text if self.kind in ("Boolean", "Enumeration") else int(mapped_text)
         except KeyError:
             return value
         except (TypeError, ValueError) as error:
@@ -107,54 +115,59 @@ class ConnectorGraph:
     def add(self, source: ConnectorName, hop: Hop) -> None:
         """Add a connection; raise ConfigError if its target is connected already."""
         if hop.target in self.order:
-            others = (n for n, hops in self.hops.items() for h in hops if h.target == hop.target)
+            connected_sources = (
+                n for n, hops in self.hops.items() for h in hops if h.target == hop.target
+            )
             raise ConfigError(
-                f"'{shown(hop.target)}' is connected to '{shown(next(others))}' and to "
-                f"'{shown(source)}'."
+                f"'{format_connector(hop.target)}' is connected to "
+                f"'{format_connector(next(connected_sources))}' and to "
+                f"'{format_connector(source)}'."
             )
         self.order[hop.target] = len(self.order)
         self.hops.setdefault(source, []).append(hop)
 
-    def ends(self, node: ConnectorName, way: tuple[Hop, ...] = ()) -> Iterator[tuple[Hop, ...]]:
+    def ends(self, node: ConnectorName, path: tuple[Hop, ...] = ()) -> Iterator[tuple[Hop, ...]]:
         """Yield the ways from a connector to connectors of components."""
         for hop in self.hops.get(node, ()):
-            if hop in way:
-                raise ConfigError(f"'{shown(node)}' is connected to itself.")
-            whole = (*way, hop)
+            if hop in path:
+                raise ConfigError(f"'{format_connector(node)}' is connected to itself.")
+            extended_path = (*path, hop)
             if hop.target[0] in self.variables:
-                yield whole
+                yield extended_path
             else:
-                yield from self.ends(hop.target, whole)
+                yield from self.ends(hop.target, extended_path)
 
     def unit(self, node: ConnectorName) -> Unit | None:
         """Return the unit of a connector, that of the variable by default."""
-        own = self.units.get(node)
+        stated_unit = self.units.get(node)
         variables = self.variables.get(node[0])
         if variables is None:
-            return own
+            return stated_unit
         try:
-            name, base = own or variables.unit(node[1])
-            base = _without_offset(base) if variables.relative(node[1]) else base
+            name, base = stated_unit or variables.unit(node[1])
+            base = _remove_offset(base) if variables.relative(node[1]) else base
         except SimulationError:
-            return own
+            return stated_unit
         return None if name is None else (name, base)
 
     def conversions(
-        self, source: ConnectorName, way: Sequence[Hop], unit: Unit | None
+        self, source: ConnectorName, path: Sequence[Hop], unit: Unit | None
     ) -> tuple[Conversion, ...]:
         """Return the conversions of a value in a unit along a way."""
-        found: list[Conversion] = []
-        for hop in way:
-            where = f"connection '{shown(hop.target)}' = '{shown(source)}'"
-            into = self.unit(hop.target)
-            if unit and into and not hop.suppressed:
-                found.append(between(unit, into, where))
-            unit = into or unit
+        conversions: list[Conversion] = []
+        for hop in path:
+            where = f"connection '{format_connector(hop.target)}' = '{format_connector(source)}'"
+            target_unit = self.unit(hop.target)
+            if unit and target_unit and not hop.suppressed:
+                conversions.append(find_conversion(unit, target_unit, where))
+            unit = target_unit or unit
             if hop.transformation:
-                found.append(self._of_values(hop.transformation, source, way[-1].target, where))
-        return merged(found)
+                conversions.append(
+                    self._build_conversion(hop.transformation, source, path[-1].target, where)
+                )
+        return merge_conversions(conversions)
 
-    def _of_values(
+    def _build_conversion(
         self,
         transformation: Transformation,
         source: ConnectorName,
@@ -162,18 +175,21 @@ class ConnectorGraph:
         where: str,
     ) -> Conversion:
         kind = transformation.kind
-        into = self.variables[target[0]][target[1]].type
-        if into not in _TAKEN.get(kind, ()):
-            raise ConfigError(f"{where}: its transformation does not fit the type {into}.")
+        target_type = self.variables[target[0]][target[1]].type
+        if target_type not in _RESULT_TYPES.get(kind, ()):
+            raise ConfigError(f"{where}: its transformation does not fit the type {target_type}.")
         if kind == "Linear":
             return Conversion(factor=transformation.factor, offset=transformation.offset)
         table = dict[float, float]()
-        for before, after in transformation.table.items():
+        for source_text, target_text in transformation.table.items():
             try:
-                table[self._number(kind, before, source)] = self._number(kind, after, target)
+                table[self._number(kind, source_text, source)] = self._number(
+                    kind, target_text, target
+                )
             except (ValueError, KeyError, AttributeError, SimulationError) as error:
                 raise ConfigError(
-                    f"{where}: the map entry '{before}' = '{after}' does not fit the connectors."
+                    f"{where}: the map entry '{source_text}' = '{target_text}' does not fit "
+                    "the connectors."
                 ) from error
         return Conversion(table=table)
 
@@ -186,78 +202,97 @@ class ConnectorGraph:
         return float({item.name: item.value for item in items}[text])
 
 
-def _without_offset(base: UnitExponents | None) -> UnitExponents | None:
+def _remove_offset(base: UnitExponents | None) -> UnitExponents | None:
     return base and (*base[:-1], 0.0)
 
 
 def convert_to_unit(variables: Variables, name: str, value: float, unit: Unit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none."""
-    own, base = variables.unit(name)
+    variable_unit, base = variables.unit(name)
     if variables.relative(name):  # FMI: offsets do not apply to differences
-        unit, base = (unit[0], _without_offset(unit[1])), _without_offset(base)
-    return value if own is None else between(unit, (own, base), where)(value)
+        unit, base = (unit[0], _remove_offset(unit[1])), _remove_offset(base)
+    return (
+        value
+        if variable_unit is None
+        else find_conversion(unit, (variable_unit, base), where)(value)
+    )
 
 
-def between(unit: Unit, into: Unit, where: str) -> Conversion:
+def find_conversion(unit: Unit, target_unit: Unit, where: str) -> Conversion:
     """Return the conversion between two units; raise ConfigError if they differ in kind."""
-    if unit[0] == into[0] or unit[1] == into[1] is not None:
+    if unit[0] == target_unit[0] or unit[1] == target_unit[1] is not None:
         return Conversion()
-    one = unit[1]
-    other = into[1]
-    alike = one and other and one[:_EXPONENTS] == other[:_EXPONENTS]
-    if not (one and other and alike and other[_EXPONENTS] and isfinite(one[_EXPONENTS])):
+    source_base = unit[1]
+    target_base = target_unit[1]
+    same_base = (
+        source_base
+        and target_base
+        and source_base[:_EXPONENT_COUNT] == target_base[:_EXPONENT_COUNT]
+    )
+    if not (
+        source_base
+        and target_base
+        and same_base
+        and target_base[_EXPONENT_COUNT]
+        and isfinite(source_base[_EXPONENT_COUNT])
+    ):
         raise ConfigError(
-            f"{where}: {unit[0]} cannot be converted into {into[0]}; define both in SI base units."
+            f"{where}: {unit[0]} cannot be converted into {target_unit[0]}; define both in SI "
+            "base units."
         )
-    factor = one[_EXPONENTS]
-    size = other[_EXPONENTS]
-    return Conversion(factor=factor / size, offset=(one[-1] - other[-1]) / size)
+    source_factor = source_base[_EXPONENT_COUNT]
+    target_factor = target_base[_EXPONENT_COUNT]
+    return Conversion(
+        factor=source_factor / target_factor,
+        offset=(source_base[-1] - target_base[-1]) / target_factor,
+    )
 
 
-def merged(conversions: Sequence[Conversion]) -> tuple[Conversion, ...]:
+def merge_conversions(conversions: Sequence[Conversion]) -> tuple[Conversion, ...]:
     """Join linear conversions that follow each other, and drop those without effect."""
-    found: list[Conversion] = []
-    for one in conversions:
-        if found and not one.table and not found[-1].table:
-            last = found.pop()
-            one = Conversion(
-                factor=last.factor * one.factor, offset=one.factor * last.offset + one.offset
+    joined: list[Conversion] = []
+    for conversion in conversions:
+        if joined and not conversion.table and not joined[-1].table:
+            previous = joined.pop()
+            conversion = Conversion(
+                factor=previous.factor * conversion.factor,
+                offset=conversion.factor * previous.offset + conversion.offset,
             )
-        if one != Conversion():
-            found.append(one)
-    return tuple(found)
+        if conversion != Conversion():
+            joined.append(conversion)
+    return tuple(joined)
 
 
-def shown(node: ConnectorName) -> str:
+def format_connector(node: ConnectorName) -> str:
     """Return a connector in messages."""
     return ".".join((*node[0], node[1]))
 
 
-def number(node: ET.Element, name: str, default: float, where: str) -> float:
+def read_number(node: ET.Element, name: str, default: float, where: str) -> float:
     """Return a number in an attribute; raise ConfigError for other text."""
     text = node.get(name)
     try:
-        found = default if text is None else float(text)
+        parsed_number = default if text is None else float(text)
     except ValueError:
-        found = nan
-    if not isfinite(found):
+        parsed_number = nan
+    if not isfinite(parsed_number):
         raise ConfigError(f"{where}: {name} is '{text}'; it must be a number.")
-    return found
+    return parsed_number
 
 
-def transformation_of(node: ET.Element, where: str) -> Transformation | None:
+def read_transformation(node: ET.Element, where: str) -> Transformation | None:
     """Return the transformation in a connection or mapping, if any."""
     for child in node:
-        kind, found, _ = child.tag.rpartition("}")[2].partition("Transformation")
-        if found:
+        kind, marker, _ = child.tag.rpartition("}")[2].partition("Transformation")
+        if marker:
             kind = kind.removesuffix("Mapping")
             table: dict[str, Any] = {e.get("source", ""): e.get("target", "") for e in child}
             if kind == "Boolean":
                 table = {str(s in TRUE): t in TRUE for s, t in table.items()}
             return Transformation(
                 kind=kind,
-                factor=number(child, "factor", 1.0, where),
-                offset=number(child, "offset", 0.0, where),
+                factor=read_number(child, "factor", 1.0, where),
+                offset=read_number(child, "offset", 0.0, where),
                 table=table,
             )
     return None

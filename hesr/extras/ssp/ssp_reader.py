@@ -12,7 +12,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from cosim.systems.system import Conversion, SystemSpec
-from fmu_src.run.archive import MOST_BYTES, MOST_TEXT, Archive
+from fmu_src.run.archive import MAX_ENTRY_BYTES, MAX_TEXT_BYTES, Archive
 from fmu_src.run.variables import Variables, model_description
 from hesr.extras.ssp.contents import (
     COUPLING,
@@ -28,12 +28,12 @@ from hesr.extras.ssp.ssp_graph import (
     ElementPath,
     Hop,
     ParameterValue,
-    between,
     convert_to_unit,
-    number,
+    find_conversion,
+    format_connector,
+    read_number,
+    read_transformation,
     safe_names,
-    shown,
-    transformation_of,
 )
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support.files import scratch_folder
@@ -42,12 +42,15 @@ _PREFIXES = {key.removeprefix("xmlns:"): uri for key, uri in NAMESPACES.items()}
 _PREFIXES["ssm"] = _PREFIXES["ssv"].replace("Values", "Mapping")
 _COUPLING = f"ssd:Annotations/ssc:Annotation[@type='{COUPLING_ANNOTATION}']/{{{COUPLING}}}Coupling"
 # Steps in annotations of the engines, in any namespace because tools differ.
-_STEPS = ((".//{*}FixedStepAlgorithm", "baseStepSize"), (".//{*}FixedStepMaster", "stepSize"))
+_STEP_ANNOTATIONS = (
+    (".//{*}FixedStepAlgorithm", "baseStepSize"),
+    (".//{*}FixedStepMaster", "stepSize"),
+)
 
-_LONGEST = 100  # characters of a file name
-_ROWS = 500  # by default, if neither the SSP nor its FMUs name a step
-_GIVES = ("output", "local", "calculatedParameter", "constant")
-_SYSTEM_GIVES = ("input", "parameter", "structuralParameter")
+_MAX_FILE_NAME = 100  # characters of a file name
+_DEFAULT_ROWS = 500  # by default, if neither the SSP nor its FMUs name a step
+_SOURCE_KINDS = ("output", "local", "calculatedParameter", "constant")
+_SYSTEM_SOURCE_KINDS = ("input", "parameter", "structuralParameter")
 """Kinds of connectors that give values: of elements, and of the enclosing system."""
 
 
@@ -56,10 +59,10 @@ class UnsupportedError(ConfigError):
 
 
 @contextmanager
-def opened_ssp(
+def open_ssp(
     path: Path, times: Mapping[str, float | None], values: Mapping[str, Any]
 ) -> Iterator[SystemSpec]:
-    """Yield the system of an SSP as one level with all outputs observed; see `opened_system`."""
+    """Yield the system of an SSP as one level with all outputs observed; see `open_system`."""
     with Archive(path, "SSP") as archive, scratch_folder() as folder:
         reader = _Reader(path, archive, Path(folder))
         try:
@@ -68,7 +71,7 @@ def opened_ssp(
             if str(error).startswith(str(path)):
                 raise
             raise ConfigError(f"{path}: {error}") from error
-        yield SystemSpec.validated(path, content)
+        yield SystemSpec.from_data(path, content)
 
 
 @dataclass(frozen=True)
@@ -85,18 +88,18 @@ class _Reader:
     def error(self, text: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}")
 
-    def member(self, name: str, where: str = "", most: int = MOST_BYTES) -> bytes:
+    def member(self, name: str, where: str = "", size_limit: int = MAX_ENTRY_BYTES) -> bytes:
         # Sources are URIs, but some tools write plain names.
         names = self.archive.names
         candidates = (normpath(n) for n in (unquote(name), name))
         member = next((n for n in candidates if n in names), None)
         if member is None:
             raise self.error(f"{where}{name} is missing.")
-        return self.archive.read(member, most)
+        return self.archive.read(member, size_limit)
 
-    def parsed(self, name: str, where: str = "") -> ET.Element:
+    def parse_member(self, name: str, where: str = "") -> ET.Element:
         try:
-            return ET.fromstring(self.member(name, where, MOST_TEXT))
+            return ET.fromstring(self.member(name, where, MAX_TEXT_BYTES))
         except (ET.ParseError, LookupError, ValueError) as error:  # or an unknown encoding
             raise self.error(f"{where}{name} is not valid XML ({error}).") from error
 
@@ -106,28 +109,37 @@ class _Reader:
             raise self.error(f"{where}: attribute '{name}' is missing.")
         return value
 
-    def refuse(self, what: str) -> UnsupportedError:
-        return UnsupportedError(f"{self.path}: {what} not supported.")
+    def refuse(self, subject: str) -> UnsupportedError:
+        return UnsupportedError(f"{self.path}: {subject} not supported.")
 
     def system(
         self, times: Mapping[str, float | None], values: Mapping[str, Any]
     ) -> dict[str, Any]:
-        root = self.parsed(SSD)
-        system = _one(root, "ssd:System")
+        root = self.parse_member(SSD)
+        system = _find_element(root, "ssd:System")
         if system is None:
             raise self.error(f"{SSD} contains no system.")
         where = f"{self.path}: {SSD}"
-        self.elements(system, (), read_units(_all(root, "ssd:Units/ssc:Unit"), where))
+        self.elements(system, (), read_units(_find_elements(root, "ssd:Units/ssc:Unit"), where))
         self.parameters(system, ())
         for name, value in values.items():
             if not self.assign((), name, ParameterValue(value=value)):
                 raise self.error(f"--set '{name}' is no variable of the system.")
-        names = safe_names("\0".join(place) for place in self.fmus)  # names may contain dots
-        of = {place: names["\0".join(place)] for place in self.fmus}
+        names = safe_names(
+            "\0".join(element_path) for element_path in self.fmus
+        )  # names may contain dots
+        component_names = {
+            element_path: names["\0".join(element_path)] for element_path in self.fmus
+        }
         connections = {}
         conversions = {}
-        for into, out, steps in sorted(self.sources(), key=lambda s: self.graph.order[s[0]]):
-            target, source = (self.signal(of[place], own) for place, own in (into, out))
+        for input_end, output_end, steps in sorted(
+            self.sources(), key=lambda s: self.graph.order[s[0]]
+        ):
+            target, source = (
+                self.signal(component_names[element_path], connector)
+                for element_path, connector in (input_end, output_end)
+            )
             connections[target] = source
             conversions[target] = steps
         return {
@@ -135,202 +147,234 @@ class _Reader:
             **self.times(root, times),
             **self.order(system),
             "components": [
-                {"name": of[place], "fmu": fmu, "start": self.start.get(place, {})}
-                | ({"step": self.steps[place]} if place in self.steps else {})
-                for place, fmu in self.fmus.items()
+                {
+                    "name": component_names[element_path],
+                    "fmu": fmu,
+                    "start": self.start.get(element_path, {}),
+                }
+                | ({"step": self.steps[element_path]} if element_path in self.steps else {})
+                for element_path, fmu in self.fmus.items()
             ],
             "connections": connections,
             "conversions": conversions,
             "open_inputs": True,
-            "observe": [self.signal(of[place], own) for place, own in self.outputs()],
+            "observe": [
+                self.signal(component_names[element_path], connector)
+                for element_path, connector in self.outputs()
+            ],
         }
 
-    def times(self, root: ET.Element, given: Mapping[str, float | None]) -> dict[str, Any]:
-        experiment = _one(root, "ssd:DefaultExperiment")
-        own = ET.Element("none") if experiment is None else experiment
-        begin = given.get("start")
-        stop = given.get("stop")
-        begin = number(own, "startTime", 0.0, SSD) if begin is None else begin
-        if stop is None and own.get("stopTime") is None:
+    def times(self, root: ET.Element, times: Mapping[str, float | None]) -> dict[str, Any]:
+        experiment = _find_element(root, "ssd:DefaultExperiment")
+        experiment_node = ET.Element("none") if experiment is None else experiment
+        start_time = times.get("start")
+        stop_time = times.get("stop")
+        start_time = (
+            read_number(experiment_node, "startTime", 0.0, SSD)
+            if start_time is None
+            else start_time
+        )
+        if stop_time is None and experiment_node.get("stopTime") is None:
             raise self.error("the default experiment has no stopTime; give --stop.")
-        stop = number(own, "stopTime", 0.0, SSD) if stop is None else stop
-        step = given.get("step")
-        if step is not None:
-            return {"begin": begin, "stop": stop, "step": step}
-        for tag, key in _STEPS:
+        stop_time = (
+            read_number(experiment_node, "stopTime", 0.0, SSD) if stop_time is None else stop_time
+        )
+        step_size = times.get("step")
+        if step_size is not None:
+            return {"begin": start_time, "stop": stop_time, "step": step_size}
+        for tag, key in _STEP_ANNOTATIONS:
             node = root.find(tag)
             if node is not None and (text := node.get(key)):
-                return {"begin": begin, "stop": stop, "step": text}
+                return {"begin": start_time, "stop": stop_time, "step": text}
         steps = [
             float(about.defaultExperiment.stepSize)
             for fmu in self.fmus.values()
             if (about := model_description(fmu)).defaultExperiment
             and about.defaultExperiment.stepSize
         ]
-        count = ceil((stop - begin) / min(steps) - 1e-6) if steps else _ROWS
-        return {"begin": begin, "stop": stop, "step": (stop - begin) / max(count, 1)}
+        count = ceil((stop_time - start_time) / min(steps) - 1e-6) if steps else _DEFAULT_ROWS
+        return {
+            "begin": start_time,
+            "stop": stop_time,
+            "step": (stop_time - start_time) / max(count, 1),
+        }
 
     def order(self, system: ET.Element) -> dict[str, str]:
         """Return the order of the coupling in our annotation; SSPs of other tools have none."""
-        coupling = _one(system, _COUPLING)
+        coupling = _find_element(system, _COUPLING)
         return {} if coupling is None else {"order": self.attribute(coupling, "order", SSD)}
 
-    def elements(self, system: ET.Element, place: ElementPath, units: Mapping[str, Any]) -> None:
+    def elements(
+        self, system: ET.Element, parent_path: ElementPath, units: Mapping[str, Any]
+    ) -> None:
         """Read connectors and elements of a system, then its connections."""
-        self.places.append(place)
-        self.connectors(system, place, units)
-        for node in _all(system, "ssd:Elements/*"):
+        self.places.append(parent_path)
+        self.connectors(system, parent_path, units)
+        for node in _find_elements(system, "ssd:Elements/*"):
             name = self.attribute(node, "name", "an element")
             kind = node.tag.rpartition("}")[2]
-            own = (*place, name)
-            if own in self.places:
-                raise self.error(f"two elements are named '{'.'.join(own)}'.")
+            element_path = (*parent_path, name)
+            if element_path in self.places:
+                raise self.error(f"two elements are named '{'.'.join(element_path)}'.")
             if kind == "System":
-                self.elements(node, own, units)
-                self.parameters(node, own)
+                self.elements(node, element_path, units)
+                self.parameters(node, element_path)
             elif kind == "Component":
-                self.component(node, own)
-                self.connectors(node, own, units)
-                self.parameters(node, own)
+                self.component(node, element_path)
+                self.connectors(node, element_path, units)
+                self.parameters(node, element_path)
             else:
                 raise self.refuse(f"element '{name}' is a {kind}, which is")
-        for node in _all(system, "ssd:Connections/ssd:Connection"):
-            self.connection(node, place)
+        for node in _find_elements(system, "ssd:Connections/ssd:Connection"):
+            self.connection(node, parent_path)
 
-    def component(self, node: ET.Element, place: ElementPath) -> None:
-        where = f"component '{'.'.join(place)}'"
+    def component(self, node: ET.Element, element_path: ElementPath) -> None:
+        where = f"component '{'.'.join(element_path)}'"
         source = self.attribute(node, "source", where)
         if not source.lower().endswith(".fmu"):
             raise self.refuse(f"{where} is {source}, no FMU, which is")
-        self.places.append(place)
+        self.places.append(element_path)
         # Names may collide on other file systems.
-        file = f"{re.sub(r'[^0-9A-Za-z_]', '_', place[-1])[:_LONGEST]}.fmu"
+        file = f"{re.sub(r'[^0-9A-Za-z_]', '_', element_path[-1])[:_MAX_FILE_NAME]}.fmu"
         fmu = self.folder / str(len(self.fmus)) / file
         fmu.parent.mkdir(exist_ok=True)
         fmu.write_bytes(self.member(source, f"{where}: "))
         try:
-            about = model_description(fmu)
+            description = model_description(fmu)
         except SimulationError as error:
             raise SimulationError(f"{self.path}: {where}: {error}") from error
-        if about.coSimulation is None or about.fmiVersion not in ("2.0", "3.0"):
+        if description.coSimulation is None or description.fmiVersion not in ("2.0", "3.0"):
             raise self.refuse(
-                f"{where} is of FMI {about.fmiVersion} or for model exchange only, which is"
+                f"{where} is of FMI {description.fmiVersion} or for model exchange only, which is"
             )
-        self.fmus[place] = fmu
-        self.graph.variables[place] = Variables(fmu, about)
+        self.fmus[element_path] = fmu
+        self.graph.variables[element_path] = Variables(fmu, description)
         hint = node.find(".//{*}StepSizeHint")
         if hint is not None:
-            self.steps[place] = hint.get("value", "")
+            self.steps[element_path] = hint.get("value", "")
 
-    def connectors(self, node: ET.Element, place: ElementPath, units: Mapping[str, Any]) -> None:
-        for connector in _all(node, "ssd:Connectors/ssd:Connector"):
+    def connectors(
+        self, node: ET.Element, element_path: ElementPath, units: Mapping[str, Any]
+    ) -> None:
+        for connector in _find_elements(node, "ssd:Connectors/ssd:Connector"):
             name = self.attribute(connector, "name", f"a connector of '{node.get('name')}'")
             kind = next((c for c in connector if c.tag.startswith(f"{{{_PREFIXES['ssc']}}}")), None)
             if any(connector.find(f"{p}:Dimension", _PREFIXES) is not None for p in ("ssc", "ssd")):
-                raise self.refuse(f"connector '{shown((place, name))}' is an array, which is")
+                raise self.refuse(
+                    f"connector '{format_connector((element_path, name))}' is an array, which is"
+                )
             unit = None if kind is None else kind.get("unit")
-            self.graph.kinds[place, name] = connector.get("kind", "")
-            self.graph.units[place, name] = (unit, units.get(unit)) if unit else None
+            self.graph.kinds[element_path, name] = connector.get("kind", "")
+            self.graph.units[element_path, name] = (unit, units.get(unit)) if unit else None
 
-    def connection(self, node: ET.Element, place: ElementPath) -> None:
+    def connection(self, node: ET.Element, system_path: ElementPath) -> None:
         ends: list[ConnectorName] = []
         for end in ("start", "end"):
             element = node.get(f"{end}Element")
-            own = place if element is None else (*place, element)
+            element_path = system_path if element is None else (*system_path, element)
             name = self.attribute(node, f"{end}Connector", "a connection")
-            if own not in self.places:
+            if element_path not in self.places:
                 raise self.error(
-                    f"connection of '{shown((own, name))}': '{element}' is not a component of the "
+                    f"connection of '{format_connector((element_path, name))}': '{element}' is "
+                    "not a component of the "
                     "system."
                 )
-            if own not in self.fmus and (own, name) not in self.graph.kinds:
+            if element_path not in self.fmus and (element_path, name) not in self.graph.kinds:
                 raise self.error(
-                    f"connection of '{shown((own, name))}': the system has no such connector."
+                    f"connection of '{format_connector((element_path, name))}': the system has "
+                    "no such connector."
                 )
             if node.get(f"{end}Indices"):
-                raise self.refuse(f"connection of '{shown((own, name))}': an index is")
-            ends.append((own, name))
-        gives = [
-            self.graph.kinds.get(end) in (_SYSTEM_GIVES if end[0] == place else _GIVES)
+                raise self.refuse(
+                    f"connection of '{format_connector((element_path, name))}': an index is"
+                )
+            ends.append((element_path, name))
+        is_source = [
+            self.graph.kinds.get(end)
+            in (_SYSTEM_SOURCE_KINDS if end[0] == system_path else _SOURCE_KINDS)
             for end in ends
         ]
         # The order of start and end does not state a direction.
-        source, target = ends[::-1] if gives[1] and not gives[0] else ends
-        where = f"connection '{shown(target)}' = '{shown(source)}'"
+        source, target = ends[::-1] if is_source[1] and not is_source[0] else ends
+        where = f"connection '{format_connector(target)}' = '{format_connector(source)}'"
         hop = Hop(
             target=target,
             suppressed=node.get("suppressUnitConversion") in TRUE,
-            transformation=transformation_of(node, where),
+            transformation=read_transformation(node, where),
         )
         self.graph.add(source, hop)
 
     def sources(self) -> Iterator[tuple[ConnectorName, ConnectorName, tuple[Conversion, ...]]]:
         """Yield input, output and conversions of connected components."""
         for source in list(self.graph.hops):
-            for way in self.graph.ends(source) if source[0] in self.fmus else ():
+            for path in self.graph.ends(source) if source[0] in self.fmus else ():
                 if self.graph.kinds.get(source) in ("calculatedParameter", "constant"):
-                    raise self.refuse(f"connection of the parameter '{shown(source)}' is")
-                steps = self.graph.conversions(source, way, self.graph.unit(source))
-                yield way[-1].target, source, steps
+                    raise self.refuse(
+                        f"connection of the parameter '{format_connector(source)}' is"
+                    )
+                steps = self.graph.conversions(source, path, self.graph.unit(source))
+                yield path[-1].target, source, steps
 
     def outputs(self) -> list[ConnectorName]:
         """Return all outputs with a connector, or all outputs."""
-        shown_ones = [
+        shown_outputs = [
             node
             for node, kind in self.graph.kinds.items()
             if node[0] in self.fmus and kind in ("output", "calculatedParameter", "local")
         ]
-        return shown_ones or [
-            (place, name)
-            for place, variables in self.graph.variables.items()
+        return shown_outputs or [
+            (element_path, name)
+            for element_path, variables in self.graph.variables.items()
             for name in variables.feedthrough
         ]
 
-    def parameters(self, node: ET.Element, place: ElementPath) -> None:
+    def parameters(self, node: ET.Element, element_path: ElementPath) -> None:
         """Apply the parameter bindings of an element, which replace those of inner ones."""
-        kind = "component" if place in self.fmus else "system"
-        where = f"{kind} '{'.'.join(place) or node.get('name')}'"
-        for binding in _all(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
+        kind = "component" if element_path in self.fmus else "system"
+        where = f"{kind} '{'.'.join(element_path) or node.get('name')}'"
+        for binding in _find_elements(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
             if binding.get("sourceBase") == "component":
                 raise self.refuse(f"{where}: a parameter source inside an FMU is")
             source = binding.get("source")
             prefix = binding.get("prefix", "")
             sets = (
-                _all(binding, "ssd:ParameterValues/ssv:ParameterSet")
+                _find_elements(binding, "ssd:ParameterValues/ssv:ParameterSet")
                 if source is None
-                else [self.parsed(source, f"{where}: ")]
+                else [self.parse_member(source, f"{where}: ")]
             )
             mapping = self.mapping(binding, where)
             for values in sets:
-                units = read_units(_all(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}")
-                for parameter in _all(values, "ssv:Parameters/ssv:Parameter"):
+                units = read_units(
+                    _find_elements(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}"
+                )
+                for parameter in _find_elements(values, "ssv:Parameters/ssv:Parameter"):
                     name = self.attribute(parameter, "name", f"{where}: a parameter")
                     value = self.value(parameter, units, f"{where}: parameter '{name}'")
                     if mapping is None:
-                        self.assign(place, prefix + name, value)
+                        self.assign(element_path, prefix + name, value)
                         continue
-                    for target, more in mapping.get(prefix + name, ()):
-                        self.assign(place, target, replace(value, **more))
+                    for target, conversion_options in mapping.get(prefix + name, ()):
+                        self.assign(element_path, target, replace(value, **conversion_options))
 
     def mapping(
         self, binding: ET.Element, where: str
     ) -> dict[str, list[tuple[str, dict[str, Any]]]] | None:
-        node = _one(binding, "ssd:ParameterMapping")
+        node = _find_element(binding, "ssd:ParameterMapping")
         if node is None:
             return None
         source = node.get("source")
-        found: dict[str, list[tuple[str, dict[str, Any]]]] = {}
-        root = node if source is None else self.parsed(source, f"{where}: ")
+        targets_by_name: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+        root = node if source is None else self.parse_member(source, f"{where}: ")
         for entry in root.iter(f"{{{_PREFIXES['ssm']}}}MappingEntry"):
             name, target = (
                 self.attribute(entry, key, f"{where}: a mapping") for key in ("source", "target")
             )
-            more = {
-                "after": transformation_of(entry, f"{where}: mapping of '{name}'"),
+            conversion_options = {
+                "after": read_transformation(entry, f"{where}: mapping of '{name}'"),
                 "suppressed": entry.get("suppressUnitConversion") in TRUE,
             }
-            found.setdefault(name, []).append((target, more))
-        return found
+            targets_by_name.setdefault(name, []).append((target, conversion_options))
+        return targets_by_name
 
     def value(self, parameter: ET.Element, units: Mapping[str, Any], where: str) -> ParameterValue:
         for node in parameter:
@@ -345,57 +389,59 @@ class _Reader:
                 number = int(text) if "Int" in kind else float(text)
             except ValueError as error:
                 raise self.error(f"{where} is '{text}', which is not of type {kind}.") from error
-            own = node.get("unit")
-            return ParameterValue(value=number, unit=(own, units.get(own)) if own else None)
+            unit_name = node.get("unit")
+            return ParameterValue(
+                value=number, unit=(unit_name, units.get(unit_name)) if unit_name else None
+            )
         raise self.error(f"{where} has no value.")
 
-    def assign(self, place: ElementPath, name: str, parameter: ParameterValue) -> bool:
+    def assign(self, outer_path: ElementPath, name: str, parameter: ParameterValue) -> bool:
         """Set a parameter below an element by its hierarchical name; return whether it exists."""
-        found = False
-        for inner in self.places:
-            prefix = "".join(f"{part}." for part in inner[len(place) :])
-            if inner[: len(place)] != place or not name.startswith(prefix):
+        exists = False
+        for inner_path in self.places:
+            prefix = "".join(f"{part}." for part in inner_path[len(outer_path) :])
+            if inner_path[: len(outer_path)] != outer_path or not name.startswith(prefix):
                 continue
-            own = name.removeprefix(prefix)
-            if inner in self.fmus:
-                found |= self.set(inner, own, parameter)
-            elif (inner, own) in self.graph.kinds:
-                found = True
-                for way in self.graph.ends((inner, own)):
-                    self.set(*way[-1].target, parameter, (inner, own), way)
-        return found
+            inner_name = name.removeprefix(prefix)
+            if inner_path in self.fmus:
+                exists |= self.set(inner_path, inner_name, parameter)
+            elif (inner_path, inner_name) in self.graph.kinds:
+                exists = True
+                for path in self.graph.ends((inner_path, inner_name)):
+                    self.set(*path[-1].target, parameter, (inner_path, inner_name), path)
+        return exists
 
     def set(
         self,
-        place: ElementPath,
+        element_path: ElementPath,
         name: str,
         parameter: ParameterValue,
         connector: ConnectorName | None = None,
-        way: tuple[Hop, ...] = (),
+        path: tuple[Hop, ...] = (),
     ) -> bool:
-        variables = self.graph.variables[place]
+        variables = self.graph.variables[element_path]
         try:
             elements = variables.elements(name)
         except SimulationError:
             return False
-        where = f"{self.path}: component '{'.'.join(place)}': parameter '{name}'"
+        where = f"{self.path}: component '{'.'.join(element_path)}': parameter '{name}'"
         for element in elements:
             value = parameter.value
             unit = None if parameter.suppressed else parameter.unit
-            into = connector and self.graph.unit(connector)
+            target_unit = connector and self.graph.unit(connector)
             if unit and not connector:
                 value = convert_to_unit(variables, element, value, unit, where)
-            elif unit and into:
-                value = between(unit, into, where)(value)
+            elif unit and target_unit:
+                value = find_conversion(unit, target_unit, where)(value)
             if parameter.after:
-                value = parameter.after.applied(value, where)
+                value = parameter.after.apply(value, where)
             if isinstance(value, str | bool):
-                for change in (hop.transformation for hop in way if hop.transformation):
-                    value = change.applied(value, where)
+                for transformation in (hop.transformation for hop in path if hop.transformation):
+                    value = transformation.apply(value, where)
             elif connector:
-                for step in self.graph.conversions(connector, way, into or unit):
+                for step in self.graph.conversions(connector, path, target_unit or unit):
                     value = step(value)
-            self.start.setdefault(place, {})[element] = value
+            self.start.setdefault(element_path, {})[element] = value
         return True
 
     def signal(self, component: str, connector: str) -> str:
@@ -404,9 +450,9 @@ class _Reader:
         return f"{component}.{connector}"
 
 
-def _one(node: ET.Element, path: str) -> ET.Element | None:
+def _find_element(node: ET.Element, path: str) -> ET.Element | None:
     return node.find(path, _PREFIXES)
 
 
-def _all(node: ET.Element, path: str) -> list[ET.Element]:
+def _find_elements(node: ET.Element, path: str) -> list[ET.Element]:
     return node.findall(path, _PREFIXES)

@@ -16,13 +16,13 @@ from fmu_src.run.reference_results import (
     ReferenceExperiment,
     Verified,
     experiments,
-    judged,
+    judge_experiment,
     manifest_files,
     table,
 )
-from fmu_src.run.trust import is_ours
+from fmu_src.run.trust import is_trusted
 from hesr.extras.ssp.contents import SystemContents
-from hesr.extras.ssp.ssp_reader import opened_ssp
+from hesr.extras.ssp.ssp_reader import open_ssp
 from hesr_model.errors import HesrError, SimulationError
 
 TOLERANCE = 1e-9
@@ -51,62 +51,69 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
     It is empty without outputs, if an FMU is not trusted or has its own step, or a run fails.
     """
     system = contents.spec
-    signals = [f"{component}.{output}" for component, output in contents.used]
-    mixed = any(system.every(c) > 1 for c in system.components)
-    if mixed or not signals or not all(is_ours(c.fmu) for c in system.components):
+    signals = [f"{component}.{output}" for component, output in contents.used_outputs]
+    is_multirate = any(system.find_step_multiple(c) > 1 for c in system.components)
+    if is_multirate or not signals or not all(is_trusted(c.fmu) for c in system.components):
         return {}
     t = np.round(system.step * np.arange(min(ROWS, system.steps) + 1), 12)
     try:
-        found = {name: _run(system, signals, t, name) for name in _SCHEMES}
+        signals_by_scheme = {name: _run_scheme(system, signals, t, name) for name in _SCHEMES}
     except HesrError:
         return {}
     ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _SCHEMES.items())
     files = {"extra/README.txt": _README.format(step=system.step, ways=ways).encode()}
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
-    files |= {f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14) for name, rows in found.items()}
-    own = ExperimentFiles(
+    files |= {
+        f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14)
+        for name, rows in signals_by_scheme.items()
+    }
+    experiment_files = ExperimentFiles(
         runs=[(name, text, name) for name, (_, text) in _SCHEMES.items()],
         t=t,
         step=system.step,
         tolerance=TOLERANCE,
         stem=_STEM,
     )
-    return files | manifest_files([own], files)
+    return files | manifest_files([experiment_files], files)
 
 
 def verify_ssp(path: Path) -> Verified:
     """Run the experiments in an SSP and compare with its reference results."""
-    found = Verified()
+    verified = Verified()
     with Archive(path, "SSP") as archive:
-        stored = experiments(archive, found)
-    if stored:
-        with opened_ssp(path, {}, {}) as system:
-            for experiment in stored:
-                _judge(system, experiment, found)
-    return found
+        stored_experiments = experiments(archive, verified)
+    if stored_experiments:
+        with open_ssp(path, {}, {}) as system:
+            for experiment in stored_experiments:
+                _judge(system, experiment, verified)
+    return verified
 
 
-def _judge(system: SystemSpec, experiment: ReferenceExperiment, found: Verified) -> None:
-    own = experiment.name
+def _judge(system: SystemSpec, experiment: ReferenceExperiment, verified: Verified) -> None:
+    experiment_name = experiment.name
     t = experiment.t
     signals = list(experiment.outputs)
 
-    def played(way: str) -> np.ndarray:
-        rows = _run(system, signals, t, way)
+    def play_experiment(scheme_name: str) -> np.ndarray:
+        rows = _run_scheme(system, signals, t, scheme_name)
         return np.column_stack([rows[name] for name in signals])
 
     if len(t) < 2 or np.any(np.abs(t - system.step * np.arange(len(t))) > 1e-9 * system.step):
-        found.skipped.append(f"Experiment '{own}': its rows are not at the system's steps.")
+        verified.skipped.append(
+            f"Experiment '{experiment_name}': its rows are not at the system's steps."
+        )
         return
-    judged(experiment, _SCHEMES, played, found)
+    judge_experiment(experiment, _SCHEMES, play_experiment, verified)
 
 
-def _run(system: SystemSpec, signals: list[str], t: np.ndarray, way: str) -> dict[str, np.ndarray]:
+def _run_scheme(
+    system: SystemSpec, signals: list[str], t: np.ndarray, scheme_name: str
+) -> dict[str, np.ndarray]:
     update = {"stop": system.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
-    scheme = ExchangeScheme(order="jacobi", refreshed=_SCHEMES[way][0])
+    scheme = ExchangeScheme(order="jacobi", refreshed=_SCHEMES[scheme_name][0])
     with Master(system.model_copy(update=update), scheme=scheme) as master:
-        found = master.run().require_success().signals
+        signal_values = master.run().require_success().signals
     for signal in signals:
-        if signal not in found:
+        if signal not in signal_values:
             raise SimulationError(f"'{signal}' is a vector; reference results are scalars.")
-    return found
+    return signal_values

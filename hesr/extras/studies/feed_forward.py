@@ -16,14 +16,14 @@ from cosim.loop.closed_loop import StandIn
 from cosim.loop.traces import Following, FollowingError
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from fmu_src.run.fmu import FmuInstance
-from fmu_src.run.native import through
+from fmu_src.run.native import step_rows
 from hesr_model.errors import HesrError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
-from hesr_model.rigid_body.servo import ServoFit, cascade, commanded, identify_servo
+from hesr_model.rigid_body.servo import ServoFit, cascade, compute_commands, identify_servo
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array, rms
 from hesr_model.support.files import scratch_folder
@@ -31,9 +31,9 @@ from hesr_model.support.files import scratch_folder
 AS_LOGGED = "commands as logged"
 AHEAD = "commands sent ahead by the latency"
 
-_LONGEST = 30.0  # [s] of a log that are run
-_DRAWS = 10  # plants with gains of the servo as likely as the identified ones
-_WIDTH = 2.0  # standard deviations on each side of an interval
+_MAX_DURATION = 30.0  # [s] of a log that are run
+_DRAW_COUNT = 10  # plants with gains of the servo as likely as the identified ones
+_INTERVAL_DEVIATIONS = 2.0  # standard deviations on each side of an interval
 
 _log = logging.getLogger(__name__)
 
@@ -47,17 +47,17 @@ def predict_following(
 ) -> Following:
     """Predict following errors of laws on the first log with commands, for the friction `model`."""
     try:
-        known = [log for log in logs if log.q_cmd is not None or log.dq_cmd is not None]
-        log = max((known or logs)[0].parts(), key=lambda part: np.ptp(part.t))
-        log = log.rows(log.t - log.t[0] <= _LONGEST)
+        commanded_logs = [log for log in logs if log.q_cmd is not None or log.dq_cmd is not None]
+        log = max((commanded_logs or logs)[0].parts(), key=lambda part: np.ptp(part.t))
+        log = log.rows(log.t - log.t[0] <= _MAX_DURATION)
         servo = identify_servo(log, robot, body.parameters)
         with scratch_folder() as folder:
-            return _predicted(log, robot, body, models, model, servo, folder / "Plant.fmu")
+            return _predict_errors(log, robot, body, models, model, servo, folder / "Plant.fmu")
     except HesrError as error:
         return Following(missing=str(error).rstrip("."))
 
 
-def _predicted(
+def _predict_errors(
     log: Log,
     robot: Robot,
     body: RigidBody,
@@ -68,36 +68,50 @@ def _predicted(
 ) -> Following:
     commands = dict(feed_forward(log, robot, body, models, servo))
     kv, ki, kp = (tuple(map(float, gains)) for gains in cascade(servo.factors))
-    plant_body = PlantBody.of(robot, body)
+    plant_body = PlantBody.from_robot(robot, body)
     export_plant(model, fmu, body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
-    error = commanded(log)[0] - log.q
-    missed = _missing_torque(log, robot, body, model)
+    error = compute_commands(log)[0] - log.q
+    missing_torque = _estimate_missing_torque(log, robot, body, model)
     generator = np.random.default_rng(0)
-    drawn = [servo.factors, *(servo.drawn(generator) for _ in range(_DRAWS))]
+    drawn_factors = [servo.factors, *(servo.draw(generator) for _ in range(_DRAW_COUNT))]
     rows = []
     with FmuInstance(fmu, name="plant") as instance:
 
         def run(command: str, torque: Array, factors: Array = servo.factors) -> Array:
-            return _run(instance, log, commands[command], torque, servo, factors, position=any(kp))
+            return _run_plant(
+                instance, log, commands[command], torque, servo, factors, position=any(kp)
+            )
 
-        nothing = np.zeros_like(missed)
-        bases = [run(AS_LOGGED, nothing, factors) for factors in drawn]
-        base = run(AS_LOGGED, missed)
+        no_torque = np.zeros_like(missing_torque)
+        bases = [run(AS_LOGGED, no_torque, factors) for factors in drawn_factors]
+        base = run(AS_LOGGED, missing_torque)
         for name in commands:
-            own = (run(name, nothing, factors) for factors in drawn)
-            runs = bases if name == AS_LOGGED else list(own)
-            free = [error + b - q for b, q in zip(bases, runs, strict=True)]
-            held = error + base - run(name, missed)
-            moved = error + base - run(name, _moved(log, missed, runs[0]))
+            drawn_runs = (run(name, no_torque, factors) for factors in drawn_factors)
+            runs = bases if name == AS_LOGGED else list(drawn_runs)
+            free_errors = [error + b - q for b, q in zip(bases, runs, strict=True)]
+            held_error = error + base - run(name, missing_torque)
+            shifted_error = (
+                error + base - run(name, _shift_missing_torque(log, missing_torque, runs[0]))
+            )
             if log.q_cmd is None:  # a velocity command fixes no position
-                moved, held, *free = (e - e.mean(axis=0) for e in (moved, held, *free))
-            middle, *others = (rms(e) for e in (moved, *free))
-            missing = np.maximum(rms(moved - held), rms(moved - free[0]))
-            spread = np.hypot(missing, _WIDTH * np.std(others, axis=0))
+                shifted_error, held_error, *free_errors = (
+                    e - e.mean(axis=0) for e in (shifted_error, held_error, *free_errors)
+                )
+            middle, *drawn_errors = (rms(e) for e in (shifted_error, *free_errors))
+            missing = np.maximum(
+                rms(shifted_error - held_error), rms(shifted_error - free_errors[0])
+            )
+            spread = np.hypot(missing, _INTERVAL_DEVIATIONS * np.std(drawn_errors, axis=0))
             low = np.maximum(middle - spread, 0.0)
             high = middle + spread
-            one, below, above = (tuple(map(float, values)) for values in (middle, low, high))
-            rows.append(FollowingError(command=name, error=one, low=below, high=above))
+            central_errors, lower_errors, upper_errors = (
+                tuple(map(float, values)) for values in (middle, low, high)
+            )
+            rows.append(
+                FollowingError(
+                    command=name, error=central_errors, low=lower_errors, high=upper_errors
+                )
+            )
     return Following(
         log=log.name,
         latency=servo.latency,
@@ -112,65 +126,69 @@ def feed_forward(
     log: Log, robot: Robot, body: RigidBody, models: Mapping[str, FrictionModel], servo: ServoFit
 ) -> Iterator[tuple[str, tuple[Array, Array]]]:
     """Yield commanded positions and velocities (N, n) by name."""
-    t, position, speed = log.t, *commanded(log)
+    t, position, speed = log.t, *compute_commands(log)
     yield AS_LOGGED, (position, speed)
-    desired = Log(name=log.name, t=t, q=position, dq=None, tau=np.zeros_like(position))
-    ahead = servo.latency + 0.5 * log.period * servo.held
-    q, dq, ddq = _sent_ahead(smooth(desired, robot.description.log.filter_cutoff), ahead)
+    desired_log = Log(name=log.name, t=t, q=position, dq=None, tau=np.zeros_like(position))
+    lead = servo.latency + 0.5 * log.period * servo.held
+    q, dq, ddq = _advance_motion(smooth(desired_log, robot.description.log.filter_cutoff), lead)
     yield AHEAD, (q, dq)
-    still = np.zeros_like(q)
-    load = robot.torque(body.parameters, q, dq, ddq)
-    supported = servo.gravity_share * robot.torque(body.parameters, q, still, still)
-    yield StandIn.BODY_ONLY, (q, dq + _inverse(load - supported, t, servo))
-    for law, model in models.items():
+    standstill = np.zeros_like(q)
+    tau_load = robot.torque(body.parameters, q, dq, ddq)
+    supported_torque = servo.gravity_share * robot.torque(
+        body.parameters, q, standstill, standstill
+    )
+    yield StandIn.BODY_ONLY, (q, dq + _invert_servo(tau_load - supported_torque, t, servo))
+    for law_name, model in models.items():
         try:
-            friction = model.predict(t=t, dq=dq, q=q, tau_load=load)
+            friction = model.predict(t=t, dq=dq, q=q, tau_load=tau_load)
         except HesrError as error:
-            _log.warning("warning: %s has no feed-forward: %s", law, error)
+            _log.warning("warning: %s has no feed-forward: %s", law_name, error)
             continue
-        yield law, (q, dq + _inverse(load + friction - supported, t, servo))
+        yield law_name, (q, dq + _invert_servo(tau_load + friction - supported_torque, t, servo))
 
 
-def _missing_torque(log: Log, robot: Robot, body: RigidBody, model: FrictionModel) -> Array:
+def _estimate_missing_torque(
+    log: Log, robot: Robot, body: RigidBody, model: FrictionModel
+) -> Array:
     """Return the torque (N, n) that body and law miss on a log, smoothed as its motion."""
     records = friction_records(log, robot, body)
-    missed = np.column_stack([record.tau for record in records]) - model.predict(records)
-    return smooth(replace(log, q=missed, dq=None), robot.description.log.filter_cutoff).q
+    missing_torque = np.column_stack([record.tau for record in records]) - model.predict(records)
+    return smooth(replace(log, q=missing_torque, dq=None), robot.description.log.filter_cutoff).q
 
 
-def _moved(log: Log, missed: Array, q: Array) -> Array:
+def _shift_missing_torque(log: Log, missing_torque: Array, q: Array) -> Array:
     """Return the missed torque (N, n) when each joint reaches its positions sooner, as in `q`."""
     speed = np.gradient(log.q, log.t, axis=0)
-    sooner = np.sum((q - log.q) * speed, axis=0) / np.sum(speed**2, axis=0)
-    columns = zip(sooner, missed.T, strict=True)
+    lead_times = np.sum((q - log.q) * speed, axis=0) / np.sum(speed**2, axis=0)
+    columns = zip(lead_times, missing_torque.T, strict=True)
     return np.column_stack([np.interp(log.t + s, log.t, column) for s, column in columns])
 
 
-def _sent_ahead(motion: Motion, ahead: float) -> tuple[Array, ...]:
-    later = np.minimum(motion.t + ahead, motion.t[-1])
+def _advance_motion(motion: Motion, lead: float) -> tuple[Array, ...]:
+    sampled_times = np.minimum(motion.t + lead, motion.t[-1])
     return tuple(
-        np.column_stack([np.interp(later, motion.t, column) for column in values.T])
+        np.column_stack([np.interp(sampled_times, motion.t, column) for column in values.T])
         for values in (motion.q, motion.dq, motion.ddq)
     )
 
 
-def _inverse(torque: Array, t: Array, servo: ServoFit) -> Array:
+def _invert_servo(torque: Array, t: Array, servo: ServoFit) -> Array:
     """Return the velocities (N, n) whose servo adds `torque` to what it holds at first."""
     kv, ki, _ = cascade(servo.factors)
-    found = np.zeros_like(torque)
-    held = np.where(ki > 0.0, torque[0], 0.0)
-    for k, step in enumerate(np.diff(t)):
-        found[k] = (torque[k] - held) / (kv + 0.5 * step * ki)
-        held = held + step * ki * found[k]
-    found[-1] = found[-2]
-    return found
+    velocities = np.zeros_like(torque)
+    held_torque = np.where(ki > 0.0, torque[0], 0.0)
+    for k, period in enumerate(np.diff(t)):
+        velocities[k] = (torque[k] - held_torque) / (kv + 0.5 * period * ki)
+        held_torque = held_torque + period * ki * velocities[k]
+    velocities[-1] = velocities[-2]
+    return velocities
 
 
-def _run(
+def _run_plant(
     instance: FmuInstance,
     log: Log,
     command: tuple[Array, Array],
-    missed: Array,
+    missing_torque: Array,
     servo: ServoFit,
     factors: Array,
     *,
@@ -185,12 +203,12 @@ def _run(
     latency = max(servo.latency - delay, 0.0)
     if instance.used:
         instance.reset()
-    instance.initialise(start=instance.variables.expanded({**numbers, "latency": latency}))
+    instance.initialise(start=instance.variables.expand_values({**numbers, "latency": latency}))
     joints = range(1, log.q.shape[1] + 1)
     names = ("q_cmd", "dq_cmd") if position else ("dq_cmd",)
-    values = np.hstack([*(command if position else command[1:]), -missed])
+    values = np.hstack([*(command if position else command[1:]), -missing_torque])
     inputs = instance.buffer([f"{name}[{i}]" for name in (*names, "tau") for i in joints])
     outputs = instance.buffer([f"q[{i}]" for i in joints])
-    first = outputs.read().copy()
-    rows = through(instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), values[:-1])
-    return np.vstack([first, rows])
+    first_outputs = outputs.read().copy()
+    rows = step_rows(instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), values[:-1])
+    return np.vstack([first_outputs, rows])

@@ -24,114 +24,140 @@ FACTORS = tuple(float(f) for f in np.round(np.arange(0.2, 3.01, 0.2), 1))
 """Factors on the friction torque in the search for limit cycles."""
 CYCLING = 2e-4
 """RMS motion of an arm at rest [rad] that counts as cycling: ten times the encoder noise."""
-_REST = 4.0  # [s]
-_AS_IT_IS = "as it is"
+_REST_DURATION = 4.0  # [s]
+_UNCHANGED = "as it is"
 
-_MOTIONS = 3
+_MOTION_COUNT = 3
 
 
 def run_robustness(
-    loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, known: Sequence[Tracked]
+    loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, tracked: Sequence[Tracked]
 ) -> tuple[list[Tracked], list[Overcompensation]]:
     """Return the results of `run_sweeps` and `run_overcompensation`."""
-    return run_sweeps(loop, robot, body, folder, known), run_overcompensation(loop)
+    return run_sweeps(loop, robot, body, folder, tracked), run_overcompensation(loop)
 
 
 def run_sweeps(
-    loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, known: Sequence[Tracked]
+    loop: StudyLoop, robot: Robot, body: RigidBody, folder: Path, tracked: Sequence[Tracked]
 ) -> list[Tracked]:
     """Run the selected laws under every change, on a few motions.
 
-    `known` rows provide the unchanged loops; `folder` receives the FMUs of identified payloads.
+    `tracked` rows provide the unchanged loops; `folder` receives the FMUs of identified payloads.
     """
-    rows = list(_rows(loop, _payload_bodies(robot, body, folder, loop.step)))
-    found = {}
-    for t in known:
-        if not t.failures:
-            scheme = replace(t.scheme, change=_AS_IT_IS)
-            rmse = t.rmse
-            last = t.last
-            few = replace(t, scheme=scheme, rmse=rmse[:_MOTIONS], last=last[:_MOTIONS], trace=None)
-            found[scheme, t.law] = few
-    left = [row for row in rows if (row.scheme, row.law) not in found]
-    run = loop.track(left, motions(loop.tracking)[:_MOTIONS], loop.tracking.duration, "robustness")
-    found |= {(t.scheme, t.law): t for t in run}
-    return [found[row.scheme, row.law] for row in rows]
+    rows = list(_build_rows(loop, _export_payload_bodies(robot, body, folder, loop.step)))
+    tracked_by_row = {}
+    for tracked_row in tracked:
+        if not tracked_row.failures:
+            scheme = replace(tracked_row.scheme, change=_UNCHANGED)
+            rmse = tracked_row.rmse
+            last = tracked_row.last
+            short_row = replace(
+                tracked_row,
+                scheme=scheme,
+                rmse=rmse[:_MOTION_COUNT],
+                last=last[:_MOTION_COUNT],
+                trace=None,
+            )
+            tracked_by_row[scheme, tracked_row.law] = short_row
+    missing_rows = [row for row in rows if (row.scheme, row.law) not in tracked_by_row]
+    new_rows = loop.track(
+        missing_rows, motions(loop.tracking)[:_MOTION_COUNT], loop.tracking.duration, "robustness"
+    )
+    tracked_by_row |= {
+        (tracked_row.scheme, tracked_row.law): tracked_row for tracked_row in new_rows
+    }
+    return [tracked_by_row[row.scheme, row.law] for row in rows]
 
 
 def run_overcompensation(loop: StudyLoop) -> list[Overcompensation]:
     """Find the lowest factor on friction compensation that makes each loop cycle."""
     sources: tuple[VelocitySource, ...] = ("desired", "measured", "filtered")
     cases = [
-        (law, Scheme(compensation="servo_inversion", source=source))
-        for law in loop.tracking.sources
+        (law_name, Scheme(compensation="servo_inversion", source=source))
+        for law_name in loop.tracking.sources
         for source in sources
     ]
     offset = np.array(loop.tracking.offset)
-    still = LoopMotion.of(Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0))
+    rest_motion = LoopMotion.from_trajectory(
+        Sine(offset=offset, amplitude=np.zeros(len(offset)), frequency=1.0)
+    )
     rows = [
-        loop.row(law, replace(scheme, friction_gain=factor))
-        for law, scheme in cases
+        loop.row(law_name, replace(scheme, friction_gain=factor))
+        for law_name, scheme in cases
         for factor in FACTORS
     ]
-    found = loop.track(rows, [still], _REST, "over-compensation")
+    tracked = loop.track(rows, [rest_motion], _REST_DURATION, "over-compensation")
     results = []
-    for k, (law, scheme) in enumerate(cases):
-        errors = [t.rmse[0] for t in found[k * len(FACTORS) : (k + 1) * len(FACTORS)]]
-        beyond = (
+    for k, (law_name, scheme) in enumerate(cases):
+        errors = [
+            tracked_row.rmse[0]
+            for tracked_row in tracked[k * len(FACTORS) : (k + 1) * len(FACTORS)]
+        ]
+        cycling_factors = (
             factor
             for factor, error in zip(FACTORS, errors, strict=True)
             if not np.all(error < CYCLING)  # also NaN of a failed run
         )
-        results.append(Overcompensation(law=law, scheme=scheme, factor=next(beyond, None)))
+        results.append(
+            Overcompensation(law=law_name, scheme=scheme, factor=next(cycling_factors, None))
+        )
     return results
 
 
-def _rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
+def _build_rows(loop: StudyLoop, payloads: Mapping[float, Path]) -> Iterator[LoopRow]:
     schemes = (
         Scheme(compensation="torque_error"),
         Scheme(compensation="servo_inversion"),
         Scheme(compensation="servo_inversion", Kx=loop.tracking.Kx),
     )
     for scheme in schemes:
-        for law in (StandIn.BODY_ONLY, *loop.tracking.sources, StandIn.ORACLE):
-            for change, setting in _changed(loop.setting(law, scheme), payloads):
-                yield LoopRow(scheme=replace(scheme, change=change), law=law, setting=setting)
+        for law_name in (StandIn.BODY_ONLY, *loop.tracking.sources, StandIn.ORACLE):
+            for change, setting in _vary_setting(loop.setting(law_name, scheme), payloads):
+                yield LoopRow(scheme=replace(scheme, change=change), law=law_name, setting=setting)
 
 
-def _changed(setting: Setting, payloads: Mapping[float, Path]) -> Iterator[tuple[str, Setting]]:
+def _vary_setting(
+    setting: Setting, payloads: Mapping[float, Path]
+) -> Iterator[tuple[str, Setting]]:
     gains = setting.gains
     fmus = setting.fmus
-    yield _AS_IT_IS, setting
+    yield _UNCHANGED, setting
     for mass, body in payloads.items():
         arm = {"payload": mass}
         yield f"payload {mass:g} kg", replace(setting, arm=arm)
         # The servo compensates the gravity of the bare arm.
-        known = replace(fmus, body=body, gravity=fmus.body)
-        yield f"payload {mass:g} kg, identified", replace(setting, arm=arm, fmus=known)
+        identified_fmus = replace(fmus, body=body, gravity=fmus.body)
+        yield f"payload {mass:g} kg, identified", replace(setting, arm=arm, fmus=identified_fmus)
     for scale in FRICTION_SCALES:
         yield f"friction x {scale:g}", replace(setting, arm={"friction_scale": scale})
     for latency in LATENCIES:
-        changed = gains.model_copy(update={"latency": latency})
-        late = replace(setting, arm={"latency": latency}, gains=changed)
-        yield f"latency {1e3 * latency:g} ms", late
+        changed_gains = gains.model_copy(update={"latency": latency})
+        late_setting = replace(setting, arm={"latency": latency}, gains=changed_gains)
+        yield f"latency {1e3 * latency:g} ms", late_setting
     for error in GAIN_ERRORS:
-        wrong = {name: tuple(error * g for g in getattr(gains, name)) for name in ("Kv", "Ki")}
-        yield f"servo gains x {error:g}", replace(setting, gains=gains.model_copy(update=wrong))
+        wrong_gains = {
+            name: tuple(error * g for g in getattr(gains, name)) for name in ("Kv", "Ki")
+        }
+        yield (
+            f"servo gains x {error:g}",
+            replace(setting, gains=gains.model_copy(update=wrong_gains)),
+        )
     noise = tuple(NOISE * sigma for sigma in setting.noise)
     yield f"torque noise x {NOISE:g}", replace(setting, arm={"tau_meas_noise": noise})
 
 
-def _payload_bodies(robot: Robot, body: RigidBody, folder: Path, step: float) -> dict[float, Path]:
+def _export_payload_bodies(
+    robot: Robot, body: RigidBody, folder: Path, step: float
+) -> dict[float, Path]:
     source = robot.description.model
     paths = {}
     for mass in PAYLOADS:
-        loaded = folder / f"payload_{mass:g}.xml"
+        loaded_path = folder / f"payload_{mass:g}.xml"
         text = source.read_text(encoding="utf-8")
-        loaded.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
-        description = robot.description.model_copy(update={"model": loaded})
+        loaded_path.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
+        description = robot.description.model_copy(update={"model": loaded_path})
         change = Robot(description).nominal_parameters - robot.nominal_parameters
         content = inverse_dynamics(robot, body.parameters + change, step=step)
         paths[mass] = write_fmu(content, folder / f"InverseDynamics_{mass:g}kg.fmu")
-        loaded.unlink()
+        loaded_path.unlink()
     return paths

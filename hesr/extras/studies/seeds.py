@@ -7,11 +7,18 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from cosim.loop.excite import Recording, export_twin, loaded_arm, recorded, recordings, twin_plant
+from cosim.loop.excite import (
+    Recording,
+    export_twin,
+    load_arm,
+    record_directions,
+    record_motions,
+    twin_plant,
+)
 from cosim.loop.motions import FourierMotion, Motions, MotionSpec, SweepMotion
 from cosim.study import scores
 from cosim.study.results import Seeds, SeedScores, Spread
-from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, by_joint
+from cosim.study.scores import MEASURED_START, ORACLE, REFERENCE, Errors, transpose_records
 from cosim.study.study import Study
 from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
@@ -24,15 +31,15 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
-from hesr_model.support.progress import Progress, counted, silent
+from hesr_model.support.progress import Progress, report_progress, silent
 
-LEAST = 2  # draws
+MIN_DRAWS = 2  # draws
 LEVEL = 0.15
 VISCOSITY = 0.3
 """Standard deviations of the logarithms of Coulomb and viscous friction."""
-_AMPLITUDE = 0.8  # minimum, of motions other than Fourier series
-_TRIES = 100  # draws of a Fourier motion within the limits
-_UPPER = 0.975  # quantile
+_MIN_AMPLITUDE = 0.8  # minimum, of motions other than Fourier series
+_MAX_TRIES = 100  # draws of a Fourier motion within the limits
+_UPPER_QUANTILE = 0.975  # quantile
 
 
 def run_seeds(
@@ -46,24 +53,26 @@ def run_seeds(
         raise ConfigError(
             f"{path}: --seeds needs the friction of the MJCF; remove the key 'twin.truth'."
         )
-    if seeds < LEAST:
-        raise ConfigError(f"--seeds is {seeds}; at least {LEAST} are needed.")
-    named = tuple(laws or study.laws)
-    if not named:
+    if seeds < MIN_DRAWS:
+        raise ConfigError(f"--seeds is {seeds}; at least {MIN_DRAWS} are needed.")
+    law_names = tuple(laws or study.laws)
+    if not law_names:
         raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
-    jobs = [partial(one_draw, study, study.seed + k, named) for k in range(seeds)]
+    jobs = [partial(simulate_draw, study, study.seed + k, law_names) for k in range(seeds)]
     with parallel.results_of(jobs, names=[f"draw {k + 1}" for k in range(seeds)]) as results:
-        drawn = [next(results) for _ in counted(jobs, progress)]
-    reference = REFERENCE if REFERENCE in named else named[0]
+        draws = [next(results) for _ in report_progress(jobs, progress)]
+    reference = REFERENCE if REFERENCE in law_names else law_names[0]
     return Seeds(
         seeds=seeds,
         joints=RobotDescription.read(study.robot).joints,
         reference=reference,
-        tests={test: _scores([d[test] for d in drawn], reference) for test in study.logs.test},
+        tests={
+            test: _summarise_scores([d[test] for d in draws], reference) for test in study.logs.test
+        },
     )
 
 
-def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
+def simulate_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     """Return the errors of laws and true friction on the test sets of one draw."""
     assert study.twin is not None
     rng = np.random.default_rng(seed)
@@ -71,24 +80,26 @@ def one_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     noise_seed = int(rng.integers(2**31))
     joints = len(plant.joints)
     levels, rates = (np.exp(rng.normal(0.0, sd, joints)) for sd in (LEVEL, VISCOSITY))
-    with loaded_arm(plant, signals=servo_signals(plant, levels, rates)) as arm:
-        found = [
+    with load_arm(plant, signals=servo_signals(plant, levels, rates)) as arm:
+        arm_recordings = [
             recording
             for motion in Motions.read(study.twin.motions).motions
-            for recording in recorded(arm, _drawn(motion, arm.limits, rng), noise_seed)
+            for recording in record_directions(
+                arm, _draw_motion(motion, arm.limits, rng), noise_seed
+            )
         ]
-    return errors_on(study, found, laws, partial(fit_models, seed=seed, workers=1))
+    return compute_errors(study, arm_recordings, laws, partial(fit_models, seed=seed, workers=1))
 
 
-def errors_on(
+def compute_errors(
     study: Study,
     recordings: Sequence[Recording],
     laws: Sequence[str],
     fit: Callable[..., dict[str, FrictionModel]],
 ) -> Errors:
     """Return the errors of laws and true friction on the test sets of a twin's logs."""
-    logs = {found.log.name: found.log for found in recordings}
-    truths = {found.log.name: found.truth.tau_f_true for found in recordings}
+    logs = {recording.log.name: recording.log for recording in recordings}
+    truths = {recording.log.name: recording.truth.tau_f_true for recording in recordings}
     robot = Robot(RobotDescription.read(study.robot))
     body = identify(
         [logs[name] for name in study.logs.identification],
@@ -97,62 +108,73 @@ def errors_on(
         physical=study.physical,
     )
 
-    def of_logs(names: Sequence[str]) -> list[list[FrictionRecord]]:
-        return by_joint([friction_records(logs[name], robot, body) for name in names])
+    def select_records(names: Sequence[str]) -> list[list[FrictionRecord]]:
+        return transpose_records([friction_records(logs[name], robot, body) for name in names])
 
     models = fit(
-        laws, of_logs(study.logs.training), robot=robot.description.name, options=study.options
+        laws,
+        select_records(study.logs.training),
+        robot=robot.description.name,
+        options=study.options,
     )
     errors: dict[str, dict[str, list[float]]] = {}
     for test, names in study.logs.test.items():
-        tested = of_logs(names)
-        predicted = scores.predict_models(models, scores.causal(tested))
-        predicted[ORACLE] = [[truths[name][:, k] for name in names] for k in range(len(tested))]
+        test_records = select_records(names)
+        predictions = scores.predict_models(models, scores.make_causal(test_records))
+        predictions[ORACLE] = [
+            [truths[name][:, j] for name in names] for j in range(len(test_records))
+        ]
         errors[test] = {
-            law: [
-                score(joint_records, p).rmse
-                for joint_records, p in zip(tested, of_law, strict=True)
+            law_name: [
+                score(joint_records, tau_predicted).rmse
+                for joint_records, tau_predicted in zip(test_records, law_predictions, strict=True)
             ]
-            for law, of_law in predicted.items()
+            for law_name, law_predictions in predictions.items()
         }
     return errors
 
 
-def _drawn(motion: MotionSpec, limits: Array, rng: np.random.Generator) -> MotionSpec:
+def _draw_motion(motion: MotionSpec, limits: Array, rng: np.random.Generator) -> MotionSpec:
     """Draw another motion of the same kind, within the limits (n, 2) [rad]."""
     if not isinstance(motion, FourierMotion):
-        factor = float(rng.uniform(_AMPLITUDE, 1.0))
+        factor = float(rng.uniform(_MIN_AMPLITUDE, 1.0))
         keys = ("amplitude", "swing") if isinstance(motion, SweepMotion) else ("amplitude",)
         smaller = {key: tuple(factor * a for a in getattr(motion, key)) for key in keys}
         return motion.model_copy(update=smaller)
-    for _ in range(_TRIES):
-        own = motion.model_copy(update={"seed": int(rng.integers(2**31))})
-        trajectory = own.trajectory()
+    for _ in range(_MAX_TRIES):
+        drawn_motion = motion.model_copy(update={"seed": int(rng.integers(2**31))})
+        trajectory = drawn_motion.trajectory()
         q = trajectory.sample(np.linspace(0.0, trajectory.duration, 4000))[0]
         if np.all((q > limits[:, 0]) & (q < limits[:, 1])):
-            return own
+            return drawn_motion
     return motion
 
 
-def _scores(drawn: Sequence[Mapping[str, Sequence[float]]], reference: str) -> SeedScores:
-    rmse = {law: np.array([of[law] for of in drawn]) for law in drawn[0]}
-    logarithms = {law: np.log(of / rmse[reference]) for law, of in rmse.items()}
+def _summarise_scores(draws: Sequence[Mapping[str, Sequence[float]]], reference: str) -> SeedScores:
+    rmse = {law_name: np.array([of[law_name] for of in draws]) for law_name in draws[0]}
+    logarithms = {law_name: np.log(of / rmse[reference]) for law_name, of in rmse.items()}
     return SeedScores(
-        rmse={law: _spreads(of) for law, of in rmse.items()},
-        ratios={law: _spreads(of, np.exp) for law, of in logarithms.items() if law != reference},
+        rmse={law_name: _compute_spreads(of) for law_name, of in rmse.items()},
+        ratios={
+            law_name: _compute_spreads(of, np.exp)
+            for law_name, of in logarithms.items()
+            if law_name != reference
+        },
     )
 
 
-def _spreads(values: Array, shown: Callable[[Array], Array] = np.asarray) -> tuple[Spread, ...]:
-    """Return `shown` of mean and Student's 95 % interval of each column (seeds, n)."""
+def _compute_spreads(
+    values: Array, transform: Callable[[Array], Array] = np.asarray
+) -> tuple[Spread, ...]:
+    """Return `transform` of mean and Student's 95 % interval of each column (seeds, n)."""
     count = len(values)
     means = values.mean(axis=0)
-    halves = stdtrit(count - 1, _UPPER) * values.std(axis=0, ddof=1) / np.sqrt(count)
-    rows = shown(np.column_stack([means, means - halves, means + halves]))
+    halves = stdtrit(count - 1, _UPPER_QUANTILE) * values.std(axis=0, ddof=1) / np.sqrt(count)
+    rows = transform(np.column_stack([means, means - halves, means + halves]))
     return tuple(Spread(mean=mean, low=low, high=high) for mean, low, high in rows.tolist())
 
 
-def under_truths(
+def evaluate_truths(
     study: Study, path: Path, laws: Sequence[str], *, progress: Progress = silent
 ) -> dict[str, Errors]:
     """Return the errors of laws by alternative plant of the twin, refitted to each.
@@ -163,13 +185,17 @@ def under_truths(
     assert twin is not None
     errors: dict[str, Errors] = {}
     fit = partial(fit_models, seed=study.seed, left_out=lambda *_: None)
-    for truth in counted(twin.truths, progress, str):
+    for truth in report_progress(twin.truths, progress, str):
         with scratch_folder() as folder:
             plant, signals = twin_plant(twin.model_copy(update={"truth": truth}), path, folder)
             arm = export_twin(plant, folder, signals)
-            found = list(recordings(Motions.read(twin.motions), plant, fmu=arm))
+            truth_recordings = list(record_motions(Motions.read(twin.motions), plant, fmu=arm))
         errors[truth] = {
-            test: {law: rmse for law, rmse in of_test.items() if not law.endswith(MEASURED_START)}
-            for test, of_test in errors_on(study, found, laws, fit).items()
+            test: {
+                law_name: rmse
+                for law_name, rmse in of_test.items()
+                if not law_name.endswith(MEASURED_START)
+            }
+            for test, of_test in compute_errors(study, truth_recordings, laws, fit).items()
         }
     return errors

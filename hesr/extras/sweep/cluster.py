@@ -7,7 +7,7 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from fmu_src.run.trust import is_known, is_ours, remember
+from fmu_src.run.trust import is_known, is_trusted, remember
 from hesr.extras.sweep.plan import Plan
 from hesr.extras.sweep.work import RunOutputs, Task, run_rows
 from hesr_model.errors import ConfigError, WorkerError
@@ -18,14 +18,14 @@ from hesr_model.support.files import sha256, written_whole
 if TYPE_CHECKING:
     from distributed import Client
 
-_ROUNDS = 5
+_MAX_ROUNDS = 5
 _ENCRYPTED = ("tls", "wss")
-_LOST = ("KilledWorker", "CancelledError", "FutureCancelledError", "CommClosedError")
-_SECONDS = 20  # time limit for the scheduler to answer and to have a worker [s]
+_LOST_ERRORS = ("KilledWorker", "CancelledError", "FutureCancelledError", "CommClosedError")
+_TIME_LIMIT = 20  # time limit for the scheduler to answer and to have a worker [s]
 
 
 @contextmanager
-def results_of(
+def run_on_cluster(
     plan: Plan, firsts: list[int], address: str
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     """Yield an iterator of finished chunks with their first runs; `address` as tcp://host:8786.
@@ -44,15 +44,15 @@ def results_of(
     except OSError as error:  # errors of OpenSSL included
         raise ConfigError(f"--cluster: Dask's TLS settings are not usable ({error}).") from error
     try:
-        client = Client(address, timeout=_SECONDS, set_as_default=False, security=security)
+        client = Client(address, timeout=_TIME_LIMIT, set_as_default=False, security=security)
     except (OSError, ValueError) as error:
         raise ConfigError(f"--cluster: found no scheduler at {address}.") from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=_SECONDS)
+            client.wait_for_workers(1, timeout=_TIME_LIMIT)
         except TimeoutError as error:
             raise ConfigError(f"--cluster: the scheduler at {address} has no worker.") from error
-        yield _done(client, plan, firsts)
+        yield _run_chunks(client, plan, firsts)
 
 
 def require_encryption(address: str, *, insecure: bool) -> None:
@@ -71,13 +71,15 @@ def require_encryption(address: str, *, insecure: bool) -> None:
         )
 
 
-def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int, RunOutputs]]:
+def _run_chunks(
+    client: "Client", plan: Plan, firsts: list[int]
+) -> Iterator[tuple[int, RunOutputs]]:
     from distributed import as_completed
 
-    ours = {digest: is_ours(fmu) for fmu, digest in plan.digests.items()}
-    left = dict.fromkeys(firsts)
-    for _ in range(_ROUNDS):
-        if not left:
+    ours = {digest: is_trusted(fmu) for fmu, digest in plan.digests.items()}
+    open_chunks = dict.fromkeys(firsts)
+    for _ in range(_MAX_ROUNDS):
+        if not open_chunks:
             return
         contents = client.scatter(
             {digest: fmu.read_bytes() for fmu, digest in plan.digests.items()}, broadcast=True
@@ -86,21 +88,22 @@ def _done(client: "Client", plan: Plan, firsts: list[int]) -> Iterator[tuple[int
         fmus = names, ours, contents
         futures = {
             client.submit(run_on_worker, plan.task, plan.chunk(first), *fmus, pure=False): first
-            for first in left
+            for first in open_chunks
         }
         for future in as_completed(futures, loop=client.loop):
             if future.status == "finished":
                 first = futures[future]
-                del left[first]
+                del open_chunks[first]
                 yield first, future.result()
             elif future.status == "error":
                 error = future.exception()
-                if type(error).__name__ not in _LOST:
+                if type(error).__name__ not in _LOST_ERRORS:
                     raise error
             future.release()
-    if left:
+    if open_chunks:
         raise WorkerError(
-            f"workers of the cluster died {_ROUNDS} times; {len(left)} chunks of runs are left; "
+            f"workers of the cluster died {_MAX_ROUNDS} times; {len(open_chunks)} chunks of "
+            "runs are left; "
             "repeat the command to continue."
         )
 

@@ -11,10 +11,10 @@ from cosim.systems.signals import Signals
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec
 from cosim.workflow.answer import Answer, PluginJob, Written
-from hesr.extras.sweep.plan import Plan, planned, sensitivities
+from hesr.extras.sweep.plan import Plan, compute_sensitivities, read_plan
 from hesr.extras.sweep.study import SweepStudy
 from hesr.extras.sweep.tables import SweepResult
-from hesr.extras.sweep.work import ABOUT, RUNS, RunOutputs, Store, release, run_rows, taken
+from hesr.extras.sweep.work import ABOUT, RUNS, RunOutputs, Store, lock_folder, release, run_rows
 from hesr_model.errors import ConfigError, SimulationError
 from hesr_model.support import parallel
 from hesr_model.support.progress import Stages, silent
@@ -32,64 +32,68 @@ def run_sweep(
 ) -> SweepResult:
     """Do all missing runs of a sweep file, and write the page; 1 worker is this process."""
     try:
-        plan = planned(path)
-        store = Store(output, plan.study.names, tuple(one.name for one in plan.study.outputs))
-        with taken(output, RUNS, ABOUT, plan.about()):
-            left = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
-            count = len(plan.values)
-            done = reused = count - sum(len(plan.chunk(k)) for k in left)
-            progress(plan.study.name, done, count)
-            with _results(plan, left, workers, cluster) as results:
+        plan = read_plan(path)
+        store = Store(
+            output,
+            plan.study.names,
+            tuple(sweep_output.name for sweep_output in plan.study.outputs),
+        )
+        with lock_folder(output, RUNS, ABOUT, plan.describe_results()):
+            open_firsts = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
+            run_count = len(plan.values)
+            done_count = reused = run_count - sum(len(plan.chunk(k)) for k in open_firsts)
+            progress(plan.study.name, done_count, run_count)
+            with _run_chunks(plan, open_firsts, workers, cluster) as results:
                 for first, rows in results:
                     store.write(first, plan.chunk(first), rows)
-                    done += len(plan.chunk(first))
-                    progress(plan.study.name, done, count)
+                    done_count += len(plan.chunk(first))
+                    progress(plan.study.name, done_count, run_count)
             table = store.read(plan.firsts)
-            found = sensitivities(table.outputs, plan.study)
+            output_sensitivities = compute_sensitivities(table.outputs, plan.study)
             if all(table.failures):
                 raise SimulationError(
                     f"{path}: all {len(table.failures)} runs failed, the first because "
                     f"{table.failures[0]}"
                 )
             # The page of a continued sweep is that of an uninterrupted one, in any folder.
-            swept = SweepResult(
+            sweep_result = SweepResult(
                 plan=plan,
                 table=table,
-                sensitivities=found,
+                sensitivities=output_sensitivities,
                 reused=0,
                 path=Path(path.name),
             )
-            write_answer(swept, output / PAGE)
+            write_answer(sweep_result, output / PAGE)
     finally:
         release()
-    return replace(swept, reused=reused, path=path, files=(output / PAGE, output / RUNS))
+    return replace(sweep_result, reused=reused, path=path, files=(output / PAGE, output / RUNS))
 
 
 @contextmanager
-def _results(
-    plan: Plan, left: list[int], workers: int | None, cluster: str | None
+def _run_chunks(
+    plan: Plan, open_firsts: list[int], workers: int | None, cluster: str | None
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     if cluster is not None:
-        from hesr.extras.sweep.cluster import results_of
+        from hesr.extras.sweep.cluster import run_on_cluster
 
-        with results_of(plan, left, cluster) as results:
+        with run_on_cluster(plan, open_firsts, cluster) as results:
             yield results
         return
-    jobs = [partial(run_rows, plan.task, plan.chunk(first)) for first in left]
-    with parallel.results_of(jobs, workers) as found:
-        yield zip(left, found, strict=True)
+    jobs = [partial(run_rows, plan.task, plan.chunk(first)) for first in open_firsts]
+    with parallel.results_of(jobs, workers) as finished:
+        yield zip(open_firsts, finished, strict=True)
 
 
 def replay(path: Path, run: int) -> tuple[Plan, Signals]:
     """Repeat one run with all measured and observed signals."""
     try:
-        plan = planned(path)
+        plan = read_plan(path)
         if not 0 <= run < len(plan.values):
             raise ConfigError(f"{path}: run {run} is not one of 0 to {len(plan.values) - 1}.")
-        own = SystemSpec.read(plan.study.system).observe
+        system_signals = SystemSpec.read(plan.study.system).observe
         system = plan.task.spec
         system = system.model_copy(
-            update={"observe": tuple(dict.fromkeys((*system.observe, *own)))}
+            update={"observe": tuple(dict.fromkeys((*system.observe, *system_signals)))}
         )
         with Master(system, plan.study.system) as master:
             return plan, master.run(start=plan.task.start(plan.values[run]))
@@ -123,21 +127,22 @@ JOB = PluginJob("simulate", "outputs", _run)
 
 def _replay(path: Path, run: int, file: Path) -> Written:
 
-    plan, result = replay(path, run)
-    if len(result.t):
-        result.write(file)
-    result.require_success()
+    plan, signals = replay(path, run)
+    if len(signals.t):
+        signals.write(file)
+    signals.require_success()
     study = plan.study
-    varied = {name: float(x) for name, x in zip(study.names, plan.values[run], strict=True)}
-    measured = {
-        one.name: float(x) for one, x in zip(study.outputs, plan.task.measured(result), strict=True)
+    varied_inputs = {name: float(x) for name, x in zip(study.names, plan.values[run], strict=True)}
+    measured_outputs = {
+        sweep_output.name: float(x)
+        for sweep_output, x in zip(study.outputs, plan.task.measure_outputs(signals), strict=True)
     }
     return Written(
         lines=[
-            *(f"{name} = {value:.9g}" for name, value in varied.items()),
-            *(f"{name}: {value:.9g}" for name, value in measured.items()),
-            f"{len(result.t)} samples of {len(result.signals)} signals",
+            *(f"{name} = {value:.9g}" for name, value in varied_inputs.items()),
+            *(f"{name}: {value:.9g}" for name, value in measured_outputs.items()),
+            f"{len(signals.t)} samples of {len(signals.signals)} signals",
         ],
-        data={"run": run, "inputs": varied, "outputs": measured},
+        data={"run": run, "inputs": varied_inputs, "outputs": measured_outputs},
         files=[file],
     )

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from cosim.systems.simulation import Master
 from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
-from hesr.extras.sweep.study import MOST_RUNS, Correlated, SweepInput, SweepStudy
+from hesr.extras.sweep.study import MAX_RUNS, Correlated, SweepInput, SweepStudy
 from hesr.extras.sweep.work import Task, VariedVariable
 from hesr_model.errors import ConfigError
 from hesr_model.support.arrays import Array
@@ -32,14 +32,14 @@ class Sensitivity:
     intervals: Array
 
 
-def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
+def compute_sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
     """Return the indices of outputs (runs, m) that vary and never failed, for a "sobol" design."""
     if study.design != "sobol" or study.runs is None:
         return []
     from scipy.stats import bootstrap  # slow to import
 
-    found = []
-    for one, values in zip(study.outputs, outputs.T, strict=True):
+    indices = []
+    for output, values in zip(study.outputs, outputs.T, strict=True):
         if not np.isfinite(values).all() or np.ptp(values) == 0.0:
             continue
         blocks = values.reshape(len(study.names) + 2, study.runs)
@@ -47,48 +47,52 @@ def sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity]:
         # The bootstrap of scipy's `sobol_indices` takes no seed.
         spread = bootstrap(
             [np.arange(study.runs)],
-            lambda chosen, of=blocks: _shares(of[:, chosen]),
+            lambda chosen, of=blocks: _compute_shares(of[:, chosen]),
             vectorized=False,
             confidence_level=0.95,
             n_resamples=499,
             rng=np.random.default_rng(study.seed),
         )
-        first, total = _shares(blocks)
+        first, total = _compute_shares(blocks)
         intervals = np.stack(spread.confidence_interval, axis=-1)
-        found.append(Sensitivity(output=one.name, first=first, total=total, intervals=intervals))
-    return found
+        indices.append(
+            Sensitivity(output=output.name, first=first, total=total, intervals=intervals)
+        )
+    return indices
 
 
-def _shares(blocks: Array) -> Array:
+def _compute_shares(blocks: Array) -> Array:
     """Return (2, d) indices by Saltelli et al. (2010)."""
     a = blocks[0]
     b = blocks[1]
-    mixed = blocks[2:]
-    first = np.mean(b * (mixed - a), axis=1)
-    total = 0.5 * np.mean((a - mixed) ** 2, axis=1)
+    mixed_blocks = blocks[2:]
+    first = np.mean(b * (mixed_blocks - a), axis=1)
+    total = 0.5 * np.mean((a - mixed_blocks) ** 2, axis=1)
     return np.asarray(np.stack([first, total]) / np.var(blocks[:2]))
 
 
-_EDGE = 2.0**-53  # smallest distance to 0 and 1 of the quantiles of a normal distribution
+_MIN_QUANTILE = 2.0**-53  # smallest distance to 0 and 1 of the quantiles of a normal distribution
 
 
-def chosen(study: SweepStudy) -> Array:
+def design_inputs(study: SweepStudy) -> Array:
     """Return the values of all inputs, (runs, d)."""
-    unit = _unit(study)
-    columns = [_values(one, unit[:, k]) for k, one in enumerate(study.inputs)]
-    at = len(columns)
+    unit = _design_unit_points(study)
+    columns = [
+        _map_to_values(sweep_input, unit[:, k]) for k, sweep_input in enumerate(study.inputs)
+    ]
+    column = len(columns)
     for group in study.correlated:
         n = len(group.variables)
-        columns += list(_correlated(group, unit[:, at : at + n]).T)
-        at += n
+        columns += list(_map_to_group(group, unit[:, column : column + n]).T)
+        column += n
     return np.column_stack(columns)
 
 
-def _unit(study: SweepStudy) -> Array:
+def _design_unit_points(study: SweepStudy) -> Array:
     d = len(study.names)
     runs = study.runs or 0
     if study.design == "grid":
-        return _grid(study)
+        return _build_grid(study)
     if study.design == "monte_carlo":
         return np.random.default_rng(study.seed).random((runs, d))
     from scipy.stats import qmc  # slow to import
@@ -98,50 +102,52 @@ def _unit(study: SweepStudy) -> Array:
         return np.asarray(qmc.LatinHypercube(d, rng=rng).random(runs))
     # Saltelli's blocks A, B and, for each input, A with this input from B (Comput. Phys. Commun.
     # 181 (2010) 259-270, table 2, radial form)
-    both = np.asarray(qmc.Sobol(2 * d, rng=rng).random(runs))
-    a = both[:, :d]
-    b = both[:, d:]
-    mixed = [np.where(np.arange(d) == k, b, a) for k in range(d)]
-    return np.concatenate([a, b, *mixed])
+    sobol_points = np.asarray(qmc.Sobol(2 * d, rng=rng).random(runs))
+    a = sobol_points[:, :d]
+    b = sobol_points[:, d:]
+    mixed_blocks = [np.where(np.arange(d) == k, b, a) for k in range(d)]
+    return np.concatenate([a, b, *mixed_blocks])
 
 
-def _grid(study: SweepStudy) -> Array:
-    places = []
-    for one in study.inputs:
-        n = len(one.values)
-        places.append((np.arange(n) + 0.5) / n if n else np.linspace(0.0, 1.0, one.levels))
-    count = prod(map(len, places))
-    if count > MOST_RUNS:
+def _build_grid(study: SweepStudy) -> Array:
+    levels = []
+    for sweep_input in study.inputs:
+        n = len(sweep_input.values)
+        levels.append((np.arange(n) + 0.5) / n if n else np.linspace(0.0, 1.0, sweep_input.levels))
+    run_count = prod(map(len, levels))
+    if run_count > MAX_RUNS:
         raise ConfigError(
-            f"the grid of '{study.name}' has {count:.3g} runs; at most {MOST_RUNS}.",
+            f"the grid of '{study.name}' has {run_count:.3g} runs; at most {MAX_RUNS}.",
             code="sweep.most_runs",
             key="inputs",
         )
-    return np.array(list(product(*places)))
+    return np.array(list(product(*levels)))
 
 
-def _values(one: SweepInput, unit: Array) -> Array:
-    if one.values:
-        listed: Array = np.array(one.values)
-        return listed.take((unit * len(listed)).astype(int), mode="clip")
-    if one.low is not None and one.high is not None:
-        if one.integer:
-            low = np.ceil(one.low)
-            high = np.floor(one.high)
-            return np.asarray(np.minimum(low + np.floor(unit * (high - low + 1.0)), high))
-        return one.low + unit * (one.high - one.low)
-    drawn: Array = (one.mean or 0.0) + (one.std or 0.0) * _normal(unit)
-    return np.round(drawn) if one.integer else drawn
+def _map_to_values(sweep_input: SweepInput, unit: Array) -> Array:
+    if sweep_input.values:
+        listed_values: Array = np.array(sweep_input.values)
+        return listed_values.take((unit * len(listed_values)).astype(int), mode="clip")
+    if sweep_input.low is not None and sweep_input.high is not None:
+        if sweep_input.integer:
+            lower = np.ceil(sweep_input.low)
+            upper = np.floor(sweep_input.high)
+            return np.asarray(np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper))
+        return sweep_input.low + unit * (sweep_input.high - sweep_input.low)
+    normal_values: Array = (sweep_input.mean or 0.0) + (sweep_input.std or 0.0) * _map_to_normal(
+        unit
+    )
+    return np.round(normal_values) if sweep_input.integer else normal_values
 
 
-def _correlated(group: Correlated, unit: Array) -> Array:
+def _map_to_group(group: Correlated, unit: Array) -> Array:
     sizes, axes = np.linalg.eigh(np.array(group.covariance))
     root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
-    return np.asarray(np.array(group.mean) + _normal(unit) @ root)
+    return np.asarray(np.array(group.mean) + _map_to_normal(unit) @ root)
 
 
-def _normal(unit: Array) -> Array:
-    return np.asarray(ndtri(np.clip(unit, _EDGE, 1.0 - _EDGE)))
+def _map_to_normal(unit: Array) -> Array:
+    return np.asarray(ndtri(np.clip(unit, _MIN_QUANTILE, 1.0 - _MIN_QUANTILE)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,13 +168,13 @@ class Plan:
         """Return the values (n, d) of the chunk from a run."""
         return self.values[first : first + self.study.chunk]
 
-    def about(self) -> dict[str, Any]:
+    def describe_results(self) -> dict[str, Any]:
         """Return the description of the results."""
         study = self.study.model_dump(mode="json", exclude={"system"})
         return {"key": self.task.key, "runs": len(self.values), "study": study}
 
 
-def planned(path: Path) -> Plan:
+def read_plan(path: Path) -> Plan:
     """Read a sweep file and check it against its system."""
     study = SweepStudy.read(path)
     system = SystemSpec.read(study.system)
@@ -183,8 +189,8 @@ def planned(path: Path) -> Plan:
                 where=path,
                 key="outputs",
             )
-    targets = tuple(_targets(study, system, path))
-    values = chosen(study)
+    targets = tuple(_find_targets(study, system, path))
+    values = design_inputs(study)
     digests = {
         fmu: sha256(fmu)
         for fmu in {component.fmu for component in system.components}
@@ -195,34 +201,36 @@ def planned(path: Path) -> Plan:
         master.require_start(task.start(values[0]), path)
         for output in study.outputs:
             if output.reference:
-                master.require_alike(output.signal, output.reference, path)
-    task = replace(task, key=_key(study, system, digests))
+                master.require_same_size(output.signal, output.reference, path)
+    task = replace(task, key=_compute_key(study, system, digests))
     return Plan(study=study, task=task, values=values, digests=digests)
 
 
-def _targets(study: SweepStudy, system: SystemSpec, path: Path) -> list[VariedVariable]:
-    found = []
-    for column, one in enumerate(study.inputs):
-        for name in one.variables:
+def _find_targets(study: SweepStudy, system: SystemSpec, path: Path) -> list[VariedVariable]:
+    targets = []
+    for column, sweep_input in enumerate(study.inputs):
+        for name in sweep_input.variables:
             component, _, variable = name.partition(".")
-            base = _base(system, component, variable, path) if one.factor else None
-            whole = bool(one.values) and all(float(value).is_integer() for value in one.values)
-            found.append(
+            base = _read_start(system, component, variable, path) if sweep_input.factor else None
+            is_integer = bool(sweep_input.values) and all(
+                float(value).is_integer() for value in sweep_input.values
+            )
+            targets.append(
                 VariedVariable(
                     component=component,
                     variable=variable,
                     column=column,
                     base=base,
-                    integer=one.integer or whole,
+                    integer=sweep_input.integer or is_integer,
                 )
             )
     for column in range(len(study.inputs), len(study.names)):
         component, _, variable = study.names[column].partition(".")
-        found.append(VariedVariable(component=component, variable=variable, column=column))
-    return found
+        targets.append(VariedVariable(component=component, variable=variable, column=column))
+    return targets
 
 
-def _base(system: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:
+def _read_start(system: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:
     starts = {c.name: c.start for c in system.components}
     value: Value | None = starts.get(component, {}).get(variable)
     if value is None or isinstance(value, str | bool):
@@ -236,8 +244,8 @@ def _base(system: SystemSpec, component: str, variable: str, path: Path) -> tupl
     return tuple(map(float, value)) if isinstance(value, tuple) else (float(value),)
 
 
-def _key(study: SweepStudy, system: SystemSpec, digests: dict[Path, str]) -> str:
-    data = {
+def _compute_key(study: SweepStudy, system: SystemSpec, digests: dict[Path, str]) -> str:
+    hashed_inputs = {
         "study": study.model_dump(mode="json", exclude={"system"}),
         "system": system.model_dump(mode="json", exclude={"components"}),
         "components": [
@@ -247,4 +255,4 @@ def _key(study: SweepStudy, system: SystemSpec, digests: dict[Path, str]) -> str
         "version": version("hesr"),
         "numpy": np.__version__,
     }
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(hashed_inputs, sort_keys=True).encode()).hexdigest()

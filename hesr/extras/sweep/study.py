@@ -10,18 +10,20 @@ from cosim.systems.system import Signal
 from hesr_model.errors import RuleError
 from hesr_model.support.typed_files import Config, RelativePath
 
-MOST_RUNS = 10**7
-_SYMMETRIC = 1e-9  # relative
+MAX_RUNS = 10**7
+_SYMMETRY_TOLERANCE = 1e-9  # relative
 
 
-def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+def _require_distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     for name, count in Counter(names).items():
         if count > 1:
             raise RuleError(f"'{name}' is listed twice", code="sweep.listed_twice")
     return names
 
 
-DistinctSignals = Annotated[tuple[Signal, ...], Field(min_length=1), AfterValidator(_distinct)]
+DistinctSignals = Annotated[
+    tuple[Signal, ...], Field(min_length=1), AfterValidator(_require_distinct)
+]
 
 
 class SweepInput(Config):
@@ -43,11 +45,11 @@ class SweepInput(Config):
         return self.variables[0]
 
     @model_validator(mode="after")
-    def _one_distribution(self) -> Self:
+    def _require_one_distribution(self) -> Self:
         pairs = ((self.low, self.high), (self.mean, self.std))
-        given = [bool(self.values), *(None not in pair for pair in pairs)]
+        stated_forms = [bool(self.values), *(None not in pair for pair in pairs)]
         halves = [pair for pair in pairs if (None in pair) and pair != (None, None)]
-        if sum(given) != 1 or halves:
+        if sum(stated_forms) != 1 or halves:
             raise RuleError(
                 f"'{self.name}' needs one of 'values', 'low' and 'high', or 'mean' and 'std'",
                 code="sweep.distribution",
@@ -70,7 +72,7 @@ class Correlated(Config):
     covariance: tuple[tuple[float, ...], ...]
 
     @model_validator(mode="after")
-    def _is_a_covariance(self) -> Self:
+    def _require_covariance(self) -> Self:
         n = len(self.variables)
         if len(self.mean) != n or [len(row) for row in self.covariance] != [n] * n:
             raise RuleError(
@@ -78,10 +80,10 @@ class Correlated(Config):
                 code="sweep.sizes",
                 key="covariance",
             )
-        found = np.array(self.covariance)
-        scale = float(np.abs(found).max())
-        if np.abs(found - found.T).max() > _SYMMETRIC * scale or (
-            np.linalg.eigvalsh(found).min() < -_SYMMETRIC * scale
+        covariance = np.array(self.covariance)
+        scale = float(np.abs(covariance).max())
+        if np.abs(covariance - covariance.T).max() > _SYMMETRY_TOLERANCE * scale or (
+            np.linalg.eigvalsh(covariance).min() < -_SYMMETRY_TOLERANCE * scale
         ):
             raise RuleError(
                 f"the covariance of '{self.variables[0]}' and others is not symmetric and positive "
@@ -114,7 +116,7 @@ class SweepStudy(Config):
     name: str = Field(default="sweep", min_length=1)
     system: RelativePath
     design: Design = "latin_hypercube"
-    runs: int | None = Field(default=None, ge=1, le=MOST_RUNS)
+    runs: int | None = Field(default=None, ge=1, le=MAX_RUNS)
     seed: int = Field(default=0, ge=0)
     chunk: int = Field(default=50, ge=1, le=100_000)
     inputs: tuple[SweepInput, ...] = ()
@@ -124,12 +126,12 @@ class SweepStudy(Config):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the varied numbers."""
-        together = (name for group in self.correlated for name in group.variables)
-        return (*(one.name for one in self.inputs), *together)
+        correlated_names = (name for group in self.correlated for name in group.variables)
+        return (*(sweep_input.name for sweep_input in self.inputs), *correlated_names)
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
-        variables = [name for one in self.inputs for name in one.variables]
+    def _require_consistency(self) -> Self:
+        variables = [name for sweep_input in self.inputs for name in sweep_input.variables]
         variables += [name for group in self.correlated for name in group.variables]
         if not variables:
             raise RuleError(
@@ -149,7 +151,7 @@ class SweepStudy(Config):
                     code="sweep.grid_runs",
                     key="runs",
                 )
-            if self.correlated or any(one.mean is not None for one in self.inputs):
+            if self.correlated or any(sweep_input.mean is not None for sweep_input in self.inputs):
                 raise RuleError(
                     "a grid needs 'values' or 'low' and 'high' of every input",
                     code="sweep.grid_range",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cosim.report.markup import ResultFigure
-from cosim.report.tables.table import ResultTable, TableCell, row_of
+from cosim.report.tables.table import ResultTable, TableCell, make_row
 from cosim.workflow.answer import Answer, shorten_lines
 from hesr.extras.sweep.plan import Plan, Sensitivity
 from hesr.extras.sweep.work import RunTable
@@ -44,11 +44,11 @@ class SweepResult(Answer):
     path: Path
     files: Sequence[Path] = ()
 
-    def worst(self, output: int, most: int = 5) -> list[int]:
+    def find_worst_runs(self, output: int, run_count: int = 5) -> list[int]:
         """Return runs with the largest magnitudes of an output, failed ones first."""
         values = np.abs(self.table.outputs[:, output])
         order = np.argsort(np.where(np.isnan(values), -np.inf, -values), kind="stable")
-        return [int(run) for run in order[:most]]
+        return [int(run) for run in order[:run_count]]
 
     def heading(self) -> str:
         """Return the name of the sweep."""
@@ -69,30 +69,30 @@ class SweepResult(Answer):
         lines = [f"{len(failures)} runs, {sum(map(bool, failures))} failed."]
         if self.reused:
             lines.append(f"Complete before: {self.reused} runs.")
-        for k, one in enumerate(self.plan.study.outputs):
-            command = replay_command(self.path, self.worst(k)[0])
-            lines.append(f"Worst run by {one.name}: {command}")
+        for k, output in enumerate(self.plan.study.outputs):
+            command = replay_command(self.path, self.find_worst_runs(k)[0])
+            lines.append(f"Worst run by {output.name}: {command}")
         return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return distributions, worst runs and sensitivities."""
-        shown: list[ResultTable | str] = [outputs(self)]
+        shown: list[ResultTable | str] = [build_output_table(self)]
         shown.append("Largest magnitude first, failed runs before all others.")
-        shown += [worst(self, k) for k in range(len(self.plan.study.outputs))]
+        shown += [build_worst_table(self, k) for k in range(len(self.plan.study.outputs))]
         if self.sensitivities:
             shown.append(_SENSITIVITY_TERMS)
-            shown += sensitivities(self)
+            shown += build_sensitivity_tables(self)
         return shown
 
     def figures(self) -> Sequence[ResultFigure]:
         """Return histograms of the outputs, and bars of their sensitivities."""
-        from hesr.extras.sweep.figures import distributions, shares  # slow import
+        from hesr.extras.sweep.figures import draw_distributions, draw_shares  # slow import
 
         names = [output.name for output in self.plan.study.outputs]
         histograms = ResultFigure(
             section=_OUTPUTS,
             key="distributions",
-            drawing=distributions(names, self.table.outputs),
+            drawing=draw_distributions(names, self.table.outputs),
             caption="Distribution of each output over the runs; dashed: 5, 50 and 95 % quantiles.",
             alt="A histogram of each output.",
         )
@@ -100,7 +100,7 @@ class SweepResult(Answer):
             ResultFigure(
                 section=_SENSITIVITIES,
                 key=f"shares-{k}",
-                drawing=shares(self.plan.study.names, one.first, one.total, one.intervals),
+                drawing=draw_shares(self.plan.study.names, one.first, one.total, one.intervals),
                 caption=f"Shares of the variance of {one.output}.",
                 alt="Two bars for each input.",
             )
@@ -114,38 +114,49 @@ class SweepResult(Answer):
             "runs": len(self.table.failures),
             "reused": self.reused,
             "failed": sum(map(bool, self.table.failures)),
-            "worst": {o.name: self.worst(k) for k, o in enumerate(self.plan.study.outputs)},
+            "worst": {
+                o.name: self.find_worst_runs(k) for k, o in enumerate(self.plan.study.outputs)
+            },
             "sensitivities": {
-                one.output: {"first": one.first.tolist(), "total": one.total.tolist()}
-                for one in self.sensitivities
+                sensitivity.output: {
+                    "first": sensitivity.first.tolist(),
+                    "total": sensitivity.total.tolist(),
+                }
+                for sensitivity in self.sensitivities
             },
         }
 
 
-def outputs(swept: SweepResult) -> ResultTable:
+def build_output_table(sweep_result: SweepResult) -> ResultTable:
     """Return the distributions of the outputs."""
     rows = []
-    for output, values in zip(swept.plan.study.outputs, swept.table.outputs.T, strict=True):
-        found = values[np.isfinite(values)]
-        numbers = (found.mean(), found.std(), *np.quantile(found, _QUANTILES), found.max())
-        rows.append(row_of(output.name, *(_cell(value) for value in numbers)))
-    failed = sum(map(bool, swept.table.failures))
-    note = f"{failed} of {len(swept.table.failures)} runs failed." if failed else ""
+    for output, values in zip(
+        sweep_result.plan.study.outputs, sweep_result.table.outputs.T, strict=True
+    ):
+        finite = values[np.isfinite(values)]
+        numbers = (finite.mean(), finite.std(), *np.quantile(finite, _QUANTILES), finite.max())
+        rows.append(make_row(output.name, *(_format_cell(value) for value in numbers)))
+    failure_count = sum(map(bool, sweep_result.table.failures))
+    note = (
+        f"{failure_count} of {len(sweep_result.table.failures)} runs failed."
+        if failure_count
+        else ""
+    )
     head = ("output", "mean", "std", *(f"{100 * q:.0f} %" for q in _QUANTILES), "largest")
     return ResultTable(
         caption="Outputs over all runs", head=head, rows=rows, note=note, section=_OUTPUTS
     )
 
 
-def worst(swept: SweepResult, k: int) -> ResultTable:
+def build_worst_table(sweep_result: SweepResult, k: int) -> ResultTable:
     """Return the worst runs of output k, and commands to repeat them."""
-    name = swept.plan.study.outputs[k].name
-    study = swept.plan.study
+    name = sweep_result.plan.study.outputs[k].name
+    study = sweep_result.plan.study
     rows = []
-    for run in swept.worst(k):
-        inputs = [_cell(value) for value in swept.table.inputs[run]]
-        value = swept.table.failures[run] or _cell(swept.table.outputs[run, k])
-        rows.append(row_of(f"{run}", value, *inputs, replay_command(swept.path, run)))
+    for run in sweep_result.find_worst_runs(k):
+        inputs = [_format_cell(value) for value in sweep_result.table.inputs[run]]
+        value = sweep_result.table.failures[run] or _format_cell(sweep_result.table.outputs[run, k])
+        rows.append(make_row(f"{run}", value, *inputs, replay_command(sweep_result.path, run)))
     return ResultTable(
         caption=f"Worst runs by {name}",
         head=("run", name, *study.names, "again by"),
@@ -160,29 +171,32 @@ def replay_command(path: Path, run: int) -> str:
     return f"hesr simulate {shlex.quote(str(path))} --only {run} -o run{run}.csv"
 
 
-def sensitivities(swept: SweepResult) -> Iterator[ResultTable]:
+def build_sensitivity_tables(sweep_result: SweepResult) -> Iterator[ResultTable]:
     """Yield the sensitivities of each output."""
-    for one in swept.sensitivities:
+    for sensitivity in sweep_result.sensitivities:
         rows = [
-            row_of(
+            make_row(
                 name,
-                _with(one.first[i], one.intervals[0, i]),
-                _with(one.total[i], one.intervals[1, i]),
+                _interval_cell(sensitivity.first[i], sensitivity.intervals[0, i]),
+                _interval_cell(sensitivity.total[i], sensitivity.intervals[1, i]),
             )
-            for i, name in enumerate(swept.plan.study.names)
+            for i, name in enumerate(sweep_result.plan.study.names)
         ]
         yield ResultTable(
-            caption=f"Shares of the variance of {one.output}, with 95 % bootstrap intervals",
+            caption=f"Shares of the variance of {sensitivity.output}, with 95 % bootstrap "
+            "intervals",
             head=("input", "first order", "total"),
             rows=rows,
             section=_SENSITIVITIES,
         )
 
 
-def _cell(value: float) -> TableCell:
+def _format_cell(value: float) -> TableCell:
     return TableCell(text=f"{value:.4g}", value=float(value))
 
 
-def _with(value: float, interval: Array) -> TableCell:
-    low, high = interval
-    return TableCell(text=f"{value:.3f}", value=float(value), notes=(f"{low:.3f} to {high:.3f}",))
+def _interval_cell(value: float, interval: Array) -> TableCell:
+    lower, upper = interval
+    return TableCell(
+        text=f"{value:.3f}", value=float(value), notes=(f"{lower:.3f} to {upper:.3f}",)
+    )

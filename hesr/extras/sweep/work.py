@@ -16,7 +16,7 @@ from cosim.systems.system import SystemSpec, Value
 from fmu_src.run.fmu import POOL
 from hesr.extras.sweep.study import Measure, Measured
 from hesr_model.errors import ArtifactError, ConfigError
-from hesr_model.logs.tables import arrow
+from hesr_model.logs.tables import import_arrow
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import folder_made, written_whole
 from hesr_model.support.typed_files import read_json, write_json
@@ -66,17 +66,17 @@ class Task:
             start.setdefault(target.component, {})[target.variable] = target.value(row)
         return start
 
-    def measured(self, result: Signals) -> Array:
+    def measure_outputs(self, signals: Signals) -> Array:
         """Return the measured numbers of a run (m,); NaN if it failed."""
-        if result.failure:
+        if signals.failure:
             return np.full(len(self.outputs), np.nan)
-        found = []
+        measurements = []
         for output in self.outputs:
-            values = result.vector(output.signal)
+            values = signals.vector(output.signal)
             if output.reference:
-                values = values - result.vector(output.reference)
-            found.append(_MEASURES[output.measure](values[result.t >= output.start]))
-        return np.array(found)
+                values = values - signals.vector(output.reference)
+            measurements.append(_MEASURES[output.measure](values[signals.t >= output.start]))
+        return np.array(measurements)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,9 +102,9 @@ def run_rows(task: Task, values: Array) -> RunOutputs:
             _held = task.key, Master(task.spec, loaded=POOL).__enter__()
         master = _held[1]
         for k, row in enumerate(values):
-            result = master.run(start=task.start(row))
-            outputs[k] = task.measured(result)
-            failures.append(str(result.failure or ""))
+            signals = master.run(start=task.start(row))
+            outputs[k] = task.measure_outputs(signals)
+            failures.append(str(signals.failure or ""))
     return RunOutputs(outputs=outputs, failures=tuple(failures))
 
 
@@ -132,7 +132,7 @@ class Store:
     """The folder of a sweep, once it is `taken`."""
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
-        self._arrow = arrow()
+        self._arrow = import_arrow()
         self._folder = folder
         self._inputs = inputs
         self._outputs = outputs
@@ -161,41 +161,41 @@ class Store:
     def read(self, firsts: list[int]) -> RunTable:
         """Read chunks in the given order."""
         parts = [self._arrow.parquet.read_table(self.file(first)) for first in firsts]
-        found = self._arrow.concat_tables(parts)
+        arrow_table = self._arrow.concat_tables(parts)
 
         def numbers(names: tuple[str, ...]) -> Array:
-            return np.column_stack([found.column(name).to_numpy() for name in names])
+            return np.column_stack([arrow_table.column(name).to_numpy() for name in names])
 
         return RunTable(
             inputs=numbers(self._inputs),
             outputs=numbers(self._outputs),
-            failures=tuple(found.column("failure").to_pylist()),
+            failures=tuple(arrow_table.column("failure").to_pylist()),
         )
 
 
 @contextmanager
-def taken(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
+def lock_folder(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
     """Lock a folder with the parts in `within` and the description `about` in `file`."""
-    what = Path(file).stem
+    kind = Path(file).stem
     with ExitStack() as cleanup:
         try:
             cleanup.enter_context(folder_made(folder / within))
-            lock = FileLock(folder / f".{what}-lock", timeout=0)
+            lock = FileLock(folder / f".{kind}-lock", timeout=0)
             lock.acquire()
         except Timeout as error:
             raise ArtifactError(
-                f"{folder}: another {what} is writing here; wait for it, or give another folder."
+                f"{folder}: another {kind} is writing here; wait for it, or give another folder."
             ) from error
         except OSError as error:
             raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
-        cleanup.callback((folder / f".{what}-lock").unlink, missing_ok=True)
+        cleanup.callback((folder / f".{kind}-lock").unlink, missing_ok=True)
         cleanup.callback(lock.release)
         if not (folder / file).is_file():
             write_json(folder / file, about)
         elif read_json(folder / file).get("key") != about["key"]:
             raise ConfigError(
-                f"{folder}: holds results of another {what}; give another folder or remove it."
+                f"{folder}: holds results of another {kind}; give another folder or remove it."
             )
-        for left in (folder / within).glob(".part-*"):  # left by a killed run
-            left.unlink(missing_ok=True)
+        for partial_file in (folder / within).glob(".part-*"):  # left by a killed run
+            partial_file.unlink(missing_ok=True)
         yield

@@ -17,27 +17,27 @@ from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import numbers
 from hesr_model.friction.records import rmse
-from hesr_model.friction.scales import parts
+from hesr_model.friction.scales import split_torque
 from hesr_model.friction.thermal import Thermal
 from hesr_model.inference.covariance import blocks_of_time, covariance_of_fit
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
-LEAST_SPREAD = 3.0  # smallest difference between the 5 and 95 % quantiles [K]
-LEAST_TIME = 300.0  # smallest length of the longest log without temperatures [s]
-_TIMES = (60.0, 14_400.0)  # bounds of the thermal time constant [s]
+MIN_SPREAD = 3.0  # smallest difference between the 5 and 95 % quantiles [K]
+MIN_TIME = 300.0  # smallest length of the longest log without temperatures [s]
+_TIME_CONSTANT_BOUNDS = (60.0, 14_400.0)  # bounds of the thermal time constant [s]
 _UNKNOWNS = {
     "coulomb_scale": (-1.0, 1.0, 0.1),  # logarithm
     "viscous_scale": (-1.5, 1.5, 0.1),  # logarithm
     "coulomb": (-0.5, 0.5, 0.01),
     "viscous": (-0.5, 0.5, 0.01),
     "offset": (-np.inf, np.inf, 1.0),
-    "time_constant": (*np.log(_TIMES), 0.3),  # logarithm
+    "time_constant": (*np.log(_TIME_CONSTANT_BOUNDS), 0.3),  # logarithm
 }
 """Bounds and scale of each unknown; the last one is optional."""
 
-_WIDTH = 1.96  # half width of a 95 % interval in standard errors
-_ROUNDS = 2  # iterations of the fixed point of heat and friction
+_INTERVAL_ERRORS = 1.96  # half width of a 95 % interval in standard errors
+_ROUND_COUNT = 2  # iterations of the fixed point of heat and friction
 
 
 class Factored:
@@ -45,13 +45,15 @@ class Factored:
 
     def __init__(self, law: FrictionLaw) -> None:
         level, viscosity = sympy.symbols("level viscosity", real=True)
-        own = parts(law, level)
-        output = own.hysteresis + viscosity * own.viscous + own.rest
+        law_parts = split_torque(law, level)
+        output = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.rest
         self._law = law
         symbols = (quantity.symbol for quantity in law.form.coefficients)
         settling = law.form.component.settling
         inputs = (*INPUTS, level, viscosity)
-        self._kernel = Kernel(own.memory, tuple(symbols), inputs, (output,), settling, once=True)
+        self._kernel = Kernel(
+            law_parts.memory, tuple(symbols), inputs, (output,), settling, once=True
+        )
 
     def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
         """Return the torque (N,) [N.m] for factors (N,)."""
@@ -59,7 +61,7 @@ class Factored:
         dt = np.diff(record.t, prepend=record.t[0])
         inputs = (record.dq, record.q, record.tau_load, level, viscosity)
         run = KernelRun(self._kernel, inputs, dt, euler=law.discretisation == "euler")
-        return run.at(numbers(law), np.array(law.start))[:, 0]
+        return run.evaluate(numbers(law), np.array(law.start))[:, 0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,62 +84,71 @@ def fit_thermal(
         raise FitError(
             f"friction model '{model.law}': a thermal model does not support coupled joints."
         )
-    found = tuple(
-        _of_joint(law, [joint_records[j] for joint_records in records])
+    fits = tuple(
+        _fit_joint(law, [joint_records[j] for joint_records in records])
         for j, law in enumerate(model.laws)
     )
-    return replace(model, thermal=tuple(f.thermal for f in found)), found
+    return replace(model, thermal=tuple(f.thermal for f in fits)), fits
 
 
 def add_temperature(
     model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
     """Return a law with its temperature dependence, and a sentence per joint."""
-    warm, found = fit_thermal(model, records)
+    warm, fits = fit_thermal(model, records)
     return warm, [
-        f"{one.joint}: Coulomb friction falls by {100 * one.thermal.coulomb:.2g} ± "
-        f"{200 * one.coulomb_error:.1g} % per {'K' if one.thermal.measured else 'W of friction'}, "
-        f"viscous by {100 * one.thermal.viscous:.2g} ± {200 * one.viscous_error:.1g} %; time "
-        f"constant {one.thermal.time_constant:.3g} s; error {one.rmse_fixed:.3g} -> {one.rmse:.3g}"
-        for one in found
+        f"{fit.joint}: Coulomb friction falls by {100 * fit.thermal.coulomb:.2g} ± "
+        f"{200 * fit.coulomb_error:.1g} % per {'K' if fit.thermal.measured else 'W of friction'}, "
+        f"viscous by {100 * fit.thermal.viscous:.2g} ± {200 * fit.viscous_error:.1g} %; time "
+        f"constant {fit.thermal.time_constant:.3g} s; error {fit.rmse_fixed:.3g} -> {fit.rmse:.3g}"
+        for fit in fits
     ]
 
 
-def _of_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit:
-    measured = [record.temperature for record in records if record.temperature is not None]
-    if measured and len(measured) < len(records):
-        without = next(record.log for record in records if record.temperature is None)
-        raise FitError(f"log {without}: temperatures are missing, but other logs have them.")
+def _fit_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit:
+    measured_temperatures = [
+        record.temperature for record in records if record.temperature is not None
+    ]
+    if measured_temperatures and len(measured_temperatures) < len(records):
+        log_name = next(record.log for record in records if record.temperature is None)
+        raise FitError(f"log {log_name}: temperatures are missing, but other logs have them.")
     problem = _Problem(law, records)
-    if measured:
-        every = np.concatenate(measured)
-        low, high = np.percentile(every, (5.0, 95.0))
-        if high - low < LEAST_SPREAD:
+    if measured_temperatures:
+        temperatures = np.concatenate(measured_temperatures)
+        lowest, highest = np.percentile(temperatures, (5.0, 95.0))
+        if highest - lowest < MIN_SPREAD:
             raise FitError(
-                f"joint '{records[0].joint}': its temperature varies by {high - low:.2g} K over "
-                f"the logs; at least {LEAST_SPREAD:g} K are needed."
+                f"joint '{records[0].joint}': its temperature varies by {highest - lowest:.2g} "
+                "K over "
+                f"the logs; at least {MIN_SPREAD:g} K are needed."
             )
-        start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(every)), 1))
-        fitted = problem.solved(start, lambda _: measured)
-        return replace(fitted, thermal=problem.heated(fitted.thermal, measured))
+        start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(temperatures)), 1))
+        joint_fit = problem.solve(start, lambda _: measured_temperatures)
+        return replace(
+            joint_fit, thermal=problem.fit_heating(joint_fit.thermal, measured_temperatures)
+        )
     longest = max(float(np.ptp(record.t)) for record in records)
-    if longest < LEAST_TIME:
+    if longest < MIN_TIME:
         raise FitError(
             f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
-            f"temperatures it must last {LEAST_TIME:g} s from a cold start."
+            f"temperatures it must last {MIN_TIME:g} s from a cold start."
         )
     start = Thermal(
         coulomb=0.0, viscous=0.0, time_constant=longest / 3.0, resistance=1.0, measured=False
     )
-    fitted = problem.solved(start, problem.by_heat, searched=True)
-    thermal = fitted.thermal
-    found = ((thermal.coulomb, fitted.coulomb_error), (thermal.viscous, fitted.viscous_error))
-    if all(abs(value) < _WIDTH * error for value, error in found):
+    joint_fit = problem.solve(start, problem.compute_temperatures, searched=True)
+    thermal = joint_fit.thermal
+    effects = (
+        (thermal.coulomb, joint_fit.coulomb_error),
+        (thermal.viscous, joint_fit.viscous_error),
+    )
+    if all(abs(value) < _INTERVAL_ERRORS * error for value, error in effects):
         raise FitError(
-            f"joint '{fitted.joint}': friction does not change as the joint warms up; use longer "
+            f"joint '{joint_fit.joint}': friction does not change as the joint warms up; use "
+            "longer "
             "logs from a cold start."
         )
-    return fitted
+    return joint_fit
 
 
 class _Problem:
@@ -149,7 +160,7 @@ class _Problem:
         self._known = [np.isfinite(record.tau) for record in records]
         self._steps = [np.diff(record.t, prepend=record.t[0]) for record in records]
 
-    def solved(
+    def solve(
         self,
         start: Thermal,
         temperatures: Callable[[Thermal], Sequence[Array]],
@@ -157,7 +168,7 @@ class _Problem:
         searched: bool = False,
     ) -> ThermalFit:
 
-        def thermal_of(x: Array) -> Thermal:
+        def build_thermal(x: Array) -> Thermal:
             return replace(
                 start,
                 coulomb_scale=float(np.exp(x[0])),
@@ -167,79 +178,88 @@ class _Problem:
                 time_constant=float(np.exp(x[5])) if searched else start.time_constant,
             )
 
-        def left(thermal: Thermal, offset: float) -> Array:
-            torques = self._torques(thermal, temperatures(thermal))
+        def compute_residual(thermal: Thermal, offset: float) -> Array:
+            torques = self._compute_torques(thermal, temperatures(thermal))
             rows = zip(torques, self._records, self._known, strict=True)
             return np.concatenate(
-                [(tau + offset - record.tau)[known] for tau, record, known in rows]
+                [(tau + offset - record.tau)[is_finite] for tau, record, is_finite in rows]
             )
 
-        low, high, scale = np.array(list(_UNKNOWNS.values())[: 6 if searched else 5]).T
-        first = np.zeros(len(scale))
+        lower, upper, scale = np.array(list(_UNKNOWNS.values())[: 6 if searched else 5]).T
+        initial = np.zeros(len(scale))
         if searched:
-            first[2:] = 1e-3, 1e-3, 0.0, np.log(start.time_constant)
-        found = least_squares(
-            lambda x: left(thermal_of(x), x[4]), first, bounds=(low, high), x_scale=scale
+            initial[2:] = 1e-3, 1e-3, 0.0, np.log(start.time_constant)
+        optimum = least_squares(
+            lambda x: compute_residual(build_thermal(x), x[4]),
+            initial,
+            bounds=(lower, upper),
+            x_scale=scale,
         )
-        rows = [int(known.sum()) for known in self._known]
+        rows = [int(is_finite.sum()) for is_finite in self._known]
         labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
         names = tuple(_UNKNOWNS)[: len(scale)]
-        errors = covariance_of_fit(names, found.jac, found.fun, labels).standard_errors
-        thermal = thermal_of(found.x)
-        seen = np.concatenate(list(temperatures(thermal)))
-        coldest = float(np.min(seen))
-        warmest = float(np.max(seen))
+        errors = covariance_of_fit(names, optimum.jac, optimum.fun, labels).standard_errors
+        thermal = build_thermal(optimum.x)
+        all_temperatures = np.concatenate(list(temperatures(thermal)))
+        coldest = float(np.min(all_temperatures))
+        warmest = float(np.max(all_temperatures))
         return ThermalFit(
             joint=self._records[0].joint,
             thermal=replace(thermal, coldest=coldest, warmest=warmest),
             coulomb_error=float(errors[2]),
             viscous_error=float(errors[3]),
-            rmse_fixed=rmse(left(start, 0.0)),
-            rmse=rmse(found.fun),
+            rmse_fixed=rmse(compute_residual(start, 0.0)),
+            rmse=rmse(optimum.fun),
         )
 
-    def _torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
+    def _compute_torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
         return [
             self._law.torque(record, *thermal.factors(t))
             for record, t in zip(self._records, temperatures, strict=True)
         ]
 
-    def by_heat(self, thermal: Thermal) -> list[Array]:
+    def compute_temperatures(self, thermal: Thermal) -> list[Array]:
         """Return the temperature of each record from its friction [degC]."""
-        found = [np.full_like(record.t, thermal.ambient) for record in self._records]
-        for _ in range(_ROUNDS):
-            found = [
+        temperatures = [np.full_like(record.t, thermal.ambient) for record in self._records]
+        for _ in range(_ROUND_COUNT):
+            temperatures = [
                 thermal.ambient + thermal.rise(power, dt)
-                for power, dt in zip(self._powers(thermal, found), self._steps, strict=True)
+                for power, dt in zip(
+                    self._compute_powers(thermal, temperatures), self._steps, strict=True
+                )
             ]
-        return found
+        return temperatures
 
-    def _powers(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
-        torques = self._torques(thermal, temperatures)
+    def _compute_powers(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
+        torques = self._compute_torques(thermal, temperatures)
         return [np.abs(tau * record.dq) for tau, record in zip(torques, self._records, strict=True)]
 
-    def heated(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
-        powers = self._powers(thermal, temperatures)
-        measured = np.concatenate(list(temperatures))
+    def fit_heating(self, thermal: Thermal, temperatures: Sequence[Array]) -> Thermal:
+        powers = self._compute_powers(thermal, temperatures)
+        measured_temperatures = np.concatenate(list(temperatures))
 
-        def mass(time: float) -> tuple[Array, float]:
+        def solve_heating(time: float) -> tuple[Array, float]:
             rows = []
             body = replace(thermal, resistance=1.0, time_constant=time)
             logs = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)
-            for power, dt, record, own in logs:
-                left = np.exp(-(record.t - record.t[0]) / time)
+            for power, dt, record, record_column in logs:
+                decay = np.exp(-(record.t - record.t[0]) / time)
                 rows.append(
-                    np.column_stack([body.rise(power, dt), 1.0 - left, np.outer(left, own)])
+                    np.column_stack(
+                        [body.rise(power, dt), 1.0 - decay, np.outer(decay, record_column)]
+                    )
                 )
             columns = np.concatenate(rows)
-            x = np.linalg.lstsq(columns, measured, rcond=None)[0]
-            return x, float(np.sum((columns @ x - measured) ** 2))
+            x = np.linalg.lstsq(columns, measured_temperatures, rcond=None)[0]
+            return x, float(np.sum((columns @ x - measured_temperatures) ** 2))
 
-        best = minimize_scalar(
-            lambda x: mass(float(np.exp(x)))[1], bounds=np.log(_TIMES), method="bounded"
+        optimum = minimize_scalar(
+            lambda x: solve_heating(float(np.exp(x)))[1],
+            bounds=np.log(_TIME_CONSTANT_BOUNDS),
+            method="bounded",
         )
-        time = float(np.exp(best.x))
-        resistance, ambient = map(float, mass(time)[0][:2])
+        time = float(np.exp(optimum.x))
+        resistance, ambient = map(float, solve_heating(time)[0][:2])
         return replace(
             thermal, resistance=max(resistance, 0.0), time_constant=time, ambient=ambient
         )

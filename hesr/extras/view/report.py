@@ -23,7 +23,7 @@ from cosim.workflow.answer import Written
 from hesr.extras.view.stage import HEIGHT, WIDTH, Shown, Stage, ViewOptions, choose
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.files import written_whole
-from hesr_model.support.progress import Progress, Stages, counted, deferred, silent
+from hesr_model.support.progress import Progress, Stages, deferred, report_progress, silent
 
 
 def show_arm(
@@ -50,8 +50,8 @@ def show_arm(
     return Written(lines=[f"{seconds:.1f} s of video"], files=[output])
 
 
-_PATIENCE = 10.0  # [s] for the viewer to close
-_REFRESH = 60.0  # [Hz], update rate of the viewer
+_CLOSING_TIME = 10.0  # [s] for the viewer to close
+_REFRESH_RATE = 60.0  # [Hz], update rate of the viewer
 
 
 def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
@@ -63,7 +63,7 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
     from mujoco import viewer  # fails without a screen
 
     stage = Stage(shown, choice)
-    before = set(threading.enumerate())
+    previous_threads = set(threading.enumerate())
     with ExitStack() as cleanup:
         with deferred():  # an interrupt while it opens would end Python before its drawing thread
             try:
@@ -76,8 +76,8 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
                     "(-o FILE.mp4)."
                 ) from error
             # Python must not end before that thread has noticed the end.
-            for thread in set(threading.enumerate()) - before:
-                cleanup.callback(thread.join, _PATIENCE)
+            for thread in set(threading.enumerate()) - previous_threads:
+                cleanup.callback(thread.join, _CLOSING_TIME)
             cleanup.enter_context(window)
         camera = window.cam
         camera.lookat = stage.camera.lookat
@@ -96,15 +96,15 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
                     stage.annotate(window.user_scn, t)
             window.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, *stage.legend(t)))
             window.sync()
-            time.sleep(1.0 / _REFRESH)
+            time.sleep(1.0 / _REFRESH_RATE)
 
 
 Image = NDArray[np.uint8]
 
 RATE = 30  # frames per second
-_PAGE = 2  # divisor of size and rate for an animation
+_ANIMATION_DIVISOR = 2  # divisor of size and rate for an animation
 _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
-_GEOMS = 4000
+_MAX_GEOMS = 4000
 
 
 def write_video(
@@ -114,18 +114,18 @@ def write_video(
     kind = path.suffix.lower()
     if kind not in (".mp4", ".webp"):
         raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
-    rate = RATE if kind == ".mp4" else RATE / _PAGE
-    encoding = partial(_encoding, _encoder()) if kind == ".mp4" else _animating
+    rate = RATE if kind == ".mp4" else RATE / _ANIMATION_DIVISOR
+    encoding = partial(_encode_video, _find_encoder()) if kind == ".mp4" else _write_animation
     stage = Stage(shown, choice)
-    count = max(round(stage.duration / choice.speed * rate), 1)
+    frame_count = max(round(stage.duration / choice.speed * rate), 1)
     with (
         written_whole(path) as temporary,
         drawing(stage) as draw,
         encoding(temporary, path) as write,
     ):
-        for k in counted(range(count), progress):
+        for k in report_progress(range(frame_count), progress):
             write(draw(k * choice.speed / rate))
-    return count / rate
+    return frame_count / rate
 
 
 @contextmanager
@@ -133,7 +133,7 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
     """Yield a function that draws the scene at a time [s], as (HEIGHT, WIDTH, 3)."""
     with ExitStack() as cleanup:
         try:
-            context = _gl()(WIDTH, HEIGHT)
+            context = _load_gl_context()(WIDTH, HEIGHT)
             cleanup.callback(context.free)
             context.make_current()
             target = mujoco.MjrContext(stage.model, mujoco.mjtFontScale.mjFONTSCALE_150)
@@ -146,7 +146,7 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
             ) from error
         cleanup.callback(target.free)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
-        scene = mujoco.MjvScene(stage.model, maxgeom=_GEOMS)
+        scene = mujoco.MjvScene(stage.model, maxgeom=_MAX_GEOMS)
         scenery = stage.model, stage.data, mujoco.MjvOption(), None, stage.camera
         place = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
         view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
@@ -164,18 +164,20 @@ def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
         yield draw
 
 
-def _gl() -> Any:
-    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if sys.platform == "linux" and not wanted:
-        found = [name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)]
-        if not found:
+def _load_gl_context() -> Any:
+    backend = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if sys.platform == "linux" and not backend:
+        installed = [
+            name for name, library in _BACKENDS.items() if ctypes.util.find_library(library)
+        ]
+        if not installed:
             raise ConfigError("videos need libEGL or libOSMesa (Debian: libegl1, libosmesa6).")
-        wanted = found[0]
-    module = wanted if wanted in _BACKENDS else "gl_context"
+        backend = installed[0]
+    module = backend if backend in _BACKENDS else "gl_context"
     return import_module(f"mujoco.{module}").GLContext
 
 
-def _encoder() -> str:
+def _find_encoder() -> str:
     try:
         import imageio_ffmpeg
 
@@ -189,12 +191,40 @@ def _encoder() -> str:
 
 
 @contextmanager
-def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
-    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(RATE)]
-    result = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    command = [encoder, "-y", "-loglevel", "error", *source, "-i", "-", *result, str(file)]
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+def _encode_video(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
+    input_options = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{WIDTH}x{HEIGHT}",
+        "-r",
+        str(RATE),
+    ]
+    output_options = [
+        "-c:v",
+        "libx264",
+        "-crf",
+        "20",
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+    ]
+    command = [
+        encoder,
+        "-y",
+        "-loglevel",
+        "error",
+        *input_options,
+        "-i",
+        "-",
+        *output_options,
+        str(file),
+    ]
+    with tempfile.TemporaryFile() as messages:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=messages)
         pipe = process.stdin
         assert pipe is not None
         try:
@@ -210,8 +240,8 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
                 pipe.close()
             process.wait()
         if process.returncode:
-            said.seek(0)
-            lines = said.read().decode(errors="replace").strip().splitlines()
+            messages.seek(0)
+            lines = messages.read().decode(errors="replace").strip().splitlines()
             full = os.strerror(errno.ENOSPC)
             if any(full in line for line in lines):  # it may not be the last line
                 raise OSError(errno.ENOSPC, full, str(path))
@@ -220,15 +250,15 @@ def _encoding(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Image]
 
 
 @contextmanager
-def _animating(file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
+def _write_animation(file: Path, path: Path) -> Iterator[Callable[[Image], object]]:
     import PIL.Image
 
     del path
     frames: list[PIL.Image.Image] = []
-    size = (WIDTH // _PAGE, HEIGHT // _PAGE)
+    size = (WIDTH // _ANIMATION_DIVISOR, HEIGHT // _ANIMATION_DIVISOR)
     yield lambda image: frames.append(PIL.Image.fromarray(image).resize(size))
     options = {"save_all": True, "loop": 0, "quality": 60, "method": 4}
-    options["duration"] = round(1000 * _PAGE / RATE)
+    options["duration"] = round(1000 * _ANIMATION_DIVISOR / RATE)
     frames[0].save(file, "WEBP", append_images=frames[1:], **options)
 
 

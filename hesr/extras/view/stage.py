@@ -22,7 +22,7 @@ from hesr_model.support.arrays import Array
 
 _SCHEME = "servo_inversion"  # scheme with the largest effect of models
 _MODEL = "resources/model.xml"
-_MOST = 4  # arms side by side
+_MAX_ARMS = 4  # arms side by side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,37 +58,40 @@ def choose(folder: Path, choice: ViewOptions) -> Shown:
     schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
     scheme = choice.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
     if scheme not in schemes:
-        raise ConfigError(f"--scheme is '{scheme}'; there are {_listed(schemes)} in {folder}.")
-    of_scheme = {law: trace for (s, law), trace in traces.items() if s.name == scheme}
-    laws = list(choice.laws) or _telling(of_scheme)
-    for law in laws:
-        if law not in of_scheme:
+        raise ConfigError(f"--scheme is '{scheme}'; there are {_quote_names(schemes)} in {folder}.")
+    scheme_traces = {law_name: trace for (s, law_name), trace in traces.items() if s.name == scheme}
+    laws = list(choice.laws) or _choose_laws(scheme_traces)
+    for law_name in laws:
+        if law_name not in scheme_traces:
             raise ConfigError(
-                f"--law is '{law}'; with scheme '{scheme}' there are {_listed(of_scheme)} in "
+                f"--law is '{law_name}'; with scheme '{scheme}' there are "
+                f"{_quote_names(scheme_traces)} in "
                 f"{folder}."
             )
-    if len(laws) > _MOST:
-        raise ConfigError(f"--law is given {len(laws)} times; at most {_MOST} fit side by side.")
+    if len(laws) > _MAX_ARMS:
+        raise ConfigError(
+            f"--law is given {len(laws)} times; at most {_MAX_ARMS} fit side by side."
+        )
     return Shown(
-        mjcf=_mjcf(folder / "fmus" / ARM),
+        mjcf=_read_mjcf(folder / "fmus" / ARM),
         joints=RigidBody.read(folder / "rigid_body.json").joints,
         scheme=scheme,
-        runs={title(law): of_scheme[law] for law in laws},
+        runs={title(law_name): scheme_traces[law_name] for law_name in laws},
     )
 
 
-def _telling(runs: Mapping[str, Trace]) -> list[str]:
+def _choose_laws(runs: Mapping[str, Trace]) -> list[str]:
     errors = {
-        law: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
-        for law, trace in runs.items()
-        if law not in set(StandIn)
+        law_name: float(np.sqrt(np.mean((trace.q - trace.q_d) ** 2)))
+        for law_name, trace in runs.items()
+        if law_name not in set(StandIn)
     }
-    best = min(errors, key=lambda law: errors[law], default=None)
-    chosen = [law for law in (StandIn.BODY_ONLY, best) if law in runs]
-    return [law for law in chosen if law is not None] or list(runs)[:1]
+    best_law = min(errors, key=lambda law_name: errors[law_name], default=None)
+    law_names = [law_name for law_name in (StandIn.BODY_ONLY, best_law) if law_name in runs]
+    return [law_name for law_name in law_names if law_name is not None] or list(runs)[:1]
 
 
-def _mjcf(fmu: Path) -> str:
+def _read_mjcf(fmu: Path) -> str:
     if not fmu.is_file():
         raise ArtifactError(f"{fmu}: no such file; rerun 'hesr run'.")
     with Archive(fmu) as archive:
@@ -100,16 +103,16 @@ def _mjcf(fmu: Path) -> str:
     raise ArtifactError(f"{fmu}: holds no {_MODEL} to show.")
 
 
-def _listed(names: Sequence[str] | Mapping[str, object]) -> str:
+def _quote_names(names: Sequence[str] | Mapping[str, object]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 
 Colour = tuple[float, float, float, float]
 
-_LINK = 0.045  # radius of links over the reach of the arm
-_JOINT = 1.35  # radius of joints over that of links
-_END = 1.1  # radius of the ball at the end over that of links
-_SMALL = 1e-3  # over the reach: shorter links are not drawn
+_LINK_RADIUS_RATIO = 0.045  # radius of links over the reach of the arm
+_JOINT_RADIUS_RATIO = 1.35  # radius of joints over that of links
+_END_RADIUS_RATIO = 1.1  # radius of the ball at the end over that of links
+_MIN_LINK_SHARE = 1e-3  # over the reach: shorter links are not drawn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +125,7 @@ class Paint:
     thick: float = 1.0
 
 
-def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
+def build_arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
     """Return an arm as an MjSpec of bodies, joints and shapes, or else capsules between joints."""
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
@@ -130,7 +133,7 @@ def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
         for name in joints:
             if spec.joint(name) is None:
                 raise RobotError(f"the arm's model has no joint '{name}', so it cannot be shown.")
-        model = spec.compile()
+        mj_model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise RobotError(f"the arm's model cannot be shown ({reason}).") from error
@@ -139,15 +142,15 @@ def arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
             geom.rgba = paint.links
             geom.material = ""
     else:
-        _draw(spec, reach(model), paint)
+        _draw(spec, compute_reach(mj_model), paint)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     return spec
 
 
-def reach(model: mujoco.MjModel) -> float:
+def compute_reach(mj_model: mujoco.MjModel) -> float:
     """Return the sum of the link lengths [m]."""
-    return float(np.linalg.norm(model.body_pos, axis=1).sum()) or 1.0
+    return float(np.linalg.norm(mj_model.body_pos, axis=1).sum()) or 1.0
 
 
 def _strip(spec: Any) -> None:
@@ -167,25 +170,29 @@ def _strip(spec: Any) -> None:
 
 
 def _draw(spec: Any, length: float, paint: Paint) -> None:
-    radius = _LINK * length * paint.thick
+    radius = _LINK_RADIUS_RATIO * length * paint.thick
     kinds = mujoco.mjtGeom
     for body in spec.worldbody.find_all("body"):
         add = partial(body.add_geom, mass=0.0)
         link = {"size": [radius, 0.0, 0.0], "rgba": paint.links}
         for child in body.bodies:
-            if np.linalg.norm(child.pos) > _SMALL * length:
+            if np.linalg.norm(child.pos) > _MIN_LINK_SHARE * length:
                 add(type=kinds.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], **link)
         for joint in body.joints:
             turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-            half = (1.2 if turns else 2.0) * radius * np.array(joint.axis)
+            half_axis = (1.2 if turns else 2.0) * radius * np.array(joint.axis)
             add(
                 type=kinds.mjGEOM_CYLINDER if turns else kinds.mjGEOM_BOX,
-                fromto=[*(joint.pos - half), *(joint.pos + half)],
-                size=[radius * (_JOINT if turns else 0.8), radius * 0.8, 0.0],
+                fromto=[*(joint.pos - half_axis), *(joint.pos + half_axis)],
+                size=[radius * (_JOINT_RADIUS_RATIO if turns else 0.8), radius * 0.8, 0.0],
                 rgba=paint.joints,
             )
         if not body.bodies:
-            add(type=kinds.mjGEOM_SPHERE, size=[_END * radius, 0.0, 0.0], rgba=paint.end)
+            add(
+                type=kinds.mjGEOM_SPHERE,
+                size=[_END_RADIUS_RATIO * radius, 0.0, 0.0],
+                rgba=paint.end,
+            )
 
 
 WIDTH = 1280
@@ -200,10 +207,10 @@ _ARM = Paint(links=(0.78, 0.80, 0.83, 1.0), joints=(0.25, 0.27, 0.31, 1.0), end=
 _GHOST = Paint(
     links=(*_BLUE[:3], 0.14), joints=(*_BLUE[:3], 0.14), end=(*_BLUE[:3], 0.14), thick=1.12
 )
-_TRAIL = 2.5  # [s] length of the trail of the arm's end
-_PIECES = 60  # segments of a trail
-_LINE = 0.09
-_LEFT = 0.3  # [m] line spacing of text, and its distance to the left of the arm
+_TRAIL_DURATION = 2.5  # [s] length of the trail of the arm's end
+_SEGMENT_COUNT = 60  # segments of a trail
+_LINE_SPACING = 0.09
+_TEXT_OFFSET = 0.3  # [m] line spacing of text, and its distance to the left of the arm
 _FOVY = 40.0  # [degrees]
 _ROOM = f"""<mujoco>
   <statistic extent="3" center="0 0 0.5"/>
@@ -249,74 +256,78 @@ class Stage:
         self._magnify = choice.magnify
         self._scheme = shown.scheme
         self.duration = max(float(run.t[-1]) for run in shown.runs.values())
-        low, high = _space(shown)
-        gap = (high[1] - low[1]) + 0.25 * float(np.linalg.norm(high - low))
+        lower, upper = _find_space(shown)
+        gap = (upper[1] - lower[1]) + 0.25 * float(np.linalg.norm(upper - lower))
         spots = gap * (np.arange(len(shown.runs)) - 0.5 * (len(shown.runs) - 1))
         spec = mujoco.MjSpec.from_string(_ROOM)
         for k, spot in enumerate(spots):
             frame = spec.worldbody.add_frame(pos=[0.0, float(spot), 0.0])
-            solid = arm(shown.mjcf, shown.joints, paint=_ARM)
-            ghost = arm(shown.mjcf, shown.joints, paint=_GHOST)
+            solid = build_arm(shown.mjcf, shown.joints, paint=_ARM)
+            ghost = build_arm(shown.mjcf, shown.joints, paint=_GHOST)
             spec.attach(solid, prefix=f"actual{k}/", frame=frame)
             spec.attach(ghost, prefix=f"commanded{k}/", frame=frame)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._arms = [
-            self._place(k, spots[k], label, run, shown.joints, high[2])
+            self._place_arm(k, spots[k], label, run, shown.joints, upper[2])
             for k, (label, run) in enumerate(shown.runs.items())
         ]
-        self._paths = [self._path(one) for one in self._arms]
-        self.camera = _camera(low, high, spots)
+        self._paths = [self._compute_paths(placed) for placed in self._arms]
+        self.camera = _build_camera(lower, upper, spots)
 
-    def _place(
+    def _place_arm(
         self, k: int, spot: float, label: str, run: Trace, joints: Sequence[str], top: float
     ) -> _Placed:
         def addresses(prefix: str) -> NDArray[np.intp]:
-            found = [self.model.joint(f"{prefix}/{name}").qposadr[0] for name in joints]
-            return np.array(found, dtype=np.intp)
+            qpos_addresses = [self.model.joint(f"{prefix}/{name}").qposadr[0] for name in joints]
+            return np.array(qpos_addresses, dtype=np.intp)
 
-        off = run.q - run.q_d
-        errors = ", ".join(f"{1e3 * e:.2g}" for e in np.sqrt(np.mean(off**2, axis=0)))
-        ends = [_end(self.model, f"{prefix}{k}/", joints[-1]) for prefix in ("commanded", "actual")]
+        deviation = run.q - run.q_d
+        errors = ", ".join(f"{1e3 * e:.2g}" for e in np.sqrt(np.mean(deviation**2, axis=0)))
+        ends = [
+            _find_end(self.model, f"{prefix}{k}/", joints[-1]) for prefix in ("commanded", "actual")
+        ]
         return _Placed(
             label=(label, f"{errors} mrad"),
             t=run.t,
             q_d=run.q_d,
-            q=run.q_d + self._magnify * off,
+            q=run.q_d + self._magnify * deviation,
             ghost=addresses(f"commanded{k}"),
             solid=addresses(f"actual{k}"),
             ends=(ends[0], ends[1]),
-            above=np.array([0.0, spot - _LEFT, top + 2 * _LINE]),
+            above=np.array([0.0, spot - _TEXT_OFFSET, top + 2 * _LINE_SPACING]),
         )
 
-    def _path(self, one: _Placed) -> Array:
+    def _compute_paths(self, placed: _Placed) -> Array:
         """Return the paths of both ends (N, 2, 3) [m]."""
-        path = np.empty((len(one.t), 2, 3))
-        for k in range(len(one.t)):
-            self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
+        path = np.empty((len(placed.t), 2, 3))
+        for k in range(len(placed.t)):
+            self.data.qpos[placed.ghost], self.data.qpos[placed.solid] = placed.q_d[k], placed.q[k]
             mujoco.mj_kinematics(self.model, self.data)
-            path[k] = self.data.xpos[list(one.ends)]
+            path[k] = self.data.xpos[list(placed.ends)]
         return path
 
     def set(self, t: float) -> None:
         """Set all poses at a time [s]."""
-        for one in self._arms:
-            k = _row(one.t, t)
-            self.data.qpos[one.ghost], self.data.qpos[one.solid] = one.q_d[k], one.q[k]
+        for placed in self._arms:
+            k = _find_row(placed.t, t)
+            self.data.qpos[placed.ghost], self.data.qpos[placed.solid] = placed.q_d[k], placed.q[k]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
     def annotate(self, scene: mujoco.MjvScene, t: float) -> None:
         """Add trails and labels to a scene."""
-        for one, path in zip(self._arms, self._paths, strict=True):
-            ends = _row(one.t, t - _TRAIL), _row(one.t, t)
-            rows = np.unique(np.linspace(*ends, _PIECES).astype(int))
+        for placed, path in zip(self._arms, self._paths, strict=True):
+            ends = _find_row(placed.t, t - _TRAIL_DURATION), _find_row(placed.t, t)
+            rows = np.unique(np.linspace(*ends, _SEGMENT_COUNT).astype(int))
             for side, pixels, colour in ((0, 9.0, _BLUE), (1, 3.0, _RUST)):
                 for a, b in pairwise(rows):
-                    _line(scene, path[a, side], path[b, side], pixels, colour)
-            for line, text in enumerate(one.label):
-                place = one.above - np.array([0.0, 0.0, _LINE * line])
-                geom = _add_to_scene(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, place, _TEXT)
+                    _add_line(scene, path[a, side], path[b, side], pixels, colour)
+            for line, text in enumerate(placed.label):
+                label_position = placed.above - np.array([0.0, 0.0, _LINE_SPACING * line])
+                geom = _add_to_scene(
+                    scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, label_position, _TEXT
+                )
                 if geom:
                     geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
@@ -332,48 +343,54 @@ class Stage:
         return "\n".join(legend), "\n".join(legend.values())
 
 
-def _row(t: Array, at: float) -> int:
-    return int(np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, len(t) - 1))
+def _find_row(t: Array, time: float) -> int:
+    return int(np.clip(np.searchsorted(t, time + 1e-9) - 1, 0, len(t) - 1))
 
 
-def _end(model: mujoco.MjModel, prefix: str, joint: str) -> int:
-    start = int(model.joint(f"{prefix}{joint}").bodyid[0])
+def _find_end(mj_model: mujoco.MjModel, prefix: str, joint: str) -> int:
+    start = int(mj_model.joint(f"{prefix}{joint}").bodyid[0])
     depth = {start: 0}
-    for body in range(start + 1, model.nbody):  # parents come first
-        parent = int(model.body_parentid[body])
+    for body in range(start + 1, mj_model.nbody):  # parents come first
+        parent = int(mj_model.body_parentid[body])
         if parent in depth:
             depth[body] = depth[parent] + 1
     return max(depth, key=lambda body: depth[body])
 
 
-def _space(shown: Shown) -> tuple[Array, Array]:
-    model = arm(shown.mjcf, shown.joints, paint=_ARM).compile()
-    data = mujoco.MjData(model)
-    places = [model.joint(name).qposadr[0] for name in shown.joints]
-    margin = 0.06 * reach(model)
+def _find_space(shown: Shown) -> tuple[Array, Array]:
+    mj_model = build_arm(shown.mjcf, shown.joints, paint=_ARM).compile()
+    mj_data = mujoco.MjData(mj_model)
+    addresses = [mj_model.joint(name).qposadr[0] for name in shown.joints]
+    margin = 0.06 * compute_reach(mj_model)
     points = [np.zeros(3)]
     for run in shown.runs.values():
         for q in run.q_d[:: max(len(run.q_d) // 200, 1)]:
-            data.qpos[places] = q
-            mujoco.mj_kinematics(model, data)
-            points += list(data.xpos[1:])
+            mj_data.qpos[addresses] = q
+            mujoco.mj_kinematics(mj_model, mj_data)
+            points += list(mj_data.xpos[1:])
     return np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
 
 
-def _camera(low: Array, high: Array, spots: Array) -> mujoco.MjvCamera:
+def _build_camera(lower: Array, upper: Array, spots: Array) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
-    words = 3 * _LINE
-    camera.lookat = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (high[2] + words)]
+    words = 3 * _LINE_SPACING
+    camera.lookat = [
+        0.5 * (lower[0] + upper[0]),
+        0.5 * (lower[1] + upper[1]),
+        0.5 * (upper[2] + words),
+    ]
     camera.azimuth = 170.0
     camera.elevation = -10.0
-    width = float(spots[-1] - spots[0] + high[1] - low[1])
-    height = high[2] + words
-    half = np.tan(np.radians(_FOVY) / 2)
-    camera.distance = float(max(height, width * HEIGHT / WIDTH) / (2 * half) + 0.6 * high[0])
+    width = float(spots[-1] - spots[0] + upper[1] - lower[1])
+    height = upper[2] + words
+    half_angle = np.tan(np.radians(_FOVY) / 2)
+    camera.distance = float(max(height, width * HEIGHT / WIDTH) / (2 * half_angle) + 0.6 * upper[0])
     return camera
 
 
-def _line(scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour) -> None:
+def _add_line(
+    scene: mujoco.MjvScene, start: Array, end: Array, pixels: float, colour: Colour
+) -> None:
     kind = mujoco.mjtGeom.mjGEOM_LINE  # four times as fast as tubes in software rendering
     geom = _add_to_scene(scene, kind, 0.0, np.zeros(3), colour)
     if geom:

@@ -10,9 +10,9 @@ from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.support.arrays import Array
 
 GRID = (10, 10)  # cells of the profile
-MEMORY = 1.0  # [s] longest 1 / alpha; slower states follow the load
-STEEPNESS = (1.0, 2000.0)  # of beta times the joint's typical speed
-COURSE = 200  # rows after a reversal
+MAX_MEMORY = 1.0  # [s] longest 1 / alpha; slower states follow the load
+STEEPNESS_RANGE = (1.0, 2000.0)  # of beta times the joint's typical speed
+COURSE_ROWS = 200  # rows after a reversal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +27,13 @@ class Cell:
 def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the bounds of alpha [1/s] and beta [s/rad] that the data can resolve."""
     speed = float(np.sqrt(np.mean(features.samples.dq**2)))
-    return ((1.0 / MEMORY, features.alpha_limit), (STEEPNESS[0] / speed, STEEPNESS[1] / speed))
+    return (
+        (1.0 / MAX_MEMORY, features.alpha_limit),
+        (STEEPNESS_RANGE[0] / speed, STEEPNESS_RANGE[1] / speed),
+    )
 
 
-def profile(features: HysteresisFeatures) -> list[Cell]:
+def compute_profile(features: HysteresisFeatures) -> list[Cell]:
     """Return the cells of a logarithmic grid with the residuals of cubic surfaces, best first."""
     tau = features.samples.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
@@ -38,26 +41,26 @@ def profile(features: HysteresisFeatures) -> list[Cell]:
     # Without the upper end of alpha, where h has no memory.
     for alpha in np.geomspace(alpha_low, alpha_high, GRID[0] + 1)[:-1]:
         for beta in np.geomspace(beta_low, beta_high, GRID[1]):
-            columns = _cubic(features.columns(alpha, beta))
+            columns = _cubic_features(features.columns(alpha, beta))
             solution = np.linalg.lstsq(columns.T @ columns, columns.T @ tau, rcond=1e-12)[0]
             cost = float(np.sum((tau - columns @ solution) ** 2))
             cells.append(Cell(alpha=float(alpha), beta=float(beta), cost=cost))
     return sorted(cells, key=lambda cell: cell.cost)
 
 
-def distinct(cells: list[Cell], count: int) -> list[Cell]:
+def select_distinct(cells: list[Cell], count: int) -> list[Cell]:
     """Return the best `count` cells that are local minima first, then the next best."""
     from scipy.ndimage import minimum_filter  # slow to import
 
     costs = {(c.alpha, c.beta): c.cost for c in cells}
-    alphas, betas = (sorted(set(own)) for own in zip(*costs, strict=True))
+    alphas, betas = (sorted(set(coordinates)) for coordinates in zip(*costs, strict=True))
     cost = np.array([[costs[a, b] for b in betas] for a in alphas])
     lowest = minimum_filter(cost, size=3, mode="nearest")
     minima = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
     return sorted(cells, key=lambda c: ((c.alpha, c.beta) not in minima, c.cost))[:count]
 
 
-def geometric(features: HysteresisFeatures) -> tuple[float, float]:
+def estimate_from_loop(features: HysteresisFeatures) -> tuple[float, float]:
     """Return (alpha, beta) from the geometry of the loop, as in stage 1 of the paper.
 
     1 / alpha is the mean settling time after a reversal: area over height. beta is the slope of the
@@ -66,7 +69,7 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     rows = features.samples
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     level = 0.5 * float(np.quantile(rows.tau, 0.9) - np.quantile(rows.tau, 0.1))
-    courses = _courses(features)
+    courses = _extract_courses(features)
     slopes = [slope for _, slope in courses if slope is not None]
     slope = float(np.median(slopes)) if slopes else 0.0
     alpha = _settling_rate(features, [course for course, _ in courses])
@@ -75,7 +78,7 @@ def geometric(features: HysteresisFeatures) -> tuple[float, float]:
     return float(alpha), float(np.clip(beta, beta_low, beta_high))
 
 
-def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
+def _extract_courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
     """Return the torque after each reversal, positive in the direction of motion, and its slope."""
     rows = features.samples
     tau = rows.tau - float(np.median(rows.tau))
@@ -83,7 +86,7 @@ def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
     ends = np.flatnonzero(np.append(rows.begins[1:], True)) + 1
     courses: list[tuple[Array, float | None]] = []
     for k, following in zip(flips, np.append(flips[1:], len(tau) - 1), strict=True):
-        stop = min(int(following), k + 1 + COURSE, int(ends[np.searchsorted(ends, k + 1)]))
+        stop = min(int(following), k + 1 + COURSE_ROWS, int(ends[np.searchsorted(ends, k + 1)]))
         after = np.sign(rows.dq[k + 1]) * tau[k + 1 : stop]
         crossing = np.flatnonzero(after >= 0.0)
         slope = None
@@ -98,22 +101,22 @@ def _courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
 def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
     """Return height over area [1/s] of the mean course; 0 without reversals."""
     rows = features.samples
-    total = np.zeros(COURSE)
-    count = np.zeros(COURSE)
+    total = np.zeros(COURSE_ROWS)
+    count = np.zeros(COURSE_ROWS)
     for course in courses:
         total[: len(course)] += course
         count[: len(course)] += 1.0
-    seen = count >= max(1.0, 0.5 * count[0])
-    mean = total[seen] / count[seen]
+    is_counted = count >= max(1.0, 0.5 * count[0])
+    mean = total[is_counted] / count[is_counted]
     if len(mean) < 10:
         return 0.0
-    way = np.abs(mean - mean[-(len(mean) // 10) :].mean())
-    start = int(np.argmax(way[: len(mean) // 4 + 1]))
-    area = float(way[start:].sum() * np.median(rows.dt[~rows.begins]))
-    return float(way[start]) / area if area > 0.0 else 0.0
+    deviation = np.abs(mean - mean[-(len(mean) // 10) :].mean())
+    start = int(np.argmax(deviation[: len(mean) // 4 + 1]))
+    area = float(deviation[start:].sum() * np.median(rows.dt[~rows.begins]))
+    return float(deviation[start]) / area if area > 0.0 else 0.0
 
 
-def _cubic(features: Array) -> Array:
+def _cubic_features(features: Array) -> Array:
     """Return (N, 20) monomials of degree <= 3 of the standardised features."""
     x = features[:, 1:] / np.maximum(features[:, 1:].std(axis=0), 1e-12)
     powers = [p for degree in (1, 2, 3) for p in combinations_with_replacement(x.T, degree)]

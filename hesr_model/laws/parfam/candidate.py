@@ -39,7 +39,7 @@ class Candidate:
         if self.g is None and self.theta_active.any():
             raise ValueError("a candidate without a unit must not have arguments")
 
-    def canonical(self) -> "Candidate":
+    def to_canonical(self) -> "Candidate":
         """Return the same law with positive gain, offset within a quarter turn (cos: half)."""
         theta = self.theta.copy()
         gain = self.gain
@@ -73,7 +73,13 @@ class Candidate:
             values |= {family.linear_name(x): quantity, family.argument_name(1, x): theta}
         values |= {family.gain_name(1): self.gain, "alpha": self.alpha, "beta": self.beta}
         form = family.form(structure)
-        kept = {quantity.name: float(values[quantity.name]) for quantity in form.coefficients}
+        form_values = {
+            quantity.name: float(values[quantity.name]) for quantity in form.coefficients
+        }
         return FrictionLaw(
-            name=name, structure=structure, form=form, values=kept, discretisation=discretisation
+            name=name,
+            structure=structure,
+            form=form,
+            values=form_values,
+            discretisation=discretisation,
         )

@@ -20,7 +20,7 @@ ROUNDS = ((6, 0.5), (6, 0.4), (12, 1.0))  # (iterations, share of starts kept)
 ARGUMENT_LIMIT = 12.0  # of a standardised theta; beyond it g saturates or wraps
 
 
-def linear(cell: Cell, features: Array, tau: Array) -> Candidate:
+def fit_linear(cell: Cell, features: Array, tau: Array) -> Candidate:
     """Return the law without a unit g, linear in the (N, 4) features, for tau (N,) [N.m]."""
     return _candidate(cell, None, features, tau, np.zeros(4))
 
@@ -29,11 +29,11 @@ def search(
     cell: Cell, g: str, features: Array, tau: Array, starts: Array, keep: int
 ) -> list[Candidate]:
     """Return at most `keep` distinct laws with one unit g, best first, from `starts` (S, 4)."""
-    found = arguments(g, features, features, tau, starts, keep)
-    return [_candidate(cell, g, features, tau, theta) for theta in found]
+    thetas = search_arguments(g, features, features, tau, starts, keep)
+    return [_candidate(cell, g, features, tau, theta) for theta in thetas]
 
 
-def arguments(
+def search_arguments(
     g: str,
     features: Array,
     linear: Array,
@@ -147,13 +147,13 @@ class _Projected:
         slope = gain * self.dg(argument, value)
         norm = np.maximum(np.einsum("ms,ms->s", outside, outside), 1e-9 * len(self.x))
         count = len(theta)
-        whole = (self._squares @ slope**2).reshape(count, count, -1)
+        full_gram = (self._squares @ slope**2).reshape(count, count, -1)
         inside = (self._spanned @ slope).reshape(-1, count, slope.shape[1])
         along = self.x.T @ (outside * slope)
         residual = self.x.T @ ((self.y - gain * outside) * slope)
-        gram = whole - np.einsum("lis,ljs->ijs", inside, inside) - along[:, None] * along / norm
-        left = np.einsum("ms,ms->s", outside, self.y - gain * outside)
-        return gram.transpose(2, 0, 1), (residual - along * left / norm).T
+        gram = full_gram - np.einsum("lis,ljs->ijs", inside, inside) - along[:, None] * along / norm
+        outside_residual = np.einsum("ms,ms->s", outside, self.y - gain * outside)
+        return gram.transpose(2, 0, 1), (residual - along * outside_residual / norm).T
 
 
 GAMMA = 1e-3  # weight of L1; 1e-4 prunes nothing, 1e-2 all units

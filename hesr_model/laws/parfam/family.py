@@ -57,8 +57,8 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     Optional keys are "state", one of `STATES`, and "denominator", features x of 1 + sum_i d_i x_i
     below the output. Raises ArtifactError if one is unknown.
     """
-    linear, units, state, below = _checked(structure)
-    hysteresis, own = hysteresis_state(state)
+    linear, units, state, denominator = _validate_structure(structure)
+    hysteresis, state_coefficients = hysteresis_state(state)
     h = hysteresis.state
     dh = hysteresis.derivative
     symbols = {
@@ -70,7 +70,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         "h_bump": h * sympy.exp(-((DQ / V_S.symbol) ** 2)),
     }
 
-    def weighted(weights: Sequence[Coefficient], features: Sequence[str]) -> sympy.Expr:
+    def build_weighted_sum(weights: Sequence[Coefficient], features: Sequence[str]) -> sympy.Expr:
         products = (
             quantity.symbol * symbols[x] for quantity, x in zip(weights, features, strict=True)
         )
@@ -80,7 +80,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         Coefficient(name=linear_name(x), unit=_UNIT[x], description=f"linear term in {x}")
         for x in linear
     ]
-    terms = [weighted(coefficients, linear)]
+    terms = [build_weighted_sum(coefficients, linear)]
     for k, (g, arguments) in enumerate(units, start=1):
         gain = Coefficient(name=gain_name(k), unit="N.m", description=f"factor of {g} {k}")
         inner = [
@@ -91,7 +91,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
             )
             for x in arguments
         ]
-        terms.append(gain.symbol * FUNCTIONS[g](weighted(inner, arguments)))
+        terms.append(gain.symbol * FUNCTIONS[g](build_weighted_sum(inner, arguments)))
         coefficients += [gain, *inner]
     if "h_bump" in linear and state != "bristle":
         coefficients.append(V_S)
@@ -99,13 +99,17 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         Coefficient(
             name=denominator_name(x), unit=_ARGUMENT_UNIT[x], description=f"{x} in the denominator"
         )
-        for x in below
+        for x in denominator
     ]
-    output = sympy.Add(*terms) / (1 + weighted(divisors, below))  # a sum of two at a time is slow
+    output = sympy.Add(*terms) / (
+        1 + build_weighted_sum(divisors, denominator)
+    )  # a sum of two at a time is slow
     coefficients += divisors
     if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)
-    return LawForm(coefficients=(*coefficients, *own), memory=(hysteresis,), output=output)
+    return LawForm(
+        coefficients=(*coefficients, *state_coefficients), memory=(hysteresis,), output=output
+    )
 
 
 def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
@@ -124,8 +128,8 @@ def hysteresis_state(kind: str) -> tuple[Relaxation, tuple[Coefficient, ...]]:
         level = 1 + (RHO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
         return Relaxation(name="h", unit="1", drive=drive, rate=rate / level), (KAPPA, RHO, V_S)
     gated = _ALPHA * (1 - sympy.exp(-((DQ / V_0.symbol) ** 2)))
-    both = Relaxation(name="h", unit="1", drive=gated * target + drive, rate=gated + rate)
-    return both, (*_HYSTERESIS, KAPPA, V_0)
+    generalised = Relaxation(name="h", unit="1", drive=gated * target + drive, rate=gated + rate)
+    return generalised, (*_HYSTERESIS, KAPPA, V_0)
 
 
 KAPPA = Coefficient(name="kappa", unit="1/rad", description="memory of the state in position")
@@ -138,7 +142,7 @@ _HYSTERESIS = (
 _ALPHA, _BETA = (c.symbol for c in _HYSTERESIS)
 
 
-def _checked(
+def _validate_structure(
     structure: Mapping[str, Any],
 ) -> tuple[list[str], list[tuple[str, list[str]]], str, list[str]]:
     if not {"linear", "units"} <= set(structure) <= {"linear", "units", "state", "denominator"}:
@@ -165,14 +169,18 @@ def _checked(
                 key="structure.units",
             )
         units.append((unit["g"], list(unit["arguments"])))
-    below = list(structure.get("denominator", ()))
-    checks = ((linear, LINEAR), *((a, FEATURES) for _, a in units), (below, DIVISORS))
-    for features, known in checks:
+    denominator = list(structure.get("denominator", ()))
+    checks = (
+        (linear, LINEAR),
+        *((arguments, FEATURES) for _, arguments in units),
+        (denominator, DIVISORS),
+    )
+    for features, allowed in checks:
         for feature in features:
-            if feature not in known:
+            if feature not in allowed:
                 raise ArtifactError(
-                    f"ParFam feature '{feature}' is unknown; known are {', '.join(known)}.",
+                    f"ParFam feature '{feature}' is unknown; known are {', '.join(allowed)}.",
                     code="law.structure_feature",
                     key="structure",
                 )
-    return linear, units, state, below
+    return linear, units, state, denominator

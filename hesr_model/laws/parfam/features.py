@@ -31,22 +31,24 @@ def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
     lag = target - h.state
     rise = DQ * (1 - target**2)
     z = alpha * DT
-    before = 1 / (1 - z) if discretisation == "euler" else over(z, 1 - sympy.exp(-z), 1)
-    by_alpha = Slow(name="h_alpha", unit="s", drive=lag * before, rate=alpha)
+    start_factor = 1 / (1 - z) if discretisation == "euler" else over(z, 1 - sympy.exp(-z), 1)
+    by_alpha = Slow(name="h_alpha", unit="s", drive=lag * start_factor, rate=alpha)
     by_beta = Relaxation(name="h_beta", unit="rad/s", drive=alpha * rise, rate=alpha)
     x = (sympy.S.One, DQ, h.state, alpha * lag)
-    inner = sympy.Add(*(t * e for t, e in zip(theta, x, strict=True)))
+    inner = sympy.Add(*(t * expression for t, expression in zip(theta, x, strict=True)))
     if g == "exp":
         inner = -larger(-inner, -LARGEST_EXPONENT)
     unit = FUNCTIONS[g](argument) if g else sympy.S.Zero
-    value, slope = (e.xreplace({argument: inner}) for e in (unit, gain * unit.diff(argument)))
+    value, slope = (
+        expression.xreplace({argument: inner}) for expression in (unit, gain * unit.diff(argument))
+    )
     of_h, of_dh = (a + slope * t for a, t in zip(c[2:], theta[2:], strict=True))
     a = by_alpha.state
     b = by_beta.state
     states = (of_h * a + of_dh * (lag - alpha * a), of_h * b + of_dh * alpha * (rise - b))
-    torque = sympy.Add(gain * value, *(k * e for k, e in zip(c, x, strict=True)))
-    wanted = (*states, *x, value, *(slope * e for e in x), torque - tau)
-    return Kernel((h, by_alpha, by_beta), NUMBERS, (DQ, tau), wanted, SETTLING)
+    torque = sympy.Add(gain * value, *(k * expression for k, expression in zip(c, x, strict=True)))
+    expressions = (*states, *x, value, *(slope * expression for expression in x), torque - tau)
+    return Kernel((h, by_alpha, by_beta), NUMBERS, (DQ, tau), expressions, SETTLING)
 
 
 @dataclass(frozen=True, kw_only=True)

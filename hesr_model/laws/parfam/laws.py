@@ -10,7 +10,7 @@ from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import FitError
 from hesr_model.fitting.declarative import Described
 from hesr_model.fitting.estimator import Estimator, register
-from hesr_model.fitting.joint_rows import JointRows, first_best, no_worse
+from hesr_model.fitting.joint_rows import JointRows, find_first_best, is_no_worse
 from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
@@ -18,7 +18,7 @@ from hesr_model.laws.parfam import calibrate, evolve, family, refine
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.parfam.trial import Trial, choose, extended, pose, with_unit
+from hesr_model.laws.parfam.trial import Trial, add_unit, choose, extend_trial, pose
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.progress import step
 
@@ -54,18 +54,18 @@ class ParFamH(Estimator):
     def __post_init__(self) -> None:
         unknown = sorted(set(self.functions) - set(family.FUNCTIONS))
         if unknown:
-            known = ", ".join(family.FUNCTIONS)
-            raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known}.")
+            known_names = ", ".join(family.FUNCTIONS)
+            raise FitError(f"ParFam function '{unknown[0]}' is unknown; known are {known_names}.")
         if self.search == "paper" and not self.functions:
             raise FitError("ParFam option 'functions' is empty; the paper's search needs one.")
-        for option, found, allowed in (
+        for option, setting, allowed in (
             ("search", self.search, ("projection", "paper")),
             ("discretisation", self.discretisation, ("exact", "euler")),
             ("units", self.units, (1, 2)),
         ):
-            if found not in allowed:
+            if setting not in allowed:
                 raise FitError(
-                    f"ParFam option '{option}' is {found!r}; allowed are "
+                    f"ParFam option '{option}' is {setting!r}; allowed are "
                     f"{', '.join(map(str, allowed))}."
                 )
         for option in ("cells", "starts", "candidates"):
@@ -75,12 +75,12 @@ class ParFamH(Estimator):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Run the three stages, with starts and hops drawn from `rng`."""
-        rows = JointRows.of(records, coefficients=COEFFICIENTS)
+        rows = JointRows.from_records(records, coefficients=COEFFICIENTS)
         features = HysteresisFeatures(samples=rows, discretisation=self.discretisation)
-        search = self._paper if self.search == "paper" else self._evolve
-        trained_range = TrainedRange.of(records)
+        search = self._search_like_paper if self.search == "paper" else self._evolve
+        trained_range = TrainedRange.from_records(records)
         chosen = refine.select(features, search(features, rng), rows.folds, trained_range)
-        law = chosen.canonical().law(self.name, self.discretisation)
+        law = chosen.to_canonical().law(self.name, self.discretisation)
         return self._enlarge_law(law, features, trained_range, rng)
 
     def _enlarge_law(
@@ -98,32 +98,36 @@ class ParFamH(Estimator):
         best = Trial(structure=law.structure, problem=problem, point=point)
         if self.units > 1:
             columns = features.columns(law.values["alpha"], law.values["beta"])
-            more = with_unit(best, columns, self.functions, self.starts, rng)
-            best = extended(best, more, trained_range)
+            trials = add_unit(best, columns, self.functions, self.starts, rng)
+            best = extend_trial(best, trials, trained_range)
         if self.denominator:
-            rational = best.changed({**best.structure, "denominator": list(family.DIVISORS)}, {})
-            best = extended(best, [rational], trained_range)
+            rational = best.change_structure(
+                {**best.structure, "denominator": list(family.DIVISORS)}, {}
+            )
+            best = extend_trial(best, [rational], trained_range)
         return law if best.structure == law.structure else replace(best.law(), name=self.name)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
         tau = features.samples.tau
         rows = slice(None, None, max(1, len(tau) // evolve.ROWS))
-        found: list[Candidate] = []
-        cells = calibrate.distinct(calibrate.profile(features), self.cells)
+        candidates: list[Candidate] = []
+        cells = calibrate.select_distinct(calibrate.compute_profile(features), self.cells)
         searches = len(cells) * len(self.functions)
         for i, cell in enumerate(cells):
             columns = features.columns(cell.alpha, cell.beta)[rows]
-            found.append(evolve.linear(cell, columns, tau[rows]))
+            candidates.append(evolve.fit_linear(cell, columns, tau[rows]))
             for k, g in enumerate(self.functions):
                 step(i * len(self.functions) + k, 2 * searches)  # the second half is stage 3
                 starts = evolve.starting_points(rng, self.starts, 4)
-                found += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
-        found.sort(key=lambda f: f.cost)
-        of_each = ([f for f in found if f.g == g] for g in (None, *self.functions))
-        return [candidate for of_g in of_each for candidate in of_g[: self.candidates]]
+                candidates += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
+        candidates.sort(key=lambda f: f.cost)
+        groups = ([f for f in candidates if f.g == g] for g in (None, *self.functions))
+        return [candidate for group in groups for candidate in group[: self.candidates]]
 
-    def _paper(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
-        alpha, beta = calibrate.geometric(features)
+    def _search_like_paper(
+        self, features: HysteresisFeatures, rng: np.random.Generator
+    ) -> list[Candidate]:
+        alpha, beta = calibrate.estimate_from_loop(features)
         cell = Cell(alpha=alpha, beta=beta, cost=np.nan)
         columns = features.columns(alpha, beta)
         return [
@@ -133,8 +137,8 @@ class ParFamH(Estimator):
 
 
 FEATURES = ("1", "dq")
-STEEPEST = 2000.0  # slope of an argument, times the typical speed
-_ROWS = 1200
+MAX_STEEPNESS = 2000.0  # slope of an argument, times the typical speed
+_SEARCH_ROWS = 1200
 
 
 @register
@@ -157,30 +161,32 @@ class ParFamV(Described):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the unit's argument for every g; cross-validation selects one."""
-        samples = JointRows.of(records, coefficients=5)
+        samples = JointRows.from_records(records, coefficients=5)
         x = np.column_stack([np.ones(len(samples.dq)), samples.dq])
-        rows = slice(None, None, max(1, len(x) // _ROWS))
-        found = []
+        rows = slice(None, None, max(1, len(x) // _SEARCH_ROWS))
+        solutions = []
         for g in self.functions:
             structure = {"linear": list(FEATURES), "units": [{"g": g, "arguments": list(FEATURES)}]}
             problem = Separable(family.form(structure), _space(samples), samples)
             starts = evolve.starting_points(rng, 2 * self.starts, 2)
             if g == "tanh":
-                starts[self.starts :, 1] *= np.geomspace(2.0, STEEPEST, self.starts)
-            limit = STEEPEST if g == "tanh" else evolve.ARGUMENT_LIMIT
-            own = x[rows]
+                starts[self.starts :, 1] *= np.geomspace(2.0, MAX_STEEPNESS, self.starts)
+            limit = MAX_STEEPNESS if g == "tanh" else evolve.ARGUMENT_LIMIT
+            features = x[rows]
             tau = samples.tau[rows]
-            for theta in evolve.arguments(g, own, own, tau, starts, keep=3, limit=limit):
+            for theta in evolve.search_arguments(
+                g, features, features, tau, starts, keep=3, limit=limit
+            ):
                 start = problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]})
                 point = problem.polish(start, evaluations=30)
                 cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
-                found.append((cost, structure, problem, point))
-        _, structure, problem, point = found[first_best([entry[0] for entry in found])]
+                solutions.append((cost, structure, problem, point))
+        _, structure, problem, point = solutions[find_first_best([entry[0] for entry in solutions])]
         return self.finish(structure, problem, point)
 
 
 def _space(rows: JointRows) -> SearchSpace:
-    limit = STEEPEST / float(np.sqrt(np.mean(rows.dq**2)))
+    limit = MAX_STEEPNESS / float(np.sqrt(np.mean(rows.dq**2)))
     bound = evolve.ARGUMENT_LIMIT
     return SearchSpace(
         bounds=(("theta1_0", (-bound, bound)), ("theta1_dq", (-limit, limit))),
@@ -188,7 +194,7 @@ def _space(rows: JointRows) -> SearchSpace:
     )
 
 
-STATE_GAIN = 0.02  # smallest relative gain by memory in time: 1 % for each of two coefficients
+MIN_STATE_GAIN = 0.02  # smallest relative gain by memory in time: 1 % for each of two coefficients
 
 
 @register
@@ -235,38 +241,44 @@ class ParFamHX(Described):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search state, terms, unit and ripple in turn (seeded by `rng`)."""
-        rows = JointRows.of(records, coefficients=len(self.linear) + 6)
+        rows = JointRows.from_records(records, coefficients=len(self.linear) + 6)
         states = ("bristle", "generalised") if self.memory else ("paper",)
-        bare = choose([self._bare(state, rows, rng) for state in states], STATE_GAIN)
-        columns = bare.problem.columns(bare.point)
-        moving = [bare.structure["linear"].index(x) for x in ("dq", "h", "dh")]
-        features = np.column_stack([np.ones(len(columns)), columns[:, moving]])
-        trained_range = TrainedRange.of(records)
-        best = extended(
-            bare, with_unit(bare, features, self.functions, self.starts, rng), trained_range
+        base_trial = choose(
+            [self._fit_without_unit(state, rows, rng) for state in states], MIN_STATE_GAIN
+        )
+        columns = base_trial.problem.columns(base_trial.point)
+        moving_columns = [base_trial.structure["linear"].index(x) for x in ("dq", "h", "dh")]
+        features = np.column_stack([np.ones(len(columns)), columns[:, moving_columns]])
+        trained_range = TrainedRange.from_records(records)
+        best = extend_trial(
+            base_trial,
+            add_unit(base_trial, features, self.functions, self.starts, rng),
+            trained_range,
         )
         return self.finish(best.structure, best.problem, best.problem.polish(best.point))
 
-    def _bare(self, state: str, rows: JointRows, rng: np.random.Generator) -> Trial:
+    def _fit_without_unit(self, state: str, rows: JointRows, rng: np.random.Generator) -> Trial:
         # A bristle contains the Stribeck curve.
         linear = [x for x in self.linear if state != "bristle" or x != "h_bump"]
         structure = {"linear": linear, "units": [], "state": state}
         problem = pose(structure, rows)
-        found = problem.search(rng, effort=30)
-        return self._thinned(Trial(structure=structure, problem=problem, point=found))
+        point = problem.search(rng, effort=30)
+        return self._remove_useless_terms(Trial(structure=structure, problem=problem, point=point))
 
-    def _thinned(self, trial: Trial) -> Trial:
+    def _remove_useless_terms(self, trial: Trial) -> Trial:
         rows = trial.problem.samples
         columns = trial.problem.columns(trial.point)
         linear = trial.structure["linear"]
-        kept = list(range(columns.shape[1]))
+        remaining_terms = list(range(columns.shape[1]))
         cost = left_out_cost(columns, rows.tau, rows.folds)
         for i in reversed(range(columns.shape[1])):
             if linear[i] in ("dq", "h", "dh"):
                 continue
-            fewer = [k for k in kept if k != i]
-            without = left_out_cost(columns[:, fewer], rows.tau, rows.folds)
-            if no_worse(without, cost):
-                kept = fewer
-                cost = without
-        return trial.changed({**trial.structure, "linear": [linear[k] for k in kept]}, {})
+            fewer_terms = [k for k in remaining_terms if k != i]
+            reduced_cost = left_out_cost(columns[:, fewer_terms], rows.tau, rows.folds)
+            if is_no_worse(reduced_cost, cost):
+                remaining_terms = fewer_terms
+                cost = reduced_cost
+        return trial.change_structure(
+            {**trial.structure, "linear": [linear[k] for k in remaining_terms]}, {}
+        )

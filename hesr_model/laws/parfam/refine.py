@@ -8,7 +8,7 @@ import scipy
 
 from hesr_model.audit.audit import explodes
 from hesr_model.errors import FitError
-from hesr_model.fitting.joint_rows import first_best
+from hesr_model.fitting.joint_rows import find_first_best
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.inference.covariance import correlation_length, standard_errors
 from hesr_model.laws.parfam.calibrate import bounds
@@ -18,99 +18,118 @@ from hesr_model.support.arrays import Array, Mask
 from hesr_model.support.progress import step
 
 SIGNIFICANCE = 2.0  # of a coefficient, in standard errors
-_ALL = slice(None)
+_ALL_ROWS = slice(None)
 ROUNDS = ((8, 10), (16, 4))
 """(evaluations, number of candidates kept) over all rows: few rows determine a steep beta."""
-LONG = 60
-PRUNED = 12
-FOLD = 8  # evaluations of the final fit, after pruning, without a fold
-PORTIONS = 20  # of `FOLD` evaluations, before finalists are compared
-HOPEFUL = 1.1  # largest mean square for a final fit, of the best one
-ROUNDING = 1e-15  # mean square that counts as zero, of the torque's variance
-SAME = 1e-6  # relative difference of mean squares that is a tie, or convergence
+FIRST_EVALUATIONS = 60
+PRUNED_EVALUATIONS = 12
+FOLD_EVALUATIONS = 8  # evaluations of the final fit, after pruning, without a fold
+PORTIONS = 20  # of `FOLD_EVALUATIONS` evaluations, before finalists are compared
+HOPEFUL_RATIO = 1.1  # largest mean square for a final fit, of the best one
+VARIANCE_ROUND_OFF = 1e-15  # mean square that counts as zero, of the torque's variance
+TIE_TOLERANCE = 1e-6  # relative difference of mean squares that is a tie, or convergence
 
 
 def select(
     features: HysteresisFeatures,
-    found: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     folds: Sequence[Mask],
     trained_range: TrainedRange,
 ) -> Candidate:
-    """Return the simplest pruned candidate within `SAME` of the best; FitError if all explode."""
-    looked = list(found)
+    """Return the simplest pruned candidate within `TIE_TOLERANCE`; FitError if all explode."""
+    shortlist = list(candidates)
     for i, (evaluations, keep) in enumerate(ROUNDS):
         refined: list[Candidate] = []
-        for k in looked:
-            share = (i + len(refined) / len(looked)) / len(ROUNDS)
+        for candidate in shortlist:
+            share = (i + len(refined) / len(shortlist)) / len(ROUNDS)
             step(round(1000 * (1.0 + share)), 2000)
-            refined.append(Refinement(features, k).run(evaluations))
-        looked = distinct(refined)[:keep]
-    best = looked[0].cost
-    hopeful = [k for k in looked if k.cost <= HOPEFUL * best]
+            refined.append(Refinement(features, candidate).run(evaluations))
+        shortlist = select_distinct(refined)[:keep]
+    best = shortlist[0].cost
+    hopeful = [candidate for candidate in shortlist if candidate.cost <= HOPEFUL_RATIO * best]
     # If all explode, try the others, then the linear law.
-    linear = sorted((k for k in found if k.g is None), key=lambda k: k.cost)[:1]
-    for group in (hopeful, [k for k in looked if k.cost > HOPEFUL * best], linear):
-        pruned = sorted(distinct([prune(features, k) for k in group]), key=_terms)
-        laws = (k.law("candidate", features.discretisation) for k in pruned)
+    linear = sorted(
+        (candidate for candidate in candidates if candidate.g is None), key=lambda k: k.cost
+    )[:1]
+    for group in (
+        hopeful,
+        [candidate for candidate in shortlist if candidate.cost > HOPEFUL_RATIO * best],
+        linear,
+    ):
+        pruned = sorted(
+            select_distinct([prune(features, candidate) for candidate in group]), key=_count_terms
+        )
+        laws = (candidate.law("candidate", features.discretisation) for candidate in pruned)
         finalists = [
-            k for k, law in zip(pruned, laws, strict=True) if not explodes(law, trained_range)
+            candidate
+            for candidate, law in zip(pruned, laws, strict=True)
+            if not explodes(law, trained_range)
         ]
         if finalists:
-            costs = [left_out_cost(features, k, folds, portions=PORTIONS) for k in finalists]
-            return finalists[first_best(costs, SAME)]
+            costs = [
+                left_out_cost(features, candidate, folds, portions=PORTIONS)
+                for candidate in finalists
+            ]
+            return finalists[find_first_best(costs, TIE_TOLERANCE)]
     raise FitError("every ParFam candidate explodes just outside the trained speeds.")
 
 
-def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+def select_distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates sorted by cost; of tied ones the one with the fewest terms."""
-    kept: list[Candidate] = []
+    distinct_candidates: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda k: k.cost):
-        if not kept or candidate.cost > kept[-1].cost * (1.0 + SAME):
-            kept.append(candidate)
-        elif _terms(candidate) < _terms(kept[-1]):
-            kept[-1] = candidate
-    return kept
+        if not distinct_candidates or candidate.cost > distinct_candidates[-1].cost * (
+            1.0 + TIE_TOLERANCE
+        ):
+            distinct_candidates.append(candidate)
+        elif _count_terms(candidate) < _count_terms(distinct_candidates[-1]):
+            distinct_candidates[-1] = candidate
+    return distinct_candidates
 
 
-def _terms(candidate: Candidate) -> int:
+def _count_terms(candidate: Candidate) -> int:
     return int(candidate.c_active.sum() + candidate.theta_active.sum())
 
 
 def prune(features: HysteresisFeatures, candidate: Candidate) -> Candidate:
     """Refine, then drop insignificant coefficients, the least significant first."""
-    refined = Refinement(features, candidate).run(LONG)
+    refined = Refinement(features, candidate).run(FIRST_EVALUATIONS)
     statistics = Refinement(features, refined).statistics()
-    needed = np.zeros(11, bool)
+    is_needed = np.zeros(11, bool)
     while True:
-        removable = np.r_[False, False, refined.c_active, False, refined.theta_active] & ~needed
+        removable = np.r_[False, False, refined.c_active, False, refined.theta_active] & ~is_needed
         if refined.theta_active.sum() == 1:
             removable[7:] = False
-        weakest = first_best(np.where(removable, statistics, np.inf), SAME)
+        weakest = find_first_best(np.where(removable, statistics, np.inf), TIE_TOLERANCE)
         if not removable.any() or statistics[weakest] >= SIGNIFICANCE:
             return refined
-        smaller = Refinement(features, _without(refined, weakest)).run(PRUNED)
-        if smaller.cost <= _still_as_good(features, refined):
+        smaller = Refinement(features, _remove_coefficient(refined, weakest)).run(
+            PRUNED_EVALUATIONS
+        )
+        if smaller.cost <= _find_acceptable_cost(features, refined):
             refined = smaller
             statistics = Refinement(features, smaller).statistics()
         else:
-            needed[weakest] = True
+            is_needed[weakest] = True
 
 
-def settled(features: HysteresisFeatures, start: Candidate, portions: int, rows: Mask) -> Candidate:
-    """Refine on a mask (N,) of rows until `FOLD` evaluations lower the cost by less than `SAME`."""
-    found = Refinement(features, start, rows).run(FOLD)
+def refine_to_convergence(
+    features: HysteresisFeatures, start: Candidate, portions: int, rows: Mask
+) -> Candidate:
+    """Refine on rows (N,) until `FOLD_EVALUATIONS` evaluations gain under `TIE_TOLERANCE`."""
+    refined = Refinement(features, start, rows).run(FOLD_EVALUATIONS)
     for _ in range(1, portions):
-        before = found.cost
-        found = Refinement(features, found, rows).run(FOLD)
-        if found.cost >= before * (1.0 - SAME):
+        previous_cost = refined.cost
+        refined = Refinement(features, refined, rows).run(FOLD_EVALUATIONS)
+        if refined.cost >= previous_cost * (1.0 - TIE_TOLERANCE):
             break
-    return found
+    return refined
 
 
-def _without(candidate: Candidate, coefficient: int) -> Candidate:
-    kept = np.arange(11) != coefficient
-    c_active = candidate.c_active & kept[2:6]
-    theta_active = candidate.theta_active & kept[7:]
+def _remove_coefficient(candidate: Candidate, coefficient: int) -> Candidate:
+    is_kept = np.arange(11) != coefficient
+    c_active = candidate.c_active & is_kept[2:6]
+    theta_active = candidate.theta_active & is_kept[7:]
     return replace(
         candidate,
         c=candidate.c * c_active,
@@ -120,11 +139,11 @@ def _without(candidate: Candidate, coefficient: int) -> Candidate:
     )
 
 
-def _still_as_good(features: HysteresisFeatures, candidate: Candidate) -> float:
+def _find_acceptable_cost(features: HysteresisFeatures, candidate: Candidate) -> float:
     tau = features.samples.tau
     residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
     rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)
-    return candidate.cost * (1.0 + rise) + ROUNDING * float(np.var(tau))
+    return candidate.cost * (1.0 + rise) + VARIANCE_ROUND_OFF * float(np.var(tau))
 
 
 def left_out_cost(
@@ -133,8 +152,8 @@ def left_out_cost(
     """Return the mean square error [N^2.m^2] by cross-validation; folds are masks (N,)."""
     total = 0.0
     for fold in folds:
-        held = settled(features, candidate, portions, ~fold)
-        torque = held.torque(features.columns(held.alpha, held.beta))
+        refined = refine_to_convergence(features, candidate, portions, ~fold)
+        torque = refined.torque(features.columns(refined.alpha, refined.beta))
         total += float(np.sum((torque - features.samples.tau)[fold] ** 2))
     return total / len(features.samples.tau)
 
@@ -148,7 +167,7 @@ class Refinement:
     """
 
     def __init__(
-        self, features: HysteresisFeatures, start: Candidate, rows: Mask | slice = _ALL
+        self, features: HysteresisFeatures, start: Candidate, rows: Mask | slice = _ALL_ROWS
     ) -> None:
         self.features = features
         self.start = start
@@ -188,28 +207,30 @@ class Refinement:
 
     def slopes(self, point: Array) -> tuple[Array, Array]:
         """Return the (rows, parameters) slopes of the residual at a search vector, and itself."""
-        numbers, factors = self._at(point)
-        found = self.run_of_slopes.at(numbers)[self.rows]
-        return found[:, :-1][:, self.active] * factors[self.active], found[:, -1]
+        numbers, factors = self._unpack_numbers(point)
+        slope_columns = self.run_of_slopes.evaluate(numbers)[self.rows]
+        return slope_columns[:, :-1][:, self.active] * factors[self.active], slope_columns[:, -1]
 
-    def _at(self, point: Array) -> tuple[Array, Array]:
+    def _unpack_numbers(self, point: Array) -> tuple[Array, Array]:
         """Return all numbers at a search vector, and the slopes (11,) of each by its unknown."""
-        k = self.unpack(point)
+        candidate = self.unpack(point)
         place = scipy.special.expit(point[:2])
-        chain = np.array([k.alpha, k.beta]) * self.span * place * (1.0 - place)
+        chain = np.array([candidate.alpha, candidate.beta]) * self.span * place * (1.0 - place)
         factors = np.concatenate([chain, 1.0 / self.scale, [1.0], 1.0 / self.scale])
-        return np.r_[k.alpha, k.beta, k.c, k.gain, k.theta], factors
+        return np.r_[
+            candidate.alpha, candidate.beta, candidate.c, candidate.gain, candidate.theta
+        ], factors
 
-    def _reduced(self, point: Array) -> Array:
+    def _reduce_slopes(self, point: Array) -> Array:
         """Return a square R with R'R = A'A, where A has the slopes and, last, the residual.
 
         Levenberg-Marquardt depends on inner products alone, so it takes the same steps with R.
         """
-        numbers, factors = self._at(point)
+        numbers, factors = self._unpack_numbers(point)
         self.run_of_slopes.begin(numbers)
         products = self.run_of_slopes.multiply(numbers, self.weights)[:-1, :-1]
-        used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
-        gram = (products * np.outer(factors, factors))[np.ix_(used, used)]
+        is_used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
+        gram = (products * np.outer(factors, factors))[np.ix_(is_used, is_used)]
         if not np.isfinite(gram).all():  # refused as a step
             return np.full_like(gram, np.inf)
         sizes = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
@@ -217,33 +238,33 @@ class Refinement:
         try:
             root = np.linalg.cholesky(gram, upper=True)
         except np.linalg.LinAlgError:  # dependent columns
-            squares, ways = np.linalg.eigh(gram, UPLO="U")
-            root = np.sqrt(np.maximum(squares, 0.0))[:, None] * ways.T
+            eigenvalues, eigenvectors = np.linalg.eigh(gram, UPLO="U")
+            root = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * eigenvectors.T
         return np.asarray(root * sizes)
 
     def run(self, evaluations: int) -> Candidate:
         """Return the refined candidate."""
         last = (np.empty(0), np.empty(0))
 
-        def reduced(point: Array) -> Array:
+        def find_reduced(point: Array) -> Array:
             nonlocal last
             if not np.array_equal(point, last[0]):
-                last = (point.copy(), self._reduced(point))
+                last = (point.copy(), self._reduce_slopes(point))
             return last[1]
 
         # A sixth of the overhead of `least_squares`; its covariance, not used, may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
-            point, _, found, *_ = scipy.optimize.leastsq(
-                lambda point: reduced(point)[:, -1],
+            point, _, diagnostics, *_ = scipy.optimize.leastsq(
+                lambda point: find_reduced(point)[:, -1],
                 self.pack(),
-                Dfun=lambda point: reduced(point)[:, :-1],
+                Dfun=lambda point: find_reduced(point)[:, :-1],
                 full_output=True,
                 ftol=1e-15,
                 xtol=1e-15,
                 gtol=1e-15,
                 maxfev=evaluations,
             )
-        return self.unpack(point, float(np.sum(found["fvec"] ** 2)) / self.count)
+        return self.unpack(point, float(np.sum(diagnostics["fvec"] ** 2)) / self.count)
 
     def statistics(self) -> Array:
         """Return the t-statistics (11,) of the start, 0 of absent coefficients."""

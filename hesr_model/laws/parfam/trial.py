@@ -9,7 +9,7 @@ import sympy
 
 from hesr_model.audit.audit import explodes
 from hesr_model.equations.memory import Discretisation
-from hesr_model.fitting.joint_rows import JointRows, first_best
+from hesr_model.fitting.joint_rows import JointRows, find_first_best
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.trained_range import TrainedRange
@@ -24,8 +24,8 @@ MEMORY_BOUNDS = (0.05, 2000.0)  # [1/rad] kappa: none to a milliradian
 REST_SPEED = 1e-3  # [rad/s] below which the state holds
 BUMP_BOUNDS = (MOVING, VELOCITY_BOUNDS[1])  # [rad/s]; a narrower bump acts at rest alone
 DIVISOR_LIMIT = 0.9  # largest deviation from 1
-_ROWS = 3000
-UNIT_GAIN = 0.05  # smallest relative gain on left-out rows
+_SEARCH_ROWS = 3000
+MIN_UNIT_GAIN = 0.05  # smallest relative gain on left-out rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,12 +36,16 @@ class Trial:
     problem: Separable
     point: Array
 
-    def changed(self, structure: Mapping[str, Any], more: Mapping[str, float]) -> "Trial":
-        """Return the trial of another structure, polished from these numbers and `more`."""
+    def change_structure(
+        self, structure: Mapping[str, Any], extra_numbers: Mapping[str, float]
+    ) -> "Trial":
+        """Return the trial of another structure, polished from these and `extra_numbers`."""
         problem = pose(structure, self.problem.samples, self.problem.discretisation)
         names = problem.space.names
-        known = dict.fromkeys(names, 0.0) | self.problem.named(self.point) | dict(more)
-        point = problem.polish(problem.point({n: known[n] for n in names}))
+        numbers = (
+            dict.fromkeys(names, 0.0) | self.problem.name_numbers(self.point) | dict(extra_numbers)
+        )
+        point = problem.polish(problem.point({name: numbers[name] for name in names}))
         return Trial(structure=structure, problem=problem, point=point)
 
     def law(self) -> FrictionLaw:
@@ -57,41 +61,46 @@ def pose(
     return Separable(family.form(structure), space, rows, discretisation)
 
 
-def with_unit(
+def add_unit(
     trial: Trial, features: Array, functions: Sequence[str], starts: int, rng: np.random.Generator
 ) -> list[Trial]:
     """Return the trial with a further unit g, with the two best arguments of every g."""
     tau = trial.problem.samples.tau
-    rows = slice(None, None, max(1, len(tau) // _ROWS))
+    rows = slice(None, None, max(1, len(tau) // _SEARCH_ROWS))
     columns = trial.problem.columns(trial.point)[rows]
-    before = list(trial.structure["units"])
-    names = [family.argument_name(len(before) + 1, x) for x in family.FEATURES]
-    found = []
+    units = list(trial.structure["units"])
+    names = [family.argument_name(len(units) + 1, x) for x in family.FEATURES]
+    extended_trials = []
     for g in functions:
-        drawn = evolve.starting_points(rng, starts, 4)
+        theta_starts = evolve.starting_points(rng, starts, 4)
         unit = {"g": g, "arguments": list(family.FEATURES)}
-        structure = {**trial.structure, "units": [*before, unit]}
-        found += [
-            trial.changed(structure, dict(zip(names, theta, strict=True)))
-            for theta in evolve.arguments(g, features[rows], columns, tau[rows], drawn, keep=2)
+        structure = {**trial.structure, "units": [*units, unit]}
+        extended_trials += [
+            trial.change_structure(structure, dict(zip(names, theta, strict=True)))
+            for theta in evolve.search_arguments(
+                g, features[rows], columns, tau[rows], theta_starts, keep=2
+            )
         ]
-    return found
+    return extended_trials
 
 
 def choose(trials: Sequence[Trial], gain: float) -> Trial:
     """Return the trial that predicts left-out rows best; all but the first must gain `gain`."""
-    costs = [left_out(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)]
-    return trials[first_best(costs)]
+    costs = [
+        cross_validate(trial) * (1.0 if i == 0 else 1.0 + gain) for i, trial in enumerate(trials)
+    ]
+    return trials[find_first_best(costs)]
 
 
-def extended(base: Trial, more: Sequence[Trial], trained_range: TrainedRange) -> Trial:
-    """Return the best of `more` on left-out rows that stays in bounds, or `base`."""
+def extend_trial(base: Trial, candidates: Sequence[Trial], trained_range: TrainedRange) -> Trial:
+    """Return the best of `candidates` on left-out rows that stays in bounds, or `base`."""
     return choose(
-        [base, *(trial for trial in more if not explodes(trial.law(), trained_range))], UNIT_GAIN
+        [base, *(trial for trial in candidates if not explodes(trial.law(), trained_range))],
+        MIN_UNIT_GAIN,
     )
 
 
-def left_out(trial: Trial) -> float:
+def cross_validate(trial: Trial) -> float:
     """Return the sum of squared errors by cross-validation."""
     problem = trial.problem
     total = 0.0

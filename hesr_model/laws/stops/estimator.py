@@ -8,22 +8,28 @@ import numpy as np
 import scipy
 
 from hesr_model.fitting.estimator import Estimator, register
-from hesr_model.fitting.joint_rows import JointRows, Normal, blocks_of, first_best, pays
+from hesr_model.fitting.joint_rows import (
+    JointRows,
+    Normal,
+    divide_into_blocks,
+    find_first_best,
+    has_significant_gain,
+)
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.ripple import LAG
 from hesr_model.laws.stops import form as forms
-from hesr_model.laws.stops.form import FINER, SPEEDS, Structure, start_at_rest
-from hesr_model.laws.stops.search import Terms, dictionary, search
+from hesr_model.laws.stops.form import DEFLECTION_SCALES, SPEEDS, Structure, build_rest_states
+from hesr_model.laws.stops.search import Terms, build_dictionary, search
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 from hesr_model.support.typed_files import to_json
 
 ORDERS = range(1, 17)  # per turn of the motor
-NEAR = 3  # [1/rad] from an integer multiple of the gear ratio
+NEAR_MULTIPLE = 3  # [1/rad] from an integer multiple of the gear ratio
 LAGS = np.arange(0.0, 0.0121, 0.0005)  # [s]
-MOST = 6  # frequencies of a joint
-GAIN = 0.002  # smallest relative gain of the left-out mean square by a frequency
-_PHASE = 0.6  # range of the lag, as a phase at 1 rad/s [rad]
+MAX_FREQUENCIES = 6  # frequencies of a joint
+MIN_GAIN = 0.002  # smallest relative gain of the left-out mean square by a frequency
+_PHASE_RANGE = 0.6  # range of the lag, as a phase at 1 rad/s [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,20 +49,20 @@ def waves(frequencies: Sequence[int], lag: float, rows: JointRows) -> Array:
 def select_waves(base: Array, rows: JointRows, weights: Array, gear_ratio: float) -> Waves:
     """Return the waves that lower the error of `base` (N, K) by more than one standard error."""
     problem = _Problem(base=base, samples=rows, weights=weights)
-    blocks = blocks_of(rows.dt, rows.begins)
+    blocks = divide_into_blocks(rows.dt, rows.begins)
     chosen = Waves(frequencies=(), lag=0.0)
-    errors = problem.left_out(chosen)
-    while len(chosen.frequencies) < MOST:
-        trial = _next(problem, chosen, gear_ratio)
+    errors = problem.cross_validate(chosen)
+    while len(chosen.frequencies) < MAX_FREQUENCIES:
+        trial = _add_best_wave(problem, chosen, gear_ratio)
         if trial is None:
             break
-        trial = problem.in_phase(trial, reach=_PHASE / max(trial.frequencies))
-        left = problem.left_out(trial)
-        gain = 1.0 - float(left @ left) / float(errors @ errors)
-        if gain < GAIN or not pays(errors, left, blocks):
+        trial = problem.align_phase(trial, reach=_PHASE_RANGE / max(trial.frequencies))
+        trial_errors = problem.cross_validate(trial)
+        gain = 1.0 - float(trial_errors @ trial_errors) / float(errors @ errors)
+        if gain < MIN_GAIN or not has_significant_gain(errors, trial_errors, blocks):
             break
         chosen = trial
-        errors = left
+        errors = trial_errors
     return chosen
 
 
@@ -67,15 +73,15 @@ class _Problem:
     weights: Array
 
     def columns(self, chosen: Waves) -> Array:
-        own = waves(chosen.frequencies, chosen.lag, self.samples)
-        return np.hstack([self.base, own]) if chosen.frequencies else self.base
+        wave_columns = waves(chosen.frequencies, chosen.lag, self.samples)
+        return np.hstack([self.base, wave_columns]) if chosen.frequencies else self.base
 
-    def left_out(self, chosen: Waves) -> Array:
+    def cross_validate(self, chosen: Waves) -> Array:
         rows = self.samples
         free = 1 + 2 * len(chosen.frequencies)
-        return Normal.of(
+        return Normal.from_columns(
             self.columns(chosen), rows.tau, rows.folds, self.weights, free=free
-        ).left_out()
+        ).cross_validate()
 
     def residual(self, chosen: Waves) -> Array:
         columns = self.weights[:, None] * self.columns(chosen)
@@ -83,45 +89,47 @@ class _Problem:
         x = np.linalg.lstsq(columns.T @ columns, columns.T @ tau, rcond=1e-12)[0]
         return np.asarray(tau - columns @ x)
 
-    def in_phase(self, chosen: Waves, *, reach: float) -> Waves:
+    def align_phase(self, chosen: Waves, *, reach: float) -> Waves:
         """Return the waves with the best lag within `reach` [s]."""
 
         def cost(lag: float) -> float:
-            left = self.residual(replace(chosen, lag=lag))
-            return float(left @ left)
+            residual = self.residual(replace(chosen, lag=lag))
+            return float(residual @ residual)
 
-        around = (max(0.0, chosen.lag - reach), chosen.lag + reach)
-        found = scipy.optimize.minimize_scalar(
-            cost, bounds=around, method="bounded", options={"xatol": reach / 50.0}
+        lag_bounds = (max(0.0, chosen.lag - reach), chosen.lag + reach)
+        optimum = scipy.optimize.minimize_scalar(
+            cost, bounds=lag_bounds, method="bounded", options={"xatol": reach / 50.0}
         )
-        return replace(chosen, lag=float(found.x))
+        return replace(chosen, lag=float(optimum.x))
 
 
-def _next(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
+def _add_best_wave(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
     """Return the waves plus the one that fits the residual best, over all lags for the first."""
     rows = problem.samples
     residual = problem.residual(chosen)
-    taken = {round(n / gear_ratio) for n in chosen.frequencies}
-    orders = [order for order in ORDERS if order not in taken]
+    chosen_orders = {round(n / gear_ratio) for n in chosen.frequencies}
+    orders = [order for order in ORDERS if order not in chosen_orders]
     if not orders:
         return None
     fits = {}
-    for lag in [chosen.lag] if taken else LAGS:
-        first = np.exp(1j * gear_ratio * (rows.q - lag * rows.dq))
+    for lag in [chosen.lag] if chosen_orders else LAGS:
+        rotation = np.exp(1j * gear_ratio * (rows.q - lag * rows.dq))
         power = residual.astype(complex)
         for order in ORDERS:
-            power = power * first
+            power = power * rotation
             fits[order, float(lag)] = abs(complex(power.sum()))
     order, lag = max((key for key in fits if key[0] in orders), key=fits.__getitem__)
-    whole = round(order * gear_ratio)
+    nearest_multiple = round(order * gear_ratio)
     angle = rows.q - lag * rows.dq
-    near = range(max(1, whole - NEAR), whole + NEAR + 1)
-    frequency = max(near, key=lambda n: abs(complex(residual @ np.exp(1j * n * angle))))
+    near_frequencies = range(
+        max(1, nearest_multiple - NEAR_MULTIPLE), nearest_multiple + NEAR_MULTIPLE + 1
+    )
+    frequency = max(near_frequencies, key=lambda n: abs(complex(residual @ np.exp(1j * n * angle))))
     return Waves(frequencies=(*chosen.frequencies, frequency), lag=lag)
 
 
 _SKELETON = [["1", 0], ["1", 4], ["age", 0]]
-WINDOW = 1.5  # step without averaging of ripple, in sample times
+WINDOW_SAMPLES = 1.5  # step without averaging of ripple, in sample times
 
 
 @dataclass(kw_only=True, eq=False)
@@ -138,24 +146,24 @@ class _Stops(Estimator):
     @staticmethod
     def form(structure: Mapping[str, Any]) -> LawForm:
         """Return the expressions."""
-        return Structure.of(structure).form()
+        return Structure.from_json(structure).form()
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Solve for all forces with sign constraints; `rng` is not used."""
         del rng
-        rows = JointRows.of(records, coefficients=20)
-        scales = range(len(FINER) if rows.sliding else 1)
-        tried = [dictionary(rows, load=self.load, scale=scale) for scale in scales]
+        rows = JointRows.from_records(records, coefficients=20)
+        scales = range(len(DEFLECTION_SCALES) if rows.sliding else 1)
+        trials = [build_dictionary(rows, load=self.load, scale=scale) for scale in scales]
         if not self.skeleton_only:
-            tried = [search(terms, load=self.load) for terms in tried]
-        best = tried[first_best([terms.cost for terms in tried])]
-        structure, columns = best.active()
+            trials = [search(terms, load=self.load) for terms in trials]
+        best = trials[find_first_best([terms.cost for terms in trials])]
+        structure, columns = best.select_active()
         structure = replace(structure, limited=self.load)
         lag = 0.0
         if self.ripple and rows.gear_ratio is not None:
             chosen = select_waves(columns, rows, best.weights, rows.gear_ratio)
             if chosen.frequencies:
-                window = WINDOW * float(np.median(rows.dt[~rows.begins]))
+                window = WINDOW_SAMPLES * float(np.median(rows.dt[~rows.begins]))
                 window, lag = float(f"{window:.3g}"), chosen.lag
                 structure = replace(structure, ripple=chosen.frequencies, window=window)
                 columns = np.hstack([columns, waves(chosen.frequencies, lag, rows)])
@@ -166,15 +174,15 @@ class _Stops(Estimator):
         form = structure.form()
         names = (*structure.forces, "tau_0", *structure.waves)
         free = 1 + len(structure.waves)
-        normal = Normal.of(columns, rows.tau, rows.folds, best.weights, free=free)
+        normal = Normal.from_columns(columns, rows.tau, rows.folds, best.weights, free=free)
         x = normal.solve()
         if structure.ripple:
-            x = forms.constrained(
+            x = forms.constrain_coefficients(
                 normal.gram,
                 normal.moment,
                 x,
                 forms.evaluate_viscous(structure, best.numbers, SPEEDS),
-                forms.needed(structure.ripple, lag, structure.window),
+                forms.compute_required_viscosity(structure.ripple, lag, structure.window),
                 free=free,
             )
         values = {**best.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}
@@ -183,7 +191,7 @@ class _Stops(Estimator):
             structure=to_json(structure),
             form=form,
             values={quantity.name: values[quantity.name] for quantity in form.coefficients},
-            start=start_at_rest(form),
+            start=build_rest_states(form),
             start_samples=self.start_samples,
         )
 

@@ -20,7 +20,13 @@ import scipy
 import sympy
 from pydantic import ConfigDict, NonNegativeFloat, PositiveInt, TypeAdapter, ValidationError
 
-from hesr_model.equations.functions import absolute, cardinal_sine, clip, lowered, positive
+from hesr_model.equations.functions import (
+    absolute,
+    cardinal_sine,
+    clip,
+    positive,
+    to_numpy_function,
+)
 from hesr_model.equations.memory import DT, Element, Relaxation, Stop
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.inputs import DQ, TAU_LOAD, Q
@@ -30,20 +36,20 @@ from hesr_model.laws.stribeck import SIGMA_2, TAU_0, V_S
 from hesr_model.support.arrays import Array
 
 DEFLECTIONS = np.geomspace(3e-5, 1e-2, 9)  # [rad; m] w of the stops
-FINER = (1.0, 0.1, 0.01)  # scales of the grid; sliding joints may have the finer ones
-WIDTHS = np.outer(FINER, DEFLECTIONS).ravel()
+DEFLECTION_SCALES = (1.0, 0.1, 0.01)  # scales of the grid; sliding joints may have the finer ones
+WIDTHS = np.outer(DEFLECTION_SCALES, DEFLECTIONS).ravel()
 
 LOAD_SCALE = Coefficient(
     name="load_scale", unit="N.m", description="load torque that makes load bounds 1"
 )
-REST = Coefficient(name="T", unit="s", description="ageing time of contacts")
+AGEING_TIME = Coefficient(name="T", unit="s", description="ageing time of contacts")
 OLDEST = Coefficient(name="P", unit="1", description="largest age of contacts in training")
 
 AGE = Relaxation(
     name="p",
     unit="1",
-    drive=sympy.exp(-((DQ / V_S.symbol) ** 2)) / REST.symbol,
-    rate=1 / REST.symbol,
+    drive=sympy.exp(-((DQ / V_S.symbol) ** 2)) / AGEING_TIME.symbol,
+    rate=1 / AGEING_TIME.symbol,
 )  # Age of the contacts: 1 at rest, falling in motion
 _LOAD = TAU_LOAD / LOAD_SCALE.symbol
 _LIMITED = {TAU_LOAD: LOAD_SCALE.symbol * clip(_LOAD, 1.001)}  # no training row is at the kink
@@ -96,10 +102,10 @@ class Structure:
     limited: bool = False  # bounds of the load end at the largest one in training
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> Self:
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Return the structure of JSON data; raises ArtifactError if they are invalid."""
         try:
-            found = TypeAdapter(cls).validate_python(dict(data))
+            structure = TypeAdapter(cls).validate_python(dict(data))
         except ValidationError as error:
             raise ArtifactError(
                 f"structure {dict(data)!r} is invalid for ParFam-S; allowed are the keys 'stops', "
@@ -107,7 +113,7 @@ class Structure:
                 code="law.structure_keys",
                 key="structure",
             ) from error
-        for kind, node in found.stops:
+        for kind, node in structure.stops:
             if kind not in BOUNDS or not 0 <= node < len(WIDTHS):
                 raise ArtifactError(
                     f"stop {[kind, node]!r} is unknown; expected a bound of "
@@ -116,7 +122,7 @@ class Structure:
                     code="law.structure_stop",
                     key="structure.stops",
                 )
-        unknown = [kind for kind in found.viscous if kind not in _VISCOUS]
+        unknown = [kind for kind in structure.viscous if kind not in _VISCOUS]
         if unknown:
             raise ArtifactError(
                 f"viscous term {unknown[0]!r} is unknown; known are "
@@ -124,13 +130,13 @@ class Structure:
                 code="law.structure_viscous",
                 key="structure.viscous",
             )
-        return found
+        return structure
 
     @property
     def forces(self) -> tuple[str, ...]:
         """Names of the non-negative coefficients: of stops, then of f."""
         return (
-            *(force(kind, node) for kind, node in self.stops),
+            *(name_force(kind, node) for kind, node in self.stops),
             *(_VISCOUS[kind][0].name for kind in self.viscous),
         )
 
@@ -141,17 +147,17 @@ class Structure:
 
     def form(self) -> LawForm:
         """Return the expressions."""
-        limit = _LIMITED if self.limited else {}
+        load_limit = _LIMITED if self.limited else {}
         terms: list[tuple[Coefficient, sympy.Expr]] = []
         stops: list[Element] = []
         for kind, node in self.stops:
-            name = force(kind, node)
+            name = name_force(kind, node)
             x = Stop(
                 name=name.replace("F", "x", 1),
                 unit="1",
                 velocity=DQ,
                 deflection=float(f"{WIDTHS[node]:.4g}"),
-                bound=BOUNDS[kind].xreplace(limit),
+                bound=BOUNDS[kind].xreplace(load_limit),
             )
             stops.append(x)
             terms.append((_torque(name, _describe_stop(kind, x.deflection)), x.state))
@@ -166,18 +172,18 @@ class Structure:
         for name, (n, wave) in zip(self.waves, waves, strict=True):
             mean = cardinal_sine(n * DQ * beyond / 2)
             terms.append((_torque(name, describe_wave(n, wave)), wave(n * angle) * mean))
-        used = set().union(*(BOUNDS[kind].free_symbols for kind, _ in self.stops))
+        bound_symbols = set().union(*(BOUNDS[kind].free_symbols for kind, _ in self.stops))
         return LawForm(
             coefficients=(
                 *(coefficient for coefficient, _ in terms),
                 TAU_0,
                 *(THINNING[kind] for kind in self.viscous if kind in THINNING),
-                *((V_S, REST) if AGE.state in used else ()),
-                *((OLDEST,) if OLDEST.symbol in used else ()),
-                *((LOAD_SCALE,) if TAU_LOAD in used else ()),
+                *((V_S, AGEING_TIME) if AGE.state in bound_symbols else ()),
+                *((OLDEST,) if OLDEST.symbol in bound_symbols else ()),
+                *((LOAD_SCALE,) if TAU_LOAD in bound_symbols else ()),
                 *((LAG,) if self.ripple else ()),
             ),
-            memory=(AGE, *stops) if AGE.state in used else tuple(stops),
+            memory=(AGE, *stops) if AGE.state in bound_symbols else tuple(stops),
             output=sum((quantity.symbol * factor for quantity, factor in terms), TAU_0.symbol),
         )
 
@@ -203,12 +209,12 @@ def _torque(name: str, description: str) -> Coefficient:
     return Coefficient(name=name, unit="N.m", description=description)
 
 
-def force(kind: str, node: int) -> str:
+def name_force(kind: str, node: int) -> str:
     """Return the name of the force of a stop."""
     return f"F_{kind}_{node + 1}" if kind != "1" else f"F_{node + 1}"
 
 
-def start_at_rest(form: LawForm) -> tuple[float, ...]:
+def build_rest_states(form: LawForm) -> tuple[float, ...]:
     """Return the states at rest, with aged contacts; empty if all are 0."""
     memory = form.memory
     return tuple(1.0 if element == AGE else 0.0 for element in memory) if AGE in memory else ()
@@ -216,11 +222,13 @@ def start_at_rest(form: LawForm) -> tuple[float, ...]:
 
 def evaluate_viscous(structure: Structure, numbers: Mapping[str, float], speeds: Array) -> Array:
     """Return the (S, V) terms of f, without their coefficients, at speeds (S,) >= 0 [rad/s]."""
-    known = {v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous}
-    terms = [_VISCOUS[kind][1].subs(known) for kind in structure.viscous]
-    found = lowered([DQ], terms)(speeds)
+    thinning_speeds = {
+        v.symbol: numbers[v.name] for k, v in THINNING.items() if k in structure.viscous
+    }
+    terms = [_VISCOUS[kind][1].subs(thinning_speeds) for kind in structure.viscous]
+    viscous_terms = to_numpy_function([DQ], terms)(speeds)
     columns = np.empty((len(speeds), len(terms)))
-    for k, term in enumerate(found):
+    for k, term in enumerate(viscous_terms):
         columns[:, k] = term
     return columns
 
@@ -240,19 +248,20 @@ def distance(lag: float, window: float) -> float:
     return max(abs(lag), at_end)
 
 
-def needed(frequencies: Sequence[int], lag: float, window: float) -> Array:
+def compute_required_viscosity(frequencies: Sequence[int], lag: float, window: float) -> Array:
     """Return (S, K): smallest f at each of `SPEEDS` per N.m of each wave [s/rad]."""
     speeds = np.maximum(SPEEDS, 1e-300)[:, None]
     return np.asarray(np.minimum(np.asarray(frequencies) * distance(lag, window), 2.0 / speeds))
 
 
-def constrained(
+def constrain_coefficients(
     gram: Array, moment: Array, x: Array, viscous: Array, waves: Array, *, free: int
 ) -> Array:
     """Return the least-squares coefficients that satisfy the condition, a cone problem.
 
     The last `free` of the unconstrained solution `x` have any sign and end in cosines and sines;
-    those of `viscous` (S, V) precede them. `waves` (S, W) is the result of `needed`.
+    those of `viscous` (S, V) precede them. `waves` (S, W) is the result of
+    `compute_required_viscosity`.
     """
     # Bounds between neighbouring speeds: all columns are monotonic, and waves fall.
     viscous, waves = np.minimum(viscous[:-1], viscous[1:]), waves[:-1]
@@ -264,12 +273,12 @@ def constrained(
         return viscous @ y[f], waves @ np.hypot(*y[a].reshape(-1, 2).T)
 
     def margin(y: Array) -> Array:
-        found, required = sides(y)
-        return found - required
+        available, required = sides(y)
+        return available - required
 
     def share(y: Array) -> float:
-        found, required = sides(y)
-        return max(float(np.min(found / np.maximum(required, 1e-300))), 0.0)
+        available, required = sides(y)
+        return max(float(np.min(available / np.maximum(required, 1e-300))), 0.0)
 
     if margin(x).min() >= 0.0:
         return x
@@ -279,12 +288,12 @@ def constrained(
     start[a] *= 0.5 * share(x)
 
     def slope(y: Array) -> Array:
-        found = np.zeros((len(viscous), len(y)))
-        found[:, f] = viscous
+        jacobian = np.zeros((len(viscous), len(y)))
+        jacobian[:, f] = viscous
         pairs = y[a].reshape(-1, 2)
         unit = pairs / np.maximum(np.hypot(*pairs.T), 1e-12)[:, None]
-        found[:, a] = -(waves[:, :, None] * unit).reshape(len(viscous), -1)
-        return found
+        jacobian[:, a] = -(waves[:, :, None] * unit).reshape(len(viscous), -1)
+        return jacobian
 
     size = max(float(x @ gram @ x), np.finfo(float).tiny)
     best = scipy.optimize.minimize(

@@ -16,32 +16,32 @@ from hesr_model.laws.stops import form as forms
 from hesr_model.laws.stops.form import DEFLECTIONS, LOAD_SCALE, SHARES, THINNING, Structure
 from hesr_model.support.arrays import Array
 
-SPEEDS = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, of the largest speed
-TIMES = (0.05, 0.1, 0.2, 0.4)  # [s] ageing times T
-MORE = ("root", "plus", "minus")  # candidate bounds
-LEAST = 2e-3  # of the sum of forces
-_ANY = (1e-12, 1e12)
+STRIBECK_SHARES = (0.05, 0.1, 0.2, 0.4)  # Stribeck velocities, of the largest speed
+AGEING_TIMES = (0.05, 0.1, 0.2, 0.4)  # [s] ageing times T
+EXTRA_BOUNDS = ("root", "plus", "minus")  # candidate bounds
+MIN_FORCE_SHARE = 2e-3  # of the sum of forces
+_UNBOUNDED = (1e-12, 1e12)
 VISCOUS = ("1", "v", *SHARES)  # of f
 
 
-def every(kind: str, scale: int = 0) -> Structure:
-    """Return all stops with one bound and the deflections of one of `FINER`."""
+def build_stops(kind: str, scale: int = 0) -> Structure:
+    """Return all stops with one bound and the deflections of one of `DEFLECTION_SCALES`."""
     first = scale * len(DEFLECTIONS)
     return Structure(stops=tuple((kind, first + node) for node in range(len(DEFLECTIONS))))
 
 
-def fixed(rows: JointRows) -> dict[str, float]:
+def derive_scales(rows: JointRows) -> dict[str, float]:
     """Return the coefficients that follow from the largest load and speed of a joint."""
     load = float(np.max(np.abs(rows.tau_load)))
     speed = float(np.max(np.abs(rows.dq)))
-    thin = {THINNING[k].name: share * speed for k, share in SHARES.items()}
-    return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thin}
+    thinning_speeds = {THINNING[k].name: share * speed for k, share in SHARES.items()}
+    return {LOAD_SCALE.name: load if load > 0.0 else 1.0, **thinning_speeds}
 
 
-def times(rows: JointRows) -> tuple[float, ...]:
+def select_ageing_times(rows: JointRows) -> tuple[float, ...]:
     """Return the ageing times [s] up to a twelfth of the shortest left-out part."""
     shortest = min(float(rows.dt[fold].sum()) for fold in rows.folds)
-    return tuple(time for time in TIMES if 3.0 * time <= shortest / 4.0)
+    return tuple(time for time in AGEING_TIMES if 3.0 * time <= shortest / 4.0)
 
 
 def weights(rows: JointRows, longest: float = 0.0) -> Array:
@@ -49,40 +49,40 @@ def weights(rows: JointRows, longest: float = 0.0) -> Array:
 
     The deflections are forgotten after a distance, the age after three times the `longest` T [s].
     """
-    found = np.empty(len(rows.q))
+    row_weights = np.empty(len(rows.q))
     first = np.flatnonzero(rows.begins)
-    for start, end in zip(first, [*first[1:], len(found)], strict=True):
+    for start, end in zip(first, [*first[1:], len(row_weights)], strict=True):
         q = rows.q[start:end]
-        way = np.maximum.accumulate(q) - np.minimum.accumulate(q)
-        forgotten = way > 2.0 * DEFLECTIONS[-1]
-        since = np.cumsum(rows.dt[start:end]) - rows.dt[start]
-        found[start:end] = (forgotten | ~forgotten.any()) & (since >= 3.0 * longest)
-    return found
+        travel = np.maximum.accumulate(q) - np.minimum.accumulate(q)
+        is_forgotten = travel > 2.0 * DEFLECTIONS[-1]
+        elapsed = np.cumsum(rows.dt[start:end]) - rows.dt[start]
+        row_weights[start:end] = (is_forgotten | ~is_forgotten.any()) & (elapsed >= 3.0 * longest)
+    return row_weights
 
 
-def oldest(rows: JointRows, counted: Array, v_s: float, time: float) -> float:
+def find_largest_age(rows: JointRows, counted: Array, v_s: float, time: float) -> float:
     """Return the largest age of the rows with a weight (N,), rounded up to three digits."""
-    kept = np.exp(-rows.dt / time)
-    grown = (1.0 - kept) * np.exp(-((rows.dq / v_s) ** 2))
-    kept, grown = np.where(rows.begins, 0.0, kept), np.where(rows.begins, 1.0, grown)
-    return float(np.ceil(1e3 * np.max(recurrence(kept, grown, 1.0) * counted)) / 1e3)
+    decay = np.exp(-rows.dt / time)
+    growth = (1.0 - decay) * np.exp(-((rows.dq / v_s) ** 2))
+    decay, growth = np.where(rows.begins, 0.0, decay), np.where(rows.begins, 1.0, growth)
+    return float(np.ceil(1e3 * np.max(recurrence(decay, growth, 1.0) * counted)) / 1e3)
 
 
 def columns(structure: Structure, numbers: Mapping[str, float], rows: JointRows) -> Array:
     """Return the (N, K) columns [N.m per unit] of a structure's forces and waves."""
-    form, space = _posed(structure)
-    problem = Separable(form, space, rows, start=forms.start_at_rest(form))
+    form, space = _pose(structure)
+    problem = Separable(form, space, rows, start=forms.build_rest_states(form))
     return problem.columns(problem.point({name: numbers[name] for name in space.names}))[:, :-1]
 
 
 @lru_cache(maxsize=64)
-def _posed(structure: Structure) -> tuple[LawForm, SearchSpace]:
+def _pose(structure: Structure) -> tuple[LawForm, SearchSpace]:
     form = structure.form()
     linear = (*structure.forces, *structure.waves, "tau_0")
-    others = tuple(
-        (quantity.name, _ANY) for quantity in form.coefficients if quantity.name not in linear
+    free_bounds = tuple(
+        (quantity.name, _UNBOUNDED) for quantity in form.coefficients if quantity.name not in linear
     )
-    return form, SearchSpace(bounds=others, linear=linear)
+    return form, SearchSpace(bounds=free_bounds, linear=linear)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,26 +94,30 @@ class Terms:
     samples: JointRows
     weights: Array  # (N,) 1 or 0
     products: Products  # shared by trials
-    scale: int = 0  # place of the deflections' scale in `FINER`
+    scale: int = 0  # place of the deflections' scale in `DEFLECTION_SCALES`
     cache: dict[str, Array] = field(default_factory=dict)  # weighted columns by bound
 
     @property
     def structure(self) -> Structure:
         """All terms of these bounds."""
-        stops = tuple(stop for kind in self.bounds for stop in every(kind, self.scale).stops)
+        stops = tuple(stop for kind in self.bounds for stop in build_stops(kind, self.scale).stops)
         return Structure(stops=stops, viscous=VISCOUS)
 
-    def _of(self, kind: str) -> Array:
+    def _weighted_columns(self, kind: str) -> Array:
         if kind not in self.cache:
-            own = Structure(viscous=VISCOUS) if kind == "viscous" else every(kind, self.scale)
-            self.cache[kind] = self.weights[:, None] * columns(own, self.numbers, self.samples)
+            kind_structure = (
+                Structure(viscous=VISCOUS) if kind == "viscous" else build_stops(kind, self.scale)
+            )
+            self.cache[kind] = self.weights[:, None] * columns(
+                kind_structure, self.numbers, self.samples
+            )
         return self.cache[kind]
 
     @property
     def blocks(self) -> list[Array]:
         """Weighted columns of forces and offset."""
         self.cache.setdefault("offset", self.weights[:, None])
-        return [self._of(kind) for kind in (*self.bounds, "viscous", "offset")]
+        return [self._weighted_columns(kind) for kind in (*self.bounds, "viscous", "offset")]
 
     @cached_property
     def normal(self) -> Normal:
@@ -123,42 +127,44 @@ class Terms:
     @cached_property
     def errors(self) -> Array:
         """(N,) errors on left-out rows [N.m]."""
-        return self.normal.left_out()
+        return self.normal.cross_validate()
 
     @property
     def cost(self) -> float:
         """Sum of squares on left-out rows [N^2.m^2]."""
         return float(self.errors @ self.errors)
 
-    def at(self, v_s: float, time: float) -> "Terms":
+    def replace_age(self, v_s: float, time: float) -> "Terms":
         """Return the terms with another Stribeck velocity [rad/s] and ageing time [s]."""
-        still = {k: c for k, c in self.cache.items() if k != "age"}
-        largest = oldest(self.samples, self.weights, v_s, time)
-        numbers = self.numbers | {"v_s": v_s, "T": time, "P": largest}
-        return replace(self, numbers=numbers, cache=still)
+        unaged_columns = {k: c for k, c in self.cache.items() if k != "age"}
+        largest_age = find_largest_age(self.samples, self.weights, v_s, time)
+        numbers = self.numbers | {"v_s": v_s, "T": time, "P": largest_age}
+        return replace(self, numbers=numbers, cache=unaged_columns)
 
-    def active(self) -> tuple[Structure, Array]:
+    def select_active(self) -> tuple[Structure, Array]:
         """Return the terms with a force, and their weighted columns with the offset last."""
         x = self.normal.solve()[:-1]
-        whole = self.structure
-        carried = x[: len(whole.stops)]
-        enough = carried > LEAST * max(carried.sum(), np.finfo(float).tiny)
-        flows = x[len(whole.stops) :] > 0.0
+        full_structure = self.structure
+        stop_forces = x[: len(full_structure.stops)]
+        is_loaded = stop_forces > MIN_FORCE_SHARE * max(stop_forces.sum(), np.finfo(float).tiny)
+        is_viscous = x[len(full_structure.stops) :] > 0.0
         chosen = Structure(
-            stops=tuple(s for s, yes in zip(whole.stops, enough, strict=True) if yes),
-            viscous=tuple(v for v, yes in zip(VISCOUS, flows, strict=True) if yes),
+            stops=tuple(
+                s for s, is_active in zip(full_structure.stops, is_loaded, strict=True) if is_active
+            ),
+            viscous=tuple(v for v, is_active in zip(VISCOUS, is_viscous, strict=True) if is_active),
         )
-        return chosen, np.hstack(self.blocks)[:, np.concatenate([enough, flows, [True]])]
+        return chosen, np.hstack(self.blocks)[:, np.concatenate([is_loaded, is_viscous, [True]])]
 
 
-def dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
+def build_dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
     """Return the bounds of the skeleton with the best v_s and T, at a scale of deflections."""
     speed = float(np.max(np.abs(rows.dq)))
-    ageing = times(rows)
+    ageing = select_ageing_times(rows)
     counted = weights(rows, max(ageing, default=0.0))
     first = Terms(
         bounds=("1", *("age",) * bool(ageing), *("load",) * load),
-        numbers=fixed(rows),
+        numbers=derive_scales(rows),
         samples=rows,
         weights=counted,
         products=Products(rows.tau, rows.folds, counted),
@@ -168,27 +174,27 @@ def dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
     costs = []
     if not ageing:
         return first
-    for share, time in product(SPEEDS, ageing):
-        trials.append(first.at(share * speed, time))
+    for share, time in product(STRIBECK_SHARES, ageing):
+        trials.append(first.replace_age(share * speed, time))
         costs.append(trials[-1].cost)  # fills the cache
         first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "age"})
-    return trials[joint_rows.first_best(costs)]
+    return trials[joint_rows.find_first_best(costs)]
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
     """Add bounds that gain more than a standard error on left-out rows; remove useless ones."""
-    blocks = joint_rows.blocks_of(baseline.samples.dt, baseline.samples.begins)
-    best = _thinned(baseline)
-    for kind in MORE if load else ():
-        more = replace(best, bounds=(*best.bounds, kind))
-        if joint_rows.pays(best.errors, more.errors, blocks):
-            best = _thinned(more)
+    blocks = joint_rows.divide_into_blocks(baseline.samples.dt, baseline.samples.begins)
+    best = _remove_useless_bounds(baseline)
+    for kind in EXTRA_BOUNDS if load else ():
+        extended = replace(best, bounds=(*best.bounds, kind))
+        if joint_rows.has_significant_gain(best.errors, extended.errors, blocks):
+            best = _remove_useless_bounds(extended)
     return best
 
 
-def _thinned(terms: Terms) -> Terms:
+def _remove_useless_bounds(terms: Terms) -> Terms:
     for kind in reversed(terms.bounds[1:]):
-        fewer = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
-        if joint_rows.no_worse(fewer.cost, terms.cost):
-            terms = fewer
+        reduced = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
+        if joint_rows.is_no_worse(reduced.cost, terms.cost):
+            terms = reduced
     return terms

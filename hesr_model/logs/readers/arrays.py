@@ -13,7 +13,7 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes, readable, table_of
+from hesr_model.logs.log_table import LogTable, build_table, compute_max_bytes, readable
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
@@ -21,51 +21,51 @@ from hesr_model.support.arrays import Array
 _KIND = "NumPy arrays without objects"
 
 
-def table_of_arrays(path: Path, arrays: Mapping[str, Array], time: str) -> LogTable:
+def build_array_table(path: Path, arrays: Mapping[str, Array], time: str) -> LogTable:
     """Make a table as long as the vector `time`, or else as most arrays; raises LogError.
 
     The columns of an array ``q`` are ``q`` or ``q1``, ``q2``, ..; time is its first axis of that
     length.
     """
     arrays = {name: np.squeeze(array) for name, array in arrays.items()}
-    counted = Counter(max(array.shape) for array in arrays.values() if array.size > 1)
-    if not counted:
+    length_counts = Counter(max(array.shape) for array in arrays.values() if array.size > 1)
+    if not length_counts:
         raise LogError(
             f"{path}: has no arrays of numbers; save tables and timeseries as arrays or structs.",
             code="log.no_arrays",
             where=path,
         )
-    rows = max(counted, key=lambda length: (counted[length], length))
+    rows = max(length_counts, key=lambda length: (length_counts[length], length))
     if time in arrays and arrays[time].ndim == 1 and arrays[time].size:
         rows = len(arrays[time])
     columns: dict[str, Array] = {}
-    others = []
+    other_arrays = []
     for name, array in arrays.items():
         if rows not in array.shape:
-            others.append(f"{name} ({' x '.join(map(str, array.shape)) or '1'})")
+            other_arrays.append(f"{name} ({' x '.join(map(str, array.shape)) or '1'})")
             continue
-        columns |= _columns(name, np.moveaxis(array, array.shape.index(rows), 0))
-    return table_of(path, columns, others)
+        columns |= _split_columns(name, np.moveaxis(array, array.shape.index(rows), 0))
+    return build_table(path, columns, other_arrays)
 
 
-def _columns(name: str, array: Array) -> dict[str, Array]:
+def _split_columns(name: str, array: Array) -> dict[str, Array]:
     flat = array.reshape(len(array), -1)
-    one = array.ndim == 1
-    return {name if one else f"{name}{k}": x for k, x in enumerate(flat.T, start=1)}
+    is_vector = array.ndim == 1
+    return {name if is_vector else f"{name}{k}": column for k, column in enumerate(flat.T, start=1)}
 
 
-def numeric(value: Any, name: str) -> Iterator[tuple[str, Array]]:
+def find_number_arrays(value: Any, name: str) -> Iterator[tuple[str, Array]]:
     """Yield the arrays of numbers in nested structures, named as in MATLAB."""
     if isinstance(value, Mapping):
         for field, inner in value.items():
-            yield from numeric(inner, f"{name}.{field}" if name else str(field))
+            yield from find_number_arrays(inner, f"{name}.{field}" if name else str(field))
     elif isinstance(value, list):
         for k, inner in enumerate(value, start=1):
-            yield from numeric(inner, f"{name}({k})")
+            yield from find_number_arrays(inner, f"{name}({k})")
     elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
-        yield from numeric(list(value.ravel()), name)
+        yield from find_number_arrays(list(value.ravel()), name)
     elif isinstance(value, np.ndarray) and value.dtype.names:
-        yield from numeric({field: value[field] for field in value.dtype.names}, name)
+        yield from find_number_arrays({field: value[field] for field in value.dtype.names}, name)
     elif np.asarray(value).dtype.kind in "fiu":
         yield name, np.asarray(value, dtype=float)
 
@@ -74,57 +74,59 @@ def load_arrays(path: Path) -> dict[str, Any]:
     """Return the arrays of a NumPy file by name, an only one as `data`; raises LogError."""
     require_content(path)
     with readable(path, _KIND), path.open("rb") as file:
-        found = np.load(file, allow_pickle=False)
-        if isinstance(found, np.ndarray):
-            return {"": found} if found.dtype.names else {"data": found}
-        if sum(one.file_size for one in found.zip.infolist()) > most_bytes(path):
+        content = np.load(file, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            return {"": content} if content.dtype.names else {"data": content}
+        if sum(member.file_size for member in content.zip.infolist()) > compute_max_bytes(path):
             raise LogError(
                 f"{path}: claims more data than fits into the file.",
                 code="log.too_large",
                 where=path,
             )
-        return {name: found[name] for name in found.files}
+        return {name: content[name] for name in content.files}
 
 
 def load_table(path: Path, time: str = "t") -> LogTable:
-    """Open a NumPy file as the table of its numbers; see `table_of_arrays`."""
-    found = (numeric(value, name) for name, value in load_arrays(path).items())
-    return table_of_arrays(path, dict(chain.from_iterable(found)), time)
+    """Open a NumPy file as the table of its numbers; see `build_array_table`."""
+    arrays = (find_number_arrays(value, name) for name, value in load_arrays(path).items())
+    return build_array_table(path, dict(chain.from_iterable(arrays)), time)
 
 
-def _pieces(path: Path, _log: LogFormat, rows: int) -> Iterator[LogTable]:
+def _read_pieces(path: Path, _log: LogFormat, rows: int) -> Iterator[LogTable]:
     """Yield tables of successive rows; none of arrays that are not stored row by row."""
     require_content(path)
     with readable(path, _KIND), ExitStack() as files:
         if path.suffix.lower() == ".npy":
-            opened: dict[str, Any] = {"": files.enter_context(path.open("rb"))}
+            open_files: dict[str, Any] = {"": files.enter_context(path.open("rb"))}
         else:
             packed = files.enter_context(ZipFile(path))
             names = [name.removesuffix(".npy") for name in packed.namelist()]
-            opened = {k: files.enter_context(packed.open(f"{k}.npy")) for k in names}
-        heads = {name: _head(file) for name, file in opened.items()}
+            open_files = {k: files.enter_context(packed.open(f"{k}.npy")) for k in names}
+        heads = {name: _read_head(file) for name, file in open_files.items()}
         longest = max((shape[0] for shape, *_ in heads.values() if shape), default=0)
-        kept = {name: head for name, head in heads.items() if head[0][:1] == (longest,)}
-        if any(fortran for _, fortran, _ in kept.values()):
+        longest_heads = {name: head for name, head in heads.items() if head[0][:1] == (longest,)}
+        if any(fortran for _, fortran, _ in longest_heads.values()):
             return
         for first in range(0, longest, rows):
             columns: dict[str, Array] = {}
-            for name, (shape, _, kind) in kept.items():
+            for name, (shape, _, kind) in longest_heads.items():
                 count = min(rows, longest - first)
-                content = opened[name].read(count * kind.itemsize * math.prod(shape[1:]))
-                one = [count, *(length for length in shape[1:] if length > 1)]
-                array = np.frombuffer(content, kind).reshape(one)
-                for inner, values in numeric(array, name or ("" if kind.names else "data")):
-                    columns |= _columns(inner, values)
-            yield table_of(path, columns, [name for name in heads if name not in kept])
+                content = open_files[name].read(count * kind.itemsize * math.prod(shape[1:]))
+                piece_shape = [count, *(length for length in shape[1:] if length > 1)]
+                array = np.frombuffer(content, kind).reshape(piece_shape)
+                for column, values in find_number_arrays(
+                    array, name or ("" if kind.names else "data")
+                ):
+                    columns |= _split_columns(column, values)
+            yield build_table(path, columns, [name for name in heads if name not in longest_heads])
 
 
-def _head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+def _read_head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     npy = np.lib.format
     old = npy.read_magic(file) == (1, 0)
     return npy.read_array_header_1_0(file) if old else npy.read_array_header_2_0(file)
 
 
 FORMAT = table_format(
-    "NumPy file", {".npz", ".npy"}, lambda path, log: load_table(path, log.columns.t), _pieces
+    "NumPy file", {".npz", ".npy"}, lambda path, log: load_table(path, log.columns.t), _read_pieces
 )

@@ -36,23 +36,25 @@ def complete(path: Path) -> Iterator[Path]:
         return
     with scratch_folder() as folder:
         copy = folder / path.name
-        with path.open("rb") as file, copy.open("wb") as whole:
+        with path.open("rb") as file, copy.open("wb") as copy_file:
             size = path.stat().st_size
-            end = _last_record(file, len(_MAGIC), size)
+            end = _find_last_record(file, len(_MAGIC), size)
             file.seek(end)
             head = file.read(9 + 28 + 4 + 8)
             uncompressed = len(head) == 49 and head[:1] == b"\x06" and not any(head[37:41])
             inner = end + len(head) if uncompressed else end
-            last = _last_record(file, inner, size)
+            last = _find_last_record(file, inner, size)
             for start, stop, place in ((0, end, 0), (inner, last, end)):
                 file.seek(start)
-                whole.seek(place)
-                shutil.copyfileobj(file, whole)
-                whole.truncate(place + stop - start)
-            whole.seek(0, SEEK_END)
-            whole.write(_END)
-        lost = size - max(end, last)
-        _log.warning("%s: the recording was cut off; its last %d bytes are ignored.", path, lost)
+                copy_file.seek(place)
+                shutil.copyfileobj(file, copy_file)
+                copy_file.truncate(place + stop - start)
+            copy_file.seek(0, SEEK_END)
+            copy_file.write(_END)
+        lost_bytes = size - max(end, last)
+        _log.warning(
+            "%s: the recording was cut off; its last %d bytes are ignored.", path, lost_bytes
+        )
         yield copy
 
 
@@ -64,7 +66,7 @@ def _is_truncated(path: Path) -> bool:
         return file.read() != _MAGIC
 
 
-def _last_record(file: BinaryIO, start: int, size: int) -> int:
+def _find_last_record(file: BinaryIO, start: int, size: int) -> int:
     """Return where the last complete record from `start` on ends."""
     end = start
     while end + 9 <= size:
@@ -90,10 +92,12 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     drop = description.log.missing == "drop"
     joints = bag.joints or description.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
-    messages = list(_messages(path, bag.topics))
-    used = [message for message in messages if set(joints) <= set(message.state.name)]
-    groups = {joints: used} if used else _groups(where, joints, messages)
-    series = [_Series.of(where, *group, missing=drop) for group in groups.items()]
+    messages = list(_read_messages(path, bag.topics))
+    shared_messages = [message for message in messages if set(joints) <= set(message.state.name)]
+    groups = (
+        {joints: shared_messages} if shared_messages else _group_messages(where, joints, messages)
+    )
+    series = [_Series.from_messages(where, *group, missing=drop) for group in groups.items()]
     base = min(series, key=lambda s: len(s.messages))
     rows = np.flatnonzero(np.logical_and.reduce([s.covers(base.t) for s in series]))
     if not len(rows):
@@ -103,7 +107,7 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
             where=where,
         )
     t = base.t[rows]
-    q, dq, effort = (_joined(series, f, t) for f in ("position", "velocity", "effort"))
+    q, dq, effort = (_join_series(series, f, t) for f in ("position", "velocity", "effort"))
     if effort is None:
         raise LogError(
             f"{where}: its messages have no effort; record torques or currents as effort.",
@@ -146,7 +150,7 @@ class _Series:
     values: Mapping[str, Array | None]
 
     @classmethod
-    def of(
+    def from_messages(
         cls, where: str, joints: Sequence[str], messages: Sequence[_Message], *, missing: bool
     ) -> Self:
         """Read the fields of joints; raises LogError."""
@@ -162,46 +166,46 @@ class _Series:
         return cls(
             t=stamps,
             messages=messages,
-            values={f: _values(where, messages, joints, f, missing=missing) for f in fields},
+            values={f: _read_field(where, messages, joints, f, missing=missing) for f in fields},
         )
 
     def covers(self, t: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether messages surround times [ns] closely, with at most ten median steps between."""
-        own = np.sort(self.t)
-        after = np.searchsorted(own, t)
-        before = np.searchsorted(own, t, side="right") - 1
-        inside = (after < len(own)) & (before >= 0)
+        stamps = np.sort(self.t)
+        after = np.searchsorted(stamps, t)
+        before = np.searchsorted(stamps, t, side="right") - 1
+        inside = (after < len(stamps)) & (before >= 0)
         steps = np.zeros(len(t))
-        steps[inside] = own[after[inside]] - own[before[inside]]
-        return inside & (steps <= 10 * np.median(np.diff(own))) if len(own) > 1 else inside
+        steps[inside] = stamps[after[inside]] - stamps[before[inside]]
+        return inside & (steps <= 10 * np.median(np.diff(stamps))) if len(stamps) > 1 else inside
 
-    def at(self, field: str, t: NDArray[np.int64]) -> Array | None:
+    def interpolate(self, field: str, t: NDArray[np.int64]) -> Array | None:
         """Return a field at times [ns], interpolated where no message has them."""
         values = self.values[field]
         if values is None:
             return None
         if np.array_equal(t, self.t):
             return values
-        own, rows = np.unique(self.t, return_index=True)
-        origin = own[0]
+        stamps, rows = np.unique(self.t, return_index=True)
+        origin = stamps[0]
         return np.column_stack(
-            [np.interp(t - origin, own - origin, of_joint) for of_joint in values[rows].T]
+            [np.interp(t - origin, stamps - origin, column) for column in values[rows].T]
         )
 
 
-def _groups(
+def _group_messages(
     where: str, joints: Sequence[str], messages: Sequence[_Message]
 ) -> dict[tuple[str, ...], Sequence[_Message]]:
     """Return the messages of each joint."""
     if not messages:
         raise LogError(f"{where}: has no messages.", code="bag.empty", where=where)
-    listed = dict.fromkeys(name for message in messages for name in message.state.name)
+    bag_joints = dict.fromkeys(name for message in messages for name in message.state.name)
     groups: dict[tuple[str, ...], Sequence[_Message]] = {}
     for joint in joints:
         groups[joint,] = [m for m in messages if joint in m.state.name]
         if not groups[joint,]:
             raise LogError(
-                f"{where}: has no joint '{joint}'; its messages list {', '.join(listed)}; map "
+                f"{where}: has no joint '{joint}'; its messages list {', '.join(bag_joints)}; map "
                 "names under 'log.bag.joints' of the robot file.",
                 code="bag.joint",
                 where=where,
@@ -210,12 +214,12 @@ def _groups(
     return groups
 
 
-def _joined(series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
-    whole = [part for part in [s.at(field, t) for s in series] if part is not None]
-    return np.column_stack(whole) if len(whole) == len(series) else None
+def _join_series(series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
+    columns = [column for column in [s.interpolate(field, t) for s in series] if column is not None]
+    return np.column_stack(columns) if len(columns) == len(series) else None
 
 
-def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
+def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     if not (path.is_file() or path.is_dir()):  # a pipe may have no end
         raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
@@ -237,10 +241,10 @@ def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     try:
         # bags older than ROS 2 Iron lack definitions
         with (
-            complete(path) as whole,
-            AnyReader([whole], default_typestore=get_typestore(Stores.LATEST)) as reader,
+            complete(path) as complete_path,
+            AnyReader([complete_path], default_typestore=get_typestore(Stores.LATEST)) as reader,
         ):
-            connections = [c for topic in topics for c in _connections(path, reader, topic)]
+            connections = [c for topic in topics for c in _find_connections(path, reader, topic)]
             for number, (connection, _, raw) in enumerate(reader.messages(connections), start=1):
                 state: Any = reader.deserialize(raw, connection.msgtype)
                 stamp = state.header.stamp
@@ -255,13 +259,15 @@ def _messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
         ) from error
 
 
-def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
+def _find_connections(path: Path, reader: Any, topic: str) -> list[Any]:
     connections = [c for c in reader.connections if c.topic == topic]
     if not connections:
         states = sorted({c.topic for c in reader.connections if c.msgtype == _TYPE})
-        others = f"topics of joint states are {', '.join(states)}" if states else f"none is {_TYPE}"
+        topic_list = (
+            f"topics of joint states are {', '.join(states)}" if states else f"none is {_TYPE}"
+        )
         raise LogError(
-            f"{path}: has no topic '{topic}'; {others}; name one under 'log.bag.topic' of the "
+            f"{path}: has no topic '{topic}'; {topic_list}; name one under 'log.bag.topic' of the "
             "robot file.",
             code="bag.topic",
             where=path,
@@ -278,7 +284,7 @@ def _connections(path: Path, reader: Any, topic: str) -> list[Any]:
     return connections
 
 
-def _values(
+def _read_field(
     where: str, messages: Sequence[_Message], joints: Sequence[str], field: str, *, missing: bool
 ) -> Array | None:
     """Return one field of all joints (N, n), if any message has it."""
@@ -287,19 +293,19 @@ def _values(
     values = np.empty((len(messages), len(joints)))
     for row, message in zip(values, messages, strict=True):
         names = message.state.name
-        given = getattr(message.state, field)
-        if len(given) != len(names):
+        entries = getattr(message.state, field)
+        if len(entries) != len(names):
             raise LogError(
-                f"{where}, message {message.number}: {field} has {len(given)} entries for "
+                f"{where}, message {message.number}: {field} has {len(entries)} entries for "
                 f"{len(names)} joints.",
                 code="bag.entries",
                 where=where,
                 key=field,
             )
-        row[:] = [given[names.index(joint)] for joint in joints]
-    bad = np.isinf(values) if missing else ~np.isfinite(values)
-    if np.any(bad):
-        k, joint = np.argwhere(bad)[0]
+        row[:] = [entries[names.index(joint)] for joint in joints]
+    is_bad = np.isinf(values) if missing else ~np.isfinite(values)
+    if np.any(is_bad):
+        k, joint = np.argwhere(is_bad)[0]
         raise LogError(
             f"{where}, message {messages[k].number}: {field} of joint '{joints[joint]}' is "
             f"{values[k, joint]:g}; a finite number is needed.",

@@ -9,12 +9,12 @@ from typing import Any
 from hesr_model.errors import LogError
 from hesr_model.logs.csv_text import read_text
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes, readable
+from hesr_model.logs.log_table import LogTable, compute_max_bytes, readable
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 
 
-def _read(path: Path, log: LogFormat) -> LogTable:
+def _read(path: Path, log_format: LogFormat) -> LogTable:
     """Read the longest sheet as text, whose lines are the rows of the sheet."""
     require_content(path)
     try:
@@ -27,7 +27,7 @@ def _read(path: Path, log: LogFormat) -> LogTable:
         ) from error
     with readable(path, "an Excel workbook"):
         with zipfile.ZipFile(path) as packed:
-            if sum(part.file_size for part in packed.infolist()) > most_bytes(path):
+            if sum(part.file_size for part in packed.infolist()) > compute_max_bytes(path):
                 raise LogError(
                     f"{path}: claims more data than fits into the file.",
                     code="log.too_large",
@@ -36,16 +36,18 @@ def _read(path: Path, log: LogFormat) -> LogTable:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         sheets = [list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets]
         book.close()
-    return read_text(path, log.columns.names, _text(max(sheets, key=len, default=[])))
+    return read_text(path, log_format.columns.names, _format_rows(max(sheets, key=len, default=[])))
 
 
-def _text(rows: list[tuple[Any, ...]]) -> bytes:
+def _format_rows(rows: list[tuple[Any, ...]]) -> bytes:
     width = max(map(len, rows), default=0)
-    used = [k for k in range(width) if any(k < len(row) and row[k] is not None for row in rows)]
+    filled_columns = [
+        k for k in range(width) if any(k < len(row) and row[k] is not None for row in rows)
+    ]
     file = io.StringIO()
     writer = csv.writer(file, delimiter="\t", lineterminator="\n")
     for row in rows:
-        cells = [row[k] if k < len(row) else None for k in used]
+        cells = [row[k] if k < len(row) else None for k in filled_columns]
         writer.writerow(cells if any(cell is not None for cell in cells) else [])
     return file.getvalue().encode()
 

@@ -21,20 +21,20 @@ from hesr_model.support.arrays import Array
 GROUP = "hesr.logs"
 
 
-def samples_of(table: LogTable, description: RobotDescription) -> LogSamples:
+def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
     """Read the columns of the robot file; errors as `Log.read`."""
-    log = description.log
+    log_format = description.log
     columns = description.log.columns
-    drop = log.missing == "drop"
-    if log.rate and columns.t not in table.names:
-        t = (table.before + np.arange(table.rows)) / log.rate
-        time = f"rate {log.rate:g} Hz"
+    drop = log_format.missing == "drop"
+    if log_format.rate and columns.t not in table.names:
+        t = (table.before + np.arange(table.rows)) / log_format.rate
+        time = f"rate {log_format.rate:g} Hz"
     else:
-        t = table.times(columns.t, float(log.units.factors("t", 1)[0]), missing=drop)
+        t = table.times(columns.t, float(log_format.units.factors("t", 1)[0]), missing=drop)
         time = f"column '{columns.t}'"
-    q = _joints(table, columns.q, description)
-    dq = _joints(table, columns.dq, description) if columns.dq else None
-    effort, is_current = _effort(table, description)
+    q = _read_joints(table, columns.q, description)
+    dq = _read_joints(table, columns.dq, description) if columns.dq else None
+    effort, is_current = _read_effort(table, description)
     return LogSamples(
         t=t,
         q=q,
@@ -43,19 +43,19 @@ def samples_of(table: LogTable, description: RobotDescription) -> LogSamples:
         is_current=is_current,
         time=time,
         place=lambda k: f"row {table.row(k)}",
-        q_link=_joints(table, columns.q_link, description) if columns.q_link else None,
-        **{quantity: _optional(table, quantity, description) for quantity in OPTIONAL},
+        q_link=_read_joints(table, columns.q_link, description) if columns.q_link else None,
+        **{quantity: _read_optional(table, quantity, description) for quantity in OPTIONAL},
     )
 
 
-def _joints(table: LogTable, columns: Columns, description: RobotDescription) -> Array:
+def _read_joints(table: LogTable, columns: Columns, description: RobotDescription) -> Array:
     if isinstance(columns, str) and "{name}" not in columns:
         n = len(description.joints)
         # One joint more than the file can have, numbered.
         names = column_names(columns, [""] * (len(table.names) + n + 1))
-        there = set(table.names)
-        found = next(k for k, name in enumerate(names) if name not in there)
-        if found > n:
+        existing_names = set(table.names)
+        column_count = next(k for k, name in enumerate(names) if name not in existing_names)
+        if column_count > n:
             raise LogError(
                 f"{table.path}: has column '{names[n]}', but the robot has {n} joints; name the "
                 "columns to use under 'log.columns' of the robot file.",
@@ -63,33 +63,33 @@ def _joints(table: LogTable, columns: Columns, description: RobotDescription) ->
                 where=table.path,
                 key=names[n],
             )
-        if 0 < found < n and names[n - 1] not in table.names:
+        if 0 < column_count < n and names[n - 1] not in table.names:
             raise LogError(
-                f"{table.path}: column '{names[found]}' is missing; it has {found} "
+                f"{table.path}: column '{names[column_count]}' is missing; it has {column_count} "
                 f"joints, but the robot has {n}.",
                 code="log.column_missing",
                 where=table.path,
-                key=names[found],
+                key=names[column_count],
             )
     return table.numbers(
         column_names(columns, description.joints), missing=description.log.missing == "drop"
     )
 
 
-def _optional(table: LogTable, quantity: str, description: RobotDescription) -> Array | None:
+def _read_optional(table: LogTable, quantity: str, description: RobotDescription) -> Array | None:
     columns = getattr(description.log.columns, quantity)
     default = columns == OPTIONAL[quantity]
     if default and not set(column_names(columns, description.joints)) & set(table.names):
         return None
     if not default or quantity == "temperature":
-        return _joints(table, columns, description)
+        return _read_joints(table, columns, description)
     with suppress(LogError):  # commands that were not asked for must not make a log unreadable
-        if np.isfinite(found := _joints(table, columns, description)).all():
-            return found
+        if np.isfinite(signal := _read_joints(table, columns, description)).all():
+            return signal
     return None
 
 
-def _effort(table: LogTable, description: RobotDescription) -> tuple[Array, bool]:
+def _read_effort(table: LogTable, description: RobotDescription) -> tuple[Array, bool]:
     columns = description.log.columns
     gains = description.log.torque_per_ampere
     if description.log.cylinder is not None:
@@ -98,9 +98,9 @@ def _effort(table: LogTable, description: RobotDescription) -> tuple[Array, bool
     torque = column_names(columns.tau, description.joints)[0]
     current = column_names(columns.current, description.joints)[0]
     if gains is not None and current in table.names:
-        return _joints(table, columns.current, description), True
+        return _read_joints(table, columns.current, description), True
     if torque in table.names:
-        return _joints(table, columns.tau, description), False
+        return _read_joints(table, columns.tau, description), False
     if current in table.names:
         raise LogError(
             f"{table.path}: column '{torque}' is missing; for the currents in '{current}' add "
@@ -149,14 +149,14 @@ def table_format(
 ) -> FileFormat:
     """Return the format of tables with named columns in files of some suffixes, or of any."""
 
-    def opened(path: Path, log: LogFormat) -> LogTable:
-        return table(path, log).named(log.columns.names)
+    def open_table(path: Path, log_format: LogFormat) -> LogTable:
+        return table(path, log_format).rename_columns(log_format.columns.names)
 
     return FileFormat(
         name=name,
         recognises=lambda path: not suffixes or path.suffix.lower() in suffixes,
-        read=lambda path, robot: samples_of(opened(path, robot.log), robot),
-        table=opened,
+        read=lambda path, robot: read_samples(open_table(path, robot.log), robot),
+        table=open_table,
         pieces=pieces,
     )
 
@@ -170,31 +170,43 @@ COLUMNS = table_format(
 )  # Fallback for every file: CSV, Parquet and Feather
 
 
-def sample_pieces(path: Path, description: RobotDescription, rows: int) -> Iterator[LogSamples]:
+def read_sample_pieces(
+    path: Path, description: RobotDescription, rows: int
+) -> Iterator[LogSamples]:
     """Yield the samples of successive rows; none of a format that is read as a whole."""
     first = None
     before = 0
-    pieces = format_of(path).pieces
+    pieces = find_format(path).pieces
     for piece in pieces(path, description.log, rows) if pieces else ():
-        table = replace(piece.named(description.log.columns.names), first=first, before=before)
-        yield samples_of(table, description)
+        table = replace(
+            piece.rename_columns(description.log.columns.names), first=first, before=before
+        )
+        yield read_samples(table, description)
         first, before = first or table, before + table.rows
 
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
     """Return all formats in order of precedence, other packages first."""
-    found = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
-    for plugin, value in found.items():
-        if not isinstance(value, FileFormat):
+    loaded = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
+    for plugin, file_format in loaded.items():
+        if not isinstance(file_format, FileFormat):
             raise ConfigError(
-                f"{plugin.label} is a {type(value).__name__}; the entry point must name a "
+                f"{plugin.label} is a {type(file_format).__name__}; the entry point must name a "
                 "FileFormat."
             )
-    ours = [value for plugin, value in found.items() if plugin.own and value is not COLUMNS]
-    return (*(value for plugin, value in found.items() if not plugin.own), *ours, COLUMNS)
+    ours = [
+        file_format
+        for plugin, file_format in loaded.items()
+        if plugin.own and file_format is not COLUMNS
+    ]
+    return (
+        *(file_format for plugin, file_format in loaded.items() if not plugin.own),
+        *ours,
+        COLUMNS,
+    )
 
 
-def format_of(path: Path) -> FileFormat:
+def find_format(path: Path) -> FileFormat:
     """Return the first format that recognises a path."""
-    return next(each for each in formats() if each.recognises(path))
+    return next(file_format for file_format in formats() if file_format.recognises(path))

@@ -7,14 +7,14 @@ import numpy as np
 
 from hesr_model.errors import LogError
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.logs.log_table import LogTable, most_bytes, readable
-from hesr_model.logs.readers.arrays import numeric, table_of_arrays
+from hesr_model.logs.log_table import LogTable, compute_max_bytes, readable
+from hesr_model.logs.readers.arrays import build_array_table, find_number_arrays
 from hesr_model.logs.readers.formats import table_format
 from hesr_model.logs.tables import require_content
 from hesr_model.support.arrays import Array
 
 
-def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
+def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict[str, Array]:
     """Return the arrays of numbers by path with dots; raises LogError that names the `kind`."""
     try:
         import h5py
@@ -25,8 +25,8 @@ def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[s
             where=path,
         ) from error
 
-    found: dict[str, Array] = {}
-    left = most_bytes(path)
+    arrays: dict[str, Array] = {}
+    left = compute_max_bytes(path)
 
     def visit(name: str, item: Any) -> None:
         # Characters are numbers; '#refs#' holds targets of references in struct arrays.
@@ -43,16 +43,18 @@ def arrays_of_hdf5(path: Path, kind: str, *, transposed: bool = False) -> dict[s
                     where=path,
                 )
             array = np.asarray(item)
-            found.update(numeric(array.T if transposed else array, name.replace("/", ".")))
+            arrays.update(
+                find_number_arrays(array.T if transposed else array, name.replace("/", "."))
+            )
 
     with readable(path, f"a {kind}"), h5py.File(path, "r") as file:
         file.visititems(visit)
-    return found
+    return arrays
 
 
-def _read(path: Path, log: LogFormat) -> LogTable:
+def _read(path: Path, log_format: LogFormat) -> LogTable:
     require_content(path)
-    return table_of_arrays(path, arrays_of_hdf5(path, "HDF5 file"), log.columns.t)
+    return build_array_table(path, read_hdf5_arrays(path, "HDF5 file"), log_format.columns.t)
 
 
 FORMAT = table_format("HDF5 file", {".h5", ".hdf5", ".hdf"}, _read)

@@ -12,49 +12,49 @@ from typing import Literal
 import numpy as np
 
 from hesr_model.errors import LogError
-from hesr_model.logs.log_table import LogTable, most_bytes, readable
-from hesr_model.logs.readers.arrays import numeric, table_of_arrays
+from hesr_model.logs.log_table import LogTable, compute_max_bytes, readable
+from hesr_model.logs.readers.arrays import build_array_table, find_number_arrays
 from hesr_model.logs.readers.formats import table_format
-from hesr_model.logs.readers.hdf5 import arrays_of_hdf5
+from hesr_model.logs.readers.hdf5 import read_hdf5_arrays
 from hesr_model.support.arrays import Array
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # after a header of 512 bytes
 Order = Literal["<", ">"]
-_HEADER = 128  # [B]
-_FLAGS = 6
-_MATRIX = 14
-_PACKED = 15
-_KNOWN = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
-_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] per number in version 4
+_HEADER_SIZE = 128  # [B]
+_FLAGS_TYPE = 6
+_MATRIX_TYPE = 14
+_COMPRESSED_TYPE = 15
+_KNOWN_TYPES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18}
+_NUMBER_SIZES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # [B] per number in version 4
 _CLASSES = range(1, 18)
-_DEEPEST = 50  # nesting of matrices in structs and cells
+_MAX_DEPTH = 50  # nesting of matrices in structs and cells
 
 
-def require_sound(path: Path, most: int) -> None:
-    """Check a file; raises ValueError, or OverflowError above `most` [B] of packed data."""
-    if path.stat().st_size < _HEADER:
+def require_sound(path: Path, max_bytes: int) -> None:
+    """Check a file; raises ValueError, or OverflowError above `max_bytes` [B] of packed data."""
+    if path.stat().st_size < _HEADER_SIZE:
         return
     content = np.memmap(path, dtype=np.uint8, mode="r").data
     if 0 in bytes(content[:4]):
         _require_version_4(content)
         return
     order: Order = "<" if bytes(content[126:128]) == b"IM" else ">"
-    place = _HEADER
+    place = _HEADER_SIZE
     while place + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, place)
         end = place + 8 + length
-        if kind != _PACKED:
+        if kind != _COMPRESSED_TYPE:
             end = _require_element(content, place, order, 0)
         else:
             packed = content[place + 8 : end]
             unpacker = zlib.decompressobj()
             try:
-                unpacked = unpacker.decompress(packed, max(most, 1))
+                unpacked = unpacker.decompress(packed, max(max_bytes, 1))
             except zlib.error as error:
                 raise ValueError("its compressed data are corrupt") from error
             if unpacker.unconsumed_tail:
                 raise OverflowError
-            most -= len(unpacked)
+            max_bytes -= len(unpacked)
             _require_element(memoryview(unpacked), 0, order, 0)
         place = end
 
@@ -67,7 +67,7 @@ def _require_version_4(content: memoryview) -> None:
         little = struct.unpack_from("<I", content, place)[0] < 5000  # the byte order
         header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
         digits, rows, columns, imaginary, name = header
-        size = _SIZES.get(digits // 10 % 10)
+        size = _NUMBER_SIZES.get(digits // 10 % 10)
         if size is None or rows < 0 or columns < 0 or imaginary > 1 or name == 0:
             raise ValueError("a matrix is malformed")
         place += 20 + name + rows * columns * size * (1 + imaginary)
@@ -86,19 +86,19 @@ def _require_element(content: memoryview, place: int, order: Order, depth: int) 
     else:
         start = place + 8
         after = start + length + -length % 8
-    if kind not in _KNOWN:
+    if kind not in _KNOWN_TYPES:
         raise ValueError(f"an element is of the unknown type {kind}")
     if start + length > len(content):
         raise ValueError("an element extends past its container")
-    if kind == _MATRIX and length:
+    if kind == _MATRIX_TYPE and length:
         _require_matrix(content[start : start + length], order, depth + 1)
     return after
 
 
 def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
-    if depth > _DEEPEST:
+    if depth > _MAX_DEPTH:
         raise ValueError("it is nested too deeply")
-    if len(content) < 16 or struct.unpack_from(f"{order}II", content) != (_FLAGS, 8):
+    if len(content) < 16 or struct.unpack_from(f"{order}II", content) != (_FLAGS_TYPE, 8):
         raise ValueError("a matrix lacks its flags")
     if struct.unpack_from(f"{order}I", content, 8)[0] & 0xFF not in _CLASSES:
         raise ValueError("a matrix has an unknown class")
@@ -117,16 +117,18 @@ def read_matlab(path: Path, *, time: str) -> LogTable:
         raise LogError(f"{path}: no such log file.", code="file.missing", where=path)
     with path.open("rb") as file:
         is_hdf5 = file.read(520)[512:] == _HDF5
-    found = arrays_of_hdf5(path, "MATLAB file", transposed=True) if is_hdf5 else _classic(path)
-    return table_of_arrays(path, found, time)
+    arrays = (
+        read_hdf5_arrays(path, "MATLAB file", transposed=True) if is_hdf5 else _read_classic(path)
+    )
+    return build_array_table(path, arrays, time)
 
 
-def _classic(path: Path) -> dict[str, Array]:
+def _read_classic(path: Path) -> dict[str, Array]:
     from scipy.io import loadmat
 
     with readable(path, "a MATLAB file"):
         try:
-            require_sound(path, most_bytes(path))
+            require_sound(path, compute_max_bytes(path))
             content = loadmat(path, simplify_cells=True)
         except OverflowError as error:
             raise LogError(
@@ -134,7 +136,9 @@ def _classic(path: Path) -> dict[str, Array]:
                 code="log.too_large",
                 where=path,
             ) from error
-    return dict(numeric({k: v for k, v in content.items() if not k.startswith("__")}, ""))
+    return dict(
+        find_number_arrays({k: v for k, v in content.items() if not k.startswith("__")}, "")
+    )
 
 
 FORMAT = table_format(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hesr_model.logs.log_format import LogFormat
-from hesr_model.support.arrays import Array, arrays_of, some_rows
+from hesr_model.support.arrays import Array, get_arrays, select_rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,15 +25,15 @@ class LogSamples:
     q_cmd: Array | None = None
     dq_cmd: Array | None = None
 
-    def sort_samples(self, log: LogFormat, after: float = -np.inf) -> "LogSamples":
+    def sort_samples(self, log_format: LogFormat, after: float = -np.inf) -> "LogSamples":
         """Sort rows by time, and drop rows that lack a number or repeat a stamp, or `after`."""
         rows = np.arange(len(self.t))
-        drop = log.missing == "drop"
+        drop = log_format.missing == "drop"
         if drop:
-            whole = np.isfinite(np.column_stack(list(arrays_of(self).values())))
-            rows = np.flatnonzero(np.all(whole, axis=1))
-        if log.sort:
+            is_finite = np.isfinite(np.column_stack(list(get_arrays(self).values())))
+            rows = np.flatnonzero(np.all(is_finite, axis=1))
+        if log_format.sort:
             rows = rows[np.argsort(self.t[rows], kind="stable")]
-        if drop or log.duplicates == "first":
+        if drop or log_format.duplicates == "first":
             rows = rows[np.diff(self.t[rows], prepend=after) != 0.0]
-        return replace(some_rows(self, rows), place=lambda k: self.place(int(rows[k])))
+        return replace(select_rows(self, rows), place=lambda k: self.place(int(rows[k])))

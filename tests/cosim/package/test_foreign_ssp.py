@@ -12,7 +12,7 @@ from fakes import description, variable
 from small_study import Hesr
 
 from cosim.systems.simulation import System
-from cosim.systems.system import SystemSpec, opened_system
+from cosim.systems.system import SystemSpec, open_system
 from fmu_src.run.variables import SI, Variables
 from hesr.extras.ssp.contents import SSD, read_contents
 from hesr.extras.ssp.ssp import write_ssp
@@ -66,7 +66,7 @@ def test_start_values_in_other_units_are_converted(edited: Edit) -> None:
 {MS[1][1]}</ssv:Units></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>
 </ssd:ParameterBindings><ssd:Elements>"""
     path = edited({A: list(MS), SSD: [("<ssd:Elements>", inline)]})
-    with opened_system(path) as spec:
+    with open_system(path) as spec:
         assert [dict(c.start) for c in spec.components] == [
             {"u": 2.0, "T": pytest.approx(0.5, rel=1e-15), "x_start": 0.25},
             {"T": pytest.approx(0.5, rel=1e-15)},
@@ -144,7 +144,7 @@ def test_unsupported_features_are_refused(
 def test_a_source_is_a_uri(source: str, edited: Edit) -> None:
     """Some tools write the plain file name even where it needs escaping."""
     changes = {SSD: [('source="resources/a.fmu"', 'source="resources/My%20Fric.fmu"')]}
-    with opened_system(edited(changes, {"resources/a.fmu": source})) as spec:
+    with open_system(edited(changes, {"resources/a.fmu": source})) as spec:
         assert spec.components[0].fmu.is_file()
 
 

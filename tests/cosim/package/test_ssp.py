@@ -16,7 +16,7 @@ from lxml import etree
 from small_study import Hesr
 
 from cosim.systems.simulation import System
-from cosim.systems.system import SystemSpec, opened_system
+from cosim.systems.system import SystemSpec, open_system
 from fmu_src.friction.friction_fmu import export_bare
 from hesr.extras.ssp.contents import SystemContents, Version, read_contents
 from hesr.extras.ssp.ssp import write_ssp
@@ -195,7 +195,7 @@ def test_fmpy_runs_the_system(either: SystemContents, tmp_path: Path) -> None:
 
 def test_an_ssp_is_read_back(either: SystemContents, tmp_path: Path) -> None:
     path = write_ssp(either, tmp_path / "system.ssp")
-    with opened_system(path) as spec:
+    with open_system(path) as spec:
         back = read_contents(spec, path)
         assert write_ssp(back, tmp_path / "again.ssp").read_bytes() == path.read_bytes()
         got = System(spec.model_copy(update={"stop": 1.0}), path).run()

@@ -11,7 +11,7 @@ from registry_models import SAMPLES
 from small_study import Run
 
 from hesr.extras.properties.battery import Subject, run_battery
-from hesr.extras.properties.scale import INERTIA, standing_inertia
+from hesr.extras.properties.scale import INERTIA, compute_standing_inertia
 from hesr_model.audit.properties import EXPECTATIONS, read_properties, write_properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.identification import RigidBody
@@ -81,10 +81,10 @@ def test_other_robots_use_the_inertia_of_their_identified_mass_matrix(
     places = (0.2, -0.6, -1.4)
     trained = tuple(replace(law.trained[0], q=(q - 0.1, q + 0.1)) for q in places)
     three = replace(law, joints=("a", "b", "c"), laws=law.laws * 3, trained=trained)
-    found = standing_inertia(model, body_of(model, "other"), three)
+    found = compute_standing_inertia(model, body_of(model, "other"), three)
     own = model._model  # without the rotors, which are separate parameters
     matrix = pinocchio.crba(own, own.createData(), np.array(places))
     assert found == pytest.approx(np.diag(matrix) + model.rotor_nominal, rel=1e-9)
-    assert standing_inertia(model, body_of(model, "uf850"), three) == INERTIA["uf850"]
+    assert compute_standing_inertia(model, body_of(model, "uf850"), three) == INERTIA["uf850"]
     unphysical = replace(body_of(model, "other"), parameters=-model.nominal_parameters)
-    assert standing_inertia(model, unphysical, three) is None
+    assert compute_standing_inertia(model, unphysical, three) is None

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, TableCell, TableRow, markdown, title
 from hesr.cli import app
-from hesr.extras.reports.digest import file_name, short, write_digest
+from hesr.extras.reports.digest import build_short_table, file_name, write_digest
 from hesr_model.errors import ArtifactError
 
 
@@ -84,7 +84,7 @@ def test_results_next_to_the_page_are_kept(results: Path, tmp_path: Path) -> Non
 
 def test_the_summary_lists_the_papers_law_next_to_the_best(results: Path) -> None:
     read = Results.read(results)
-    heads = [str(row.head) for row in short(read).rows]
+    heads = [str(row.head) for row in build_short_table(read).rows]
     assert title(read.best) in heads
     assert len(heads) == len(set(heads)) <= 4
 
@@ -137,7 +137,7 @@ def test_areas_that_a_run_has_not_are_dashes(results: Path) -> None:
         name: replace(of, laws={law: replace(s, rmse_rest=()) for law, s in of.laws.items()})
         for name, of in run.comparisons.items()
     }
-    _, _, found = replace(run, comparisons=scores, simulated={}).against(0)
+    _, _, found = replace(run, comparisons=scores, simulated={}).compare_to_reference(0)
     assert found["prediction"]
     assert found["at rest"] is found["simulation"] is found["between days"] is None
 
@@ -146,6 +146,6 @@ def test_errors_between_days_are_those_of_left_out_training_logs(results: Path) 
     run = Results.read(results)
     again = [replace(log, name=f"{log.name} 2") for log in run.run.logs if "training" in log.roles]
     several = replace(run, run=replace(run.run, logs=(*run.run.logs, *again)))
-    law, reference, found = several.against(0)
+    law, reference, found = several.compare_to_reference(0)
     own, other = (run.models[name].left_out_rmse[0] for name in (law, reference))
     assert found["between days"] == own / other

@@ -19,8 +19,8 @@ from matplotlib.legend import Legend
 from matplotlib.patches import Rectangle
 from pytest_regressions.file_regression import FileRegressionFixture
 
-from cosim.report.figures.chart import Chart, Line, Panel, drawn, thinned
-from cosim.report.figures.motions import JointView, excitation, joints
+from cosim.report.figures.chart import Chart, Line, Panel, draw_chart, thin_line
+from cosim.report.figures.motions import JointView, joints, write_excitation
 from cosim.report.figures.plots import loops, ratios, sheets
 from cosim.report.figures.style import (
     _RC,
@@ -28,13 +28,13 @@ from cosim.report.figures.style import (
     MEASURED,
     Stroke,
     _inner,
-    _short,
+    _shorten_paths,
+    apply_style,
     strokes,
-    styled,
     svg,
     write_svg,
 )
-from cosim.report.figures.zoom import unpacked, zoom_data
+from cosim.report.figures.zoom import unpack_text, zoom_data
 from hesr_model.inference.comparison import ErrorRatio as Ratio
 from hesr_model.motions.excitation import Excitation
 from hesr_model.motions.limits import Limits
@@ -210,7 +210,7 @@ def test_pictures_of_designed_motions(
         save(figure, *arguments, **options)
 
     monkeypatch.setattr(Figure, "savefig", savefig)
-    excitation(tmp_path / "motion.png", design, [f"j{k}" for k in range(count)])
+    write_excitation(tmp_path / "motion.png", design, [f"j{k}" for k in range(count)])
     (figure,) = written
     height, width, _ = imread(tmp_path / "motion.png").shape
     assert (width, height) == (1080, 216 * count)
@@ -222,29 +222,29 @@ def test_pictures_of_designed_motions(
 def test_charts_of_panels(recorded) -> None:
     panel = Panel(title="t", y="y", lines=(LONG, SHORT), marks=((1.0, "here"),))
     rows = ((panel, panel), (panel, panel))
-    recorded(drawn(Chart(x="t [s]", rows=rows, window=(1.0, 2.0))))
+    recorded(draw_chart(Chart(x="t [s]", rows=rows, window=(1.0, 2.0))))
     many = ((Panel(title="t", y="y", lines=(LONG,)),),) * 6
-    assert drawn(Chart(x="t [s]", rows=many, height=1.0), width=5.0).get_figwidth() == 5.0
+    assert draw_chart(Chart(x="t [s]", rows=many, height=1.0), width=5.0).get_figwidth() == 5.0
 
 
 def test_thinning_keeps_the_extremes_of_columns() -> None:
     y = np.zeros(1000)
     y[[123, 777]] = 5.0, -5.0
     x = np.arange(1000.0)
-    some_x, some_y = thinned(x, y, 10)
+    some_x, some_y = thin_line(x, y, 10)
     assert {0.0, 123.0, 777.0, 999.0} <= set(some_x)
     assert len(some_x) <= 22
     assert list(some_y[np.isin(some_x, [123.0, 777.0])]) == [5.0, -5.0]
-    assert thinned(x, y, 500)[0] is x
-    assert len(thinned(x, y, 499)[0]) < 1000
-    assert thinned(-x, y, 10)[1] is y
+    assert thin_line(x, y, 500)[0] is x
+    assert len(thin_line(x, y, 499)[0]) < 1000
+    assert thin_line(-x, y, 10)[1] is y
 
 
 def test_styles_of_laws_are_distinct() -> None:
     found = strokes([f"law {k}" for k in range(6)])
     assert len({(one.colour, one.dash) for one in found.values()}) == 6
     assert strokes([*found, "next"])["next"] == found["law 0"]
-    with styled():
+    with apply_style():
         assert {key: rcParams[key] for key in _RC} == _RC
 
 
@@ -253,7 +253,7 @@ def test_styles_of_laws_are_distinct() -> None:
 
 def test_paths_are_written_as_steps_of_tenths() -> None:
     path = '<path d="M 10.04 20 L 11.26 20.5 L 11.2 9 C 1 2 3 4 5.53 6 L 5.5 6.24 z"/>'
-    assert _short(path) == '<path d="M 10 20l 1.3 .5-.1-11.5C 1 2 3 4 5.5 6l 0 .2z"/>'
+    assert _shorten_paths(path) == '<path d="M 10 20l 1.3 .5-.1-11.5C 1 2 3 4 5.5 6l 0 .2z"/>'
 
 
 def test_a_drawing_takes_colours_and_names_of_the_page() -> None:
@@ -271,7 +271,7 @@ def test_a_drawing_takes_colours_and_names_of_the_page() -> None:
 
 
 def test_figures_of_a_page_have_sizes_in_points(tmp_path) -> None:
-    figure = drawn(Chart(x="t", rows=((Panel(title="t", y="y", lines=(SHORT,)),),)))
+    figure = draw_chart(Chart(x="t", rows=((Panel(title="t", y="y", lines=(SHORT,)),),)))
     text = svg(figure, "key")
     assert 'viewBox="0 0 648 158.4" aria-hidden="true">' in text
     assert svg(figure, "key") == text
@@ -291,7 +291,7 @@ def test_figures_of_a_page_have_sizes_in_points(tmp_path) -> None:
 def view(*panels: Panel, height: float = 1.7) -> dict[str, Any]:
     """Data of the view of a chart with one column; tests of the browser open views."""
     chart = Chart(x="t [s]", rows=[(panel,) for panel in panels], height=height)
-    return json.loads(unpacked(zoom_data(chart)))
+    return json.loads(unpack_text(zoom_data(chart)))
 
 
 def test_a_view_has_size_marks_and_style() -> None:
@@ -326,7 +326,7 @@ def test_long_charts_are_thinned_for_a_view() -> None:
         line = Line(name="a", x=x, y=x, stroke=DASHED)
         rows = ((Panel(title="t", y="y", lines=(line, LONG)),),) * rows_of_plots
         text = zoom_data(Chart(x="t [s]", rows=rows))
-        return json.loads(unpacked(text))
+        return json.loads(unpack_text(text))
 
     data = item(24_000, rows_of_plots=2)
     assert data["names"] == {

@@ -21,10 +21,10 @@ from cosim.report.tables.table import (
     ResultTable,
     csv_text,
     decimals,
-    fixed,
+    fixed_cell,
+    make_row,
     markdown,
     number,
-    row_of,
 )
 from cosim.report.tables.terminal import Drawn
 from cosim.study.position_errors import PositionErrors
@@ -154,12 +154,12 @@ def test_errors_on_other_plants_and_of_positions(recorded: Recorded) -> None:
     )
     recorded(
         [
-            scores.other_truths(comparisons, {"stiff": other, "soft": other}, "own"),
+            scores.compare_truths(comparisons, {"stiff": other, "soft": other}, "own"),
             scores.position_errors("unseen", positions, SHORT, (False, True)),
         ]
     )
-    assert scores.leading({"unseen": {"dahl": (1.0, 9.0), "lugre": (2.0, 2.0)}}) == "lugre"
-    assert scores.leading({"unseen": {"true friction": (0.1,), "dahl": (9.0,)}}) == "dahl"
+    assert scores.find_leader({"unseen": {"dahl": (1.0, 9.0), "lugre": (2.0, 2.0)}}) == "lugre"
+    assert scores.find_leader({"unseen": {"true friction": (0.1,), "dahl": (9.0,)}}) == "dahl"
 
 
 def tracked(scheme: Scheme, name: str, scale: float, motions: int = 2) -> Tracked:
@@ -265,7 +265,7 @@ def test_leaving_a_trained_range_is_told() -> None:
         {},
         {"tau_load": Excess(rows=0.5, below=1.0, above=20.0)},
     ]
-    assert laws.leaving(("a", "b", "c"), found, (False, False, True)).splitlines() == [
+    assert laws.describe_excesses(("a", "b", "c"), found, (False, False, True)).splitlines() == [
         Containing("a: dq leaves", "12.3 %", "0.5 rad/s"),
         Containing("c: tau_load leaves", "50.0 %", "20 N"),
     ]
@@ -278,8 +278,14 @@ def test_numbers_are_rounded() -> None:
         "–", "–", "1.00", "1.23", "−0.000123", "1.23e−05", "123457", "1.50e+07", "−20.0",
     ]  # fmt: skip
     assert number(1.0, 1).text == "1"
-    assert [fixed(value, 2).text for value in values[:5]] == ["–", "–", "1.00", "1.23", "−0.00"]
-    assert fixed(0.0, 0).value == 0.0
+    assert [fixed_cell(value, 2).text for value in values[:5]] == [
+        "–",
+        "–",
+        "1.00",
+        "1.23",
+        "−0.00",
+    ]
+    assert fixed_cell(0.0, 0).value == 0.0
     assert decimals([None, 12.0, 0.5, float("nan"), 0.0]) == 3
     assert decimals([-12.0], 2) == 0
     assert decimals([100.0, 1000.0]) == 0
@@ -290,7 +296,7 @@ def test_a_table_is_written_as_csv_markdown_and_on_a_terminal(
     file_regression: FileRegressionFixture,
 ) -> None:
     words = ResultTable(
-        caption="Words", head=("a", "b"), rows=[row_of("x", "long words " * 20)], numeric=False
+        caption="Words", head=("a", "b"), rows=[make_row("x", "long words " * 20)], numeric=False
     )
     numbers = replace(scores.errors("unseen", COMPARISON), caption="Errors")
     texts = [

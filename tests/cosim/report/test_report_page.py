@@ -22,7 +22,7 @@ from containing import Containing, OneSentence
 from small_study import Hesr, hesr_here
 
 from cosim.report.markup import Tables
-from cosim.report.page import _link_from, write_report
+from cosim.report.page import _relative_link, write_report
 from cosim.report.results import Results
 from cosim.report.sections.summary import errors as summary_errors
 from cosim.report.tables.table import ResultTable
@@ -295,7 +295,7 @@ def test_links_to_another_drive_are_absolute(monkeypatch: pytest.MonkeyPatch) ->
         raise ValueError(f"path is on mount {path!r}, start on mount {start!r}")
 
     monkeypatch.setattr(os.path, "relpath", relpath)
-    assert _link_from(Path("/a"), Path("/b c")) == "file:///b%20c/"
+    assert _relative_link(Path("/a"), Path("/b c")) == "file:///b%20c/"
 
 
 @of_a_whole_study

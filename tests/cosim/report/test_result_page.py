@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.report.figures.chart import Chart, Line, Panel, drawn
+from cosim.report.figures.chart import Chart, Line, Panel, draw_chart
 from cosim.report.figures.style import MEASURED
 from cosim.report.markup import ResultFigure
 from cosim.report.result_page import write_answer
-from cosim.report.tables.table import ResultTable, row_of
+from cosim.report.tables.table import ResultTable, make_row
 from cosim.workflow.answer import Answer, Written
 from hesr_model.findings import Finding
 
@@ -19,7 +19,11 @@ def figure(section: str, key: str) -> ResultFigure:
     line = Line(name="a", x=np.arange(3.0), y=np.arange(3.0), stroke=MEASURED)
     chart = Chart(x="t [s]", rows=((Panel(title="one", y="y", lines=(line,)),),))
     return ResultFigure(
-        section=section, key=key, drawing=drawn(chart), caption=f"Curve {key}", alt="A rising line"
+        section=section,
+        key=key,
+        drawing=draw_chart(chart),
+        caption=f"Curve {key}",
+        alt="A rising line",
     )
 
 
@@ -27,7 +31,7 @@ def table(caption: str, *, section: str = "", note: str = "", rows: int = 1) -> 
     return ResultTable(
         caption=caption,
         head=("name", "value"),
-        rows=[row_of(f"row {k}", "1.5") for k in range(rows)],
+        rows=[make_row(f"row {k}", "1.5") for k in range(rows)],
         section=section,
         note=note,
     )

@@ -70,7 +70,7 @@ def model(name: str, values: dict[str, float], *, scale: float = 1.0) -> Frictio
         joints=JOINTS,
         sample_time=0.01,
         laws=(replace(one, standard_errors=errors), replace(one, values=own | {"F_c": 2.9})),
-        trained=tuple(TrainedRange.of([record]) for record in records(1)),
+        trained=tuple(TrainedRange.from_records([record]) for record in records(1)),
     )
 
 

@@ -18,11 +18,11 @@ from cosim.report.page import write_report
 from cosim.report.results import Results
 from cosim.report.tables.scores import errors as errors_table
 from cosim.report.tables.scores import separations
-from cosim.study.run import recommended
+from cosim.study.run import write_mixed_model
 from cosim.study.scores import ORACLE
 from cosim.study.verdict import Verdict, read_verdict, write_verdict
 from cosim.workflow.test import _scores_lines
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from hesr.extras.reports.digest import write_digest
 from hesr_model.friction.model import FrictionModel
 
@@ -207,10 +207,10 @@ def test_a_page_with_a_law_per_joint(small_results: Path, tmp_path: Path) -> Non
     joints = tuple(replace(one, law=law) for one, law in zip(old.joints, laws, strict=True))
     words = replace(old, law="recommended", fmu="fmus/recommended.fmu", joints=joints)
     write_verdict(folder, words)
-    made = recommended(words, results.models, folder, results.audits, results.properties)
+    made = write_mixed_model(words, results.models, folder, results.audits, results.properties)
     written = FrictionModel.read(folder / "laws" / "recommended.json")
     assert made == {"recommended": written}
-    assert embedded_model(folder / words.fmu) == written
+    assert read_embedded_model(folder / words.fmu) == written
     assert [law.name for law in written.laws] == list(laws)
     write_report(folder)
     text = first_layer(folder)

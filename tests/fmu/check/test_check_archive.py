@@ -12,7 +12,7 @@ from fmu_files import MODEL, members, said, texts, write
 
 from fmu_src.check import archive
 from fmu_src.check.run import check
-from fmu_src.run.archive import opened
+from fmu_src.run.archive import open_file
 from hesr_model.errors import ArtifactError
 
 LEADS_OUT = "leads out of the archive"
@@ -30,8 +30,8 @@ def entry(content, tmp_path):
 
     def add(info, data=b"x", *, method=zipfile.ZIP_DEFLATED):
         path = write(tmp_path / "F.fmu", content)
-        with zipfile.ZipFile(path, "a") as opened:
-            opened.writestr(info, data, compress_type=method)
+        with zipfile.ZipFile(path, "a") as open_file:
+            open_file.writestr(info, data, compress_type=method)
         return said(path, "archive")
 
     return add
@@ -163,21 +163,21 @@ def test_a_small_file_of_zeros_is_accepted(entry):
 
 def test_too_much_content_is_refused(content, tmp_path, monkeypatch):
     total = sum(map(len, content.values()))
-    monkeypatch.setattr(archive, "MOST_BYTES_IN_ALL", total - 1)
+    monkeypatch.setattr(archive, "MAX_TOTAL_BYTES", total - 1)
     assert said(write(tmp_path / "F.fmu", content), "archive") == [
         Containing(f"claim {total} bytes", f"more than {total - 1}", f"'{list(content)[-1]}'")
     ]
 
 
 def test_too_many_entries_are_refused(content, tmp_path, monkeypatch):
-    monkeypatch.setattr(archive, "MOST_ENTRIES", 3)
+    monkeypatch.setattr(archive, "MAX_ENTRIES", 3)
     found = check(write(tmp_path / "F.fmu", content))
     assert texts(found) == [Containing(f"has {len(content)} entries", "more than 3")]
     assert found.skipped == NOTHING_ELSE
 
 
 def test_a_huge_table_of_contents_is_refused(content, tmp_path, monkeypatch):
-    monkeypatch.setattr("fmu_src.run.archive.MOST_DIRECTORY", 100)
+    monkeypatch.setattr("fmu_src.run.archive.MAX_DIRECTORY_BYTES", 100)
     (text,) = said(write(tmp_path / "F.fmu", content))
     assert "readable ZIP archive" in text
 
@@ -241,7 +241,7 @@ def test_overlapping_entries_are_reported(tmp_path, monkeypatch):
     kernel = zlib.compressobj(9, zlib.DEFLATED, -15)
     packed = kernel.compress(bytes(9 << 20)) + kernel.flush()
     crc = zlib.crc32(bytes(9 << 20))
-    monkeypatch.setattr(archive, "MOST_BYTES_IN_ALL", 50 << 20)
+    monkeypatch.setattr(archive, "MAX_TOTAL_BYTES", 50 << 20)
     out = io.BytesIO()
     sizes = struct.pack("<III", crc, len(packed), 9 << 20)
     out.write(b"PK\3\4" + struct.pack("<HHHHH", 20, 0, 8, 0, 33) + sizes)
@@ -283,6 +283,6 @@ def test_an_unreadable_file_is_an_error(tmp_path):
     with pytest.raises(ArtifactError, match=r"is not a file\."):
         check(tmp_path)
     with pytest.raises(ArtifactError, match=r"null: is not a file\."):
-        opened((tmp_path / "../../../../../../../dev/null").resolve())
+        open_file((tmp_path / "../../../../../../../dev/null").resolve())
     with pytest.raises(ArtifactError, match=r"cannot be opened \(File name too long\)\."):
         check(tmp_path / ("x" * 300))

@@ -6,11 +6,11 @@ from containing import Containing
 from fmu_files import BINARY, changed, check, members, said, texts
 
 from fmu_src.check import binaries
-from fmu_src.check.binaries import KNOWN
+from fmu_src.check.binaries import KNOWN_FUNCTIONS
 from fmu_src.export.toolchain import TARGETS
 from hesr_model.support.compiler import compile_c
 
-ALL = tuple(sorted(KNOWN))
+ALL = tuple(sorted(KNOWN_FUNCTIONS))
 ELF = (*LINUX, "-shared", "-fPIC")
 
 
@@ -139,7 +139,7 @@ def test_a_program_is_reported(library, of):
 
 
 def test_missing_functions_are_reported(library, of):
-    names = sorted(KNOWN - {"fmi2GetReal", "fmi2DoStep", "fmi2SetFMUstate"})
+    names = sorted(KNOWN_FUNCTIONS - {"fmi2GetReal", "fmi2DoStep", "fmi2SetFMUstate"})
 
     def change(xml):
         only_co_simulation(xml)
@@ -152,7 +152,7 @@ def test_missing_functions_are_reported(library, of):
 
 
 def test_functions_of_the_other_interface_are_optional(library, of):
-    names = sorted(n for n in KNOWN if n not in ("fmi2SetTime", "fmi2GetDerivatives"))
+    names = sorted(n for n in KNOWN_FUNCTIONS if n not in ("fmi2SetTime", "fmi2GetDerivatives"))
     assert of(library(names=names), change=only_co_simulation) == []
 
 
@@ -161,13 +161,13 @@ def test_functions_of_model_exchange_are_required_for_it(library, of):
         only_co_simulation(xml)
         xml.find("CoSimulation").tag = "ModelExchange"
 
-    assert of(library(names=sorted(KNOWN - {"fmi2SetTime"})), change=change) == [
+    assert of(library(names=sorted(KNOWN_FUNCTIONS - {"fmi2SetTime"})), change=change) == [
         Containing("'fmi2SetTime'", "functions of model exchange")
     ]
 
 
 def test_names_with_the_source_code_prefix_are_reported(library, of):
-    names = [f"friction_parfam_h_{name}" for name in sorted(KNOWN)]
+    names = [f"friction_parfam_h_{name}" for name in sorted(KNOWN_FUNCTIONS)]
     assert of(library(names=names), change=only_co_simulation) == [
         Containing("exports 'friction_parfam_h_fmi2GetTypesPlatform' and the like")
     ]
@@ -175,7 +175,7 @@ def test_names_with_the_source_code_prefix_are_reported(library, of):
 
 def test_unknown_functions_are_reported(library, of):
     more = {"fmi2Foo", "fmi3DoStep", "fmiDoStep", "fmin_of_mine", "helper"}
-    assert of(library(names=sorted(KNOWN | more))) == [
+    assert of(library(names=sorted(KNOWN_FUNCTIONS | more))) == [
         Containing("exports 'fmi2Foo', which FMI 2.0")
     ]
 
@@ -230,7 +230,7 @@ def test_static_libraries_and_their_folders_are_ignored(table1_fmu, tmp_path):
 
 
 def test_a_library_that_hangs_is_reported(of, monkeypatch, table1_fmu):
-    monkeypatch.setattr(binaries, "SECONDS", 0.001)
+    monkeypatch.setattr(binaries, "READER_TIMEOUT", 0.001)
     assert of(members(table1_fmu)[BINARY]) == [Containing("gave no answer within 0.001 s")]
 
 

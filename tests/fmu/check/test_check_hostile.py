@@ -73,7 +73,7 @@ def test_friction_laws_pass(law, make_law, make_model, tmp_path):
 @pytest.mark.ci
 def test_stops_and_ripple_pass_with_signals_of_their_size(make_model, tmp_path):
     """Ripple is faster than the steps, and bounds by load jump with held inputs."""
-    form = Structure.of(
+    form = Structure.from_json(
         {"stops": [["1", 0], ["p", 0], ["load", 0]], "viscous": ["1"], "ripple": [1009, 505],
          "window": 0.015}
     ).form()  # fmt: skip
@@ -100,14 +100,14 @@ def reworked(make_law, make_model, tmp_path, monkeypatch) -> Callable[..., Path]
     """An FMU of a law with modified interface code."""
 
     def make(law: str, old: str, new: str) -> Path:
-        glue, changes = package.own_source, []
+        glue, changes = package.read_c_source, []
 
         def other(name: str) -> str:
             text = glue(name)
             changes.extend([name] * text.count(old))
             return text.replace(old, new)
 
-        monkeypatch.setattr(package, "own_source", other)
+        monkeypatch.setattr(package, "read_c_source", other)
         fmu = export_fmu(make_model(make_law(law)), tmp_path / "F.fmu")
         assert changes
         return fmu
@@ -178,7 +178,7 @@ def test_a_false_capability_is_reported(python_fmu):
     promised = [
         s for s in sentences if s.endswith("canHandleVariableCommunicationStepSize is true.")
     ]
-    assert [s.partition(":")[0] for s in promised] == list(hostile._FREE.values())
+    assert [s.partition(":")[0] for s in promised] == list(hostile._FREE_STEP_SCENARIOS.values())
     assert "fmi2DoStep of 0.002 s at 0 s" in promised[0]
 
 

@@ -8,7 +8,7 @@ import pytest
 from containing import Containing
 
 from fmu_src.check.description import ParsedVariable
-from hesr.extras.hostile.master import _excitation, _Master, _Run, _run, _scale
+from hesr.extras.hostile.master import _choose_excitation, _Master, _measure_scale, _read_run, _Run
 
 STEP = 0.1
 
@@ -102,7 +102,7 @@ def test_further_outputs_are_counted_and_nan_is_worst(master: _Master) -> None:
 
 
 def test_without_a_nominal_run_nothing_is_compared(master: _Master) -> None:
-    refused = _run({"refused": "no"}, 3)
+    refused = _read_run({"refused": "no"}, 3)
     assert (refused.rows.shape, refused.fresh.shape, refused.refused) == ((0, 3), (0, 3), "no")
     assert jumps(master, refused, fifth=run(0.02, y=9.0)) == []
     assert jumps(master, fifth=refused) == []
@@ -128,13 +128,13 @@ def test_without_a_nominal_run_nothing_is_compared(master: _Master) -> None:
 def test_inputs_are_moved_within_their_limits(
     own: dict[str, str], centre: float, amplitude: float
 ) -> None:
-    found = _excitation(variable("u", **own))
+    found = _choose_excitation(variable("u", **own))
     assert found == {"reference": 7, "centre": pytest.approx(centre), "amplitude": amplitude}
 
 
 def test_the_range_of_an_output_is_at_least_its_rounding() -> None:
     rows = np.array([[1.0, 5.0, 0.0, np.inf], [3.0, 5.0, 0.0, 2.0]])
-    np.testing.assert_allclose(_scale(rows), [2.0, 5e-9, 1e-12, 2.0], rtol=1e-12)
+    np.testing.assert_allclose(_measure_scale(rows), [2.0, 5e-9, 1e-12, 2.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -142,4 +142,4 @@ def test_the_range_of_an_output_is_at_least_its_rounding() -> None:
 )
 def test_outcomes_of_wrong_form_are_refused(outcome: object) -> None:
     with pytest.raises((ValueError, TypeError, AttributeError)):
-        _run(outcome, 2)
+        _read_run(outcome, 2)

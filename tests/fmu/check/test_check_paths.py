@@ -10,7 +10,7 @@ from fmu_files import BINARY, changed, members, said
 
 from fmu_src.check.archive import unpack
 from fmu_src.check.run import check
-from fmu_src.check.sources import machine_paths, skipped_libraries
+from fmu_src.check.sources import find_skipped_libraries, machine_paths
 
 
 @pytest.fixture
@@ -111,5 +111,5 @@ def test_libraries_of_fmpy_are_skipped(source_fmu, tmp_path):
         with TemporaryDirectory(dir=tmp_path) as folder:
             fmu = changed(source_fmu, tmp_path / "F.fmu", files={name: data})
             contents = unpack(fmu, Path(folder))
-            assert (told in skipped_libraries(contents)) == passed
+            assert (told in find_skipped_libraries(contents)) == passed
             assert bool(list(machine_paths(contents))) != passed

@@ -133,5 +133,5 @@ def test_all_sources_are_checked_without_a_list(table1_fmu, tmp_path):
 
 
 def test_huge_sources_are_not_read(of, monkeypatch):
-    monkeypatch.setattr(sources, "MOST_BYTES", 10)
+    monkeypatch.setattr(sources, "MAX_SOURCE_BYTES", 10)
     assert of({"m.c": b'#include "none.h"\n'}, ["m.c"]) == []

@@ -106,11 +106,11 @@ def test_a_byte_order_mark_is_harmless(source_fmu, tmp_path, xml):
 
 
 def test_xml_that_exhausts_memory_is_refused(of_xml, monkeypatch):
-    monkeypatch.setattr(archive, "MOST_NODES", 10)
+    monkeypatch.setattr(archive, "MAX_XML_NODES", 10)
     assert texts(of_xml(PROLOG + b"<a b='1'>" + b"<a/>" * 9 + b"</a>")) == [
         Containing("more than 10 elements and attributes")
     ]
-    monkeypatch.setattr(archive, "MOST_BYTES", 20)
+    monkeypatch.setattr(archive, "MAX_XML_BYTES", 20)
     assert texts(of_xml(PROLOG + b"<a/>")) == [Containing("more than 20 bytes")]
 
 

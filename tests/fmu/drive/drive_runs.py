@@ -7,7 +7,7 @@ import numpy as np
 
 from fmu_src.export.package import write_fmu
 from fmu_src.run.fmu import FmuInstance
-from hesr.extras.drive.drive_fmu import content, motors
+from hesr.extras.drive.drive_fmu import build_motors, content
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 
@@ -30,7 +30,8 @@ def drive(
 ) -> Path:
     """Write the drive with one joint per law."""
     return write_fmu(
-        content(model_of(laws), motors(len(laws), inertia=inertia, **more)), folder / "Drive.fmu"
+        content(model_of(laws), build_motors(len(laws), inertia=inertia, **more)),
+        folder / "Drive.fmu",
     )
 
 

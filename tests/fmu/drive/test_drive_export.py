@@ -18,7 +18,7 @@ from cosim.systems.simulation import System
 from fmu_src.blocks.controller import controller
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.run.fmu import FmuInstance
 from hesr.extras.drive.drive_fmu import export_drive
 from hesr_model.equations.functions import absolute
@@ -167,7 +167,7 @@ def test_a_link_with_direct_feedthrough_forms_no_algebraic_loop(
 
 
 def test_the_model_is_embedded(fmu: Path, table1: FrictionModel) -> None:
-    assert embedded_model(fmu) == table1
+    assert read_embedded_model(fmu) == table1
 
 
 def test_the_export_is_reproducible(table1: FrictionModel, tmp_path: Path) -> None:

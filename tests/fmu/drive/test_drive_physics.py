@@ -95,7 +95,7 @@ def swung() -> np.ndarray:
     For networks it is limited to the measured torque: their own largest torque is at the edge of
     their training range, and exceeding it drives the joint into speeds without friction.
     """
-    trained = TrainedRange.of(records())
+    trained = TrainedRange.from_records(records())
     measured = max(float(np.abs(r.tau).max()) for r in records())
     audits = {name: audit(law, trained).largest for name, law in fitted().items()}
     largest = both(
@@ -121,7 +121,7 @@ def name(request: pytest.FixtureRequest) -> str:
 @pytest.mark.ci
 @pytest.mark.parametrize("law", LAWS)
 def test_the_laws_are_passive(law: str) -> None:
-    found = audit(fitted()[law], TrainedRange.of(records()))
+    found = audit(fitted()[law], TrainedRange.from_records(records()))
     assert found.generated == 0.0
     assert found.driving_both_ways == ()
     assert not found.explodes
@@ -269,7 +269,7 @@ def test_discontinuous_laws_hold_a_load_without_drift(
 def test_only_explicit_coupling_chatters() -> None:
     """The limit stated in the documentation: 2 inertia / slope."""
     law = fitted()["parfam_h"]
-    found = audit(law, TrainedRange.of(records()))
+    found = audit(law, TrainedRange.from_records(records()))
     assert found.slope is not None
     limit = EULER * INERTIA[1] / found.slope
     assert limit < 5e-3

@@ -15,7 +15,7 @@ from oracles.stepper import Stepper
 from scipy.optimize import brentq
 
 from fmu_src.run.fmu import FmuInstance
-from hesr_model.equations.functions import lowered
+from hesr_model.equations.functions import to_numpy_function
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw, LawForm
 
@@ -32,7 +32,9 @@ def functions(form: LawForm) -> tuple[Any, Any]:
     arguments = (*(c.symbol for c in form.coefficients), *INPUTS)
     states = tuple(s for r in form.relaxations for s in (r.state, r.derivative))
     relaxations = tuple(e for r in form.relaxations for e in (r.drive, r.rate))
-    return lowered(arguments, relaxations), lowered((*arguments, *states), (form.output,))
+    return to_numpy_function(arguments, relaxations), to_numpy_function(
+        (*arguments, *states), (form.output,)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

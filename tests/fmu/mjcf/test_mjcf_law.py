@@ -12,7 +12,7 @@ import sympy
 from fmu_src import model_file
 from fmu_src.arm.truth import true_friction
 from hesr.extras.mjcf.mjcf_file import export_mjcf_law
-from hesr.extras.mjcf.parts import Wave, parts_of
+from hesr.extras.mjcf.parts import Wave, find_parts
 from hesr_model.equations.functions import absolute
 from hesr_model.equations.memory import Relaxation
 from hesr_model.errors import ArtifactError, ExportError
@@ -224,7 +224,7 @@ def test_parts_missing_in_mujoco_are_refused(name, make_model, tmp_path):
 def test_a_non_finite_part_is_named():
     law = odd(output=lambda z: F * z.state + sympy.log(C) * DQ, values=(0.1, 9.0, -2.0))
     with pytest.raises(ExportError) as refusal:
-        parts_of(law)
+        find_parts(law)
     assert str(refusal.value) == "its coefficients make its viscous friction non-finite (log(c))"
 
 
@@ -285,17 +285,17 @@ def test_an_unwritable_path_is_reported(lugre, tmp_path):
 def test_terms_with_zero_coefficient_are_ignored():
     """A load dependence of zero is ignored, and so is a state without effect."""
     plain = odd(output=lambda z: F * z.state * (1 + C * absolute(TAU_LOAD)), values=(0.1, 9.0, 0.0))
-    assert parts_of(plain) == parts_of(odd())
+    assert find_parts(plain) == find_parts(odd())
     idle = odd(output=lambda z: 2 * DQ + 0 * z.state)
-    assert parts_of(idle).bristles == ()
-    assert parts_of(idle).viscous == 2.0
+    assert find_parts(idle).bristles == ()
+    assert find_parts(idle).viscous == 2.0
 
 
 def test_ripple_has_the_phase_of_the_law():
     """A torque F cos(c - 3 q) of a law is on the other side of the equation in MuJoCo."""
     law = odd(output=lambda z: F * z.state + F * sympy.cos(C - 3 * Q) + F * sympy.sin(3 * Q))
     q = np.linspace(-1.0, 1.0, 7)
-    waves = parts_of(law).waves
+    waves = find_parts(law).waves
     found = sum(w.amplitude * np.sin(w.poles * q + w.phase) for w in waves)
     expected = -9.0 * (np.cos(2.0 - 3.0 * q) + np.sin(3.0 * q))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)

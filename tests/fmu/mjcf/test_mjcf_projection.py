@@ -10,8 +10,8 @@ from mujoco_joints import Joints
 
 from fmu_src import model_file
 from fmu_src.friction.reference import UNKNOWN_SPEED
-from hesr.extras.mjcf.mjcf_file import export_mjcf_law, projected
-from hesr.extras.mjcf.parts import parts_of
+from hesr.extras.mjcf.mjcf_file import export_mjcf_law, project_law
+from hesr.extras.mjcf.parts import find_parts
 from hesr_model.errors import ExportError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.friction.inputs import DQ
@@ -50,7 +50,7 @@ def dahl_basis(**forces):
 
 def test_laws_within_the_family_are_recovered():
     law = dahl_basis(F_1=1.0, F_2=7.5, F_3=2.0, F_4=0.2, F_5=0.3)
-    found, misfit, unseen = projected(law, TRAINED, STEP)
+    found, misfit, unseen = project_law(law, TRAINED, STEP)
     assert max(misfit.relative, unseen.relative) < 2e-3
     assert found.values["sigma_2"] == pytest.approx(12.0, rel=1e-3)
     assert found.values["tau_0"] == pytest.approx(0.1, abs=1e-3)
@@ -59,16 +59,16 @@ def test_laws_within_the_family_are_recovered():
 def test_a_negative_element_is_projected():
     """A least-squares fit of the Dahl basis may have one; MuJoCo would ignore it."""
     law = dahl_basis(F_1=-0.6, F_2=8.4, F_3=2.0, F_4=0.0, F_5=0.2)
-    found, misfit, unseen = projected(law, TRAINED, STEP)
+    found, misfit, unseen = project_law(law, TRAINED, STEP)
     assert 1e-3 < misfit.relative < 0.05
     assert unseen.relative < 0.05
-    assert all(bristle.stiffness > 0.0 for bristle in parts_of(found).bristles)
+    assert all(bristle.stiffness > 0.0 for bristle in find_parts(found).bristles)
 
 
 @pytest.mark.parametrize("name", ["parfam_tanh", "parfam_cos", "viscous", "gaussians", "bare"])
 def test_every_projection_uses_only_parts_of_mujoco(name, make_law):
-    found, misfit, unseen = projected(make_law(name), TRAINED, STEP)
-    parts = parts_of(found)
+    found, misfit, unseen = project_law(make_law(name), TRAINED, STEP)
+    parts = find_parts(found)
     assert len(parts.bristles) <= 5
     assert parts.viscous >= 0.0
     assert np.isfinite([misfit.rmse, misfit.relative, unseen.rmse, unseen.relative]).all()
@@ -140,7 +140,7 @@ def test_ripple_is_kept():
         lag=1e-3,
         smoothing=1e-3,
     )
-    waves = [wave for wave in parts_of(projected(law, TRAINED, STEP)[0]).waves if wave.poles]
+    waves = [wave for wave in find_parts(project_law(law, TRAINED, STEP)[0]).waves if wave.poles]
     assert {wave.poles for wave in waves} == {60.0}
     assert max(abs(wave.amplitude) for wave in waves) == pytest.approx(1.5, rel=0.1)
 
@@ -157,7 +157,7 @@ def test_the_default_range_is_that_of_the_reference_motion():
     """Speeds reach the default value if the training range is unknown."""
     law = stribeck()
     wide = replace(TRAINED, dq=(-UNKNOWN_SPEED, UNKNOWN_SPEED), q=(0.0, 0.0), tau_load=(0.0, 0.0))
-    assert projected(law, None, STEP)[1:] == projected(law, wide, STEP)[1:]
+    assert project_law(law, None, STEP)[1:] == project_law(law, wide, STEP)[1:]
 
 
 def test_a_law_without_a_finite_torque_is_refused(make_model, tmp_path):

@@ -33,7 +33,7 @@ def content_of(robot: Robot, laws: Sequence[FrictionLaw], *, tool: bool = False)
         sliding=robot.slides if any(robot.slides) else (),
         coupling=robot.description.coupling,
     )
-    return content(model, PlantBody.of(robot), tool=tool, bare=True)
+    return content(model, PlantBody.from_robot(robot), tool=tool, bare=True)
 
 
 def plant(robot: Robot, laws: Sequence[FrictionLaw], folder: Path) -> Path:

@@ -9,7 +9,7 @@ import pinocchio
 import pytest
 from plant_robots import robots, tree, ur_like
 
-from fmu_src.export.package import own_source
+from fmu_src.export.package import read_c_source
 from fmu_src.plant.dynamics import dynamics_header, table
 from fmu_src.plant.plant_fmu import PlantBody
 from hesr_model.robots.robot import Robot
@@ -31,7 +31,7 @@ class Generated:
         parameters = robot.nominal_parameters.copy()
         parameters[robot.inertial :] = springs
         self.body = PlantBody(robot=robot, parameters=parameters)
-        (folder / "law_math.h").write_text(own_source("law_math.h"))
+        (folder / "law_math.h").write_text(read_c_source("law_math.h"))
         source = folder / "dynamics.c"
         source.write_text(
             f'#include "law_math.h"\nenum {{ JOINTS = {robot.n} }};\n{dynamics_header(robot)}\n'

@@ -16,12 +16,12 @@ from plant_runs import content_of, plant
 import hesr
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
-from fmu_src.friction.embedded_model import embedded_model
+from fmu_src.friction.embedded_model import read_embedded_model
 from fmu_src.plant.plant_fmu import PlantBody, export_plant
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
-from hesr_model.rigid_body.base_parameters import at_random_states, unknown_columns
+from hesr_model.rigid_body.base_parameters import sample_regressor, unknown_columns
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.robots.robot import Robot
 
@@ -33,7 +33,7 @@ LARGEST = 600e3  # bytes of a plant with three platforms
 @pytest.fixture(scope="module")
 def fmus(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     """The twin's robot, by the version of FMI."""
-    folder, body = tmp_path_factory.mktemp("plant"), PlantBody.of(Robot(UF850))
+    folder, body = tmp_path_factory.mktemp("plant"), PlantBody.from_robot(Robot(UF850))
     return {
         fmi: export_plant(table1, folder / f"Arm{fmi}.fmu", body=body, fmi=fmi) for fmi in (2, 3)
     }
@@ -83,7 +83,7 @@ def test_a_page_explains_the_plant_and_holds_the_model(
         page = archive.read("documentation/index.html").decode()
     assert "torque in, motion out" in page
     assert "joint3" in page
-    assert embedded_model(fmus[2]) == table1
+    assert read_embedded_model(fmus[2]) == table1
 
 
 def followers(folder: Path) -> Path:
@@ -138,7 +138,7 @@ def test_identified_springs_and_rotors_are_parameters(tmp_path: Path) -> None:
 
 
 def test_a_law_of_another_robot_is_refused(table1: FrictionModel, tmp_path: Path) -> None:
-    body = PlantBody.of(Robot(UF850))
+    body = PlantBody.from_robot(Robot(UF850))
     others = replace(table1, joints=("hip", "knee", "ankle"))
     sentence = "joints hip, knee, ankle, but robot"
     with pytest.raises(ExportError, match=re.escape(sentence)):
@@ -146,7 +146,7 @@ def test_a_law_of_another_robot_is_refused(table1: FrictionModel, tmp_path: Path
     twisted = Robot(coupled(tmp_path))
     model = content_model(table1, twisted)
     with pytest.raises(ExportError, match="another transmission matrix than the friction"):
-        export_plant(model, tmp_path / "A.fmu", body=PlantBody.of(twisted))
+        export_plant(model, tmp_path / "A.fmu", body=PlantBody.from_robot(twisted))
 
 
 def content_model(table1: FrictionModel, robot: Robot) -> FrictionModel:
@@ -167,7 +167,7 @@ def test_base_parameters_become_those_of_bodies(
 ) -> None:
     """A body of base parameters is exported with masses that exist, and the difference is said."""
     robot = Robot(UF850)
-    rows = at_random_states(robot)
+    rows = sample_regressor(robot)
     base = np.linalg.lstsq(rows, rows @ robot.nominal_parameters, rcond=None)[0]
     columns, none = unknown_columns(robot), np.zeros(robot.n)
     body = RigidBody(

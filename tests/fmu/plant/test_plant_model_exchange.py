@@ -146,7 +146,7 @@ def test_a_plant_with_a_servo_is_for_co_simulation_only(make_law, tmp_path: Path
         laws=(make_law("lugre"),),
         sample_time=0.005,
     )
-    body = PlantBody.of(robot)
+    body = PlantBody.from_robot(robot)
     path = export_plant(model, tmp_path / "Plant.fmu", body=body, kv=[9.0], bare=True)
     about = read_model_description(str(path))
     assert about.modelExchange is None

@@ -29,7 +29,7 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def servo_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("servo") / "Arm.fmu"
-    return export_plant(table1, path, body=PlantBody.of(Robot(UF850)), kv=KV, ki=KI)
+    return export_plant(table1, path, body=PlantBody.from_robot(Robot(UF850)), kv=KV, ki=KI)
 
 
 def driven(
@@ -101,7 +101,7 @@ def test_nothing_moves_where_the_servo_carries_all_torques(
         laws=tuple(registry_models[law].laws[0] for law in laws),
         sample_time=0.005,
     )
-    body = PlantBody.of(robot)
+    body = PlantBody.from_robot(robot)
     fmu = export_plant(model, tmp_path / "Arm.fmu", body=body, kv=KV, ki=KI, bare=True)
     names = [f"q[{i}]" for i in (1, 2, 3)]
     for posture, start in AT_REST.items():
@@ -142,7 +142,7 @@ KP = (12.0, 10.0, 15.0)
 @pytest.fixture(scope="module")
 def position_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("position") / "Arm.fmu"
-    body = PlantBody.of(Robot(UF850))
+    body = PlantBody.from_robot(Robot(UF850))
     return export_plant(table1, path, body=body, kv=KV, ki=KI, kp=KP, tool=True)
 
 
@@ -224,7 +224,7 @@ def test_bad_parameters_are_refused(start, sentence: str, servo_arm: Path) -> No
 
 
 def test_bad_gains_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
-    body, path = PlantBody.of(Robot(UF850)), tmp_path / "Arm.fmu"
+    body, path = PlantBody.from_robot(Robot(UF850)), tmp_path / "Arm.fmu"
     sentence = "plant: 'kv' of joint 2 is -1"
     with pytest.raises(ExportError, match=re.escape(sentence)):
         export_plant(table1, path, body=body, kv=(1.0, -1.0, 1.0))
@@ -255,7 +255,7 @@ def test_servos_turn_coupled_motors(fmi, make_law, tmp_path: Path) -> None:
         coupling=robot.description.coupling,
     )
     servo = ServoGains(kv=(100.0,) * 6, ki=(1000.0,) * 6, kp=(5.0,) * 6)
-    whole = content(laws, PlantBody.of(robot), servo=servo, tool=True, bare=True)
+    whole = content(laws, PlantBody.from_robot(robot), servo=servo, tool=True, bare=True)
     path = write_fmu(whole, tmp_path / "Arm.fmu", fmi=fmi)
     assert check(path).problems == ()
     with FmuInstance(path) as arm:

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 from interop.case import Run, Together
 from interop.engine import Engine, SkippedError, Tools, given_together, host
 
-from fmu_src.run.archive import MOST_TEXT, Archive
+from fmu_src.run.archive import MAX_TEXT_BYTES, Archive
 from fmu_src.run.master import ExchangeScheme
 
 _SET = "}ParameterSet"
@@ -25,7 +25,7 @@ def parameter_sets(ssp: Path) -> set[str]:
     """Return the names of all parameter sets in an SSP."""
     with Archive(ssp, "SSP") as archive:
         roots = [
-            ET.fromstring(archive.read(name, MOST_TEXT))
+            ET.fromstring(archive.read(name, MAX_TEXT_BYTES))
             for name in archive.names
             if name.endswith((".ssd", ".ssv"))
         ]

@@ -11,18 +11,18 @@ from hesr_model.findings import Finding
 from hesr_model.health.evidence import Estimate, JointTorque
 from hesr_model.health.examine import (
     HealthError,
-    _caused,
-    _without_followers,
+    _remove_followers,
+    _replace_symptoms,
     check_body,
     check_laws,
     check_owner,
-    hopeless,
-    merged,
+    is_hopeless,
+    merge_findings,
     require_sound,
 )
-from hesr_model.health.joints import changed
-from hesr_model.health.proposal import _changes, _constants, _with_cutoff
-from hesr_model.health.torque import sign_change
+from hesr_model.health.joints import apply_changes
+from hesr_model.health.proposal import _estimate_constants, _limit_cutoff, _merge_changes
+from hesr_model.health.torque import find_sign_change
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -60,22 +60,22 @@ SIGNS: dict[str, tuple[dict[str, object], int | None, bool, dict[str, tuple[obje
 @pytest.mark.parametrize("case", SIGNS)
 def test_a_sign_is_corrected_in_the_unit_that_is_declared(case: str, arm: RobotDescription) -> None:
     units, joint, position, changes = SIGNS[case]
-    assert sign_change(with_units(arm, **units), joint, position=position)[1] == changes
+    assert find_sign_change(with_units(arm, **units), joint, position=position)[1] == changes
 
 
 def test_changes_of_several_findings_are_combined(arm: RobotDescription) -> None:
     sign = finding("velocity-sign", "j1", log_units_dq=("-rad/s", "rad/s", "rad/s"))
     scale = finding("velocity-scale", "j2", log_units_dq=("rad/s", "rpm", "rad/s"))
     useless = finding("zero", "j2", log_units_q="rad")
-    changes, reasons = _changes(arm, [sign, scale, useless])
+    changes, reasons = _merge_changes(arm, [sign, scale, useless])
     assert changes == {"log.units.dq": ("-rad/s", "rpm", "rad/s")}
     assert reasons == {"log.units.dq": "sure: velocity-sign of j1; velocity-scale of j2"}
-    assert _changes(arm, [scale])[1]["log.units.dq"].startswith("likely: ")
+    assert _merge_changes(arm, [scale])[1]["log.units.dq"].startswith("likely: ")
 
 
 def test_equal_findings_of_several_logs_and_joints_are_one() -> None:
     both_logs = [SIGN, replace(SIGN, logs=("two",)), replace(SIGN, joints=("b",))]
-    found = merged([finding("gaps"), *both_logs])
+    found = merge_findings([finding("gaps"), *both_logs])
     assert found[0].check == "torque-sign"
     assert {log for f in found for log in f.logs} == {"one", "two"}
     assert {joint for f in found for joint in f.joints} == {"a", "b"}
@@ -103,7 +103,7 @@ def test_errors_are_refused_unless_they_are_accepted() -> None:
 )
 def test_symptoms_of_a_cause_are_left_out(cause: Finding | None, left: set[str]) -> None:
     symptoms = [SIGN, finding("torque-lag", "b"), finding("torque-scale", "a"), finding("gaps")]
-    found = _caused(symptoms, [cause] if cause else [])
+    found = _replace_symptoms(symptoms, [cause] if cause else [])
     assert {f.check for f in found} == left
 
 
@@ -120,7 +120,7 @@ def test_symptoms_of_a_cause_are_left_out(cause: Finding | None, left: set[str])
 )
 def test_findings_that_follow_from_others_are_left_out(other: Finding, left: set[str]) -> None:
     followers = [finding("velocity-match", "a", "error"), finding("speed-limit", "b")]
-    found = _without_followers([*followers, other])
+    found = _remove_followers([*followers, other])
     assert {f.check for f in found} - {other.check} == left
 
 
@@ -130,10 +130,10 @@ def test_wrong_positions_and_times_hide_other_mistakes() -> None:
         finding("time-unit", "", "error", log_units_t="ms"),
         finding("velocity-scale", "", "error", log_units_q="deg"),
     ]
-    assert all(hopeless([f]) for f in hiding)
-    assert not any(hopeless([replace(f, severity="warning")]) for f in hiding)
-    assert not hopeless([finding("zero", "a", "error"), SIGN])
-    assert not hopeless([finding("velocity-scale", "", "error", log_units_dq="rpm")])
+    assert all(is_hopeless([f]) for f in hiding)
+    assert not any(is_hopeless([replace(f, severity="warning")]) for f in hiding)
+    assert not is_hopeless([finding("zero", "a", "error"), SIGN])
+    assert not is_hopeless([finding("velocity-scale", "", "error", log_units_dq="rpm")])
 
 
 GRAVITY = replace(
@@ -150,10 +150,10 @@ def of_gravity(value: float, error: float = 0.01) -> JointTorque:
 
 def test_torque_constants_are_proposed_from_gravity(arm: RobotDescription) -> None:
     """A joint without gravity gets the median of the others."""
-    amperes = changed(arm, {"log.torque_per_ampere": (1.0, 2.0, -3.0)})
+    amperes = apply_changes(arm, {"log.torque_per_ampere": (1.0, 2.0, -3.0)})
 
     def constants(*explained: dict[int, JointTorque]) -> tuple[float, ...] | None:
-        found = _constants(amperes, SimpleNamespace(explained=explained), {})
+        found = _estimate_constants(amperes, SimpleNamespace(explained=explained), {})
         return found.get("log.torque_per_ampere")
 
     assert constants({0: of_gravity(0.2), 1: of_gravity(-0.5)}, {0: of_gravity(0.3)}) == (
@@ -171,7 +171,7 @@ def test_the_cutoff_suits_the_slowest_log(
     period: float, cutoff: float, arm: RobotDescription
 ) -> None:
     logs = [two_joints(50, step) for step in (0.001, period)]
-    assert _with_cutoff(arm, logs, {}).log.filter_cutoff == pytest.approx(cutoff, rel=0.01)
+    assert _limit_cutoff(arm, logs, {}).log.filter_cutoff == pytest.approx(cutoff, rel=0.01)
 
 
 @pytest.mark.parametrize(

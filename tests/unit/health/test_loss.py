@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from hesr_model.health.examine import HealthError, checked
+from hesr_model.health.examine import HealthError, check_logs
 from hesr_model.health.positions import share_of_long_steps
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
@@ -33,7 +33,7 @@ def noisy(make_motion: Callable[..., Motion]) -> Callable[[float], Log]:
 def test_harmless_missing_rows_are_reported(
     noisy: Callable[[float], Log], arm_model: Robot
 ) -> None:
-    (told,) = checked([lossy(noisy(0.2), 0.5)], arm_model)
+    (told,) = check_logs([lossy(noisy(0.2), 0.5)], arm_model)
     assert (told.check, told.severity) == ("missing-rows", "warning")
 
 
@@ -47,17 +47,17 @@ def test_irregular_stamps_are_not_missing_rows(
     rows = {name: CubicSpline(log.t, getattr(log, name))(stamps) for name in ("q", "dq", "tau")}
     irregular = Log(name="run", t=stamps, **rows)
     assert share_of_long_steps(irregular) > 0.07
-    assert checked([irregular], arm_model) == []
+    assert check_logs([irregular], arm_model) == []
 
 
 def test_missing_rows_that_make_friction_uncertain_are_refused(
     noisy: Callable[[float], Log], arm_model: Robot
 ) -> None:
     log = noisy(3.0)
-    assert checked([log], arm_model) == []
+    assert check_logs([log], arm_model) == []
     with pytest.raises(HealthError, match=r"'j1'.* many rows are missing; .* rad/s is uncertain"):
-        checked([lossy(log, 0.5)], arm_model)
-    told = checked([lossy(log, 0.5)], arm_model, ["missing-rows"])
+        check_logs([lossy(log, 0.5)], arm_model)
+    told = check_logs([lossy(log, 0.5)], arm_model, ["missing-rows"])
     assert {finding.check for finding in told} == {"missing-rows"}
 
 
@@ -65,14 +65,18 @@ def test_uncertainty_matches_the_effect_of_missing_rows(
     noisy: Callable[[float], Log], arm_model: Robot
 ) -> None:
     """Estimates from other halves of the rows scatter as predicted by one log's own halves."""
-    from hesr_model.health.evidence import Torques, motionwise
-    from hesr_model.health.positions import _sliding
+    from hesr_model.health.evidence import Torques, smooth_parts
+    from hesr_model.health.positions import _estimate_sliding_torque
 
     log = noisy(2.0)
     found = []
     for seed in range(40):
         rows = np.random.default_rng(seed).choice(len(log.t), len(log.t) // 2, replace=False)
-        part = max(motionwise(log.rows(np.sort(rows)), 15.0), key=lambda part: len(part.t))
-        found.append(_sliding(part, Torques.of(arm_model, part.q, part.v, part.a), 1))
+        part = max(smooth_parts(log.rows(np.sort(rows)), 15.0), key=lambda part: len(part.t))
+        found.append(
+            _estimate_sliding_torque(
+                part, Torques.from_motion(arm_model, part.q, part.v, part.a), 1
+            )
+        )
     torques, deviations = (np.array([one[k] for one in found]) for k in (1, 2))
     np.testing.assert_allclose(deviations.mean(axis=0), torques.std(axis=0), rtol=0.4)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hesr_model.errors import ConfigError
 from hesr_model.findings import Finding
-from hesr_model.health.examine import CHECKS, HealthError, checked, examine
+from hesr_model.health.examine import CHECKS, HealthError, check_logs, examine
 from hesr_model.health.proposal import propose
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
@@ -278,8 +278,8 @@ def test_torques_without_gravity_are_refused(log: Log, arm_model: Robot) -> None
 
 
 def test_a_clean_log_has_no_finding(log: Log, arm_model: Robot) -> None:
-    assert checked([log], arm_model) == []
-    assert checked([replace(log, dq=None)], arm_model) == []
+    assert check_logs([log], arm_model) == []
+    assert check_logs([replace(log, dq=None)], arm_model) == []
 
 
 REMAINS = {
@@ -295,7 +295,7 @@ def test_a_remedy_is_offered_only_where_it_helps(
     """Each change was applied: its finding is gone without a new one, or it is withdrawn."""
     robot, path = arm_model.description, tmp_path / "log.csv"
     MISTAKES[what][0](log).write(path)
-    found = propose([path], robot, known=True)
+    found = propose([path], robot, has_model=True)
     first = {(f.check, joint): f for f in found.first for joint in f.joints or ("",)}
     assert all(f.changes for f in found.first if "; set " in f.remedy)
     again = examine([Log.read(path, found.robot)], found.robot, Robot(found.robot)).findings
@@ -329,20 +329,20 @@ def test_a_wrong_gravity_direction_is_reported(log: Log, arm_model: Robot) -> No
 def test_all_problems_are_reported_at_once_and_can_be_accepted(log: Log, arm_model: Robot) -> None:
     wrong = replace(log, dq=column(log.dq, 2, -1.0), tau=column(log.tau, 1, -1.0))
     with pytest.raises(HealthError, match=r"^2 errors in the data\.") as refused:
-        checked([wrong], arm_model)
+        check_logs([wrong], arm_model)
     message = str(refused.value)
     assert "joint 'j2'" in message
     assert "joint 'j3'" in message
     assert "--accept velocity-sign" in message
     with pytest.raises(HealthError, match=r"To continue anyway: --accept torque-sign\.$"):
-        checked([wrong], arm_model, ["velocity-sign"])
-    told = checked([wrong], arm_model, ["velocity-sign", "torque-sign"])
+        check_logs([wrong], arm_model, ["velocity-sign"])
+    told = check_logs([wrong], arm_model, ["velocity-sign", "torque-sign"])
     assert {f.check for f in told} == {"velocity-sign", "torque-sign"}
 
 
 def test_only_checks_can_be_accepted(log: Log, arm_model: Robot) -> None:
     with pytest.raises(ConfigError, match=r"--accept is 'everything'; the checks are time-unit, "):
-        checked([log], arm_model, ["everything"])
+        check_logs([log], arm_model, ["everything"])
 
 
 def test_a_finding_survives_json() -> None:

@@ -32,7 +32,7 @@ from hesr_model.health.positions import (
     check_steps,
     check_time,
 )
-from hesr_model.health.torque import _speeds, check_raw_signals, check_speed, check_torque
+from hesr_model.health.torque import _compute_speeds, check_raw_signals, check_speed, check_torque
 from hesr_model.health.velocity import check_velocity
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -335,7 +335,7 @@ def test_the_cause_of_a_wrong_velocity_is_corrected(cause: str) -> None:
 )
 def test_speeds_are_differences_over_a_tenth_of_a_second(period: float, around: int) -> None:
     log = two_joints(60, period)
-    found = _speeds(replace(log, q=np.column_stack([log.t**3, log.t**2])))
+    found = _compute_speeds(replace(log, q=np.column_stack([log.t**3, log.t**2])))
     inner = slice(around, -around)
     # Central differences of a cube and a square.
     wide = (around * period) ** 2

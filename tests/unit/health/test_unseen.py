@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hesr_model.health.examine import examine, unseen
+from hesr_model.health.examine import examine, find_unseen_effects
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -13,7 +13,7 @@ from hesr_model.robots.robot import Robot
 
 def words(log: Log, model: Robot) -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
-    for joint, what in unseen(examine([log], model.description, model), log.joints):
+    for joint, what in find_unseen_effects(examine([log], model.description, model), log.joints):
         found.setdefault(joint, set()).add(what.split(":")[0])
     return found
 
