@@ -16,7 +16,7 @@ _saved_callback: int | None = None
 @contextmanager
 def stop_clock() -> Iterator[None]:
     """Stop MuJoCo's clock, a sixth of a small arm's step; `MjData.timer` stays as it is."""
-    global _users, _kept
+    global _users, _saved_callback
     clock = _clock() if "mujoco" in sys.modules else None
     if clock is None:
         yield

@@ -24,7 +24,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def loaded():
-    kept = FmuPool(most=2)
+    kept = FmuPool(max_idle=2)
     yield kept
     kept.clear()
 
@@ -74,7 +74,7 @@ def test_a_rewritten_file_is_reloaded(lag_fmu, loaded, tmp_path):
 
 
 def test_the_cache_is_limited_and_can_be_cleared(lag_fmu, folder):
-    kept = FmuPool(most=2)
+    kept = FmuPool(max_idle=2)
     for name in "abcd":
         with kept.lend(lag_fmu, name=name):
             pass

@@ -48,7 +48,7 @@ class AnsweringSandbox(Sandbox):
         self.most = most
         return self.answer
 
-    def died(self, how: str) -> DiedError:
+    def end_process(self, how: str) -> DiedError:
         self.ended += 1
         return DiedError(how)
 
@@ -191,7 +191,7 @@ class ConnectedSandbox(Sandbox):
         process = SimpleNamespace(poll=lambda: None, wait=lambda _seconds: 3)
         self._started: Any = SimpleNamespace(process=process)
 
-    def shared(self, begin: int, size: int) -> bytes:
+    def read_shared(self, begin: int, size: int) -> bytes:
         return bytes(size)
 
     def kill(self) -> None:

@@ -21,4 +21,4 @@ def test_a_component_ends_at_its_own_last_step(every: int, steps: int, time: flo
         sources=np.zeros(0, dtype=np.intp),
         outputs=slave.buffer([]),
     )
-    assert station.reached(steps, 0.1) == pytest.approx(time, abs=1e-15)
+    assert station.compute_time(steps, 0.1) == pytest.approx(time, abs=1e-15)

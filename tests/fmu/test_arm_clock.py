@@ -69,8 +69,8 @@ def test_concurrent_users_share_the_clock() -> None:
 
 def test_nothing_is_loaded_without_the_package(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom fmu_src.arm.clock import untimed\n"
-        "with untimed():\n    print('mujoco' in sys.modules)\n"
+        "import sys\nfrom fmu_src.arm.clock import stop_clock\n"
+        "with stop_clock():\n    print('mujoco' in sys.modules)\n"
     )
     found = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path

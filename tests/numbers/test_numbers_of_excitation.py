@@ -169,7 +169,7 @@ def test_limits_of_a_model(tmp_path: Path, unchanged: Unchanged, arm_model: Robo
     model = Robot(RobotDescription(name="odd", model=path, joints=("j0", "j1", "j2")))
     given = MotionLimits(position=((-0.4, 0.6), (-1.0, 0.3), (-0.2, 1.0)), velocity=(9.0, 0.5, 1.0))
     narrow = replace(Limits.from_settings(arm_model, given), torque=np.array([1.0, 40.0, 9.0]))
-    rest, still = narrow.rest(arm_model)[None, :], np.zeros((1, 3))
+    rest, still = narrow.find_rest_position(arm_model)[None, :], np.zeros((1, 3))
     held = arm_model.torque(arm_model.nominal_parameters, rest, still, still)
     unchanged(
         {

@@ -37,9 +37,9 @@ def test_trajectories(arm_model: Robot, unchanged: Unchanged) -> None:
                 for name, each in motions.items()
             },
             "limits": limits,
-            "rest": limits.rest(arm_model),
+            "rest": limits.find_rest_position(arm_model),
             "peak": [peak_torque(arm_model, each) for each in wild],
-            "shrunk": limits.shrink(wild[0], arm_model, limits.rest(arm_model)),
+            "shrunk": limits.shrink(wild[0], arm_model, limits.find_rest_position(arm_model)),
         },
         rtol=1e-2,
     )

@@ -216,7 +216,7 @@ def test_a_motion_within_the_limits_is_left_alone(arm_model: Robot) -> None:
     )
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     small = replace(motion, a=0.5 * motion.a, b=0.5 * motion.b, offset=np.zeros(3))
-    kept = limits.shrink(small, arm_model, limits.rest(arm_model))
+    kept = limits.shrink(small, arm_model, limits.find_rest_position(arm_model))
     for name in ("offset", "a", "b"):
         np.testing.assert_array_equal(getattr(kept, name), getattr(small, name))
 
@@ -225,7 +225,7 @@ def test_rest_minimises_gravity_torque(arm_model: Robot) -> None:
     limits = Limits.from_settings(
         arm_model, MotionLimits(velocity=SLOW.velocity, torque=(50.0, 12.0, 3.0))
     )
-    rest = limits.rest(arm_model)
+    rest = limits.find_rest_position(arm_model)
     still = Fourier(offset=rest, a=np.zeros((3, 2)), b=np.zeros((3, 2)), period=1.0)
     assert np.max(peak_torque(arm_model, still) / limits.torque) < 0.05
 

@@ -315,7 +315,7 @@ def _run_moving_loads(
         for j, motion in enumerate(motions):
             rows = slice(-motion.rows, None)
             power = np.abs(tau[rows, j] * motion.dq[rows]).sum() * trained_ranges[0].sample_time
-            generated = motion.given(tau[:, j])
+            generated = motion.compute_generated_energy(tau[:, j])
             joint_cycles[j].append(
                 audit.Cycle(
                     amplitude=motion.cycle.amplitude,
