@@ -155,8 +155,8 @@ def _pe(pe: Any) -> dict[str, Any]:
     return {
         "machine": _word(pe.header.machine),
         "shared": "DLL" in {_word(c) for c in pe.header.characteristics_list},
-        "exports": _exports(e.name for e in exports.open_archive) if exports else [],
-        "imports": _imports(e.name for library in imports for e in library.open_archive),
+        "exports": _exports(e.name for e in exports.entries) if exports else [],
+        "imports": _imports(e.name for library in imports for e in library.entries),
         "libraries": [str(library.name) for library in imports],
         "run_paths": [],
     }
