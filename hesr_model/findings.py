@@ -54,10 +54,10 @@ def sort_by_severity(findings: Iterable[Finding]) -> list[Finding]:
 
 def log_findings(findings: Iterable[Finding]) -> list[Finding]:
     """Log findings as warnings and return them."""
-    finding_list = list(findings)
-    for finding in finding_list:
+    logged_findings = list(findings)
+    for finding in logged_findings:
         _log.warning("warning: %s [%s]", finding.sentence, finding.check)
-    return finding_list
+    return logged_findings
 
 
 def select_by_severity(findings: Iterable[Finding], severity: str) -> list[Finding]:

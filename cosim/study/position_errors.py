@@ -90,7 +90,7 @@ def _warn(reason: SimulationError) -> None:
 def _errors(
     model: FrictionModel, windows: Sequence[simulation.Windows], robot: Robot, body: RigidBody
 ) -> list[_Errors] | SimulationError:
-    simulator = simulation.Simulator(robot=robot, parameters=body.parameters, friction=model)
+    simulator = simulation.Simulator(robot=robot, parameters=body.parameters, model=model)
     errors_by_window: dict[int, _Errors] = {}
     groups: dict[tuple[int, int], list[int]] = {}
     for i, w in enumerate(windows):

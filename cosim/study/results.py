@@ -14,7 +14,7 @@ from cosim.study.sample_logs import is_sample
 from cosim.study.scores import Comparison, LogRecords, Predictions, name_inputs
 from cosim.study.study import Study, TimeBand
 from hesr_model.findings import Finding
-from hesr_model.forward.output_error import Refined
+from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.readers.arrays import load_table
 from hesr_model.logs.robot_log import Log
@@ -97,7 +97,7 @@ class Scored:
     fmus: Mapping[str, Path]
     comparisons: Mapping[str, Comparison]
     predictions: Predictions  # FMU torques
-    refined: Mapping[str, Refined] = field(default_factory=dict)  # by output error
+    refined: Mapping[str, RefinementResult] = field(default_factory=dict)  # by output error
 
 
 @dataclass(frozen=True, kw_only=True)

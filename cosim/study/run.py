@@ -24,7 +24,7 @@ from hesr_model.equations.rows import vectors
 from hesr_model.errors import SimulationError
 from hesr_model.findings import log_findings
 from hesr_model.fitting.estimator import select_laws
-from hesr_model.forward.output_error import Refined
+from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import MIXED, FrictionModel, mix_models
 from hesr_model.health.examine import check_body, check_laws, check_logs
 from hesr_model.logs.robot_log import Log
@@ -175,10 +175,10 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     for law, model in refined_models.items():
         if law in models:
             models[law] = replace(model, provenance=source)
-    refined: dict[str, Refined] = {}
+    refined: dict[str, RefinementResult] = {}
     if study.refinement is not None and not study.refinement.law:  # all laws are refined
         refined = job.refine(logs, robot, body, models)
-        models |= {law: refinement.friction for law, refinement in refined.items()}
+        models |= {law: refinement.model for law, refinement in refined.items()}
     findings += log_findings(check_laws(models, select_records(study.logs.training, records)))
     write_findings(folder, findings)
 

@@ -34,7 +34,7 @@ from hesr_model.findings import log_findings
 from hesr_model.fitting.days import Nuisance, add_fitted_nuisances
 from hesr_model.fitting.estimator import estimator, registry, select_laws
 from hesr_model.fitting.fit import fit_models
-from hesr_model.forward.output_error import Refined, refine
+from hesr_model.forward.output_error import RefinementResult, refine
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
@@ -328,7 +328,7 @@ class Job:
                 motions = smooth_logs(self._training_logs(logs), robot)
                 refined_law = refine(robot, body, model, motions)
                 body = refined_law.body
-                models[law] = refined_law.friction
+                models[law] = refined_law.model
             else:
                 forward = [logs[name] for name in self.study.logs.identification]
                 backward = [logs[name] for name in self.study.logs.reversed]
@@ -354,11 +354,11 @@ class Job:
         models: Mapping[str, FrictionModel],
         *,
         with_body: bool = False,
-    ) -> dict[str, Refined]:
+    ) -> dict[str, RefinementResult]:
         """Refine laws by output error on the training logs."""
         motions = smooth_logs(self._training_logs(logs), robot)
 
-        def refine_law(_: str, model: FrictionModel) -> Refined:
+        def refine_law(_: str, model: FrictionModel) -> RefinementResult:
             return refine(robot, body, model, motions, with_body=with_body, seed=self.study.seed)
 
         return map_models(models, refine_law, partial(self.progress, "refining by output error"))
@@ -384,7 +384,7 @@ class Job:
             variants={name: variant.law for name, variant in study.variants.items()},
             provenance=source,
             progress=partial(self.progress, stage),
-            left_out=left_out,
+            report_left_out=left_out,
             checkpoints=self.kept and self.kept / "laws",
             per_log=study.per_log,
         )

@@ -13,7 +13,7 @@ from cosim.study.forecast import Forecast
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import Properties, combine_results
-from hesr_model.forward.output_error import Refined
+from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel, can_share_fmu
 from hesr_model.friction.trained_range import find_excess
@@ -59,7 +59,7 @@ class ForSimulation:
     refined: tuple[str, ...]  # laws that output error improved
 
     @classmethod
-    def from_refined(cls, refined: Mapping[str, Refined]) -> "ForSimulation | None":
+    def from_refined(cls, refined: Mapping[str, RefinementResult]) -> "ForSimulation | None":
         """Return the law with the lowest error; None without windows."""
         errors = {
             law: refinement.size
@@ -132,7 +132,7 @@ def verdict(
     *,
     gear_ratio: bool,
     expected: Forecast | None = None,
-    refined: Mapping[str, Refined] | None = None,
+    refined: Mapping[str, RefinementResult] | None = None,
 ) -> Verdict:
     """Judge a run by its first test set; records are [joint][log].
 
@@ -371,7 +371,7 @@ def _improve(
         yield "Add gear_ratio to the robot file to also fit motor ripple."
 
 
-def _simulate(trained: Records, refined: Mapping[str, Refined] | None) -> Iterator[str]:
+def _simulate(trained: Records, refined: Mapping[str, RefinementResult] | None) -> Iterator[str]:
     if refined is None and len(trained) == 1 and trained[0][0].tau_body is None:
         yield 'To choose and refine a law for simulation, add refinement = "output_error".'
     if refined and ForSimulation.from_refined(refined) is None:

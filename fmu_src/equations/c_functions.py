@@ -243,12 +243,12 @@ class Functions:
     @property
     def invariant(self) -> tuple[sympy.Symbol, ...]:
         """Terms that `invariants` writes."""
-        return self._invariants.kept
+        return self._invariants.reused
 
     def invariants(self) -> str:
         """Write into c the terms of a step that depend only on parameters and its length."""
         invariants = self._invariants
-        targets = _array("c", invariants.kept)
+        targets = _array("c", invariants.reused)
         return print_function(
             self._head("invariants"), invariants.once, {}, targets, self._arguments.places
         )
@@ -256,7 +256,7 @@ class Functions:
     def step(self) -> str:
         """Advance the states x by dt and write the readings at its end; c is from `invariants`."""
         invariants = self._invariants
-        places = self._arguments.add_array(invariants.kept, "c").places
+        places = self._arguments.add_array(invariants.reused, "c").places
         return print_function(
             self._head("step"), invariants.moving, invariants.names, self._step_targets, places
         )
@@ -366,7 +366,7 @@ class Functions:
     @property
     def prepared(self) -> tuple[sympy.Symbol, ...]:
         """Terms of `attempts` that depend only on parameters."""
-        return (*self._attempt_invariants.kept, *self._parameters)
+        return (*self._attempt_invariants.reused, *self._parameters)
 
     def prepare(self) -> str:
         """Write the prepared terms into c."""

@@ -22,7 +22,7 @@ from hesr_model.errors import HesrError, SimulationError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import numbers
+from hesr_model.friction.predict import coefficient_array
 from hesr_model.friction.trained_range import Range, TrainedRange
 from hesr_model.support.arrays import Array
 from hesr_model.units import unit_of_joint, unit_of_joints
@@ -207,7 +207,7 @@ def find_fastest_rates(law: FrictionLaw, trained_range: TrainedRange) -> dict[st
     relaxations = law.form.relaxations
     rates = to_numpy_function((*symbols, *INPUTS), [r.rate.subs(at_rest) for r in relaxations])
     with np.errstate(all="ignore"):  # results that are not finite are reported as such
-        values = rates(*numbers(law), *grid)
+        values = rates(*coefficient_array(law), *grid)
     return {r.name: float(np.max(value)) for r, value in zip(relaxations, values, strict=True)}
 
 

@@ -20,9 +20,9 @@ _CYCLES = 40
 _FREQUENCY = 1.0  # [Hz]; the last two cycles must agree
 _REVERSAL_DISTANCES = (1.0, 1e-2, 1e-4, 1e-6)  # [rad] between reversals
 _ROWS_PER_DIRECTION = 100
-_SPEED_PAIR_CYCLES = 4  # rows per direction; cycles
-_MIN_SHARE = 1e-6
-_CYCLE_TOLERANCE = 0.05  # smallest share of the work; tolerance between two cycles
+_SPEED_PAIR_CYCLES = 4
+_MIN_SHARE = 1e-6  # smallest share of the work
+_CYCLE_TOLERANCE = 0.05  # largest relative difference of the last two cycles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,22 +135,22 @@ def loaded_motions(
     trained_range: TrainedRange,
     angles: Sequence[float] = ANGLES,
     phases: Sequence[float] = PHASES,
-    turns: int = _CYCLES,
+    cycle_count: int = _CYCLES,
 ) -> Iterator[LoadedMotion]:
-    """Yield motions of `turns` cycles with loads within the trained range."""
+    """Yield motions of `cycle_count` cycles with loads within the trained range."""
     rows = 2 * max(8, round(0.5 / (_FREQUENCY * trained_range.sample_time)))
     frequency = 1.0 / (rows * trained_range.sample_time)
-    angle = 2.0 * np.pi * np.arange(rows * turns, dtype=float) / rows
+    angle = 2.0 * np.pi * np.arange(rows * cycle_count, dtype=float) / rows
     swing = max(map(abs, trained_range.tau_load)) / 2.0
     base_cycle = Attack(energy=0.0, amplitude=0.0, frequency=frequency, mean=0.0, swing=swing)
-    for deflection, phase, mean in product(angles, phases, (0.0, swing)):
+    for deflection, phase, mean_load in product(angles, phases, (0.0, swing)):
         amplitude = deflection * 2.0 * np.pi * frequency
         yield LoadedMotion(
             dq=amplitude * np.cos(angle),
             q=trained_range.middle + deflection * np.sin(angle),
-            load=mean + swing * np.cos(2.0 * angle + phase),
+            load=mean_load + swing * np.cos(2.0 * angle + phase),
             rows=rows,
-            cycle=replace(base_cycle, amplitude=amplitude, mean=mean, phase=float(phase)),
+            cycle=replace(base_cycle, amplitude=amplitude, mean=mean_load, phase=float(phase)),
         )
 
 

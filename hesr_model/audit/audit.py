@@ -102,8 +102,8 @@ EXPLOSION_RATIO = 2.5  # limit over the largest trained torque; quadratic fricti
 _STEADY_STEP = 1e6  # [s] step to steady sliding, even at the slowest speed
 _POSITION_COUNT = 32  # positions to average over
 _TORQUE_ROUND_OFF = 1e-9  # [N.m] round-off
-_FAR_SPEED = 1e-6
-_NEAR_SPEED = 1e-9  # [rad/s] distances from rest
+_FAR_SPEED = 1e-6  # [rad/s] a slope shows here
+_NEAR_SPEED = 1e-9  # [rad/s] a jump alone remains here
 
 
 @dataclass(frozen=True, kw_only=True)

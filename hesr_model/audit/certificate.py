@@ -32,7 +32,7 @@ from hesr_model.audit.audit import SLOWEST_SPEED
 from hesr_model.equations.functions import absolute, cardinal_sine, larger, positive, sgn
 from hesr_model.equations.intervals import (
     Enclosure,
-    Least,
+    Minimum,
     bound_expression,
     find_minimum,
     is_never_negative,
@@ -46,7 +46,7 @@ from hesr_model.laws.stops.form import distance
 from hesr_model.support.arrays import Array
 
 ProofVerdict = Literal["proven", "refuted", "tested"]
-_RELATIVE_ROUND_OFF = 1e-9  # relative
+_RELATIVE_ROUND_OFF = 1e-9
 _STEP_CANDIDATES = np.geomspace(1e-6, 10.0, 141)  # [s] candidates of the largest certified step
 _REST_SPEED = 1e-12  # [rad/s]; below, only torques above round-off count
 _SPEED_EDGES = np.concatenate([[1e-300], np.geomspace(_REST_SPEED, 1e6, 73)])  # [rad/s]
@@ -73,31 +73,31 @@ class Certificate:
 class _UnprovenError(Exception):
     """A condition of the proof fails, possibly at a pair of forward and backward speeds [rad/s]."""
 
-    def __init__(self, why: str, *speeds: tuple[float, float]) -> None:
-        super().__init__(why)
-        self.speeds = speeds
+    def __init__(self, reason: str, *speed_pairs: tuple[float, float]) -> None:
+        super().__init__(reason)
+        self.speed_pairs = speed_pairs
 
 
-def _require(condition: object, otherwise: str, *speeds: tuple[float, float]) -> None:
+def _require(condition: object, reason: str, *speed_pairs: tuple[float, float]) -> None:
     if not condition:
-        raise _UnprovenError(otherwise, *speeds)
+        raise _UnprovenError(reason, *speed_pairs)
 
 
 def certify(law: FrictionLaw, trained_range: TrainedRange) -> Certificate:
     """Prove the passivity of a law, refute it by a cycle, or return the condition that fails."""
     try:
         return _Proof(law).build_certificate()
-    except _UnprovenError as reason:
+    except _UnprovenError as error:
         slowest_speeds = (
             trained_range.speed * SLOWEST_SPEED,
             trained_range.speed * SLOWEST_SPEED**2,
             0.0,
         )
-        speed_pairs = [(max(v, s), max(w, s)) for v, w in reason.speeds for s in slowest_speeds]
+        speed_pairs = [(max(v, s), max(w, s)) for v, w in error.speed_pairs for s in slowest_speeds]
         cycle, sequences = attack(law, trained_range, speed_pairs)
         verdict: ProofVerdict = "refuted" if cycle else "tested"
         return Certificate(
-            verdict=verdict, rests_on=(str(reason),), cycle=cycle, sequences=sequences
+            verdict=verdict, rests_on=(str(error),), cycle=cycle, sequences=sequences
         )
 
 
@@ -127,12 +127,14 @@ def find_scale_limits(law: FrictionLaw) -> list[tuple[float, float | None]]:
         return [(0.0, None)] * len(SCALES)
     coulomb, viscous = proof.collect_scaled_parts()
     try:
-        _require(coulomb == 0 or not proof.least, "")
+        _require(coulomb == 0 or not proof.min_viscous_scale, "")
         for part in (coulomb, viscous):
-            _Steady(part).find_viscous_bound()
+            _SteadyTorque(part).find_viscous_bound()
     except _UnprovenError:
         return [(1.0, 1.0)] * len(SCALES)
-    min_viscous_scale = min(float(f"{proof.least * (1.0 + 1e-5):.6g}"), 1.0)  # rounded up
+    min_viscous_scale = min(
+        float(f"{proof.min_viscous_scale * (1.0 + 1e-5):.6g}"), 1.0
+    )  # rounded up
     return [(0.0, None), (min_viscous_scale, None)]
 
 
@@ -140,37 +142,41 @@ def find_storage_factors(law: FrictionLaw) -> Mapping[str, float]:
     """Return k of k x^2 [J per square of its unit] of each state in the storage of a proven law."""
     proof = _Proof(law)
     proof.build_certificate()
-    return {element.name: proof.stored.get(element.name, 0.0) for element in law.form.memory}
+    return {
+        element.name: proof.storage_factors.get(element.name, 0.0) for element in law.form.memory
+    }
 
 
 class _Proof:
     def __init__(self, law: FrictionLaw) -> None:
         self.law = law
-        self.numbers = {
+        self.values = {
             quantity.symbol: sympy.Float(law.values[quantity.name])
             for quantity in law.form.coefficients
         }
         self.memory: tuple[Element, ...] = tuple(
-            element.subs(self.numbers) for element in law.form.memory
+            element.subs(self.values) for element in law.form.memory
         )
-        self.still = {
-            s: sympy.S.Zero for element in self.memory for s in (element.state, element.derivative)
+        self.zero_states = {
+            symbol: sympy.S.Zero
+            for element in self.memory
+            for symbol in (element.state, element.derivative)
         }
-        self.output = law.form.output.xreplace(self.numbers)
-        self.stored: dict[str, float] = {}
-        self.texts: list[str] = []
+        self.output = law.form.output.xreplace(self.values)
+        self.storage_factors: dict[str, float] = {}
+        self.storage_terms: list[str] = []
         self.conditions: list[str] = []
-        self.step: float | None = inf
-        self.least = 0.0
+        self.largest_step: float | None = inf
+        self.min_viscous_scale = 0.0
         functions = self.output.atoms(sympy.Function)
-        self._curved = set[sympy.Symbol]().union(*(f.free_symbols for f in functions))
+        self._nonlinear_symbols = set[sympy.Symbol]().union(*(f.free_symbols for f in functions))
 
     def build_certificate(self) -> Certificate:
         damping = 0.0
         for element in self.memory:
             damping += self._prove_element(element)
-        stateless_torque = self.output.xreplace(self.still)
-        state_torque = sum(self.output.diff(s) * s for s in self.still if self.output.has(s))
+        stateless_torque = self.output.xreplace(self.zero_states)
+        state_torque = sum(self.output.diff(s) * s for s in self.zero_states if self.output.has(s))
         remainder = sympy.expand(self.output - stateless_torque - state_torque)
         _require(remainder == 0, "the torque is not linear in the states")
         terms = list(sympy.Add.make_args(sympy.expand_mul(stateless_torque)))
@@ -187,16 +193,18 @@ class _Proof:
         )
         return Certificate(
             verdict="proven",
-            storage=f"S = {' + '.join(self.texts)}" if self.texts else "S = 0",
+            storage=f"S = {' + '.join(self.storage_terms)}" if self.storage_terms else "S = 0",
             rests_on=tuple(self.conditions),
-            largest_step=self.step,
+            largest_step=self.largest_step,
         )
 
     def _prove_element(self, element: Element) -> float:
         """Return the requirement on f [N.m.s/rad]."""
         state = element.state
         reason = f"the factor of {state} depends on inputs or states"
-        _require(not self._curved & {state, element.derivative}, reason)  # avoids slow derivatives
+        _require(
+            not self._nonlinear_symbols & {state, element.derivative}, reason
+        )  # avoids slow derivatives
         factor = self.output.diff(state)
         rate_factor = self.output.diff(element.derivative)
         if factor == 0 and rate_factor == 0:
@@ -213,8 +221,8 @@ class _Proof:
             self.conditions.append(f"F({state}) = {force:.3g} >= 0, bound {bound} >= 0")
         else:
             storage_factor = self._prove_bristle(element, force)
-        self.stored[element.name] = storage_factor
-        self.texts.append(f"{storage_factor:.3g} {state}^2")
+        self.storage_factors[element.name] = storage_factor
+        self.storage_terms.append(f"{storage_factor:.3g} {state}^2")
         return 0.0 if damper == 0.0 else self._find_damper_requirement(element, damper)
 
     def _prove_bristle(self, element: Relaxation, force: float) -> float:
@@ -231,7 +239,7 @@ class _Proof:
             _require(has_valid_rate, f"the rate of {state} depends on more than velocity and load")
         self.conditions.append(f"F({state}) = {force:.3g} >= 0, rate of {state} >= 0")
         if self.law.discretisation != "exact":
-            self.step = None
+            self.largest_step = None
         return force / (2.0 * float(gain))
 
     def _find_damper_requirement(self, element: Element, damper: float) -> float:
@@ -254,31 +262,35 @@ class _Proof:
         _require(
             depends_on_speed_only, "the torque without states depends on more than the velocity"
         )
-        curve = _Steady(steady)
+        curve = _SteadyTorque(steady)
         viscous_bound = curve.find_viscous_bound()
         self.conditions.append(f"f(v) >= {viscous_bound:.3g} N.m.s/rad at all speeds")
         if damping > 0.0:
-            share = curve.share(lambda v: np.full_like(v, damping))
+            share = curve.find_share(lambda v: np.full_like(v, damping))
             _require(
                 share >= 1.0 - _RELATIVE_ROUND_OFF,
                 f"Barabanov and Ortega require {damping:.3g} N.m.s/rad of viscous friction, "
                 f"found {viscous_bound:.3g}",
             )
             self.conditions.append(f"Barabanov and Ortega require {damping:.3g} of it")
-            self.least = 1.0 / share
+            self.min_viscous_scale = 1.0 / share
         if waves:
             self._prove_ripple(waves, curve, damping)
-        self.least = min(self.least, 1.0)
+        self.min_viscous_scale = min(self.min_viscous_scale, 1.0)
 
     def collect_scaled_parts(self) -> list[sympy.Expr]:
         """Return the torque of speed alone that each factor of `SCALES` multiplies."""
         level = {larger(COULOMB.symbol, MIN_SCALE): COULOMB.symbol}
-        torque = add_scales(self.law.form).output.xreplace({**self.numbers, **self.still, **level})
+        torque = add_scales(self.law.form).output.xreplace(
+            {**self.values, **self.zero_states, **level}
+        )
         terms = sympy.Add.make_args(sympy.expand_mul(torque))
         speed_torque = sympy.Add(*(t for t in terms if not t.free_symbols & {Q, TAU_LOAD}))
         return [speed_torque.coeff(scale.symbol) for scale in SCALES]
 
-    def _prove_ripple(self, waves: list[sympy.Expr], curve: "_Steady", damping: float) -> None:
+    def _prove_ripple(
+        self, waves: list[sympy.Expr], curve: "_SteadyTorque", damping: float
+    ) -> None:
         amplitudes: dict[tuple[float, float, float, float], list[float]] = {}
         for term in waves:
             wave = next(iter(term.atoms(sympy.cos, sympy.sin)), None)
@@ -312,11 +324,13 @@ class _Proof:
         ]
         any_step = all(window >= 0.0 for *_, window in groups)
 
-        def share(step: float) -> float:
-            return curve.share(lambda v: damping + _compute_required_viscosity(groups, step, v))
+        def find_margin(step: float) -> float:
+            return curve.find_share(
+                lambda v: damping + _compute_required_viscosity(groups, step, v)
+            )
 
         def fails(step: float) -> bool:
-            return share(step) < 1.0 - 1e-6
+            return find_margin(step) < 1.0 - 1e-6
 
         steps = np.array([inf]) if any_step else _STEP_CANDIDATES
         holding_count = bisect_left(steps, True, key=fails)  # longer steps need more
@@ -324,14 +338,14 @@ class _Proof:
             holding_count, "lagging ripple generates more energy than viscous friction dissipates"
         )
         step = float(steps[holding_count - 1])
-        self.least = 1.0 / share(step)
-        self.step = None if self.step is None else min(self.step, step)
+        self.min_viscous_scale = 1.0 / find_margin(step)
+        self.largest_step = None if self.largest_step is None else min(self.largest_step, step)
         self.conditions.append(
             "f(v) >= sum_k A_k min(n_k c, 2/|v|) at all speeds, of lag, sampling and smoothing"
         )
 
 
-class _Steady:
+class _SteadyTorque:
     """Steady torque r(v) + v p(v), whose viscous friction is f = (r - offset) / v + p."""
 
     def __init__(self, torque: sympy.Expr) -> None:
@@ -347,20 +361,26 @@ class _Steady:
         _require(size < inf, unbounded)
         self.slack = _RELATIVE_ROUND_OFF * size
         self.offset = 0.0
-        ahead, back = self._find_minima(lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b))
-        drop = -ahead.value - back.value
-        v = max(ahead.at, _REST_SPEED)
-        w = max(back.at, _REST_SPEED)
+        forward_minimum, backward_minimum = self._find_minima(
+            lambda r, p, a, b: r + np.where(p >= 0.0, p * a, p * b)
+        )
+        drop = -forward_minimum.value - backward_minimum.value
+        forward_speed = max(forward_minimum.minimiser, _REST_SPEED)
+        backward_speed = max(backward_minimum.minimiser, _REST_SPEED)
         _require(
             drop <= self.slack,
-            f"forward at {v:.3g} rad/s friction is {drop:.3g} N.m less than backward at {w:.3g} "
-            "rad/s",
-            (v, w),
+            f"forward at {forward_speed:.3g} rad/s friction is {drop:.3g} N.m less than backward "
+            f"at {backward_speed:.3g} rad/s",
+            (forward_speed, backward_speed),
         )
-        _require(ahead.bound + back.bound >= -self.slack, unbounded)
+        _require(forward_minimum.bound + backward_minimum.bound >= -self.slack, unbounded)
         self.offset = float(torque.subs(DQ, 0))
-        if not -back.bound - self.slack <= self.offset <= ahead.bound + self.slack:
-            self.offset = min(max(self.offset, -back.bound), ahead.bound)
+        if (
+            not -backward_minimum.bound - self.slack
+            <= self.offset
+            <= forward_minimum.bound + self.slack
+        ):
+            self.offset = min(max(self.offset, -backward_minimum.bound), forward_minimum.bound)
 
     def find_viscous_bound(self) -> float:
         """Return a lower bound >= 0 of f [N.m.s/rad]."""
@@ -374,15 +394,15 @@ class _Steady:
         _require(bound >= -self.slack, "viscous friction has no bound >= 0 at all speeds")
         return bound if bound > self.slack else 0.0
 
-    def share(self, need: Callable[[Array], Array]) -> float:
-        """Return a lower bound of f / need, which must not rise with speed."""
+    def find_share(self, required_viscosity: Callable[[Array], Array]) -> float:
+        """Return a lower bound of f / `required_viscosity`, which must not rise with speed."""
 
-        def share(r: Array, p: Array, a: Array, b: Array) -> Array:
-            f = self._bound_viscous(r, p, a, b, need(a))
-            requirement = need(a)
+        def bound_share(r: Array, p: Array, a: Array, b: Array) -> Array:
+            requirement = required_viscosity(a)
+            f = self._bound_viscous(r, p, a, b, requirement)
             return np.where(requirement > 0.0, f / requirement, inf)
 
-        return min(minimum.bound for minimum in self._find_minima(share))
+        return min(minimum.bound for minimum in self._find_minima(bound_share))
 
     def _bound_viscous(
         self, r: Array, p: Array, a: Array, b: Array, requirement: Array | float
@@ -391,7 +411,9 @@ class _Steady:
         f = p + np.where(r >= 0.0, r / b, r / a)
         return np.where(is_sufficient & (b <= _REST_SPEED), inf, f)
 
-    def _find_minima(self, function: Callable[[Array, Array, Array, Array], Array]) -> list[Least]:
+    def _find_minima(
+        self, function: Callable[[Array, Array, Array, Array], Array]
+    ) -> list[Minimum]:
         def bound_interval(direction: float, a: Array, b: Array) -> Array:
             lower, upper = bound_expression(self.r, {DQ: _build_speed_interval(direction, a, b)})
             p = bound_expression(self.p, {DQ: _build_speed_interval(direction, a, b)})[0]

@@ -12,18 +12,18 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.support.typed_files import from_json, read_json, to_json, write_json
 from hesr_model.units import unit_of_joint
 
-SMOOTH = 0.1  # largest jump at a reversal, of the loop's height
-RATE = 0.2  # largest change of a loop at a tenth of the speed, of its area
-CLOSED = 0.02  # largest closing error of an inner loop, of the outer height
-INNER = 0.95  # largest height of an inner loop with memory, of the outer one
-BEGINS = 0.05  # largest deviation of the first torque, of friction
-FALLS = 0.01  # smallest relative fall of the break-away torque
-WIDTH = 0.01  # smallest width of the lag loop, of the friction level
-WEAKENING = 0.05  # smallest fall of the steady torque that causes stick-slip
-HELD = 10e-6  # [rad] in a minute: half the noise of an encoder
-QUIET = 0.1  # largest chatter at rest, of the friction level
-PASSIVE = 1e-6  # [J] round-off per cycle
-STEP = 1e-3  # [s] smallest useful explicit step: the period of a servo
+MAX_JUMP = 0.1  # largest jump at a reversal, of the loop's height
+MAX_RATE_CHANGE = 0.2  # largest change of a loop at a tenth of the speed, of its area
+MAX_CLOSING_ERROR = 0.02  # largest closing error of an inner loop, of the outer height
+MAX_INNER_HEIGHT = 0.95  # largest height of an inner loop with memory, of the outer one
+MAX_START_ERROR = 0.05  # largest deviation of the first torque, of friction
+MIN_BREAKAWAY_FALL = 0.01  # smallest relative fall of the break-away torque
+MIN_LAG_WIDTH = 0.01  # smallest width of the lag loop, of the friction level
+MIN_WEAKENING = 0.05  # smallest fall of the steady torque that causes stick-slip
+MAX_DRIFT = 10e-6  # [rad] in a minute: half the noise of an encoder
+MAX_CHATTER = 0.1  # largest chatter at rest, of the friction level
+ENERGY_ROUND_OFF = 1e-6  # [J] round-off per cycle
+MIN_USEFUL_STEP = 1e-3  # [s] smallest useful explicit step: the period of a servo
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,9 @@ _ALL_EXPECTATIONS = (
         ("stiffness after a reversal", "kN.m/rad", 1e-3),
         "The joint moves back and forth by the deflection that reverses its friction, in 4 s and "
         "in 40 s, until the loop repeats.",
-        f"A loop in position that dissipates energy, jumps by at most {SMOOTH:.0%} of its height "
-        f"at a reversal, and dissipates the same within {RATE:.0%} at a tenth of the speed.",
+        f"A loop in position that dissipates energy, jumps by at most {MAX_JUMP:.0%} of its height "
+        f"at a reversal, and dissipates the same within {MAX_RATE_CHANGE:.0%} at a tenth of the "
+        "speed.",
         "Al-Bender, Lampaert, Swevers (2005): The generalized Maxwell-slip model: a novel model "
         "for friction simulation and compensation",
     ),
@@ -81,8 +82,9 @@ _ALL_EXPECTATIONS = (
         ("miss of the closed inner loop", "%", 100.0),
         "On the rising branch of the slow loop the joint moves back by half the amplitude, returns "
         "to the reversal point and continues.",
-        f"The inner loop closes and the outer curve continues, both within {CLOSED:.0%} of its "
-        "height. A single first-order state cannot remember the reversal.",
+        "The inner loop closes and the outer curve continues, both within "
+        f"{MAX_CLOSING_ERROR:.0%} of its height. A single first-order state cannot remember the "
+        "reversal.",
         _HYSTERESIS,
         "Swevers, Al-Bender, Ganseman, Prajogo (2000): An integrated friction model structure "
         "with improved presliding behavior for accurate friction compensation",
@@ -93,7 +95,7 @@ _ALL_EXPECTATIONS = (
         "As above, with a second loop inside the inner one, at half the largest trained load; "
         "between two reversals the load rises to the full value and returns.",
         "A load that rises and returns erases no reversal: both loops close, and the outer curve "
-        f"continues, within {CLOSED:.0%} of its height.",
+        f"continues, within {MAX_CLOSING_ERROR:.0%} of its height.",
         "Mindlin, Deresiewicz (1953): Elastic spheres in contact under varying oblique forces",
         _HYSTERESIS,
     ),
@@ -104,7 +106,7 @@ _ALL_EXPECTATIONS = (
         "break-away is the largest friction until the joint slides at a twentieth of the trained "
         "speed.",
         "The joint holds until break-away, and the break-away torque falls with the rate, by at "
-        f"least {FALLS:.0%} from the slowest to the fastest.",
+        f"least {MIN_BREAKAWAY_FALL:.0%} from the slowest to the fastest.",
         "Johannes, Green, Brockley (1973): The role of the rate of application of the tangential "
         "force in determining the static friction coefficient",
         "Richardson, Nolle (1976): Surface friction under time-dependent loads",
@@ -115,8 +117,8 @@ _ALL_EXPECTATIONS = (
         ("largest difference of the first torque", "%", 100.0),
         "The joint slides when its FMU is initialised, in both directions at 5 to 100 % of the "
         "trained speed; the first torque is compared with that of continued sliding.",
-        f"The first torque is the steady one, within {BEGINS:.0%} of the friction: simulations may "
-        "start while sliding.",
+        f"The first torque is the steady one, within {MAX_START_ERROR:.0%} of the friction: "
+        "simulations may start while sliding.",
         _LUGRE,
         "Otter, Elmqvist, Mattsson (1999): Hybrid modeling in Modelica based on the synchronous "
         "data flow principle",
@@ -126,9 +128,9 @@ _ALL_EXPECTATIONS = (
         ("distance of the branches, + if acceleration is above", "N.m", 1.0),
         "The joint slides in one direction at 1 to 11 % of the trained speed, varied with periods "
         "of 1 and 50 s.",
-        f"Torque lags velocity: the branches are {WIDTH:.0%} of the friction level apart, the "
-        "accelerating one above a falling and below a rising steady curve, and further apart the "
-        "faster the speed changes.",
+        f"Torque lags velocity: the branches are {MIN_LAG_WIDTH:.0%} of the friction level apart, "
+        "the accelerating one above a falling and below a rising steady curve, and further apart "
+        "the faster the speed changes.",
         "Hess, Soom (1990): Friction at a lubricated line contact operating at oscillating "
         "sliding velocities",
         _LUGRE,
@@ -139,7 +141,7 @@ _ALL_EXPECTATIONS = (
         "A soft spring pulls a JointDrive at the speed where the steady curve falls most steeply, "
         "or at 1 % of the trained speed if it does not fall.",
         "A limit cycle of stick and slip if the law's own steady curve falls with speed by at "
-        f"least {WEAKENING:.0%} of the level, and steady sliding otherwise.",
+        f"least {MIN_WEAKENING:.0%} of the level, and steady sliding otherwise.",
         "Rabinowicz (1958): The intrinsic variables affecting the stick-slip process",
         "Armstrong-Hélouvry, Dupont, Canudas de Wit (1994): A survey of models, analysis tools "
         "and compensation methods for the control of machines with friction",
@@ -149,15 +151,15 @@ _ALL_EXPECTATIONS = (
         ("drift in a minute", "mrad", 1e3),
         "A JointDrive carries half its friction in the slowest sliding, at most half its level, "
         "and a dither of a fifth of it at 5 Hz, for 60 s.",
-        f"Below break-away it drifts by less than {1e6 * HELD:.0f} urad. Laws that are plastic "
-        "from the first deflection, such as LuGre and Dahl, drift.",
+        f"Below break-away it drifts by less than {1e6 * MAX_DRIFT:.0f} urad. Laws that are "
+        "plastic from the first deflection, such as LuGre and Dahl, drift.",
         _ELASTOPLASTIC,
     ),
     _expectation(
         ("hold", "Hold against gravity", "hold"),
         ("drift in a minute", "mrad", 1e3),
         "A JointDrive carries half its friction level for 60 s; it is also the load of the law.",
-        f"It drifts by less than {1e6 * HELD:.0f} urad after the first second.",
+        f"It drifts by less than {1e6 * MAX_DRIFT:.0f} urad after the first second.",
         "Courtney-Pratt, Eisner (1957): The effect of a tangential force on the contact of "
         "metallic bodies",
         _ELASTOPLASTIC,
@@ -167,7 +169,7 @@ _ALL_EXPECTATIONS = (
         ("standard deviation of the torque", "N.m", 1.0),
         "The joint rests; its velocity is the difference of encoder readings with 20 urad of "
         "noise, at the law's own sample time.",
-        f"Less than {QUIET:.0%} of the friction level.",
+        f"Less than {MAX_CHATTER:.0%} of the friction level.",
         "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky (1998): Friction models and friction "
         "compensation",
     ),
@@ -195,8 +197,8 @@ _ALL_EXPECTATIONS = (
         ("largest step without chatter", "ms", 1e3),
         "The Friction FMU is coupled explicitly to the joint's inertia, which slides to a stop "
         "from a tenth of the trained speed.",
-        f"{1e3 * STEP:.0f} ms or more, a robot servo's period. Below, use a JointDrive, which "
-        "solves for the speed.",
+        f"{1e3 * MIN_USEFUL_STEP:.0f} ms or more, a robot servo's period. Below, use a JointDrive, "
+        "which solves for the speed.",
         "Marques, Flores, Pimenta Claro, Lankarani (2016): A survey and comparison of several "
         "friction force models for dynamic analysis of multibody mechanical systems",
     ),
@@ -344,7 +346,7 @@ def combine_results(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File:
+class _PropertiesFile:
     laws: Mapping[str, Properties]
 
 
@@ -357,5 +359,7 @@ def write_properties(path: Path, properties_by_law: Mapping[str, Properties]) ->
 
 def read_properties(path: Path) -> dict[str, Properties]:
     """Read a file of `write_properties`."""
-    file = from_json(_File, read_json(path, FORMAT), path, "findings of the physics checks")
+    file = from_json(
+        _PropertiesFile, read_json(path, FORMAT), path, "findings of the physics checks"
+    )
     return dict(file.laws)

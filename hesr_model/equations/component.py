@@ -50,7 +50,7 @@ class Choice(Parameter):
 
     unit: str = "1"
     tunable: bool = False
-    items: tuple[tuple[str, str], ...]  # Name and description of each value
+    items: tuple[tuple[str, str], ...]  # name and description of each value
 
     def case(self, cases: Mapping[str, sympy.Expr]) -> sympy.Expr:
         """Return the expression of the current value; 0 for values without a case."""
@@ -116,8 +116,10 @@ class Component:
 
     def __post_init__(self) -> None:
         given_symbols = [quantity.symbol for quantity in self.given]
-        states = [s for m in self.memory for s in (m.state, m.derivative)]
-        equation_symbols = [e.symbol for e in self.equations]
+        states = [
+            symbol for element in self.memory for symbol in (element.state, element.derivative)
+        ]
+        equation_symbols = [equation.symbol for equation in self.equations]
         symbol_counts = Counter([*given_symbols, *states, *equation_symbols])
         repeated = [symbol for symbol, count in symbol_counts.items() if count > 1]
         if repeated:
@@ -125,7 +127,7 @@ class Component:
                 f"equations: '{repeated[0]}' is used twice among inputs, coefficients, states and "
                 "names."
             )
-        previous_symbols = {previous(e.name) for e in self.equations if e.start is not None}
+        previous_symbols = {previous(equation.name) for equation in self.remembered}
         known_symbols = {*given_symbols, DT, *previous_symbols}
         for element in self.memory:
             readable_states = {element.state} if isinstance(element, Relaxation) else set()
@@ -136,7 +138,7 @@ class Component:
         for equation in self.equations:
             parts = (equation.expression, *(() if equation.start is None else (equation.start,)))
             _require_known(
-                set().union(*(e.free_symbols for e in parts)) - known_symbols, equation.name
+                set().union(*(part.free_symbols for part in parts)) - known_symbols, equation.name
             )
         _require_known(self.settling.free_symbols - set(given_symbols), "settling")
         self.ordered  # noqa: B018 - raises if equations form a circle

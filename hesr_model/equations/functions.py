@@ -82,36 +82,36 @@ _SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
 
 
 def _cardinal_sine(x: Any) -> Any:
-    small = np.abs(x) < _SERIES_BELOW
+    is_small = np.abs(x) < _SERIES_BELOW
     series = 1.0 - x**2 / 6.0 * (1.0 - x**2 / 20.0)
-    return np.where(small, series, np.sin(x) / np.where(small, 1.0, x))
+    return np.where(is_small, series, np.sin(x) / np.where(is_small, 1.0, x))
 
 
 def _cardinal_slope(x: Any) -> Any:
-    small = np.abs(x) < _SERIES_BELOW
+    is_small = np.abs(x) < _SERIES_BELOW
     series = -x / 3.0 * (1.0 - x**2 / 10.0)
-    quotient = (np.cos(x) - _cardinal_sine(x)) / np.where(small, 1.0, x)
-    return np.where(small, series, quotient)
+    quotient = (np.cos(x) - _cardinal_sine(x)) / np.where(is_small, 1.0, x)
+    return np.where(is_small, series, quotient)
 
 
 def _share(z: Any, e: Any, euler: Any) -> Any:
-    small = np.abs(z) < _SERIES_BELOW
-    if euler is False and not np.any(small):  # most rows of most logs
+    is_small = np.abs(z) < _SERIES_BELOW
+    if euler is False and not np.any(is_small):  # most rows of most logs
         return -e / z
     series = 1.0 - z / 2.0 * (1.0 - z / 3.0 * (1.0 - z / 4.0 * (1.0 - z / 5.0)))
-    return np.where(euler, 1.0, np.where(small, series, -e / np.where(small, 1.0, z)))
+    return np.where(euler, 1.0, np.where(is_small, series, -e / np.where(is_small, 1.0, z)))
 
 
 def _share_slope(z: Any, e: Any, euler: Any) -> Any:
-    small = np.abs(z) < _SERIES_BELOW
+    is_small = np.abs(z) < _SERIES_BELOW
     series = -1.0 / 2.0 + z * (1.0 / 3.0 - z * (1.0 / 8.0 - z * (1.0 / 30.0 - z / 144.0)))
-    quotient = (1.0 + e - _share(z, e, False)) / np.where(small, 1.0, z)
-    return np.where(euler, 0.0, np.where(small, series, quotient))
+    quotient = (1.0 + e - _share(z, e, False)) / np.where(is_small, 1.0, z)
+    return np.where(euler, 0.0, np.where(is_small, series, quotient))
 
 
 def _divide_or_default(a: Any, b: Any, otherwise: Any) -> Any:
-    divides = np.greater(b, 0.0)
-    return np.where(divides, a / np.where(divides, b, 1.0), otherwise)
+    is_positive = np.greater(b, 0.0)
+    return np.where(is_positive, a / np.where(is_positive, b, 1.0), otherwise)
 
 
 NUMPY: Mapping[str, Callable[..., Any]] = {

@@ -16,16 +16,16 @@ from hesr_model.support.arrays import Array
 
 Enclosure = tuple[Array, Array]
 _MAX_ROUNDS = 100
-_MAX_BOXES = 200_000  # limits of the subdivision
-_RELATIVE_PRECISION = 1e-6  # relative, of the least value
+_MAX_BOXES = 200_000  # limit of the subdivision
+_RELATIVE_PRECISION = 1e-6  # of the least value
 
 
-class Least(NamedTuple):
-    """Lower bound of a function, and its least known value and where."""
+class Minimum(NamedTuple):
+    """Lower bound of a function, and its least known value with its place."""
 
     bound: float
     value: float
-    at: float
+    minimiser: float
 
 
 def find_minimum(
@@ -34,7 +34,7 @@ def find_minimum(
     *,
     sufficient_bound: float = inf,
     size: float = 0.0,
-) -> Least:
+) -> Minimum:
     """Return the least value of a function of x > 0 between the first and the last of `edges`.
 
     `bound` maps ends of intervals to lower bounds. Intervals are halved until the bound exceeds
@@ -62,7 +62,7 @@ def find_minimum(
         closed_bound = min(closed_bound, float(interval_bounds[~is_open].min(initial=inf)))
         box_count += len(lower_ends)
         if not np.any(is_open):
-            return Least(closed_bound, lowest_value, minimiser)
+            return Minimum(closed_bound, lowest_value, minimiser)
         open_bound = float(interval_bounds[is_open].min())
         if box_count > _MAX_BOXES or lowest_value == -inf:
             break
@@ -71,7 +71,7 @@ def find_minimum(
             np.concatenate([lower_ends, middles]),
             np.concatenate([middles, upper_ends]),
         )
-    return Least(min(closed_bound, open_bound), lowest_value, minimiser)
+    return Minimum(min(closed_bound, open_bound), lowest_value, minimiser)
 
 
 def bound_expression(expression: sympy.Expr, box: Mapping[sympy.Symbol, Enclosure]) -> Enclosure:
@@ -109,7 +109,7 @@ def _bound_expression(expression: sympy.Expr, enclosures: dict[sympy.Expr, Enclo
             lower, upper = _hull([_multiply_bounds(a, b) for a in (lower, upper) for b in factor])
         return lower, upper
     if isinstance(expression, sympy.Pow) and expression.exp.is_number:
-        return _power(*arguments[0], float(expression.exp))
+        return _bound_power(*arguments[0], float(expression.exp))
     if function_name in _RISING_FUNCTIONS:
         lower_ends, upper_ends = zip(*arguments, strict=True)
         return _RISING_FUNCTIONS[function_name](*lower_ends), _RISING_FUNCTIONS[function_name](
@@ -145,17 +145,16 @@ def _hull(ends: Sequence[Array]) -> Enclosure:
     return np.minimum.reduce(ends), np.maximum.reduce(ends)
 
 
-def _power(lower: Array, upper: Array, exponent: float) -> Enclosure:
+def _bound_power(lower: Array, upper: Array, exponent: float) -> Enclosure:
     if exponent < 0.0:
-        lower, upper = _power(lower, upper, -exponent)
+        lower, upper = _bound_power(lower, upper, -exponent)
         spans_zero = (lower < 0.0) & (upper > 0.0)
         return (
             np.where(spans_zero | (upper == 0.0), -inf, 1.0 / upper),
             np.where(spans_zero | (lower == 0.0), inf, 1.0 / lower),
         )
-    lowest_end, highest_end = _hull(
-        [lower**exponent, upper**exponent]
-    )  # NaN for a root of negative numbers
+    # NaN for a root of negative numbers
+    lowest_end, highest_end = _hull([lower**exponent, upper**exponent])
     if exponent % 2.0 == 0.0:
         lowest_end = np.where((lower < 0.0) & (upper > 0.0), 0.0, lowest_end)
     return lowest_end, highest_end

@@ -36,12 +36,12 @@ class Kernel:
         graph.move(self.memory)
         graph.assign(names or {})
         results = [graph.find_node(expression) for expression in expressions]
-        self.known = [] if once else find_fixed_nodes(graph, results)
-        self.fixed = build_program(graph, self.known)
-        self.main = build_program(graph, results, self.known)
+        self.known_nodes = [] if once else find_fixed_nodes(graph, results)
+        self.fixed_program = build_program(graph, self.known_nodes)
+        self.main_program = build_program(graph, results, self.known_nodes)
         graph = Graph((*numbers, *(element.state for element in self.memory)), inputs)
         graph.assign(initial_state(self.memory, settling))
-        self.first = build_program(
+        self.first_program = build_program(
             graph, [graph.find_node(initial_symbol(element)) for element in self.memory]
         )
         self.row_by_row = any(
@@ -69,17 +69,18 @@ class KernelRun(ProgramRun):
     ) -> None:
         # C does not check lengths.
         arrays = [_to_doubles(np.broadcast_to(column, np.shape(dt))) for column in (dt, *inputs)]
-        firsts, state_count = np.asarray(firsts, dtype=np.int64), len(kernel.memory)
+        firsts = np.asarray(firsts, dtype=np.int64)
+        state_count = len(kernel.memory)
         self._start = np.array(start or (0.0,) * state_count)
-        if kernel.known:
-            fixed_run = ProgramRun(kernel.fixed, arrays, firsts)
+        if kernel.known_nodes:
+            fixed_run = ProgramRun(kernel.fixed_program, arrays, firsts)
             fixed_run.run_rows(np.zeros(0))
-            arrays += list(fixed_run.found.T)
+            arrays += list(fixed_run.results.T)
         if kernel.memory:
             first_inputs = [column[firsts] for column in arrays]
-            self._first = ProgramRun(kernel.first, first_inputs, np.arange(len(firsts)))
+            self._first = ProgramRun(kernel.first_program, first_inputs, np.arange(len(firsts)))
         super().__init__(
-            kernel.main,
+            kernel.main_program,
             arrays,
             firsts,
             states=state_count,
@@ -95,7 +96,7 @@ class KernelRun(ProgramRun):
             self.starts[:] = start if start.ndim > 1 else start[:, None]
         elif len(self.starts):
             self._first.run_rows(np.concatenate([numbers, self._start if start is None else start]))
-            self.starts[:] = self._first.found.T
+            self.starts[:] = self._first.results.T
         return self.starts
 
     def evaluate(
@@ -104,7 +105,7 @@ class KernelRun(ProgramRun):
         """Return (N, K) results, valid until the next call; SimulationError if unstable."""
         self.begin(numbers, start, settled=settled)
         self.run_rows(numbers)
-        return self.found
+        return self.results
 
     def fit_factors(
         self, numbers: Array, *, non_negative: int, weights: Array | None = None, keep: bool = False

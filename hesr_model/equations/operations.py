@@ -19,7 +19,7 @@ NAMES = (
     *("SGN", "ABSOLUTE", "POSITIVE", "LARGER"),
     *("CLIP", "EXCEEDS", "OVER", "CARRIED", "RELAX", "STOP", "STOP_BESIDE", "ADD_SAME"),
     "MULTIPLY_SAME",
-)  # Operations of `rows.c` by number
+)  # operations of `rows.c` by number
 STOPS = 4  # stops moved together, as in `rows.c`
 
 _FUNCTIONS: Mapping[Any, str] = {sympy.exp: "EXP"} | {
@@ -51,19 +51,19 @@ class Graph:
     def __init__(self, numbers: Sequence[sympy.Symbol], inputs: Sequence[sympy.Symbol]) -> None:
         self.inputs = (DT, *inputs)
         self.nodes: list[Node] = []
-        self._places: dict[tuple[Any, ...], int] = {}
-        self._of: dict[sympy.Basic, int] = {}
+        self._index_by_key: dict[tuple[Any, ...], int] = {}
+        self._index_by_expression: dict[sympy.Basic, int] = {}
         for dependence, symbols in (
             (Dependence.NUMBERS, numbers),
             (Dependence.INPUTS, self.inputs),
         ):
             for i, symbol in enumerate(symbols):
-                self._of[symbol] = self._intern_node("", (), i, dependence)
+                self._index_by_expression[symbol] = self._intern_node("", (), i, dependence)
 
     def assign(self, assignments: Mapping[sympy.Symbol, sympy.Expr]) -> None:
         """Define symbols by expressions of earlier ones."""
         for symbol, expression in assignments.items():
-            self._of[symbol] = self.find_node(expression)
+            self._index_by_expression[symbol] = self.find_node(expression)
 
     def move(self, memory: Sequence[Element]) -> None:
         """Define states and derivatives by their values after a step."""
@@ -71,30 +71,37 @@ class Graph:
             self._move_group(memory[first:end], first)
 
     def _move_group(self, group: Sequence[Element], first: int) -> None:
-        (element, *_), states = group, [m.state for m in group]
-        reads_itself = element.state in sympy.Tuple(*element.parts).free_symbols
+        leader = group[0]
+        states = [element.state for element in group]
+        reads_itself = leader.state in sympy.Tuple(*leader.parts).free_symbols
         if reads_itself:
-            self._of[element.state] = self._intern_node("CARRIED", (), first, Dependence.ROWS)
-        parts = [tuple(map(self.find_node, m.parts)) for m in group]
+            self._index_by_expression[leader.state] = self._intern_node(
+                "CARRIED", (), first, Dependence.ROWS
+            )
+        parts = [tuple(map(self.find_node, element.parts)) for element in group]
         if reads_itself:
-            self._of = {e: k for e, k in self._of.items() if element.state not in e.free_symbols}
-        operation = "RELAX" if isinstance(element, Relaxation) else "STOP"
-        leader = self._of[states[0]] = self._intern_node(
-            operation, parts[0], first, Dependence.ROWS
-        )
+            self._index_by_expression = {
+                expression: k
+                for expression, k in self._index_by_expression.items()
+                if leader.state not in expression.free_symbols
+            }
+        operation = "RELAX" if isinstance(leader, Relaxation) else "STOP"
+        leader_node = self._intern_node(operation, parts[0], first, Dependence.ROWS)
+        self._index_by_expression[leader.state] = leader_node
         for i in range(1, len(group)):
-            operands = (*parts[i], leader)
-            self._of[states[i]] = self._intern_node(
+            operands = (*parts[i], leader_node)
+            self._index_by_expression[states[i]] = self._intern_node(
                 "STOP_BESIDE", operands, first + i, Dependence.ROWS
             )
-        for m in group:
-            self._of[m.derivative] = self.find_node(m.express_derivative())
+        for element in group:
+            derivative = self.find_node(element.express_derivative())
+            self._index_by_expression[element.derivative] = derivative
 
     def find_node(self, expression: sympy.Expr) -> int:
         """Return an expression's node; raise ArtifactError for a function without operation."""
-        if expression not in self._of:
-            self._of[expression] = self._build_node(expression)
-        return self._of[expression]
+        if expression not in self._index_by_expression:
+            self._index_by_expression[expression] = self._build_node(expression)
+        return self._index_by_expression[expression]
 
     def _build_node(self, expression: sympy.Expr) -> int:
         if expression.is_Number or isinstance(expression, sympy.NumberSymbol):
@@ -111,18 +118,17 @@ class Graph:
         if operation is None:
             raise ArtifactError(
                 f"equations: '{expression}' uses the function '{expression.func.__name__}', "
-                "which cannot be run over "
-                f"logs; use {', '.join(sorted(map(str, _FUNCTIONS)))} and powers."
+                "which cannot be run over logs; use "
+                f" {', '.join(sorted(map(str, _FUNCTIONS)))} and powers."
             )
         return self._add_operation(operation, *map(self.find_node, expression.args))
 
     def _add_sum(self, expression: sympy.Add) -> int:
-        is_negative = [t.could_extract_minus_sign() for t in expression.args]
         added_nodes = [
-            self.find_node(t) for t, n in zip(expression.args, is_negative, strict=True) if not n
+            self.find_node(term) for term in expression.args if not term.could_extract_minus_sign()
         ]
         subtracted_nodes = [
-            self.find_node(-t) for t, n in zip(expression.args, is_negative, strict=True) if n
+            self.find_node(-term) for term in expression.args if term.could_extract_minus_sign()
         ]
         if not added_nodes:
             return self._add_operation("NEGATE", self._chain_operation("ADD", subtracted_nodes))
@@ -185,10 +191,10 @@ class Graph:
         return sorted(nodes, key=lambda node: self.nodes[node].dependence)
 
     def _chain_operation(self, name: str, nodes: Iterable[int]) -> int:
-        chained, *other_nodes = self._sort_by_dependence(nodes)
+        result, *other_nodes = self._sort_by_dependence(nodes)
         for node in other_nodes:
-            chained = self._add_operation(name, chained, node)
-        return chained
+            result = self._add_operation(name, result, node)
+        return result
 
     def _add_literal(self, value: float) -> int:
         return self._intern_node("", (), value, Dependence.LITERAL)
@@ -209,23 +215,23 @@ class Graph:
             repr(detail) if dependence is Dependence.LITERAL else detail,
             dependence,
         )
-        if key not in self._places:
-            self._places[key] = len(self.nodes)
+        if key not in self._index_by_key:
+            self._index_by_key[key] = len(self.nodes)
             self.nodes.append(Node(name, operands, detail, dependence))
-        return self._places[key]
+        return self._index_by_key[key]
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
     """Program for `rows.c`; registers hold inputs, then uniform values, then the others.
 
-    `inputs` are the inputs of the first registers, `dt` first, then known nodes; `given` (G,)
+    `inputs` are the inputs of the first registers, `dt` first, then known nodes; `constants` (G,)
     literals, 0 in place of numbers; `numbers` (2, M) positions there and numbers; `operations`
     (K, 5) operation, result and three operands, uniform ones first; `results` (R,) registers.
     """
 
     inputs: tuple[int, ...]
-    given: NDArray[np.float64]
+    constants: NDArray[np.float64]
     numbers: NDArray[np.int64]
     operations: NDArray[np.int32]
     uniform: int
@@ -282,7 +288,7 @@ def _collect_reachable_nodes(
 
 
 def build_program(graph: Graph, results: Sequence[int], known_nodes: Sequence[int] = ()) -> Program:
-    """Return the program of results; `known_nodes` nodes are inputs."""
+    """Return the program of results; `known_nodes` are inputs."""
     nodes = graph.nodes
     order = _order_nodes(nodes, results, set(known_nodes))
     input_numbers = {k: len(graph.inputs) + i for i, k in enumerate(known_nodes)}
@@ -292,30 +298,31 @@ def build_program(graph: Graph, results: Sequence[int], known_nodes: Sequence[in
         if nodes[k].dependence is Dependence.INPUTS and not nodes[k].operation
     }
     inputs = [k for k in order if k in input_numbers]
-    given_nodes = [k for k in order if not nodes[k].operation and k not in input_numbers]
+    constant_nodes = [k for k in order if not nodes[k].operation and k not in input_numbers]
     uniform_nodes = [
         k for k in order if nodes[k].operation and nodes[k].dependence <= Dependence.NUMBERS
     ]
     # `dt` always comes first: states move by it.
-    places = {k: 1 + i for i, k in enumerate((*inputs, *given_nodes, *uniform_nodes))}
+    places = {k: 1 + i for i, k in enumerate((*inputs, *constant_nodes, *uniform_nodes))}
     row_nodes = [k for k in order if k not in places]
     registers = _allocate(nodes, row_nodes, set(results), places, 1 + len(places))
-    given_values = [
-        nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0 for k in given_nodes
+    constants = [
+        nodes[k].detail if nodes[k].dependence is Dependence.LITERAL else 0.0
+        for k in constant_nodes
     ]
     numbers = [
         (i, nodes[k].detail)
-        for i, k in enumerate(given_nodes)
+        for i, k in enumerate(constant_nodes)
         if nodes[k].dependence is Dependence.NUMBERS
     ]
     operations = [_encode_operation(nodes, k, places) for k in (*uniform_nodes, *row_nodes)]
     return Program(
         inputs=(0, *(input_numbers[k] for k in inputs)),
-        given=np.array(given_values, dtype=np.float64),
+        constants=np.array(constants, dtype=np.float64),
         numbers=np.array(numbers, dtype=np.int64).reshape(-1, 2).T,
         operations=np.array(operations, dtype=np.int32).reshape(-1, 5),
         uniform=len(uniform_nodes),
-        uniform_count=len(given_nodes) + len(uniform_nodes),
+        uniform_count=len(constant_nodes) + len(uniform_nodes),
         registers=registers,
         results=np.array([places[k] for k in results], dtype=np.int32),
     )

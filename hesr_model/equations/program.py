@@ -121,7 +121,9 @@ class Jumps:
     """
 
     component: Component
-    every: bool = False  # True if all magnitudes are events, for tools that also hold their signs
+    all_magnitudes: bool = (
+        False  # True if all magnitudes are events, for tools that also hold their signs
+    )
 
     @cached_property
     def expressions(self) -> tuple[sympy.Expr, ...]:
@@ -129,7 +131,7 @@ class Jumps:
         component = self.component
         given_symbols = {quantity.symbol for quantity in component.given}
         inputs = {quantity.symbol for quantity in component.inputs}
-        parts = [expression.expression for expression in component.equations]
+        parts = [equation.expression for equation in component.equations]
         parts += [
             part
             for element in component.memory
@@ -140,9 +142,9 @@ class Jumps:
         }
         jumps = {z for expression, z in signs if _has_jump(expression, z)}
         bends = {z for _, z in signs} | {
-            n.args[0] for expression in parts for n in expression.atoms(absolute)
+            node.args[0] for expression in parts for node in expression.atoms(absolute)
         }
-        if not self.every:
+        if not self.all_magnitudes:
             bends = {
                 expression
                 for expression in bends
@@ -175,7 +177,7 @@ class Jumps:
 def remove_events(component: Component) -> Component:
     """Return a component without events, whose jumps are steep lines."""
     jumps = Jumps(replace(component, reversing=())).expressions
-    steep_lines = {sgn(equation): clip(equation / STEEP, 1) for equation in jumps}
+    steep_lines = {sgn(jump): clip(jump / STEEP, 1) for jump in jumps}
     equations = []
     for equation in component.equations:
         start = None if equation.start is None else equation.start.xreplace(steep_lines)
@@ -205,15 +207,19 @@ def find_sources(assignments: Assignments, target: sympy.Symbol) -> frozenset[sy
 
 
 def order_definitions(assignments: Assignments, targets: Iterable[sympy.Symbol]) -> Definitions:
-    """Return the ordered assignments for the wanted symbols."""
+    """Return the ordered assignments that the targets depend on."""
     required_symbols: set[sympy.Symbol] = set()
     waiting = set(targets) & assignments.keys()
     while waiting:
         symbol = waiting.pop()
         required_symbols.add(symbol)
         waiting |= (assignments[symbol].free_symbols & assignments.keys()) - required_symbols
-    required = {s: e for s, e in assignments.items() if s in required_symbols}
-    return {s: required[s] for s in order_symbols(required)}
+    required = {
+        symbol: expression
+        for symbol, expression in assignments.items()
+        if symbol in required_symbols
+    }
+    return {symbol: required[symbol] for symbol in order_symbols(required)}
 
 
 def build_straight_line(
@@ -233,16 +239,17 @@ def build_step(component: Component) -> Definitions:
     """Return the assignments of a step: `moved` states, then readings."""
     moved_symbols = {element.state: moved_symbol(element) for element in component.memory}
     return step(component.memory) | {
-        s: e.xreplace(moved_symbols) for s, e in readings(component).items()
+        symbol: expression.xreplace(moved_symbols)
+        for symbol, expression in readings(component).items()
     }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Invariants:
-    """Program split into `once`, of fixed symbols alone, and `moving`, which uses those `kept`."""
+    """Program split into `once`, of fixed symbols alone, and `moving`, which reads `reused`."""
 
     once: Assignments
-    kept: tuple[sympy.Symbol, ...]
+    reused: tuple[sympy.Symbol, ...]
     moving: Assignments
     names: Mapping[sympy.Symbol, str]
 
@@ -287,7 +294,12 @@ class Invariants:
                 fixed_symbols.add(symbol)
             else:
                 moving[symbol] = separate_fixed_terms(expression)
-        read_symbols = set[sympy.Symbol](targets).union(*(e.free_symbols for e in moving.values()))
+        read_symbols = set[sympy.Symbol](targets).union(
+            *(expression.free_symbols for expression in moving.values())
+        )
         return cls(
-            once=once, kept=tuple(s for s in once if s in read_symbols), moving=moving, names=names
+            once=once,
+            reused=tuple(symbol for symbol in once if symbol in read_symbols),
+            moving=moving,
+            names=names,
         )

@@ -12,7 +12,7 @@ def recurrence(a: Array, c: Array, start: float) -> Array:
     bands[0] = 1.0
     bands[1, :-1] = -a[1:]
     bands[1, -1] = 0.0
-    right = np.array(c, dtype=float)
-    right[0] = start
-    solution, _ = scipy.linalg.lapack.dtbtrs(bands, right[:, None], uplo="L", diag="U")
+    right_side = np.array(c, dtype=float)
+    right_side[0] = start
+    solution, _ = scipy.linalg.lapack.dtbtrs(bands, right_side[:, None], uplo="L", diag="U")
     return np.asarray(solution[:, 0])

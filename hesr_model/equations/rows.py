@@ -26,7 +26,7 @@ HOSTS = {
     ("darwin", "x86_64"): ("x86_64-macos.11.0", ".dylib"),
     ("darwin", "arm64"): ("aarch64-macos.11.0", ".dylib"),
     ("win32", "AMD64"): ("x86_64-windows-gnu", ".dll"),
-}  # Compiler target and library suffix of each machine
+}  # compiler target and library suffix of each machine
 _FLAGS = (
     *("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Werror", "-shared", "-nostdlib", "-g0", "-s"),
@@ -57,7 +57,7 @@ _NUMBERS = (
 )
 
 
-class _Program(ctypes.Structure):
+class _ProgramStruct(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in _ADDRESSES),
         *((name, ctypes.c_int64) for name in _NUMBERS),
@@ -108,7 +108,7 @@ def vectors() -> int:
 
 
 class ProgramRun:
-    """Program bound to arrays (N,), with results `found` (N, K) and initial states `starts`."""
+    """Program bound to arrays (N,), with `results` (N, K) and initial states `starts`."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class ProgramRun:
     ) -> None:
         self._rows = len(arrays[0])
         result_count = len(program.results)
-        self.found = np.empty((result_count, self._rows)).T if output is None else output
+        self.results = np.empty((result_count, self._rows)).T if output is None else output
         target = None if target is None else self._column(target)
         input_arrays = [arrays[i] for i in program.inputs]
         sizes = {
@@ -134,7 +134,7 @@ class ProgramRun:
             "x": result_count,
             "squares": 1,
             "factors": result_count * (result_count + 3),
-            "given": len(program.given),
+            "given": len(program.constants),
             "start": states * len(firsts),
             "carried": states,
             "inputs": len(input_arrays),
@@ -151,62 +151,62 @@ class ProgramRun:
             for (name, size), start in zip(sizes.items(), starts, strict=False)
         }
         buffer_address = _address(buffer)
-        output_address = _address(self.found)
+        output_address = _address(self.results)
         addresses = {
             name: buffer_address + 8 * start for name, start in zip(sizes, starts, strict=False)
         }
-        views["given"][:] = program.given
+        views["given"][:] = program.constants
         views["inputs"].view(np.int64)[:] = [_address(a) for a in input_arrays]
         views["strides"].view(np.int64)[:] = [a.strides[0] // 8 for a in input_arrays]
         views["out"].view(np.int64)[:] = [
-            output_address + i * self.found.strides[1] for i in range(result_count)
+            output_address + i * self.results.strides[1] for i in range(result_count)
         ]
         self.starts = views["start"].reshape(states, len(firsts))
         self.gram = views["gram"]
-        self._given = views["given"]
+        self._constants = views["given"]
         self._numbers = program.numbers
         self._x = views["x"]
         self._squares = views["squares"]
-        self._at = addresses
-        self._held = (program, input_arrays, firsts, target)  # keep alive: C uses their addresses
-        operations, results = program.addresses
-        self._program = _Program(
+        self._addresses = addresses
+        self._keep_alive = (program, input_arrays, firsts, target)  # C uses their addresses
+        operations_address, results_address = program.addresses
+        self._struct = _ProgramStruct(
             **{name: addresses[name] for name in sizes if name in _ADDRESSES},
-            operations=operations,
+            operations=operations_address,
             uniform=program.uniform,
             count=len(program.operations),
             input_count=len(input_arrays),
-            given_count=len(program.given),
+            given_count=len(program.constants),
             uniform_count=program.uniform_count,
             registers=program.registers,
             euler=float(euler),
             firsts=_address(firsts),
             first_count=len(firsts),
             block=block,
-            results=results,
+            results=results_address,
             result_count=result_count,
-            out_stride=self.found.strides[0] // 8,
+            out_stride=self.results.strides[0] // 8,
             target=None if target is None else _address(target),
             lane_count=sizes["lanes"],
         )
-        self._reference = ctypes.byref(self._program)
+        self._reference = ctypes.byref(self._struct)
 
     def _column(self, values: Array) -> Array:
         return np.ascontiguousarray(np.broadcast_to(values, (self._rows,)), dtype=np.float64)
 
     def run_rows(self, numbers: Array, first: int = 0, stop: int | None = None) -> None:
         """Write rows of the results, after all earlier rows."""
-        program = self._program
-        program.first = first
-        program.stop = self._rows if stop is None else stop
-        program.weights = None
-        program.gram = None
-        program.out = self._at["out"]
+        struct = self._struct
+        struct.first = first
+        struct.stop = self._rows if stop is None else stop
+        struct.weights = None
+        struct.gram = None
+        struct.out = self._addresses["out"]
         self._run(numbers)
 
     def solve_factors(self, non_negative: int) -> tuple[Array, float] | None:
         """Return the factors from the last `multiply`; see `KernelRun.fit_factors`."""
-        addresses = self._at
+        addresses = self._addresses
         is_determined = library().solve(
             addresses["gram"],
             len(self._x),
@@ -222,25 +222,24 @@ class ProgramRun:
 
         `keep` also writes the results.
         """
-        program = self._program
-        addresses = self._at
+        struct = self._struct
+        addresses = self._addresses
         column = None if weights is None else self._column(weights)
-        program.first = 0
-        program.stop = self._rows
-        program.weights = None if column is None else _address(column)
-        program.gram = addresses["gram"]
-        program.out = addresses["out"] if keep else None
+        struct.first = 0
+        struct.stop = self._rows
+        struct.weights = None if column is None else _address(column)
+        struct.gram = addresses["gram"]
+        struct.out = addresses["out"] if keep else None
         self._run(numbers)
         return self.gram.reshape(len(self._x) + 1, -1)
 
     def _run(self, numbers: Array) -> None:
-        self._given[self._numbers[0]] = numbers[self._numbers[1]]
-        program = self._program
+        self._constants[self._numbers[0]] = numbers[self._numbers[1]]
+        struct = self._struct
         if library().run(self._reference, vectors()):
             raise SimulationError(
-                f"Euler needs 0 <= rate * step < 1, found {program.unstable:.3g}; take a "
-                "smaller step "
-                "or the 'exact' discretisation."
+                f"Euler needs 0 <= rate * step < 1, found {struct.unstable:.3g}; take a "
+                "smaller step or the 'exact' discretisation."
             )
 
 

@@ -93,37 +93,37 @@ class ComponentRun:
         self,
         steps: Steps,
         values: Mapping[str, float],
-        states: Sequence[float],
+        start: Sequence[float],
         inputs: Sequence[str],
     ) -> None:
         names = [quantity.name for quantity in steps.component.given]
         self._steps = steps
-        self._given: list[Any] = [float(values.get(name, 0.0)) for name in names]
-        self._places = [names.index(name) for name in inputs]
-        self.states: Sequence[float] = list(states)
+        self._values: list[Any] = [float(values.get(name, 0.0)) for name in names]
+        self._input_indices = [names.index(name) for name in inputs]
+        self.states: Sequence[float] = list(start)
         self.remembered: Sequence[float] = []
 
     def _set_inputs(self, inputs: Sequence[float]) -> None:
-        for place, value in zip(self._places, inputs, strict=True):
+        for place, value in zip(self._input_indices, inputs, strict=True):
             # Scalars of NumPy are slow.
-            self._given[place] = value if isinstance(value, np.ndarray) else float(value)
+            self._values[place] = value if isinstance(value, np.ndarray) else float(value)
 
     def settle(self, *inputs: float) -> None:
         """Settle the initial states for the first inputs."""
         self._set_inputs(inputs)
-        [self.states] = self._steps.settle(self._given, self.states)
+        [self.states] = self._steps.settle(self._values, self.states)
 
     def begin(self, *inputs: float) -> Sequence[float]:
         """Return the observed equations before the first step."""
         self._set_inputs(inputs)
-        observed_values, self.remembered = self._steps.begin(self._given, self.states)
+        observed_values, self.remembered = self._steps.begin(self._values, self.states)
         return observed_values  # type: ignore[no-any-return]
 
     def step(self, dt: float, *inputs: float) -> Sequence[float]:
         """Hold the inputs over dt [s] and return the observed equations at its end."""
         self._set_inputs(inputs)
         observed_values, self.remembered, self.states = self._steps.step(
-            self._given, self.states, self.remembered, (float(dt),)
+            self._values, self.states, self.remembered, (float(dt),)
         )
         return observed_values  # type: ignore[no-any-return]
 

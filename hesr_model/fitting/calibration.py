@@ -36,16 +36,17 @@ _TINY_VARIANCE = 1e-30
 
 
 def calibrate_band(
-    law: FrictionLaw, records: Sequence[FrictionRecord]
+    law: FrictionLaw, joint_records: Sequence[FrictionRecord]
 ) -> tuple[FrictionLaw, float | None]:
     """Return the law with its band, and its left-out RMSE [N.m]; itself and None if not finite."""
-    errors, predicted_variance = _cross_validate_band(law, records)
+    errors, predicted_variance = _cross_validate_band(law, joint_records)
     if not np.all(np.isfinite(errors) & np.isfinite(predicted_variance)):
         return law, None
     dq, tau_load = (
-        np.concatenate([getattr(record, name) for record in records]) for name in ("dq", "tau_load")
+        np.concatenate([getattr(record, name) for record in joint_records])
+        for name in ("dq", "tau_load")
     )
-    has_rests = sum(_count_rests(record) for record in records) >= MIN_RESTS
+    has_rests = sum(_count_rests(record) for record in joint_records) >= MIN_RESTS
     share_rows = slice(None, None, -(-len(errors) // _MAX_SHARE_ROWS))
     squares = errors[share_rows] ** 2
     best = (np.inf, SLOW_SPEEDS[0], np.zeros(5))
@@ -82,14 +83,16 @@ def calibrate_band(
 
 
 def _cross_validate_band(
-    law: FrictionLaw, records: Sequence[FrictionRecord]
+    law: FrictionLaw, joint_records: Sequence[FrictionRecord]
 ) -> tuple[Array, Array]:
     """Return the (N,) errors of fits without the row's log, and their predicted variance."""
-    errors = np.concatenate([record.tau for record in records]) - _predict_records(law, records)
+    errors = np.concatenate([record.tau for record in joint_records]) - _predict_records(
+        law, joint_records
+    )
     if law.covariance is None:
         return errors, np.zeros_like(errors)
-    jacobian = _sensitivities(law, records)
-    labels = blocks_of_time(log_of_rows(records))
+    jacobian = _compute_sensitivities(law, joint_records)
+    labels = blocks_of_time(log_of_rows(joint_records))
     hessian = jacobian.T @ jacobian
     left_out_errors = errors.copy()
     for k in range(int(labels[-1]) + 1):
@@ -102,7 +105,7 @@ def _cross_validate_band(
     return left_out_errors, np.sum(jacobian**2, axis=1)
 
 
-def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
+def _compute_sensitivities(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> Array:
     """Return the changes of torque (N, r) [N.m] by one standard deviation of independent errors."""
     covariance = law.covariance
     assert covariance is not None
@@ -119,15 +122,15 @@ def _sensitivities(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array
             else _DIFFERENCE_STEP * 1e-3
         )
         after, before = (
-            _predict_records(replace(law, values={**law.values, name: changed}), records)
+            _predict_records(replace(law, values={**law.values, name: changed}), joint_records)
             for changed in (coefficient + step, coefficient - step)
         )
         columns.append((after - before) / (2.0 * step))
     return np.asarray(np.stack(columns, axis=1) @ directions)
 
 
-def _predict_records(law: FrictionLaw, records: Sequence[FrictionRecord]) -> Array:
-    return np.concatenate([predict_record(law, record) for record in records])
+def _predict_records(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> Array:
+    return np.concatenate([predict_record(law, record) for record in joint_records])
 
 
 def fit_variance_shares(columns: Array, squares: Array, known_variance: Array) -> Array:

@@ -34,11 +34,11 @@ from hesr_model.support.arrays import Array, Integers
 Nuisance = Literal["offset", "level"]
 _NUISANCE_ROUNDS = 30
 _MIN_LEVEL = 0.2
-_MAX_LEVEL = 5.0  # of a level
+_MAX_LEVEL = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnOfLog:
+class LogNuisances:
     """Level of friction [1] and offset [N.m; N] of a log."""
 
     level: float = 1.0
@@ -46,15 +46,15 @@ class OwnOfLog:
 
 
 def estimate_nuisances(
-    records: Sequence[FrictionRecord], kinds: Sequence[Nuisance]
-) -> dict[str, OwnOfLog]:
+    joint_records: Sequence[FrictionRecord], kinds: Sequence[Nuisance]
+) -> dict[str, LogNuisances]:
     """Estimate the nuisances of each log of a joint by name; a single log has none."""
-    logs = list(dict.fromkeys(record.log for record in records))
-    log_nuisances = [OwnOfLog() for _ in logs]
-    if len(logs) > 1 and kinds:
-        log_of_row = log_of_rows(records)
-        tau = np.concatenate([log_record.tau for log_record in records])
-        dq = np.concatenate([log_record.dq for log_record in records])
+    log_names = list(dict.fromkeys(record.log for record in joint_records))
+    log_nuisances = [LogNuisances() for _ in log_names]
+    if len(log_names) > 1 and kinds:
+        log_of_row = log_of_rows(joint_records)
+        tau = np.concatenate([record.tau for record in joint_records])
+        dq = np.concatenate([record.dq for record in joint_records])
         weights = np.bincount(log_of_row) / len(log_of_row)
         columns = np.column_stack([np.tanh(dq / MOVING), dq, np.ones_like(dq)])
         for _ in range(_NUISANCE_ROUNDS):
@@ -72,39 +72,41 @@ def estimate_nuisances(
                 else 0.0
             )
             log_nuisances = [
-                OwnOfLog(level=nuisances.level / mean_level, offset=nuisances.offset - mean_offset)
+                LogNuisances(
+                    level=nuisances.level / mean_level, offset=nuisances.offset - mean_offset
+                )
                 for nuisances in log_nuisances
             ]
-    return dict(zip(logs, log_nuisances, strict=True))
+    return dict(zip(log_names, log_nuisances, strict=True))
 
 
 def remove_nuisances(
-    records: Sequence[FrictionRecord], nuisances: Mapping[str, OwnOfLog]
+    joint_records: Sequence[FrictionRecord], nuisances: Mapping[str, LogNuisances]
 ) -> list[FrictionRecord]:
     """Return records without the nuisances of their logs."""
     return [
         replace(
             record, tau=(record.tau - nuisances[record.log].offset) / nuisances[record.log].level
         )
-        for record in records
+        for record in joint_records
     ]
 
 
 def add_fitted_nuisances(
-    predictions: Sequence[Array], records: Sequence[FrictionRecord], kinds: Sequence[Nuisance]
+    predictions: Sequence[Array], joint_records: Sequence[FrictionRecord], kinds: Sequence[Nuisance]
 ) -> list[Array]:
     """Return predictions (N,) [N.m] with fitted nuisances of each log; these are not blind."""
-    log_of_row = log_of_rows(records)
+    log_of_row = log_of_rows(joint_records)
     tau_predicted = np.concatenate(predictions)
     nuisances = _solve_each_log(
-        tau_predicted, np.concatenate([record.tau for record in records]), log_of_row, kinds
+        tau_predicted, np.concatenate([record.tau for record in joint_records]), log_of_row, kinds
     )
     ends = np.cumsum([len(tau) for tau in predictions])
     level, offset = _expand_to_rows(nuisances, log_of_row)
     return np.split(level * tau_predicted + offset, ends[:-1])
 
 
-def _expand_to_rows(log_nuisances: Sequence[OwnOfLog], log_of_row: Integers) -> Array:
+def _expand_to_rows(log_nuisances: Sequence[LogNuisances], log_of_row: Integers) -> Array:
     return np.array([[nuisances.level, nuisances.offset] for nuisances in log_nuisances])[
         log_of_row
     ].T
@@ -112,28 +114,31 @@ def _expand_to_rows(log_nuisances: Sequence[OwnOfLog], log_of_row: Integers) -> 
 
 def _solve_each_log(
     tau_predicted: Array, tau: Array, log_of_row: Integers, kinds: Sequence[Nuisance]
-) -> list[OwnOfLog]:
-    masks = (log_of_row == k for k in range(log_of_row[-1] + 1))
-    return [solve_nuisances(tau_predicted[mask], tau[mask], kinds) for mask in masks]
+) -> list[LogNuisances]:
+    log_nuisances = []
+    for k in range(log_of_row[-1] + 1):
+        is_of_log = log_of_row == k
+        log_nuisances.append(solve_nuisances(tau_predicted[is_of_log], tau[is_of_log], kinds))
+    return log_nuisances
 
 
-def solve_nuisances(tau_predicted: Array, tau: Array, kinds: Sequence[Nuisance]) -> OwnOfLog:
+def solve_nuisances(tau_predicted: Array, tau: Array, kinds: Sequence[Nuisance]) -> LogNuisances:
     """Solve for the nuisances of a log, from predicted and measured torque (N,) [N.m]."""
     if "level" not in kinds:
-        return OwnOfLog(offset=float(np.mean(tau - tau_predicted)))
+        return LogNuisances(offset=float(np.mean(tau - tau_predicted)))
     columns = [tau_predicted, np.ones_like(tau_predicted)][: 2 if "offset" in kinds else 1]
     solution = np.linalg.lstsq(np.column_stack(columns), tau, rcond=None)[0]
     level = float(np.clip(solution[0], _MIN_LEVEL, _MAX_LEVEL))
     offset = float(np.mean(tau - level * tau_predicted)) if "offset" in kinds else 0.0
-    return OwnOfLog(level=level, offset=offset)
+    return LogNuisances(level=level, offset=offset)
 
 
-_NOISE_ROUNDS = 3  # of the noise
+_NOISE_ROUNDS = 3  # of the estimate of the noise
 _MAX_FACTOR = 2.0  # largest change of coefficients within memory or a function
 _CHANGE_SHARES = (1.0, 0.5, 0.25, 0.1)  # of the change, tried until the law is passive
 _MIN_RELATIVE_VARIANCE = 1e-8  # relative variance of directions that the earlier fits do not know
-_MAX_AUTOCORRELATION = 0.995  # largest autocorrelation
-_MIN_NOISE = 1e-12  # [N.m] of the noise
+_MAX_AUTOCORRELATION = 0.995
+_MIN_NOISE = 1e-12  # [N.m]
 
 
 def build_prior(models: Sequence[FrictionModel]) -> FrictionModel:
@@ -175,10 +180,10 @@ def _average_laws(laws: Sequence[FrictionLaw]) -> FrictionLaw:
         for name in covariances[0].names
         if all(name in covariance.names for covariance in covariances)
     ]
-    places = [[covariance.names.index(name) for name in names] for covariance in covariances]
+    indices = [[covariance.names.index(name) for name in names] for covariance in covariances]
     matrices = [
         covariance.matrix[np.ix_(selected, selected)]
-        for covariance, selected in zip(covariances, places, strict=True)
+        for covariance, selected in zip(covariances, indices, strict=True)
     ]
     values = np.array([[law.values[name] for name in names] for law in laws])
     scatter = np.atleast_2d(np.cov(values, rowvar=False))
@@ -207,42 +212,47 @@ def _replace_coefficients(
 
 
 def adapt(
-    prior: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
+    prior_model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
     """Adapt laws of `build_prior` to records [joint][log]; return them and sentences by joint.
 
     Raises FitError if the joints differ.
     """
     joints = tuple(joint_records[0].joint for joint_records in records)
-    if joints != prior.joints:
+    if joints != prior_model.joints:
         raise FitError(
-            f"the log has the joints {', '.join(joints)}, but the prior {', '.join(prior.joints)}."
+            f"the log has the joints {', '.join(joints)}, but the prior "
+            f"{', '.join(prior_model.joints)}."
         )
-    records_at_friction = transform_all_records(records)
+    transformed_records = transform_all_records(records)
     laws = [
-        _adapt_law(prior, j, joint_records) for j, joint_records in enumerate(records_at_friction)
+        _adapt_law(prior_model, j, joint_records)
+        for j, joint_records in enumerate(transformed_records)
     ]
-    errors = tuple(map(training_error, laws, records_at_friction))
-    seconds = sum(float(np.ptp(record.t)) for record in records_at_friction[0])
-    model = replace(prior, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
+    errors = tuple(map(training_error, laws, transformed_records))
+    seconds = sum(float(np.ptp(record.t)) for record in transformed_records[0])
+    model = replace(prior_model, laws=tuple(laws), training_rmse=errors, left_out_rmse=())
     return model, [
         f"{joint}: error over {seconds:.3g} s {training_error(law, joint_records):.3g} -> "
         f"{error:.3g}"
         for joint, law, joint_records, error in zip(
-            joints, prior.laws, records_at_friction, errors, strict=True
+            joints, prior_model.laws, transformed_records, errors, strict=True
         )
     ]
 
 
-def _adapt_law(prior: FrictionModel, j: int, records: Sequence[FrictionRecord]) -> FrictionLaw:
-    law = prior.laws[j]
+def _adapt_law(
+    prior_model: FrictionModel, j: int, joint_records: Sequence[FrictionRecord]
+) -> FrictionLaw:
+    law = prior_model.laws[j]
     covariance = law.covariance
     assert covariance is not None
     limits = _bound_coefficients(law, covariance.names)
     if not limits:
         return law
-    names, (lower, upper) = tuple(limits), np.array(list(limits.values())).T
-    prior_point = np.array([law.values[n] for n in names])
+    names = tuple(limits)
+    lower, upper = np.array(list(limits.values())).T
+    prior_point = np.array([law.values[name] for name in names])
     prior_covariance = covariance.of_another_log
     prior_deviations = np.sqrt(np.maximum(np.diag(prior_covariance), np.finfo(float).tiny))
     eigenvalues, eigenvectors = np.linalg.eigh(
@@ -252,7 +262,8 @@ def _adapt_law(prior: FrictionModel, j: int, records: Sequence[FrictionRecord]) 
         eigenvectors / np.sqrt(np.maximum(eigenvalues, _MIN_RELATIVE_VARIANCE * eigenvalues[-1]))
     ).T / prior_deviations  # root' root = P^-1
     adapted = [covariance.names.index(name) for name in names]
-    root, prior_deviations = root[:, adapted], prior_deviations[adapted]
+    root = root[:, adapted]
+    prior_deviations = prior_deviations[adapted]
 
     def build_law(point: Array) -> FrictionLaw:
         changed_values = dict(zip(names, map(float, point), strict=True))
@@ -261,10 +272,10 @@ def _adapt_law(prior: FrictionModel, j: int, records: Sequence[FrictionRecord]) 
     def error(point: Array) -> Array:
         changed_law = build_law(point)
         return np.concatenate(
-            [predict_record(changed_law, record) - record.tau for record in records]
+            [predict_record(changed_law, record) - record.tau for record in joint_records]
         )
 
-    tau = np.concatenate([record.tau for record in records])
+    tau = np.concatenate([record.tau for record in joint_records])
     best = prior_point
     for _ in range(_NOISE_ROUNDS):
         noise = _estimate_noise(error(best))
@@ -281,12 +292,12 @@ def _adapt_law(prior: FrictionModel, j: int, records: Sequence[FrictionRecord]) 
             evaluations=20,
         )
         best = optimum.x
-    if prior.trained and certify(law, prior.trained[j]).verdict == "proven":
+    if prior_model.trained and certify(law, prior_model.trained[j]).verdict == "proven":
         candidates = (prior_point + share * (best - prior_point) for share in _CHANGE_SHARES)
         passive = (
             candidate
             for candidate in candidates
-            if certify(build_law(candidate), prior.trained[j]).verdict == "proven"
+            if certify(build_law(candidate), prior_model.trained[j]).verdict == "proven"
         )
         best = next(passive, prior_point)
     adapted_values = dict(zip(names, map(float, best), strict=True))
@@ -304,11 +315,7 @@ def _bound_coefficients(law: FrictionLaw, names: Sequence[str]) -> dict[str, tup
     )
     zeros = {
         DQ: 0,
-        **{
-            state_symbol: 0
-            for element in form.memory
-            for state_symbol in (element.state, element.derivative)
-        },
+        **{state: 0 for element in form.memory for state in (element.state, element.derivative)},
     }
     for name in names:
         symbol = sympy.Symbol(name, real=True)

@@ -25,7 +25,7 @@ LARGEST_LOAD = Coefficient(
 )
 
 
-class Described(Estimator):
+class DeclarativeEstimator(Estimator):
     """A law given by its core, with optional ripple and estimated start.
 
     Attributes
@@ -50,9 +50,9 @@ class Described(Estimator):
         extra_keys = ("ripple", *("limited",) * cls.limited)
         core = cls.core({key: value for key, value in structure.items() if key not in extra_keys})
         if cls.limited and structure.get("limited"):
-            swap = {TAU_LOAD: clip(TAU_LOAD, LARGEST_LOAD.symbol)}
+            replacements = {TAU_LOAD: clip(TAU_LOAD, LARGEST_LOAD.symbol)}
             coefficients = core.coefficients
-            memory = (element.subs(swap) for element in core.memory)
+            memory = (element.subs(replacements) for element in core.memory)
             core = replace(core, coefficients=(*coefficients, LARGEST_LOAD), memory=tuple(memory))
         if "ripple" not in structure:
             return core
@@ -61,7 +61,7 @@ class Described(Estimator):
     def finish(self, structure: Mapping[str, Any], problem: Separable, point: Array) -> FrictionLaw:
         """Return the law at a point of a core's problem, with ripple if it lowers the error."""
         full_structure = dict(structure)
-        rows = problem.samples
+        rows = problem.rows
         selected_ripple = None
         if self.ripple and rows.gear_ratio is not None:
             columns = problem.columns(point)
@@ -95,7 +95,7 @@ class Described(Estimator):
         )
 
 
-class OneForm(Described):
+class OneForm(DeclarativeEstimator):
     """A law of one form, linear in most coefficients, fitted by differential evolution.
 
     Attributes

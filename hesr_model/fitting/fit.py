@@ -36,7 +36,10 @@ _VERSIONED_PACKAGES = ("hesr", "numpy", "scipy", "sympy")
 
 
 def compute_key(
-    law_name: str, records: Sequence[FrictionRecord], seed: int, options: Mapping[str, Any] | None
+    law_name: str,
+    joint_records: Sequence[FrictionRecord],
+    seed: int,
+    options: Mapping[str, Any] | None,
 ) -> str:
     """Return the hash of law, options, seed, versions and every row."""
     fingerprint = [
@@ -46,7 +49,7 @@ def compute_key(
         [version(name) for name in _VERSIONED_PACKAGES],
     ]
     key = hashlib.sha256(json.dumps(fingerprint, sort_keys=True, default=str).encode())
-    for record in records:
+    for record in joint_records:
         key.update(repr((record.joint, record.gear_ratio, record.sliding)).encode())
         for name in _COLUMNS:
             key.update(getattr(record, name).tobytes())
@@ -55,7 +58,7 @@ def compute_key(
 
 def fit_joint(
     law_name: str,
-    records: Sequence[FrictionRecord],
+    joint_records: Sequence[FrictionRecord],
     *,
     seed: int,
     options: Mapping[str, Any] | None = None,
@@ -71,31 +74,30 @@ def fit_joint(
     except TypeError as error:
         raise FitError(f"law '{law_name}' does not take these options ({error}).") from error
     for need in estimator_class.needs:
-        if any(getattr(record, need) is None for record in records):
+        if any(getattr(record, need) is None for record in joint_records):
             raise FitError(
-                f"joint '{records[0].joint}': law '{law_name}' needs the key '{need}'; add it "
-                "to the "
-                "robot file."
+                f"joint '{joint_records[0].joint}': law '{law_name}' needs the key '{need}'; add "
+                "it to the robot file."
             )
-    largest = max(float(np.max(np.abs(record.tau))) for record in records)
+    largest = max(float(np.max(np.abs(record.tau))) for record in joint_records)
     if not _MIN_TORQUE < largest < 1.0 / _MIN_TORQUE:
         raise FitError(
-            f"joint '{records[0].joint}': its friction torque reaches {largest:g}; law "
-            f"'{law_name}' "
-            "cannot be fitted to it; see 'hesr inspect'."
+            f"joint '{joint_records[0].joint}': its friction torque reaches {largest:g}; law "
+            f"'{law_name}' cannot be fitted to it; see 'hesr inspect'."
         )
     with threadpool_limits(1):
         try:
-            law = law_estimator.fit(records, np.random.default_rng(seed))
+            law = law_estimator.fit(joint_records, np.random.default_rng(seed))
         except (ArtifactError, np.linalg.LinAlgError) as error:
             reason = str(error).rstrip(".")
             raise FitError(
-                f"joint '{records[0].joint}': {reason}; its torque does not determine the law."
+                f"joint '{joint_records[0].joint}': {reason}; its torque does not determine "
+                "the law."
             ) from error
         space = (
             law_estimator.build_fitted_space(law) if isinstance(law_estimator, OneForm) else None
         )
-        return add_standard_errors(law, records, space)
+        return add_standard_errors(law, joint_records, space)
 
 
 def fit(
@@ -138,14 +140,15 @@ def fit_models(
     provenance: Mapping[str, Any] | None = None,
     workers: int | None = None,
     progress: Progress = silent,
-    left_out: Callable[[str, FitError], None] | None = None,
+    report_left_out: Callable[[str, FitError], None] | None = None,
     checkpoints: Path | None = None,
     per_log: Sequence[Nuisance] = (),
 ) -> dict[str, FrictionModel]:
     """Fit several laws to every joint; return models by name of the law or variant.
 
     `records` are those of each joint, one per training log; `variants` maps names to laws of the
-    registry. Without `left_out` the first law that the records do not determine raises its error.
+    registry. Without `report_left_out` the first law that the records do not determine raises its
+    error.
     `checkpoints` is a folder of checkpoints for killed runs. Nuisances `per_log` are removed first
     (`days`).
     """
@@ -172,16 +175,20 @@ def fit_models(
                     (variants or {}).get(law_name, law_name),
                     joint_records,
                     checkpoints=checkpoints,
-                    progress=Path(folder, f"{law_name}.{joint}"),
+                    progress=Path(folder, f"{law_name}.{j}"),
                     seed=seed,
                     options=(options or {}).get(law_name),
                 )
-                for joint, joint_records in enumerate(records)
+                for j, joint_records in enumerate(records)
             ]
             for law_name in laws
         }
-        fitted_laws = _run(
-            jobs, [joint_records[0].joint for joint_records in records], workers, progress, left_out
+        fitted_laws = _run_jobs(
+            jobs,
+            [joint_records[0].joint for joint_records in records],
+            workers,
+            progress,
+            report_left_out,
         )
     pooled_laws = {
         law_name: pool_errors(joint_laws) for law_name, joint_laws in fitted_laws.items()
@@ -225,12 +232,12 @@ def fit_models(
     }
 
 
-def _run(
+def _run_jobs(
     jobs: Mapping[str, Sequence["partial[FrictionLaw | FitError]"]],
     joints: Sequence[str],
     workers: int | None,
     progress: Progress,
-    left_out: Callable[[str, FitError], None] | None,
+    report_left_out: Callable[[str, FitError], None] | None,
 ) -> dict[str, list[FrictionLaw]]:
     all_jobs = [job for law_jobs in jobs.values() for job in law_jobs]
     fitted_laws: dict[str, list[FrictionLaw]] = {law_name: [] for law_name in jobs}
@@ -242,14 +249,14 @@ def _run(
             for result in islice(results, len(law_jobs)):
                 if isinstance(result, FrictionLaw):
                     fitted_laws[law_name].append(result)
-                elif left_out is None:
+                elif report_left_out is None:
                     raise result
                 else:
                     failed.setdefault(law_name, result)
-    for law_name, reason in failed.items():
-        if left_out is None or len(failed) == len(jobs):
-            raise reason
-        left_out(law_name, reason)
+    for law_name, fit_error in failed.items():
+        if report_left_out is None or len(failed) == len(jobs):
+            raise fit_error
+        report_left_out(law_name, fit_error)
     return {
         law_name: joint_laws
         for law_name, joint_laws in fitted_laws.items()
@@ -259,16 +266,15 @@ def _run(
 
 def _load_or_fit(
     law_name: str,
-    records: Sequence[FrictionRecord],
+    joint_records: Sequence[FrictionRecord],
     *,
     checkpoints: Path | None,
     progress: Path,
     seed: int,
     options: Mapping[str, Any] | None,
 ) -> FrictionLaw | FitError:
-    file_name = (
-        f"{law_name}.{records[0].joint}.{compute_key(law_name, records, seed, options)}.json"
-    )
+    key = compute_key(law_name, joint_records, seed, options)
+    file_name = f"{law_name}.{joint_records[0].joint}.{key}.json"
     path = (
         checkpoints / "".join(c if c.isalnum() or c in "._-" else "_" for c in file_name)
         if checkpoints
@@ -282,17 +288,19 @@ def _load_or_fit(
     if law is None:
         try:
             with steps_told(report):
-                law = fit_joint(law_name, records, seed=seed, options=options)
+                law = fit_joint(law_name, joint_records, seed=seed, options=options)
         except FitError as error:
             return error
         if path:
-            period = float(np.median(np.concatenate([np.diff(record.t) for record in records])))
+            period = float(
+                np.median(np.concatenate([np.diff(record.t) for record in joint_records]))
+            )
             FrictionModel(
                 law=law.name,
                 robot="robot",
-                joints=(records[0].joint,),
+                joints=(joint_records[0].joint,),
                 laws=(law,),
-                sliding=(records[0].sliding,),
+                sliding=(joint_records[0].sliding,),
                 sample_time=round(period, 9),
             ).write(path)
     report(1, 1)

@@ -29,7 +29,7 @@ class JointRows:
 
     dt: Array  # (N,) [s] since the previous row, 0 at the first of a record
     begins: Mask  # (N,) at the first row of a record
-    record: Integers  # (N,) index of the log; of the record for a single log
+    log_index: Integers  # (N,) index of the log; of the record for a single log
     dq: Array
     q: Array
     tau_load: Array
@@ -40,31 +40,34 @@ class JointRows:
     @property
     def folds(self) -> "list[Mask]":
         """(N,) masks of the rows left out in turn: logs, or blocks of time of a single log."""
-        group = blocks_of_time(self.record)
-        return [np.asarray(group == k) for k in range(int(group.max()) + 1)]
+        labels = blocks_of_time(self.log_index)
+        return [np.asarray(labels == k) for k in range(int(labels.max()) + 1)]
 
     @classmethod
-    def from_records(cls, records: Sequence[FrictionRecord], *, coefficients: int) -> "JointRows":
+    def from_records(
+        cls, joint_records: Sequence[FrictionRecord], *, coefficients: int
+    ) -> "JointRows":
         """Join the records of one joint; raises FitError or LogError if they do not suffice."""
-        rows = sum(len(record.t) for record in records)
-        joint = records[0].joint if records else "?"
-        if rows < coefficients:
+        row_count = sum(len(record.t) for record in joint_records)
+        joint = joint_records[0].joint if joint_records else "?"
+        if row_count < coefficients:
             raise FitError(
-                f"joint '{joint}': {rows} rows for {coefficients} coefficients; more data needed."
+                f"joint '{joint}': {row_count} rows for {coefficients} coefficients; more data "
+                "needed."
             )
-        require_reversals(records)
-        begins = np.concatenate([np.arange(len(record.t)) == 0 for record in records])
-        logs = log_of_rows(records)
-        names = ("dq", "q", "tau_load", "tau")
+        require_reversals(joint_records)
+        begins = np.concatenate([np.arange(len(record.t)) == 0 for record in joint_records])
+        log_of_row = log_of_rows(joint_records)
+        signals = ("dq", "q", "tau_load", "tau")
         return cls(
-            dt=np.concatenate([np.diff(record.t, prepend=record.t[0]) for record in records]),
+            dt=np.concatenate([np.diff(record.t, prepend=record.t[0]) for record in joint_records]),
             begins=begins,
-            record=logs if logs.any() else np.cumsum(begins) - 1,
-            gear_ratio=records[0].gear_ratio,
-            sliding=records[0].sliding,
+            log_index=log_of_row if log_of_row.any() else np.cumsum(begins) - 1,
+            gear_ratio=joint_records[0].gear_ratio,
+            sliding=joint_records[0].sliding,
             **{
-                name: np.concatenate([getattr(record, name) for record in records])
-                for name in names
+                name: np.concatenate([getattr(record, name) for record in joint_records])
+                for name in signals
             },
         )
 
@@ -82,19 +85,20 @@ class JointRows:
 _settling_share = to_numpy_function((DQ,), (SETTLING,))
 
 
-def log_of_rows(records: Sequence[FrictionRecord]) -> Integers:
+def log_of_rows(joint_records: Sequence[FrictionRecord]) -> Integers:
     """Return the (N,) index of each row's log."""
-    logs = list(dict.fromkeys(record.log for record in records))
+    log_names = list(dict.fromkeys(record.log for record in joint_records))
     return np.repeat(
-        [logs.index(record.log) for record in records], [len(record.t) for record in records]
+        [log_names.index(record.log) for record in joint_records],
+        [len(record.t) for record in joint_records],
     )
 
 
-def to_slice(rows: Mask) -> Mask | slice:
+def to_slice(is_selected: Mask) -> Mask | slice:
     """Return a mask (N,) as a slice if its rows are consecutive; slices do not copy."""
-    indices = np.flatnonzero(rows)
+    indices = np.flatnonzero(is_selected)
     is_consecutive = len(indices) and indices[-1] - indices[0] + 1 == len(indices)
-    return slice(int(indices[0]), int(indices[-1]) + 1) if is_consecutive else rows
+    return slice(int(indices[0]), int(indices[-1]) + 1) if is_consecutive else is_selected
 
 
 def least_squares(columns: Array, target: Array) -> Array:
@@ -143,7 +147,7 @@ def find_first_best(costs: Sequence[float] | Array, tolerance: float = ROUND_OFF
 _RELATIVE_RIDGE = 1e-9  # relative to each column's square; columns may be dependent
 
 
-class Normal:
+class NormalEquations:
     """Normal equations of weighted blocks (N, k); all but the last `free` are non-negative."""
 
     @classmethod
@@ -151,17 +155,17 @@ class Normal:
         cls, columns: Array, tau: Array, folds: Sequence[Mask], weights: Array, *, free: int
     ) -> Self:
         """Return the equations of columns (N, K)."""
-        return cls([weights[:, None] * columns], Products(tau, folds, weights), free=free)
+        return cls([weights[:, None] * columns], FoldProducts(tau, folds, weights), free=free)
 
-    def __init__(self, blocks: Sequence[Array], products: "Products", *, free: int) -> None:
+    def __init__(self, blocks: Sequence[Array], products: "FoldProducts", *, free: int) -> None:
         self._blocks = blocks
         self._products = products
         self._free = free
         column_ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
         self._places = [slice(a, b) for a, b in pairwise(column_ends)]
-        folds = len(products.folds)
+        fold_count = len(products.folds)
         self._grams, self._moments = (
-            np.empty((folds, column_ends[-1], *shape)) for shape in ((column_ends[-1],), ())
+            np.empty((fold_count, column_ends[-1], *shape)) for shape in ((column_ends[-1],), ())
         )
         for i, a in enumerate(self._places):
             self._moments[:, a] = products.multiply_blocks(blocks[i], products.tau)[:, :, 0]
@@ -186,21 +190,21 @@ class Normal:
         return errors
 
 
-class Products:
+class FoldProducts:
     """Products of columns over each fold, computed once per pair; `weights` (N,) are 1 or 0."""
 
     def __init__(self, tau: Array, folds: Sequence[Mask], weights: Array) -> None:
         self.tau: Array = (weights * tau)[:, None]
         self.folds = [to_slice(fold) for fold in folds]
         # Keys are identities of arrays, which are kept so that they stay unique.
-        self._known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
+        self._cache: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
 
     def multiply_blocks(self, a: Array, b: Array) -> Array:
         """Return (folds, k, l) products of two blocks (N, k) and (N, l)."""
         key = id(a), id(b)
-        if key not in self._known:
-            self._known[key] = a, b, np.array([a[fold].T @ b[fold] for fold in self.folds])
-        return self._known[key][2]
+        if key not in self._cache:
+            self._cache[key] = a, b, np.array([a[fold].T @ b[fold] for fold in self.folds])
+        return self._cache[key][2]
 
 
 def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
@@ -208,20 +212,30 @@ def signed_least_squares(gram: Array, moment: Array, free: int) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     g = gram * scale * scale[:, None] + _RELATIVE_RIDGE * np.eye(len(scale))
     m = moment * scale
-    signed = len(m) - free
-    solved = np.linalg.solve(g[signed:, signed:], np.c_[m[signed:], g[signed:, :signed]])
-    b = solved[:, 0]
-    c = solved[:, 1:]
-    root = np.linalg.cholesky(g[:signed, :signed] - g[:signed, signed:] @ c)
-    target = np.linalg.solve(root, m[:signed] - g[:signed, signed:] @ b)
+    signed_count = len(m) - free
+    solution = np.linalg.solve(
+        g[signed_count:, signed_count:], np.c_[m[signed_count:], g[signed_count:, :signed_count]]
+    )
+    free_part = solution[:, 0]
+    coupling_part = solution[:, 1:]
+    root = np.linalg.cholesky(
+        g[:signed_count, :signed_count] - g[:signed_count, signed_count:] @ coupling_part
+    )
+    target = np.linalg.solve(root, m[:signed_count] - g[:signed_count, signed_count:] @ free_part)
     # With no unknowns SciPy's nnls aborts the process.
-    x = scipy.optimize.nnls(root.T, target, maxiter=100 * len(scale))[0] if signed else np.zeros(0)
-    return np.asarray(np.concatenate([x, b - c @ x]) * scale)
+    x = (
+        scipy.optimize.nnls(root.T, target, maxiter=100 * len(scale))[0]
+        if signed_count
+        else np.zeros(0)
+    )
+    return np.asarray(np.concatenate([x, free_part - coupling_part @ x]) * scale)
 
 
-def divide_into_blocks(dt: Array, begins: Mask, seconds: float = 8.0, min_blocks: int = 8) -> Any:
-    """Return the index (N,) of each row's block: at most `seconds`, or `min_blocks` blocks."""
-    length = min(seconds, float(dt.sum()) / min_blocks)
+def divide_into_blocks(
+    dt: Array, begins: Mask, max_seconds: float = 8.0, min_blocks: int = 8
+) -> Any:
+    """Return the index (N,) of each row's block: at most `max_seconds`, or `min_blocks` blocks."""
+    length = min(max_seconds, float(dt.sum()) / min_blocks)
     clock = np.cumsum(np.where(begins, 0.0, dt))
     elapsed = clock - np.maximum.accumulate(np.where(begins, clock, 0.0))
     block_number = np.floor(elapsed / max(length, 1e-300)).astype(int)

@@ -52,7 +52,10 @@ class SearchSpace:
             name: FINEST_SCALE if is_prismatic and name in _LENGTHS else 1.0 for name in self.names
         }
         return replace(
-            self, bounds=tuple((n, (scales[n] * lower, upper)) for n, (lower, upper) in self.bounds)
+            self,
+            bounds=tuple(
+                (name, (scales[name] * lower, upper)) for name, (lower, upper) in self.bounds
+            ),
         )
 
 
@@ -75,7 +78,7 @@ class Separable:
         self,
         form: LawForm,
         space: SearchSpace,
-        samples: JointRows,
+        rows: JointRows,
         discretisation: Discretisation = "exact",
         start: Sequence[float] = (),
     ) -> None:
@@ -83,16 +86,18 @@ class Separable:
         self.discretisation = discretisation
         self.form = form
         self.space = space
-        self.samples = samples
-        self._kernel = _kernel(form, space)
+        self.rows = rows
+        self._kernel = _build_kernel(form, space)
         limits = np.array([limits for _, limits in space.bounds]).reshape(-1, 2)
-        self._logarithmic = limits[:, 0] > 0.0
+        self._is_logarithmic = limits[:, 0] > 0.0
         scaled = np.log(np.maximum(limits, 1e-300))
-        self.bounds = np.where(self._logarithmic[:, None], scaled, limits)
+        self.bounds = np.where(self._is_logarithmic[:, None], scaled, limits)
 
     def numbers(self, point: Array) -> Array:
         """Return the searched numbers of a point, in the units of the coefficients."""
-        return np.where(self._logarithmic, np.exp(np.where(self._logarithmic, point, 0.0)), point)
+        return np.where(
+            self._is_logarithmic, np.exp(np.where(self._is_logarithmic, point, 0.0)), point
+        )
 
     def name_numbers(self, point: Array) -> dict[str, float]:
         """Return the searched numbers of a point by name."""
@@ -100,8 +105,10 @@ class Separable:
 
     def point(self, numbers: Mapping[str, float]) -> Array:
         """Return the point of searched numbers, moved inside the bounds."""
-        raw = np.array([numbers[name] for name in self.space.names])
-        scaled = np.where(self._logarithmic, np.log(np.where(self._logarithmic, raw, 1.0)), raw)
+        values = np.array([numbers[name] for name in self.space.names])
+        scaled = np.where(
+            self._is_logarithmic, np.log(np.where(self._is_logarithmic, values, 1.0)), values
+        )
         lower, upper = self.bounds.T
         margin = 1e-9 * (upper - lower)
         return np.clip(scaled, lower + margin, upper - margin)
@@ -112,7 +119,7 @@ class Separable:
 
     @cached_property
     def _run(self) -> KernelRun:
-        rows = self.samples
+        rows = self.rows
         euler = self.discretisation == "euler"
         return KernelRun(
             self._kernel,
@@ -131,18 +138,18 @@ class Separable:
         if solution is not None:
             return solution
         return non_negative_least_squares(
-            self.columns(point), self.samples.tau, non_negative=non_negative
+            self.columns(point), self.rows.tau, non_negative=non_negative
         )
 
     def _residual(self, point: Array, weights: Array | None) -> Array:
         non_negative = self.space.non_negative
-        tau = self.samples.tau
+        tau = self.rows.tau
         solution = self._run.fit_factors(
             self.numbers(point), non_negative=non_negative, weights=weights, keep=True
         )
         if solution is not None:
-            return np.asarray(self._run.found @ solution[0] - tau)
-        columns = self._run.found
+            return np.asarray(self._run.results @ solution[0] - tau)
+        columns = self._run.results
         row_weights = np.ones_like(tau) if weights is None else weights
         x, _ = non_negative_least_squares(
             row_weights[:, None] * columns, row_weights * tau, non_negative=non_negative
@@ -169,18 +176,21 @@ class Separable:
         )
         return np.asarray(best.x)
 
-    def polish(self, point: Array, *, evaluations: int = 12, rows: Mask | None = None) -> Array:
-        """Return the point after a local search over rows (N,) with linear unknowns solved."""
+    def polish(self, point: Array, *, evaluations: int = 12, is_used: Mask | None = None) -> Array:
+        """Return the point after a local search, with linear unknowns solved.
+
+        `is_used` (N,) is a mask of the rows, by default all.
+        """
         if not len(self.bounds):
             return point
-        weights = None if rows is None else rows.astype(float)
+        weights = None if is_used is None else is_used.astype(float)
 
         def residual(trial: Array) -> Array:
             residuals = self._residual(trial, weights)
-            return residuals if rows is None else residuals[rows]
+            return residuals if is_used is None else residuals[is_used]
 
         lower, upper = self.bounds.T
-        tau = self.samples.tau if rows is None else self.samples.tau[rows]
+        tau = self.rows.tau if is_used is None else self.rows.tau[is_used]
         result = search_locally(
             residual,
             point,
@@ -202,22 +212,22 @@ class Separable:
         corners = [point, *self._vary(point, cost, 2)]
         starts = [start for corner in corners for start in self._vary(corner, cost, _WEAK_VALUES)]
         points = [point, *(self.polish(start, evaluations=40) for start in starts)]
-        return points[find_first_best([self.solve(p)[1] for p in points])]
+        return points[find_first_best([self.solve(candidate)[1] for candidate in points])]
 
-    def _vary(self, point: Array, cost: float, values: int) -> list[Array]:
+    def _vary(self, point: Array, cost: float, value_count: int) -> list[Array]:
         """Return points with one number changed, whose cost hardly exceeds `cost`.
 
-        The numbers take `values` values, the bounds included.
+        The numbers take `value_count` values, the bounds included.
         """
-        varied = []
+        points = []
         for k, (lower, upper) in enumerate(self.bounds):
-            for value in np.linspace(upper, lower, values):
+            for value in np.linspace(upper, lower, value_count):
                 trial = point.copy()
                 trial[k] = value
                 is_near = abs(value - point[k]) < _SAME_VALUE_SHARE * (upper - lower)
                 if not is_near and is_no_worse(self.solve(trial)[1], cost, _WEAK_RISE):
-                    varied.append(trial)
-        return varied
+                    points.append(trial)
+        return points
 
     def values(self, point: Array, unknowns: Array) -> dict[str, float]:
         """Return all coefficients of the form by name, from a point and the unknowns of `solve`."""
@@ -265,22 +275,22 @@ def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
 
 
 @lru_cache(maxsize=64)
-def _kernel(form: LawForm, space: SearchSpace) -> Kernel:
+def _build_kernel(form: LawForm, space: SearchSpace) -> Kernel:
     replacements = {sympy.Symbol(name, real=True): expression for name, expression in space.values}
-    searched = tuple(sympy.Symbol(name, real=True) for name in space.names)
-    linear = tuple(sympy.Symbol(name, real=True) for name in space.linear)
+    searched_symbols = tuple(sympy.Symbol(name, real=True) for name in space.names)
+    linear_symbols = tuple(sympy.Symbol(name, real=True) for name in space.linear)
     # Expand products so that factors cancel. Other simplifications may cause an overflow by
     # 1/exp(x).
     memory = tuple(element.subs(replacements) for element in form.memory)
     output = sympy.expand_mul(form.output.xreplace(replacements))
-    columns = tuple(sympy.diff(output, symbol) for symbol in linear)
-    constant_torque = output.xreplace(dict.fromkeys(linear, sympy.Integer(0)))
+    columns = tuple(sympy.diff(output, symbol) for symbol in linear_symbols)
+    constant_torque = output.xreplace(dict.fromkeys(linear_symbols, sympy.Integer(0)))
     parts = (part for element in memory for part in element.parts)
-    nonlinear_symbols = set(linear) & set().union(
+    nonlinear_symbols = set(linear_symbols) & set().union(
         *(expression.free_symbols for expression in (*parts, *columns))
     )
     if nonlinear_symbols or constant_torque != 0:
         raise ValueError(
             f"not linear in {sorted(map(str, nonlinear_symbols)) or 'an offset'}: {output}"
         )
-    return Kernel(memory, searched, INPUTS, columns, form.component.settling)
+    return Kernel(memory, searched_symbols, INPUTS, columns, form.component.settling)

@@ -38,34 +38,36 @@ class Coordinates:
 
     point: Array  # (P,)
     values: Callable[[Array], dict[str, float]]  # all coefficients
-    held: frozenset[str]  # coefficients at a bound
+    held_names: frozenset[str]  # coefficients at a bound
 
 
 def add_standard_errors(
-    law: FrictionLaw, records: Sequence[FrictionRecord], space: SearchSpace | None = None
+    law: FrictionLaw, joint_records: Sequence[FrictionRecord], space: SearchSpace | None = None
 ) -> FrictionLaw:
     """Return the law with covariance and standard errors; `space` is its search space, if known."""
     if len(law.values) > MAX_COEFFICIENTS:
         return law
     if space:
         coordinates = _build_free_coordinates(
-            law, space.scale_to_joint(is_prismatic=records[0].sliding)
+            law, space.scale_to_joint(is_prismatic=joint_records[0].sliding)
         )
     else:
         coordinates = _build_all_coordinates(law)
     # Initial states are measured, so they are constant.
-    starts = [record_start(law, record) for record in records]
+    starts = [record_start(law, record) for record in joint_records]
 
     def evaluate(point: Array) -> tuple[Array, Array]:
         values = coordinates.values(point)
-        torque = _predict_records(replace(law, values=values), records, starts)
+        torque = _predict_records(replace(law, values=values), joint_records, starts)
         return torque, np.array([values[name] for name in law.values])
 
     jacobian, slope = _differentiate(evaluate, coordinates.point)
     is_used = np.abs(jacobian).max(axis=0) > _DERIVATIVE_ROUND_OFF
     jacobian, slope = jacobian[:, is_used], slope[:, is_used]
-    tau_predicted = _predict_records(law, records, starts)
-    covariance = _estimate_covariance(np.flatnonzero(is_used), jacobian, tau_predicted, records)
+    tau_predicted = _predict_records(law, joint_records, starts)
+    covariance = _estimate_covariance(
+        np.flatnonzero(is_used), jacobian, tau_predicted, joint_records
+    )
     coefficient_slopes = dict(zip(law.values, slope, strict=True))
     coefficient_slopes = {
         name: derivative
@@ -101,7 +103,7 @@ def add_standard_errors(
             partial(measure_change, list(law.values).index(name)),
         )
         for name, derivative in coefficient_slopes.items()
-        if name not in coordinates.held
+        if name not in coordinates.held_names
     }
     return _store_standard_errors(law_with_covariance, widening)
 
@@ -123,12 +125,17 @@ def _differentiate(
 
 
 def _estimate_covariance(
-    used_numbers: Integers, jacobian: Array, tau_predicted: Array, records: Sequence[FrictionRecord]
+    used_numbers: Integers,
+    jacobian: Array,
+    tau_predicted: Array,
+    joint_records: Sequence[FrictionRecord],
 ) -> Covariance:
-    residual = np.concatenate([record.tau for record in records]) - tau_predicted
-    labels = blocks_of_time(log_of_rows(records))
-    spreads = [record.tau_load_spread for record in records if record.tau_load_spread is not None]
-    carried = jacobian.T @ np.concatenate(spreads) if len(spreads) == len(records) else None
+    residual = np.concatenate([record.tau for record in joint_records]) - tau_predicted
+    labels = blocks_of_time(log_of_rows(joint_records))
+    spreads = [
+        record.tau_load_spread for record in joint_records if record.tau_load_spread is not None
+    ]
+    carried = jacobian.T @ np.concatenate(spreads) if len(spreads) == len(joint_records) else None
     return covariance_of_fit(
         [str(k) for k in used_numbers], jacobian, residual, labels, carried=carried
     )
@@ -136,7 +143,9 @@ def _estimate_covariance(
 
 def pool_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
     """Return the laws of all joints with one common between-log factor."""
-    shared = iter(pool_covariances([law.covariance for law in laws if law.covariance is not None]))
+    pooled_covariances = iter(
+        pool_covariances([law.covariance for law in laws if law.covariance is not None])
+    )
     pooled_laws = []
     for law in laws:
         if law.covariance is None:
@@ -149,7 +158,9 @@ def pool_errors(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
             name: error / unpooled_errors[name] if unpooled_errors[name] else 1.0
             for name, error in law.standard_errors.items()
         }
-        pooled_laws.append(_store_standard_errors(replace(law, covariance=next(shared)), widening))
+        pooled_laws.append(
+            _store_standard_errors(replace(law, covariance=next(pooled_covariances)), widening)
+        )
     return pooled_laws
 
 
@@ -209,7 +220,7 @@ def _build_all_coordinates(law: FrictionLaw) -> Coordinates:
     return Coordinates(
         point=np.array([law.values[name] for name in names]),
         values=values,
-        held=frozenset(law.values) - frozenset(names),
+        held_names=frozenset(law.values) - frozenset(names),
     )
 
 
@@ -239,16 +250,18 @@ def _build_free_coordinates(law: FrictionLaw, space: SearchSpace) -> Coordinates
         return {name: known_values.get(name, value) for name, value in law.values.items()}
 
     return Coordinates(
-        point=np.array([numbers[name] for name in names]), values=values, held=frozenset(held_names)
+        point=np.array([numbers[name] for name in names]),
+        values=values,
+        held_names=frozenset(held_names),
     )
 
 
 def _is_at_end(number: float, lower: float, upper: float) -> bool:
-    value, ends = (
+    scaled_number, ends = (
         (np.log(number), np.log([lower, upper])) if lower > 0 else (number, (lower, upper))
     )
     margin = _BOUND_MARGIN * (ends[1] - ends[0])
-    return bool(value < ends[0] + margin or value > ends[1] - margin)
+    return bool(scaled_number < ends[0] + margin or scaled_number > ends[1] - margin)
 
 
 def _find_unknowns(values: Mapping[str, float], space: SearchSpace) -> dict[str, float]:
@@ -284,9 +297,9 @@ def _compile_values(space: SearchSpace) -> Callable[..., Sequence[float]]:
 
 
 def _predict_records(
-    law: FrictionLaw, records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
+    law: FrictionLaw, joint_records: Sequence[FrictionRecord], starts: Sequence[tuple[float, ...]]
 ) -> Array:
-    starting_records = zip(records, starts, strict=True)
+    starting_records = zip(joint_records, starts, strict=True)
     return np.concatenate(
         [predict(law, **record.motion, start=start) for record, start in starting_records]
     )

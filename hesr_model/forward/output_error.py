@@ -26,29 +26,23 @@ SHORT_WINDOW = 0.5  # [s] windows
 LONG_WINDOW = 2.0  # [s] further windows without gravity, and the blocks of left-out windows
 MAX_TORQUE_RATIO = 1.02  # largest allowed ratio of a joint's torque error to that before
 MAX_COEFFICIENTS = 64  # of laws that are refined
-_DIFFERENCE_STEP = 1e-3  # finite-difference step, relative
+_DIFFERENCE_STEP = 1e-3  # relative
 _TORQUE_WEIGHT = 0.5  # weight of the mean square torque error
 _SINGLE_TORQUE_WEIGHT = 0.05  # of one joint: its noisy acceleration favours too small a mass
 _DAMPING = (1e-3, 1e-2, 1e-1, 1.0, 1e1)  # damping of each round, relative to the curvature
 _MAX_CHANGE = 0.7  # largest change of a parameter, relative or logarithmic
 _START_SPREAD = 0.15  # relative spread of further starts
 _MIN_GAIN = 1e-3  # smallest relative gain of a round
-_STEP_SHARES = (
-    1.0,
-    0.75,
-    0.5,
-    0.35,
-    0.25,
-    0.15,
-)  # shares of the way to the optimum tried at the end
+# Shares of the way to the optimum, tried at the end.
+_STEP_SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Refined:
+class RefinementResult:
     """Refined body and friction, or the original ones, ratio 1, if left-out windows are worse."""
 
     body: RigidBody
-    friction: FrictionModel
+    model: FrictionModel
     ratio: float  # RMS of the position errors over those before
     before: Array  # position errors on left-out windows, by length and joint [rad; m]
     left_out: Array  # those with the refined friction
@@ -71,7 +65,7 @@ def refine(
     rounds: int = 6,
     starts: int = 3,
     seed: int = 0,
-) -> Refined:
+) -> RefinementResult:
     """Refine friction, and the body unless it is fixed, by output error.
 
     The best of several random starts continues for `rounds` damped Gauss-Newton steps. Every other
@@ -80,24 +74,24 @@ def refine(
     SimulationError if a log is too short.
     """
     records = [motion_records(motion, robot, body) for motion in motions]
-    sets = [simulation.cut_windows(records, SHORT_WINDOW)]
-    longest = max(
+    window_sets = [simulation.cut_windows(records, SHORT_WINDOW)]
+    longest_duration = max(
         float(joint_records[0].t[-1] - joint_records[0].t[0]) for joint_records in records
     )
     is_weightless = simulation.is_weightless(records, robot, body)
-    if is_weightless and longest >= simulation.RUN_IN + 4.0 * LONG_WINDOW:
-        sets.append(simulation.cut_windows(records, LONG_WINDOW))
-    problem = _Problem(robot, body, model, motions, records, sets, with_body=with_body)
+    if is_weightless and longest_duration >= simulation.RUN_IN + 4.0 * LONG_WINDOW:
+        window_sets.append(simulation.cut_windows(records, LONG_WINDOW))
+    problem = _Problem(robot, body, model, motions, records, window_sets, with_body=with_body)
     halves = [problem.select_blocks(k) for k in range(2)]
-    before = after = np.full((len(sets), robot.n), np.nan)
-    if all(len(windows.t) for half in halves for windows in half.sets):
+    before = after = np.full((len(window_sets), robot.n), np.nan)
+    if all(len(windows.t) for half in halves for windows in half.window_sets):
         changes = [half.find_best_change(rounds, starts, seed) for half in halves]
         before = rms(np.array([half.position_sizes for half in halves]))
         pairs = zip(halves, reversed(changes), strict=True)
-        after = rms(np.array([half.sizes(change) for half, change in pairs]))
+        after = rms(np.array([half.measure_position_sizes(change) for half, change in pairs]))
     if not rms(after / before, axis=None) < 1.0:
-        return Refined(body=body, friction=model, ratio=1.0, before=before, left_out=before)
-    problem.whole = (
+        return RefinementResult(body=body, model=model, ratio=1.0, before=before, left_out=before)
+    problem.whole_logs = (
         [simulation.to_single_window(joint_records) for joint_records in records]
         if is_weightless
         else []
@@ -110,43 +104,45 @@ class _Problem:
         self,
         robot: Robot,
         body: RigidBody,
-        friction: FrictionModel,
+        model: FrictionModel,
         motions: Sequence[Motion],
-        logs: simulation.Logs,
-        sets: Sequence[Windows],
+        records: simulation.PartRecords,
+        window_sets: Sequence[Windows],
         *,
         with_body: bool,
     ) -> None:
         self._robot = robot
         self._body = body
-        self._friction = friction
-        self._logs = logs
-        self.sets = sets
-        self.whole: list[Windows] = []  # logs whose open loop must not become worse
-        self._proven = [has_proof(law) for law in friction.laws]
+        self._model = model
+        self._records = records
+        self.window_sets = window_sets
+        self.whole_logs: list[Windows] = []  # logs whose open loop must not become worse
+        self._proven = [has_proof(law) for law in model.laws]
         self.columns = [k for k in body.base if with_body and body.parameters[k] != 0.0]
-        self._names = [
-            (joint, number)
-            for joint, law in enumerate(friction.laws)
-            for number, (name, value) in enumerate(law.values.items())
+        self._coefficients = [
+            (j, k)
+            for j, law in enumerate(model.laws)
+            for k, (name, value) in enumerate(law.values.items())
             # P is a limit of the training, and networks have too many coefficients.
             if value != 0.0 and name != OLDEST.name and len(law.values) <= MAX_COEFFICIENTS
         ]
-        self.size = len(self.columns) + len(self._names)
+        self.size = len(self.columns) + len(self._coefficients)
         self._loads = [
             robot.regressor(motion.q, motion.dq, motion.ddq)[:, :, self.columns]
             * body.parameters[self.columns]
             for motion in motions
         ]
         no_change = np.zeros(self.size)
-        self.position_sizes = self.sizes(no_change)
+        self.position_sizes = self.measure_position_sizes(no_change)
         self._torque_sizes = rms(self._torque_errors(no_change))
 
     def select_blocks(self, k: int) -> "_Problem":
         """Return the problem with the windows of every other block of time."""
         half = copy(self)
-        half.sets = [windows.select(windows.blocks(LONG_WINDOW) % 2 == k) for windows in self.sets]
-        half.position_sizes = half.sizes(np.zeros(self.size))
+        half.window_sets = [
+            windows.select(windows.blocks(LONG_WINDOW) % 2 == k) for windows in self.window_sets
+        ]
+        half.position_sizes = half.measure_position_sizes(np.zeros(self.size))
         return half
 
     def find_best_change(self, rounds: int, starts: int, seed: int) -> Array:
@@ -157,7 +153,7 @@ class _Problem:
         # Only friction varies: least squares determine the body much better.
         random_changes[:, : len(self.columns)] = 0.0
         changes = np.vstack([np.zeros((1, self.size)), random_changes])
-        trial_costs = self.costs(changes)
+        trial_costs = self.compute_costs(changes)
         best_change = changes[int(np.argmin(trial_costs))]
         cost = float(trial_costs.min())
         for _ in range(rounds):
@@ -165,16 +161,16 @@ class _Problem:
             gradient = slopes.T @ residuals
             curvature = slopes.T @ slopes
             scale = np.diag(np.diag(curvature) + 1e-12 * np.trace(curvature))
-            steps = [np.linalg.solve(curvature + d * scale, gradient) for d in _DAMPING]
+            steps = [np.linalg.solve(curvature + damping * scale, gradient) for damping in _DAMPING]
             trials = np.clip(best_change - np.array(steps), -_MAX_CHANGE, _MAX_CHANGE)
-            trial_costs = self.costs(trials)
+            trial_costs = self.compute_costs(trials)
             if not trial_costs.min() < (1.0 - _MIN_GAIN) * cost:
                 break
             best_change = trials[int(np.argmin(trial_costs))]
             cost = float(trial_costs.min())
         return self._limit_change(best_change)
 
-    def costs(self, changes: Array) -> Array:
+    def compute_costs(self, changes: Array) -> Array:
         with np.errstate(all="ignore"):
             square_sums = [np.sum(np.square(row)) for row in self._residual_rows(changes)]
         return np.where(np.isfinite(square_sums), square_sums, np.inf)
@@ -197,9 +193,9 @@ class _Problem:
                 for j, was_proven in enumerate(self._proven)
                 if was_proven and not has_proof(laws[j])
             }
-            joints = [joint for joint, _ in self._names]
-            change[len(self.columns) :][[joint in unproven_joints for joint in joints]] = 0.0
-            ratio = rms(self.sizes(change) / self.position_sizes, axis=None)
+            changed_joints = [j for j, _ in self._coefficients]
+            change[len(self.columns) :][[j in unproven_joints for j in changed_joints]] = 0.0
+            ratio = rms(self.measure_position_sizes(change) / self.position_sizes, axis=None)
             is_accurate = rms(self._torque_errors(change)) <= MAX_TORQUE_RATIO * self._torque_sizes
             if np.all(is_accurate) and ratio < 1.0 and self._measure_open_loop(change) <= open_loop:
                 return change
@@ -209,17 +205,18 @@ class _Problem:
         """Return the RMS position error over whole logs, relative to that over windows."""
         body = self._change_body(change)
         model = self._change_friction(change)
-        simulator = Simulator(robot=self._robot, parameters=body.parameters, friction=model)
+        simulator = Simulator(robot=self._robot, parameters=body.parameters, model=model)
         errors = [
-            (simulator.run(windows) - windows.q) / self.position_sizes[0] for windows in self.whole
+            (simulator.run(windows) - windows.q) / self.position_sizes[0]
+            for windows in self.whole_logs
         ]
         error = float(rms(np.concatenate(errors, axis=1), axis=None)) if errors else 0.0
         return error if np.isfinite(error) else np.inf
 
-    def build_refinement(self, change: Array, before: Array, left_out: Array) -> Refined:
+    def build_refinement(self, change: Array, before: Array, left_out: Array) -> RefinementResult:
         """Return body and friction after a change."""
         torque_rmse = rms(self._torque_errors(change))
-        left_out_rmse = self._friction.left_out_rmse or ()
+        left_out_rmse = self._model.left_out_rmse or ()
         model = replace(
             self._change_friction(change),
             training_rmse=tuple(torque_rmse.tolist()),
@@ -227,17 +224,19 @@ class _Problem:
             if left_out_rmse
             else (),
         )
-        return Refined(
+        return RefinementResult(
             body=self._change_body(change),
-            friction=model,
-            ratio=float(rms(self.sizes(change) / self.position_sizes, axis=None)),
+            model=model,
+            ratio=float(rms(self.measure_position_sizes(change) / self.position_sizes, axis=None)),
             before=before,
             left_out=left_out,
         )
 
-    def sizes(self, change: Array) -> Array:
+    def measure_position_sizes(self, change: Array) -> Array:
         """Return the RMS position errors by length and joint [rad; m]."""
-        return np.array([rms(part[0], axis=(0, 1)) for part in self._position_errors(change[None])])
+        return np.array(
+            [rms(errors[0], axis=(0, 1)) for errors in self._position_errors(change[None])]
+        )
 
     def _residual_rows(self, changes: Array) -> list[Array]:
         position_errors = zip(*self._position_errors(changes), strict=True)
@@ -248,8 +247,8 @@ class _Problem:
 
     def _residuals(self, position_errors: Sequence[Array], change: Array) -> Array:
         scaled = [
-            (errors / sizes).ravel() / np.sqrt(errors.size * len(position_errors))
-            for errors, sizes in zip(position_errors, self.position_sizes, strict=True)
+            (errors / joint_sizes).ravel() / np.sqrt(errors.size * len(position_errors))
+            for errors, joint_sizes in zip(position_errors, self.position_sizes, strict=True)
         ]
         torque_errors = (self._torque_errors(change) / self._torque_sizes).ravel()
         weight = _TORQUE_WEIGHT if self._robot.n > 1 else _SINGLE_TORQUE_WEIGHT
@@ -258,22 +257,22 @@ class _Problem:
     def _position_errors(self, changes: Array) -> list[Array]:
         """Return the position errors (M, W, K + 1, n) of (M, P) changes by length."""
         models = [self._change_friction(change) for change in changes]
-        numbers = [[list(law.values.values()) for law in model.laws] for model in models]
+        coefficients = [[list(law.values.values()) for law in model.laws] for model in models]
         bodies = np.array([self._change_body(change).parameters for change in changes])
         errors = []
-        for windows in self.sets:
+        for windows in self.window_sets:
             window_count = len(windows.t)
             states = [windows.compute_states(model) for model in models]
             simulator = Simulator(
                 robot=self._robot,
                 parameters=np.repeat(bodies, window_count, axis=0),
-                friction=self._friction,
+                model=self._model,
             )
             simulated = simulator.run(
                 simulation.join_windows([windows] * len(changes)),
                 values=[
                     np.repeat(np.array(law_arrays).T, window_count, axis=1)
-                    for law_arrays in zip(*numbers, strict=True)
+                    for law_arrays in zip(*coefficients, strict=True)
                 ],
                 states=[
                     np.concatenate(law_arrays, axis=1) for law_arrays in zip(*states, strict=True)
@@ -285,7 +284,7 @@ class _Problem:
     def _torque_errors(self, change: Array) -> Array:
         model = self._change_friction(change)
         errors = []
-        for log_records, loads in zip(self._logs, self._loads, strict=True):
+        for log_records, loads in zip(self._records, self._loads, strict=True):
             tau_change = loads @ change[: len(self.columns)]
             joint_records = [
                 replace(record, tau_load=record.tau_load + tau_change[:, j])
@@ -304,11 +303,11 @@ class _Problem:
         return replace(self._body, parameters=parameters)
 
     def _change_friction(self, change: Array) -> FrictionModel:
-        values = [list(law.values.values()) for law in self._friction.laws]
-        for (joint, number), coefficient_change in zip(
-            self._names, change[len(self.columns) :], strict=True
+        values = [list(law.values.values()) for law in self._model.laws]
+        for (j, k), coefficient_change in zip(
+            self._coefficients, change[len(self.columns) :], strict=True
         ):
-            values[joint][number] *= np.exp(coefficient_change)  # keeps the sign
+            values[j][k] *= np.exp(coefficient_change)  # keeps the sign
         laws = [
             replace(
                 law,
@@ -316,6 +315,6 @@ class _Problem:
                 standard_errors={},  # these belong to another estimate
                 covariance=None,
             )
-            for law, law_values in zip(self._friction.laws, values, strict=True)
+            for law, law_values in zip(self._model.laws, values, strict=True)
         ]
-        return replace(self._friction, laws=tuple(laws))
+        return replace(self._model, laws=tuple(laws))

@@ -28,7 +28,7 @@ RUN_IN = 1.0  # run-in of friction states before a log's first window [s]
 _MAX_GRAVITY_SHARE = 1e-9  # threshold of gravity over the largest torque
 _BLOCK_ROUND_OFF = 0.01  # of times, in blocks
 _SIGNALS = ("t", "q", "dq", "tau")
-Logs = Sequence[Sequence[FrictionRecord]]  # records of each part of each log, [part][joint]
+PartRecords = Sequence[Sequence[FrictionRecord]]  # records [part][joint] of all logs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,23 +40,25 @@ class Windows:
     dq: Array
     tau: Array
     places: tuple[tuple[int, int], ...]  # part of a log and first row of each window
-    logs: Logs = field(repr=False)
+    records: PartRecords = field(repr=False)
 
     def blocks(self, length: float) -> Array:
         """Return the number of each window's block of a length [s] after the run-in, (W,)."""
-        starts = np.array([self.logs[part][0].t[0] + RUN_IN for part, _ in self.places])
-        parts = np.array([part for part, _ in self.places])
-        return np.asarray(parts + np.floor((self.t[:, 0] - starts) / length + _BLOCK_ROUND_OFF))
+        starts = np.array([self.records[part][0].t[0] + RUN_IN for part, _ in self.places])
+        part_numbers = np.array([part for part, _ in self.places])
+        return np.asarray(
+            part_numbers + np.floor((self.t[:, 0] - starts) / length + _BLOCK_ROUND_OFF)
+        )
 
-    def select(self, rows: Mask) -> "Windows":
+    def select(self, is_selected: Mask) -> "Windows":
         """Return some of the windows, in the same order."""
-        signals = {name: getattr(self, name)[rows] for name in _SIGNALS}
-        return replace(self, **signals, places=tuple(compress(self.places, rows)))
+        signals = {name: getattr(self, name)[is_selected] for name in _SIGNALS}
+        return replace(self, **signals, places=tuple(compress(self.places, is_selected)))
 
     def compute_states(self, model: FrictionModel, *, delay: int = 0) -> list[Array]:
         """Return each law's states (m, W), run in along the logs, `delay` rows before windows."""
         law_states: list[list[Array]] = [[] for _ in model.laws]
-        for part, joint_records in enumerate(self.logs):
+        for part, joint_records in enumerate(self.records):
             rows = [max(row - delay, 0) for window_part, row in self.places if window_part == part]
             for j, (law, record) in enumerate(
                 zip(model.laws, transform_records(joint_records), strict=True)
@@ -65,7 +67,7 @@ class Windows:
         return [np.concatenate(parts, axis=1) for parts in law_states]
 
 
-def cut_windows(records: Logs, length: float) -> Windows:
+def cut_windows(records: PartRecords, length: float) -> Windows:
     """Cut logs into windows of a length [s] after a run-in; raise SimulationError if none fits."""
     times = [joint_records[0].t for joint_records in records]
     steps = max(1, round(length / float(np.median(np.concatenate([np.diff(t) for t in times])))))
@@ -82,17 +84,20 @@ def cut_windows(records: Logs, length: float) -> Windows:
     return _cut(records, places, steps)
 
 
-def join_windows(sets: Sequence[Windows]) -> Windows:
+def join_windows(window_sets: Sequence[Windows]) -> Windows:
     """Join sets of windows with equal numbers of steps."""
-    firsts = accumulate((len(windows.logs) for windows in sets), initial=0)
+    first_parts = accumulate((len(windows.records) for windows in window_sets), initial=0)
     return Windows(
-        **{name: np.concatenate([getattr(windows, name) for windows in sets]) for name in _SIGNALS},
+        **{
+            name: np.concatenate([getattr(windows, name) for windows in window_sets])
+            for name in _SIGNALS
+        },
         places=tuple(
-            (first + part, row)
-            for first, windows in zip(firsts, sets, strict=False)
+            (first_part + part, row)
+            for first_part, windows in zip(first_parts, window_sets, strict=False)
             for part, row in windows.places
         ),
-        logs=[joint_records for windows in sets for joint_records in windows.logs],
+        records=[joint_records for windows in window_sets for joint_records in windows.records],
     )
 
 
@@ -101,12 +106,11 @@ def to_single_window(joint_records: Sequence[FrictionRecord]) -> Windows:
     return _cut([joint_records], [(0, 0)], len(joint_records[0].t) - 1)
 
 
-def _cut(records: Logs, places: Sequence[tuple[int, int]], steps: int) -> Windows:
+def _cut(records: PartRecords, places: Sequence[tuple[int, int]], steps: int) -> Windows:
     if records[0][0].tau_body is not None:
         raise SimulationError(
             f"log '{records[0][0].log}': the load of its friction is a pressure, which a "
-            "simulation "
-            "of motion does not know."
+            "simulation of motion does not know."
         )
     signals = {
         "q": [np.column_stack([record.q for record in joint_records]) for joint_records in records],
@@ -123,19 +127,19 @@ def _cut(records: Logs, places: Sequence[tuple[int, int]], steps: int) -> Window
         name: np.stack([parts[part][row : row + steps + 1] for part, row in places])
         for name, parts in signals.items()
     }
-    return Windows(**arrays, places=tuple(places), logs=records)
+    return Windows(**arrays, places=tuple(places), records=records)
 
 
-def is_weightless(records: Logs, robot: Robot, body: RigidBody) -> bool:
+def is_weightless(records: PartRecords, robot: Robot, body: RigidBody) -> bool:
     """Return whether gravity acts on no joint; otherwise whole logs diverge with any friction."""
     q = np.concatenate(
         [np.column_stack([record.q for record in joint_records]) for joint_records in records]
     )
     weight = robot.torque(body.parameters, q, np.zeros_like(q), np.zeros_like(q))
-    largest = max(
+    largest_torque = max(
         np.abs(record.measured).max() for joint_records in records for record in joint_records
     )
-    return bool(np.abs(weight).max() <= _MAX_GRAVITY_SHARE * largest)
+    return bool(np.abs(weight).max() <= _MAX_GRAVITY_SHARE * largest_torque)
 
 
 MAX_SUBSTEP = 2.5e-3  # longest inner step [s]
@@ -153,7 +157,7 @@ def count_inner_steps(dt: Array) -> int:
 
 
 @dataclass(eq=False)
-class _Moving:
+class _MotionState:
     """Laws with their states `x` (m, W) each, and positions and velocities (W, n)."""
 
     laws: Sequence[LawStepper]
@@ -168,7 +172,7 @@ class Simulator:
 
     robot: Robot
     parameters: Array  # standard ones (P,), or (W, P) for each window
-    friction: FrictionModel
+    model: FrictionModel
     as_plant: bool = False  # step explicitly, as MuJoCo does, for logs of the twin
 
     def run(
@@ -186,15 +190,15 @@ class Simulator:
         """
         # MuJoCo uses the rates before a step: its states lag by one row.
         initial_states = (
-            windows.compute_states(self.friction, delay=int(self.as_plant))
+            windows.compute_states(self.model, delay=int(self.as_plant))
             if states is None
             else states
         )
         law_values = [None] * len(initial_states) if values is None else values
-        motion = _Moving(
+        motion = _MotionState(
             laws=[
                 LawStepper(law, coefficients)
-                for law, coefficients in zip(self.friction.laws, law_values, strict=True)
+                for law, coefficients in zip(self.model.laws, law_values, strict=True)
             ],
             x=[law_states.copy() for law_states in initial_states],
             q=windows.q[:, 0].copy(),
@@ -246,15 +250,17 @@ class Simulator:
         return np.asarray(np.linalg.inv(mass), dtype=np.float64), bias
 
     def _to_friction(self, tau_load: Array) -> tuple[Array, Array]:
-        coupling = self.friction.coupling
+        coupling = self.model.coupling
         if coupling is None:
             return np.eye(tau_load.shape[1]), tau_load
         return coupling.forward, coupling.torque(tau_load)
 
     def _step_implicitly(
-        self, motion: _Moving, h: Array, tau: Array, inverse: Array, tau_load: Array
+        self, motion: _MotionState, h: Array, tau: Array, inverse: Array, tau_load: Array
     ) -> None:
-        laws, x, (forward, friction_loads) = motion.laws, motion.x, self._to_friction(tau_load)
+        laws = motion.laws
+        x = motion.x
+        forward, friction_loads = self._to_friction(tau_load)
         friction_inverse = forward @ inverse @ forward.T
         free_dq = motion.v + h[:, None] * np.einsum("wij,wj->wi", inverse, tau)
         free_speed = free_dq @ forward.T
@@ -288,9 +294,10 @@ class Simulator:
         motion.q = motion.q + h[:, None] * motion.v
 
     def _step_explicitly(
-        self, motion: _Moving, h: Array, tau: Array, inverse: Array, tau_load: Array
+        self, motion: _MotionState, h: Array, tau: Array, inverse: Array, tau_load: Array
     ) -> None:
-        x, (forward, friction_loads) = motion.x, self._to_friction(tau_load)
+        x = motion.x
+        forward, friction_loads = self._to_friction(tau_load)
         position = motion.q @ forward.T
         speed = motion.v @ forward.T
         force = np.empty_like(speed)

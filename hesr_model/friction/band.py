@@ -49,20 +49,22 @@ COVERAGE = Parameter(
 )
 
 
-def _number(name: str, unit: str, description: str, *, logical: bool = False) -> Quantity:
+def _define_number(name: str, unit: str, description: str, *, logical: bool = False) -> Quantity:
     text = f"{description}, of {{joint}}"
     return Quantity(name=f"band_{name}", unit=unit, description=text, logical=logical)
 
 
 NUMBERS = (
-    _number("floor", "N.m", "constant half-width at 95 %"),
-    _number("slow", "N.m", "half-width at 95 % added by slow motion"),
-    _number("slow_speed", "rad/s", "speed that halves the square of the half-width of slow motion"),
-    _number("rest", "N.m", "half-width at 95 % added at rest"),
-    _number("fast", "N.m.s/rad", "half-width at 95 % added by speed, per speed"),
-    _number("load", "1", "half-width at 95 % added by load, per load"),
-    _number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
-    _number(
+    _define_number("floor", "N.m", "constant half-width at 95 %"),
+    _define_number("slow", "N.m", "half-width at 95 % added by slow motion"),
+    _define_number(
+        "slow_speed", "rad/s", "speed that halves the square of the half-width of slow motion"
+    ),
+    _define_number("rest", "N.m", "half-width at 95 % added at rest"),
+    _define_number("fast", "N.m.s/rad", "half-width at 95 % added by speed, per speed"),
+    _define_number("load", "1", "half-width at 95 % added by load, per load"),
+    _define_number("tail", "1", "exponent of the error's tail, 0.65 for a normal distribution"),
+    _define_number(
         "envelope", "1", "whether the band at rest spans both break-away torques", logical=True
     ),
 )  # in the order of the fields of `Band`
@@ -145,7 +147,7 @@ def variance_steps(slow_speed: sympy.Expr = SLOW_SPEED) -> Definitions:
 @cache
 def _shape_function() -> Callable[..., Sequence[Array]]:
     units = dict.fromkeys(_SIZES, sympy.S.One)
-    steps = {symbol: e.xreplace(units) for symbol, e in variance_steps().items()}
+    steps = {symbol: step.xreplace(units) for symbol, step in variance_steps().items()}
     return numpy_function([DQ, TAU_LOAD, SLOW_SPEED, REST_SPEED], steps, _SQUARES)
 
 

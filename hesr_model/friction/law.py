@@ -57,8 +57,8 @@ class LawForm:
         torque = Equation(
             name=TORQUE,
             unit="N.m",
-            description="friction {effort} of {joint}, delivered by the drive; a plant subtracts "
-            "it",
+            description="friction {effort} of {joint}, delivered by the drive; a plant "
+            "subtracts it",
             expression=sympy.S.Zero + self.output,
             output=True,
         )
@@ -180,11 +180,11 @@ class FrictionLaw:
 def add_low_pass(law: FrictionLaw, cutoff: float) -> FrictionLaw:
     """Return a law whose velocity passes a causal low pass with a cutoff [Hz]; not for files."""
     speed = build_low_pass(DQ, cutoff, "rad/s")
-    swap = {DQ: speed.state}
+    replacements = {DQ: speed.state}
     form = replace(
         law.form,
-        memory=(speed, *(element.subs(swap) for element in law.form.memory)),
-        output=law.form.output.xreplace(swap),
+        memory=(speed, *(element.subs(replacements) for element in law.form.memory)),
+        output=law.form.output.xreplace(replacements),
     )
     return replace(law, form=form, start=(0.0, *law.start))
 
@@ -194,7 +194,9 @@ _DIGITS = 4
 
 def equations(law: FrictionLaw) -> list[str]:
     """Return torque, derivatives x' and moved stops x+ of a law as text, to four digits."""
-    rounded = {name: sympy.Float(f"{x:.{_DIGITS}g}", _DIGITS) for name, x in law.values.items()}
+    rounded = {
+        name: sympy.Float(f"{value:.{_DIGITS}g}", _DIGITS) for name, value in law.values.items()
+    }
     return form_lines(
         law.form, {quantity.symbol: rounded[quantity.name] for quantity in law.form.coefficients}
     )
@@ -202,7 +204,7 @@ def equations(law: FrictionLaw) -> list[str]:
 
 def form_lines(form: LawForm, numbers: dict[sympy.Symbol, sympy.Expr] | None = None) -> list[str]:
     """Return the lines of a form, coefficients without numbers by name."""
-    names = {m.derivative: sympy.Symbol(f"{m.name}'") for m in form.memory}
+    names = {element.derivative: sympy.Symbol(f"{element.name}'") for element in form.memory}
 
     def format_part(expression: sympy.Expr) -> str:
         return format_expression(expression.xreplace(numbers or {}).xreplace(names))

@@ -268,15 +268,15 @@ class FrictionModel:
         """
         if records is not None:
             self._require_joints(records)
-            records_at_friction = transform_records(
+            transformed_records = transform_records(
                 [replace(record, coupling=self.coupling) for record in records]
             )
             columns = [
                 predict_record(law, record, measured_start=measured_start, thermal=thermal)
                 for law, record, thermal in zip(
                     self.laws,
-                    records_at_friction,
-                    self.thermal or repeat(None, len(records_at_friction)),
+                    transformed_records,
+                    self.thermal or repeat(None, len(transformed_records)),
                     strict=True,
                 )
             ]
@@ -284,7 +284,7 @@ class FrictionModel:
         if t is None or dq is None:
             raise TypeError("predict() takes the records of a log, or the arrays 't' and 'dq'")
         time = np.asarray(t, dtype=float)
-        speed, place, load = (
+        speed, position, load = (
             self._to_rows(name, values, len(time))
             for name, values in (("dq", dq), ("q", q), ("tau_load", tau_load))
         )
@@ -295,9 +295,11 @@ class FrictionModel:
                 f"after {time[row - 1]:g} s."
             )
         if self.coupling:
-            speed, place = self.coupling.motion(speed), self.coupling.motion(place)
+            speed, position = self.coupling.motion(speed), self.coupling.motion(position)
             load = self.coupling.torque(load)
-        return self._to_joints(predict_joints(self.laws, t=time, dq=speed, q=place, tau_load=load))
+        return self._to_joints(
+            predict_joints(self.laws, t=time, dq=speed, q=position, tau_load=load)
+        )
 
     def predict_band(
         self, records: Sequence[FrictionRecord], *, coverage: float = LEVEL
@@ -346,8 +348,8 @@ class FrictionModel:
             )
         return rows
 
-    def _require_joints(self, records: Sequence[FrictionRecord]) -> None:
-        record_joints = tuple(record.joint for record in records)
+    def _require_joints(self, log_records: Sequence[FrictionRecord]) -> None:
+        record_joints = tuple(record.joint for record in log_records)
         if record_joints != self.joints:
             raise SimulationError(
                 f"friction model '{self.law}': the records are of the joints "
@@ -385,8 +387,10 @@ def compute_band(
 
 def can_share_fmu(first_model: FrictionModel, second_model: FrictionModel) -> bool:
     """Whether one FMU can have laws of both models: uncoupled joints, the same integration."""
-    steps = {law.discretisation for model in (first_model, second_model) for law in model.laws}
-    return first_model.coupling is None and len(steps) == 1
+    discretisations = {
+        law.discretisation for model in (first_model, second_model) for law in model.laws
+    }
+    return first_model.coupling is None and len(discretisations) == 1
 
 
 def mix_models(models: Sequence[FrictionModel]) -> FrictionModel:

@@ -72,8 +72,7 @@ class JointEntry:
         if count > _MAX_COEFFICIENTS:
             raise ArtifactError(
                 f"joint '{self.joint}' has {count} coefficients or terms; at most "
-                f"{_MAX_COEFFICIENTS} "
-                "are read.",
+                f"{_MAX_COEFFICIENTS} are read.",
                 code="law.most",
                 key="coefficients",
             )

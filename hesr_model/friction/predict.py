@@ -22,8 +22,10 @@ _PIECE_ROWS = 2048  # rows run for all joints before the next ones, to stay in t
 
 
 @lru_cache(maxsize=256)
-def _motion_kernel(form: LawForm, *, states: bool = False) -> Kernel:
-    expressions = tuple(element.state for element in form.memory) if states else (form.output,)
+def _motion_kernel(form: LawForm, *, reads_states: bool = False) -> Kernel:
+    expressions = (
+        tuple(element.state for element in form.memory) if reads_states else (form.output,)
+    )
     return Kernel(
         form.memory, _symbols(form), INPUTS, expressions, form.component.settling, once=True
     )
@@ -58,7 +60,7 @@ def _symbols(form: LawForm) -> tuple[sympy.Symbol, ...]:
     return tuple(quantity.symbol for quantity in form.coefficients)
 
 
-def numbers(law: FrictionLaw) -> Array:
+def coefficient_array(law: FrictionLaw) -> Array:
     """Return the (C,) coefficients of a law in their units."""
     return np.array(list(law.values.values()))
 
@@ -69,7 +71,7 @@ def first_states(
     """Return the initial states for the first inputs [rad/s, rad, N.m]."""
     inputs = [np.array([u]) for u in (dq, q, tau_load)]
     run = KernelRun(_motion_kernel(law.form), inputs, np.zeros(1), start=law.start)
-    return tuple(run.begin(numbers(law))[:, 0].tolist())
+    return tuple(run.begin(coefficient_array(law))[:, 0].tolist())
 
 
 def predict(
@@ -91,10 +93,10 @@ def predict(
     dt, inputs = _to_arrays(t, (dq, q, tau_load))
     if shown is None:
         return _run(_motion_kernel(law.form), law, dt, inputs, start)[:, 0]
-    states = _run(_motion_kernel(law.form, states=True), law, dt, inputs, start)
-    return KernelRun(_reading_kernel(law.form), [*shown, *states.T], dt).evaluate(numbers(law))[
-        :, 0
-    ]
+    states = _run(_motion_kernel(law.form, reads_states=True), law, dt, inputs, start)
+    return KernelRun(_reading_kernel(law.form), [*shown, *states.T], dt).evaluate(
+        coefficient_array(law)
+    )[:, 0]
 
 
 def predict_joints(
@@ -113,8 +115,8 @@ def predict_joints(
             start=law.start,
             output=tau_predicted[:, j : j + 1],
         )
-        run.begin(numbers(law))
-        runs.append((run, numbers(law)))
+        run.begin(coefficient_array(law))
+        runs.append((run, coefficient_array(law)))
     for first_row in range(0, len(dt), _PIECE_ROWS):
         for run, values in runs:
             run.run_rows(values, first_row, min(first_row + _PIECE_ROWS, len(dt)))
@@ -124,7 +126,7 @@ def predict_joints(
 def compute_states(law: FrictionLaw, *, t: Array, dq: Array, q: Array, tau_load: Array) -> Array:
     """Return the (m, N) states of a law over a log; see `predict`."""
     dt, inputs = _to_arrays(t, (dq, q, tau_load))
-    return _run(_motion_kernel(law.form, states=True), law, dt, inputs).T
+    return _run(_motion_kernel(law.form, reads_states=True), law, dt, inputs).T
 
 
 def predict_band(
@@ -165,7 +167,9 @@ def _run(
     run = KernelRun(kernel, inputs, dt, euler=law.discretisation == "euler", start=law.start)
     has_start = start is not None
     return run.evaluate(
-        numbers(law), np.array(start, dtype=float) if has_start else None, settled=has_start
+        coefficient_array(law),
+        np.array(start, dtype=float) if has_start else None,
+        settled=has_start,
     )
 
 
@@ -176,10 +180,12 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     their deflection as a share of their bounds. For other memories, or if the parts of a relaxation
     depend on its state, the law's own start is returned.
     """
-    first_rows = record.rows(slice(0, law.start_samples))
+    start_record = record.rows(slice(0, law.start_samples))
 
     def error(start: tuple[float, ...]) -> float:
-        return float(np.sum((predict(law, **first_rows.motion, start=start) - first_rows.tau) ** 2))
+        return float(
+            np.sum((predict(law, **start_record.motion, start=start) - start_record.tau) ** 2)
+        )
 
     def find_best_start(
         build_start: Callable[[float], tuple[float, ...]], lower: float, upper: float
@@ -190,13 +196,13 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
         return build_start(float(optimum.x))
 
     if law.start_samples and law.form.stops:
-        rows = [
+        inputs = [
             np.array([first_input])
             for first_input in (record.dq[0], record.q[0], record.tau_load[0], *law.start)
         ]
         _, *parts = (
-            KernelRun(_reading_kernel(law.form), rows, np.zeros(1))
-            .evaluate(numbers(law))[0]
+            KernelRun(_reading_kernel(law.form), inputs, np.zeros(1))
+            .evaluate(coefficient_array(law))[0]
             .tolist()
         )
 
@@ -213,8 +219,8 @@ def record_start(law: FrictionLaw, record: FrictionRecord) -> tuple[float, ...]:
     if element.state in sympy.Tuple(*element.parts).free_symbols:
         return law.start
     zeros = np.zeros_like(record.t)
-    rows = [record.dq, record.q, record.tau_load, zeros]
-    _, b, r = KernelRun(_reading_kernel(law.form), rows, zeros).evaluate(numbers(law)).T
+    inputs = [record.dq, record.q, record.tau_load, zeros]
+    _, b, r = KernelRun(_reading_kernel(law.form), inputs, zeros).evaluate(coefficient_array(law)).T
     is_relaxing = r > 1e-9 * max(float(r.max()), 1e-300)
     limit = float(np.max(np.abs(b[is_relaxing] / r[is_relaxing]), initial=0.0))
     grid = np.linspace(-limit, limit, 41)
@@ -237,9 +243,9 @@ class LawStepper:
 
     def __init__(self, law: FrictionLaw, values: Array | None = None) -> None:
         self._kernel = _step_kernel(law.form, fixed_coefficients=values is None)
-        self._given = numbers(law) if values is None else np.zeros(0)
+        self._numbers = coefficient_array(law) if values is None else np.zeros(0)
         self._values = np.zeros((0, 0)) if values is None else values
-        self._euler = law.discretisation == "euler"
+        self._is_euler = law.discretisation == "euler"
         self._table = np.zeros((0, 0))
         self._run: KernelRun | None = None
 
@@ -249,7 +255,7 @@ class LawStepper:
         if coefficients:
             self._table[1 : 1 + coefficients] = np.repeat(self._values, 2, axis=1)
         dt, *inputs = self._table
-        return KernelRun(self._kernel, inputs, dt, range(0, 2 * motions, 2), euler=self._euler)
+        return KernelRun(self._kernel, inputs, dt, range(0, 2 * motions, 2), euler=self._is_euler)
 
     def __call__(
         self, dt: Array, dq: Array, q: Array, tau_load: Array, x: Array
@@ -263,5 +269,5 @@ class LawStepper:
         self._table[0, 1::2] = dt
         for row, signal in zip(self._table[-len(INPUTS) :], (dq, q, tau_load), strict=True):
             row[1::2] = signal
-        outputs = self._run.evaluate(self._given, x, settled=True)[1::2].T.copy()
+        outputs = self._run.evaluate(self._numbers, x, settled=True)[1::2].T.copy()
         return outputs[0], outputs[1:]

@@ -33,9 +33,11 @@ def predict_record(
     return predict(law, **record.motion, start=start)
 
 
-def training_error(law: FrictionLaw, records: Sequence[FrictionRecord]) -> float:
+def training_error(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> float:
     """Return the RMSE [N.m] of a law over all records of its joint."""
-    return rmse(np.concatenate([predict_record(law, record) - record.tau for record in records]))
+    return rmse(
+        np.concatenate([predict_record(law, record) - record.tau for record in joint_records])
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,16 +52,16 @@ class Score:
     rmse_rest: float | None = None
 
 
-def score(records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
+def score(joint_records: Sequence[FrictionRecord], predictions: Sequence[Array]) -> Score:
     """Score predictions (N,) [N.m] of one joint's friction on each record's rows."""
     error = np.concatenate(
         [
             record.tau - tau_predicted
-            for record, tau_predicted in zip(records, predictions, strict=True)
+            for record, tau_predicted in zip(joint_records, predictions, strict=True)
         ]
     )
-    is_near_reversal, is_moving = _classify_rows(records)
-    tau_std = float(np.std(np.concatenate([record.tau for record in records])))
+    is_near_reversal, is_moving = _classify_rows(joint_records)
+    tau_std = float(np.std(np.concatenate([record.tau for record in joint_records])))
     return Score(
         tau_std=tau_std,
         rmse=rmse(error),
@@ -82,21 +84,21 @@ class BandScore:
 
 
 def score_band(
-    records: Sequence[FrictionRecord],
+    joint_records: Sequence[FrictionRecord],
     predictions: Sequence[Array],
     bands: Sequence[tuple[Array, Array]],
 ) -> BandScore:
     """Score the ends (N,) [N.m] of one joint's band on each record's rows."""
     log_masks = [
         (record.tau >= lower) & (record.tau <= upper)
-        for record, (lower, upper) in zip(records, bands, strict=True)
+        for record, (lower, upper) in zip(joint_records, bands, strict=True)
     ]
     is_held = np.concatenate(log_masks)
-    is_near_reversal, is_moving = _classify_rows(records)
+    is_near_reversal, is_moving = _classify_rows(joint_records)
     error = np.concatenate(
         [
             np.abs(record.tau - tau_predicted)
-            for record, tau_predicted in zip(records, predictions, strict=True)
+            for record, tau_predicted in zip(joint_records, predictions, strict=True)
         ]
     )
     constant = 2.0 * float(np.quantile(error, is_held.mean()))
@@ -110,9 +112,11 @@ def score_band(
     )
 
 
-def _classify_rows(records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
-    is_near_reversal = np.concatenate([near_reversals(record.t, record.dq) for record in records])
-    return is_near_reversal, np.concatenate([moving(record.dq) for record in records])
+def _classify_rows(joint_records: Sequence[FrictionRecord]) -> tuple[Mask, Mask]:
+    is_near_reversal = np.concatenate(
+        [near_reversals(record.t, record.dq) for record in joint_records]
+    )
+    return is_near_reversal, np.concatenate([moving(record.dq) for record in joint_records])
 
 
 def rmse(error: Array) -> float:

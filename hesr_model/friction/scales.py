@@ -42,15 +42,20 @@ def add_scales(form: LawForm) -> LawForm:
         level = larger(level, MIN_SCALE)
     memory = tuple(scale_element(element, level) for element in form.memory)
     scaled_elements = [
-        element
-        for element, scaled_element in zip(form.memory, memory, strict=True)
-        if element != scaled_element
+        element for element, scaled in zip(form.memory, memory, strict=True) if element != scaled
     ]
     normalised = {
-        s: s / level for element in scaled_elements for s in (element.state, element.derivative)
+        symbol: symbol / level
+        for element in scaled_elements
+        for symbol in (element.state, element.derivative)
     }
     common, terms = _split_terms(form.output)
-    parts: dict[str, list[sympy.Expr]] = {"viscous": [], "coulomb": [], "carried": [], "rest": []}
+    parts: dict[str, list[sympy.Expr]] = {
+        "viscous": [],
+        "coulomb": [],
+        "carried": [],
+        "unscaled": [],
+    }
     for term in terms:
         parts[_classify_term(common * term, _states(form), normalised.keys())].append(
             term.xreplace(normalised)
@@ -59,7 +64,7 @@ def add_scales(form: LawForm) -> LawForm:
         VISCOUS.symbol * sympy.Add(*parts["viscous"]),
         level * sympy.Add(*parts["coulomb"]),
         *(level * term for term in parts["carried"]),  # no factor is left in linear terms
-        *parts["rest"],
+        *parts["unscaled"],
     )
     return LawForm(coefficients=(*form.coefficients, *SCALES), memory=memory, output=output)
 
@@ -84,7 +89,7 @@ def has_viscous(form: LawForm) -> bool:
 
 
 def _states(form: LawForm) -> set[sympy.Symbol]:
-    return {s for element in form.memory for s in (element.state, element.derivative)}
+    return {symbol for element in form.memory for symbol in (element.state, element.derivative)}
 
 
 def _split_terms(output: sympy.Expr) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
@@ -105,7 +110,7 @@ def _classify_term(
     symbols = term.free_symbols
     if symbols & {*carried}:
         return "carried"
-    return "coulomb" if symbols & {*states} or (DQ in symbols and Q not in symbols) else "rest"
+    return "coulomb" if symbols & {*states} or (DQ in symbols and Q not in symbols) else "unscaled"
 
 
 MIN_CHANGE = 0.1  # smallest relative change of friction to detect
@@ -114,23 +119,25 @@ _CLIPPED_SHARE = 1.0 - 1e-9  # share of its bound above which a stop is clipped,
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parts:
+class TorqueParts:
     """Terms of a law's torque [N.m], with memory scaled by the level."""
 
     memory: tuple[Element, ...]
     hysteresis: sympy.Expr
     viscous: sympy.Expr
-    rest: sympy.Expr  # ripple and offset
-    along: sympy.Expr  # derivative of the hysteresis by the level, from `sensitivities`
+    unscaled: sympy.Expr  # ripple and offset
+    level_slope: sympy.Expr  # derivative of the hysteresis by the level, from `sensitivities`
     sensitivities: tuple[Equation, ...]  # derivatives of the stops, warmth included
 
 
-def split_torque(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S.One) -> Parts:
-    """Return a law with a level and a factor `warm` on its bounds; ExportError without bounds."""
+def split_torque(
+    law: FrictionLaw, level: sympy.Expr, warmth: sympy.Expr = sympy.S.One
+) -> TorqueParts:
+    """Return a law with a level and a factor `warmth` on its bounds; ExportError without bounds."""
     form = law.form
-    memory = tuple(scale_element(original, level * warm) for original in form.memory)
+    memory = tuple(scale_element(element, level * warmth) for element in form.memory)
     scaled_elements = [
-        original for original, scaled in zip(form.memory, memory, strict=True) if original != scaled
+        element for element, scaled in zip(form.memory, memory, strict=True) if element != scaled
     ]
     if not scaled_elements:
         raise ExportError(
@@ -139,45 +146,40 @@ def split_torque(law: FrictionLaw, level: sympy.Expr, warm: sympy.Expr = sympy.S
         )
     states = {
         symbol: sympy.Integer(0)
-        for original in form.memory
-        for symbol in (original.state, original.derivative)
+        for element in form.memory
+        for symbol in (element.state, element.derivative)
     }
     stateless = form.output.subs(states)
     terms = sympy.Add.make_args(sympy.expand_mul(stateless))
     viscous = [t for t in terms if DQ in t.free_symbols and not {Q, TAU_LOAD} & t.free_symbols]
     stop_names = {
-        original: f"along_{original.name}"
-        for original in scaled_elements
-        if isinstance(original, Stop)
+        element: f"along_{element.name}" for element in scaled_elements if isinstance(element, Stop)
     }
-    along = sympy.S.Zero
+    level_slope = sympy.S.Zero
     for element in scaled_elements:
-        level_slope = (
+        state_slope = (
             sympy.Symbol(stop_names[element], real=True)
             if element in stop_names
             else element.state / level  # steady value of a sliding bristle
         )
-        along += (
-            form.output.diff(element.state).subs(
-                {original.derivative: 0 for original in form.memory}
-            )
-            * level_slope
+        level_slope += (
+            form.output.diff(element.state).subs({other.derivative: 0 for other in form.memory})
+            * state_slope
         )
-    return Parts(
+    return TorqueParts(
         memory=memory,
         hysteresis=sympy.expand_mul(form.output - stateless),
         viscous=sympy.Add(*viscous),
-        rest=sympy.Add(*(t for t in terms if t not in viscous)),
-        along=along,
+        unscaled=sympy.Add(*(t for t in terms if t not in viscous)),
+        level_slope=level_slope,
         sensitivities=tuple(
-            _derive_sensitivity(original, name, level, warm)
-            for original, name in stop_names.items()
+            _derive_sensitivity(stop, name, level, warmth) for stop, name in stop_names.items()
         ),
     )
 
 
-def _derive_sensitivity(stop: Stop, name: str, level: sympy.Expr, warm: sympy.Expr) -> Equation:
-    bound = warm * positive(stop.bound)
+def _derive_sensitivity(stop: Stop, name: str, level: sympy.Expr, warmth: sympy.Expr) -> Equation:
+    bound = warmth * positive(stop.bound)
     clipped = exceeds(absolute(stop.state), _CLIPPED_SHARE * level * bound)
     return Equation(
         name=name,

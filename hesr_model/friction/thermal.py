@@ -93,22 +93,22 @@ def thermal_symbol(name: str) -> sympy.Symbol:
 
 
 def friction_factors(
-    over: sympy.Expr, coulomb_scale: sympy.Expr, viscous_scale: sympy.Expr
+    excess: sympy.Expr, coulomb_scale: sympy.Expr, viscous_scale: sympy.Expr
 ) -> tuple[sympy.Expr, sympy.Expr]:
-    """Return the Coulomb and the viscous factor at a temperature `over` the reference [K]."""
-    coulomb = clip(thermal_symbol("coulomb") * over, COULOMB_RANGE)
-    viscous = clip(thermal_symbol("viscous") * over, VISCOUS_RANGE)
+    """Return the Coulomb and the viscous factor at an `excess` [K] over the reference."""
+    coulomb = clip(thermal_symbol("coulomb") * excess, COULOMB_RANGE)
+    viscous = clip(thermal_symbol("viscous") * excess, VISCOUS_RANGE)
     return coulomb_scale * (1 - coulomb), viscous_scale * sympy.exp(-viscous)
 
 
 @cache
 def _factor_function() -> Callable[..., Sequence[Array]]:
-    over = sympy.Symbol("over", real=True)
+    excess = sympy.Symbol("over", real=True)
     parameters = [thermal_symbol(name) for name in _FACTOR_PARAMETERS]
-    factors = friction_factors(over, *parameters[2:])
+    factors = friction_factors(excess, *parameters[2:])
     coulomb_factor, viscous_factor = sympy.symbols("coulomb_factor viscous_factor", real=True)
     steps = {coulomb_factor: factors[0], viscous_factor: factors[1]}
-    return numpy_function([over, *parameters], steps, [coulomb_factor, viscous_factor])
+    return numpy_function([excess, *parameters], steps, [coulomb_factor, viscous_factor])
 
 
 RISE = "rise"

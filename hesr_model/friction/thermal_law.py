@@ -17,11 +17,16 @@ from hesr_model.audit.certificate import find_min_viscous_scale
 from hesr_model.equations.component import Component, previous
 from hesr_model.equations.functions import larger
 from hesr_model.equations.stepping import Steps
-from hesr_model.friction import thermal as models
 from hesr_model.friction.inputs import TORQUE
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.scales import COULOMB, MIN_SCALE, SCALES, VISCOUS, split_torque
-from hesr_model.friction.thermal import TEMPERATURE, Thermal, thermal_parameters, warmth
+from hesr_model.friction.thermal import (
+    TEMPERATURE,
+    THERMOMETER,
+    Thermal,
+    thermal_parameters,
+    warmth,
+)
 from hesr_model.rigid_body.residual import FrictionRecord
 from hesr_model.support.arrays import Array
 
@@ -32,13 +37,13 @@ def thermal_component(law: FrictionLaw, thermal: Thermal) -> Component:
     torque_parts = split_torque(law, larger(COULOMB.symbol, MIN_SCALE), warmth_factors.coulomb)
     # Ripple needs a minimum viscosity.
     viscous = larger(VISCOUS.symbol * warmth_factors.viscous, find_min_viscous_scale(law))
-    torque = torque_parts.hysteresis + viscous * torque_parts.viscous + torque_parts.rest
-    base = law.form.component
-    [equation] = base.equations
+    torque = torque_parts.hysteresis + viscous * torque_parts.viscous + torque_parts.unscaled
+    component = law.form.component
+    [equation] = component.equations
     return replace(
-        base,
-        inputs=(*base.inputs, TEMPERATURE),
-        parameters=(*base.parameters, *thermal_parameters(thermal)),
+        component,
+        inputs=(*component.inputs, TEMPERATURE),
+        parameters=(*component.parameters, *thermal_parameters(thermal)),
         shared=SCALES,
         memory=(warmth_factors.memory, *torque_parts.memory),
         equations=(replace(equation, expression=torque, start=sympy.S.Zero),),
@@ -49,7 +54,7 @@ def build_inputs(record: FrictionRecord) -> tuple[dict[str, Array], dict[str, fl
     """Return a thermal law's inputs over a record, and the parameters that depend on them."""
     columns = {"dq": record.dq, "q": record.q, "tau_load": record.tau_load}
     if record.temperature is None:  # then friction heats the joint
-        return columns, {models.THERMOMETER: 0.0}
+        return columns, {THERMOMETER: 0.0}
     return columns | {TEMPERATURE.name: record.temperature}, {}
 
 

@@ -43,13 +43,13 @@ class TrainedRange:
             )
 
     @classmethod
-    def from_records(cls, records: Sequence[FrictionRecord]) -> Self:
+    def from_records(cls, joint_records: Sequence[FrictionRecord]) -> Self:
         """Return the ranges of a joint's records."""
         ranges = {}
         for name in (*INPUT_UNITS, "tau"):
-            values = np.concatenate([getattr(record, name) for record in records])
+            values = np.concatenate([getattr(record, name) for record in joint_records])
             ranges[name] = float(np.min(values)), float(np.max(values))
-        period = float(np.median(np.concatenate([np.diff(record.t) for record in records])))
+        period = float(np.median(np.concatenate([np.diff(record.t) for record in joint_records])))
         return cls(sample_time=round(period, 9), **ranges)
 
     @property
@@ -73,15 +73,17 @@ class Excess:
 
 
 def find_excess(
-    trained_range: TrainedRange, records: Sequence[FrictionRecord], thermal: Thermal | None = None
+    trained_range: TrainedRange,
+    joint_records: Sequence[FrictionRecord],
+    thermal: Thermal | None = None,
 ) -> dict[str, Excess]:
     """Return the excess of each input of a joint, and its temperature, that leaves its range."""
     excesses = {}
     ranges = {name: getattr(trained_range, name) for name in INPUT_UNITS}
-    if thermal and all(record.temperature is not None for record in records):
+    if thermal and all(record.temperature is not None for record in joint_records):
         ranges[TEMPERATURE.name] = thermal.coldest, thermal.warmest
     for name, (lowest, highest) in ranges.items():
-        values = np.concatenate([getattr(record, name) for record in records])
+        values = np.concatenate([getattr(record, name) for record in joint_records])
         below = lowest - values
         above = values - highest
         is_beyond = (below > 0.0) | (above > 0.0)

@@ -23,9 +23,8 @@ BIN_SECONDS = 0.05  # length of a bin, whose rows are averaged [s]
 SECONDS_PER_DEGREE = 8.0  # minimum duration per degree of freedom [s]
 _TIMES_PER_DEGREE = 3.0  # minimum duration per degree of freedom in correlation times
 MIN_DEGREES = 4  # degrees of freedom below which no law is called worse: about 40 s of logs
-_BOTH_SETS_FACTOR = (
-    2.0**0.5
-)  # standard error of a difference between two sets of logs, over that of one
+# Standard error of a difference between two sets of logs, over that of one.
+_BOTH_SETS_FACTOR = 2.0**0.5
 MIN_SECONDS = 40.0
 MAX_SECONDS = 1e7
 # Factor on p for up to `CALIBRATED_COMPARISONS` simultaneous comparisons and many degrees of
@@ -57,12 +56,12 @@ class ErrorRatio:
     def verdict(self) -> str:
         """Comparison of the laws: "better", "worse" or "alike"."""
         if self.p is not None:
-            sure = self.p < SIGNIFICANCE
+            is_significant = self.p < SIGNIFICANCE
         else:  # short logs; rule of earlier versions
             low = self.low
             high = self.high
-            sure = low is not None and high is not None and (high < 1.0 or low > 1.0)
-        if not sure:
+            is_significant = low is not None and high is not None and (high < 1.0 or low > 1.0)
+        if not is_significant:
             return "alike"
         return "better" if self.value < 1.0 else "worse"
 
@@ -77,8 +76,8 @@ class LawErrors:
     log_rmse : (L,) logarithm of the RMSE over all rows.
     rows : (nu, L) contrasts of the influence of time and of logs on `log_rmse`, scaled to the
         variance of one bin; cosines of rising frequency log by log, then differences between logs.
-    slow : (nu,) whether a row is of the lower half of the frequencies or between logs.
-    between : (nu,) whether a row is a difference between logs.
+    is_slow : (nu,) whether a row is of the lower half of the frequencies or between logs.
+    is_between : (nu,) whether a row is a difference between logs.
     bins : number of bins.
     seconds : duration of all logs [s].
     """
@@ -86,8 +85,8 @@ class LawErrors:
     laws: tuple[str, ...]
     log_rmse: Array
     rows: Array
-    slow: Mask
-    between: Mask
+    is_slow: Mask
+    is_between: Mask
     bins: int
     seconds: float
 
@@ -108,12 +107,13 @@ class LawErrors:
 
     def standard_errors(self, other: int) -> Array:
         """Return the standard errors (L,) of the log ratios to another law."""
-        return self._deviation(self.rows - self.rows[:, [other]])
+        return self._estimate_deviations(self.rows - self.rows[:, [other]])
 
-    def ratios(self, other: str, family: int | None = None) -> dict[str, ErrorRatio]:
+    def ratios(self, other: str, comparison_count: int | None = None) -> dict[str, ErrorRatio]:
         """Return the ratios of all other laws to a law.
 
-        `family` is the number of simultaneous comparisons, by default that of the other laws.
+        `comparison_count` is the number of simultaneous comparisons, by default that of the other
+        laws.
         """
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
@@ -124,39 +124,44 @@ class LawErrors:
                 if law != other
             }
         errors = np.maximum(self.standard_errors(k), 1e-300)
-        factor = calibration(self._comparisons(family), self.degrees)
+        factor = calibration(self._count_comparisons(comparison_count), self.degrees)
         p = np.minimum(1.0, factor * two_sided_probability(np.log(values) / errors, self.degrees))
-        wide = np.exp(stdtrit(self.degrees, 0.975) * errors)
-        wider = self._widening_factors(k, wide)
+        interval_factors = np.exp(stdtrit(self.degrees, 0.975) * errors)
+        other_factors = self._widening_factors(k, interval_factors)
         detectable_ratios = np.exp(
-            errors * detection_factor(self.degrees, self._level(family, self.degrees))
+            errors
+            * detection_factor(
+                self.degrees, self._find_significance_level(comparison_count, self.degrees)
+            )
         )
         return {
             law: ErrorRatio(
                 value=float(values[i]),
-                low=float(values[i] / wide[i]),
-                high=float(values[i] * wide[i]),
+                low=float(values[i] / interval_factors[i]),
+                high=float(values[i] * interval_factors[i]),
                 p=float(p[i]),
                 detectable=float(detectable_ratios[i]),
                 others=None
-                if wider is None
-                else (float(values[i] / wider[i]), float(values[i] * wider[i])),
+                if other_factors is None
+                else (float(values[i] / other_factors[i]), float(values[i] * other_factors[i])),
             )
             for i, law in enumerate(self.laws)
             if law != other
         }
 
     def required_seconds(
-        self, law: str, other: str, ratio: float, family: int | None = None
+        self, law: str, other: str, ratio: float, comparison_count: int | None = None
     ) -> float:
         """Return the duration [s] of such logs, up to `MAX_SECONDS`, that would show a ratio."""
         difference = self.rows[:, self.laws.index(law)] - self.rows[:, self.laws.index(other)]
-        error = float(self._deviation(difference[:, None])[0])
+        error = float(self._estimate_deviations(difference[:, None])[0])
 
         def surplus(seconds: float) -> float:
             degrees = self.degrees * seconds / self.seconds
             scaled_error = error * np.sqrt(self.seconds / seconds)
-            factor = detection_factor(degrees, self._level(family, degrees))
+            factor = detection_factor(
+                degrees, self._find_significance_level(comparison_count, degrees)
+            )
             return float(np.log(ratio) - scaled_error * factor)
 
         shortest = max(MIN_SECONDS, MIN_DEGREES * self.seconds / self.degrees)
@@ -169,24 +174,26 @@ class LawErrors:
             return MAX_SECONDS
         return float(brentq(surplus, shortest, longest, rtol=1e-3))
 
-    def _widening_factors(self, other: int, wide: Array) -> Array | None:
+    def _widening_factors(self, other: int, interval_factors: Array) -> Array | None:
         """Return the factors (L,) of the intervals for other logs; None for a single log."""
-        apart = (self.rows - self.rows[:, [other]])[self.between]
-        if not len(apart):
+        log_differences = (self.rows - self.rows[:, [other]])[self.is_between]
+        if not len(log_differences):
             return None
-        between = stdtrit(len(apart), 0.975) * np.sqrt((apart**2).mean(axis=0) / self.bins)
-        return np.asarray(np.exp(_BOTH_SETS_FACTOR * np.maximum(np.log(wide), between)))
+        between = stdtrit(len(log_differences), 0.975) * np.sqrt(
+            (log_differences**2).mean(axis=0) / self.bins
+        )
+        return np.asarray(np.exp(_BOTH_SETS_FACTOR * np.maximum(np.log(interval_factors), between)))
 
-    def _level(self, family: int | None, degrees: float) -> float:
-        comparisons = self._comparisons(family)
+    def _find_significance_level(self, comparison_count: int | None, degrees: float) -> float:
+        comparisons = self._count_comparisons(comparison_count)
         return SIGNIFICANCE / calibration(comparisons, degrees) / comparisons
 
-    def _comparisons(self, family: int | None) -> int:
-        return family or max(1, len(self.laws) - 1)
+    def _count_comparisons(self, comparison_count: int | None) -> int:
+        return comparison_count or max(1, len(self.laws) - 1)
 
-    def _deviation(self, differences: Array) -> Array:
+    def _estimate_deviations(self, differences: Array) -> Array:
         squares = differences**2
-        row_sets = (np.ones(self.degrees, dtype=bool), self.slow, self.between)
+        row_sets = (np.ones(self.degrees, dtype=bool), self.is_slow, self.is_between)
         largest = np.max([squares[rows].mean(axis=0) for rows in row_sets if rows.any()], axis=0)
         return np.asarray(np.sqrt(largest / self.bins))
 
@@ -212,26 +219,26 @@ def law_errors(
     ]
     counted_laws = [laws.index(law) for law in among] or list(range(len(laws)))
     rows = []
-    slow = []
+    is_slow = []
     for psi, square, period in zip(binned, squares, periods, strict=True):
-        degrees = _degrees(psi[counted_laws], square.shape[1] * period)
+        degrees = _count_degrees(psi[counted_laws], square.shape[1] * period)
         n = psi.shape[1]
         m = np.arange(1, degrees + 1)
         cosines = np.sqrt(2.0 / n) * np.cos(np.pi * m[:, None] * (np.arange(n) + 0.5) / n)
         rows.append(cosines @ psi.T)
-        slow.append(m <= (degrees + 1) // 2)
+        is_slow.append(m <= (degrees + 1) // 2)
     sizes = np.sqrt([psi.shape[1] for psi in binned])
     _, _, directions = np.linalg.svd(sizes[None, :])  # the first is that of the sizes
     means = np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
-    apart = directions[1:] @ (sizes[:, None] * means)
+    log_differences = directions[1:] @ (sizes[:, None] * means)
     within = sum(map(len, rows))
-    between = len(apart)
+    between = len(log_differences)
     return LawErrors(
         laws=laws,
         log_rmse=0.5 * np.log(mean),
-        rows=np.concatenate([*rows, apart]),
-        slow=np.concatenate([*slow, np.ones(between, dtype=bool)]),
-        between=np.arange(within + between) >= within,
+        rows=np.concatenate([*rows, log_differences]),
+        is_slow=np.concatenate([*is_slow, np.ones(between, dtype=bool)]),
+        is_between=np.arange(within + between) >= within,
         bins=sum(psi.shape[1] for psi in binned),
         seconds=float(sum(s.shape[1] * p for s, p in zip(squares, periods, strict=True))),
     )
@@ -246,7 +253,7 @@ def _average_over_bins(values: Array, period: float) -> Array:
     return np.asarray(np.add.reduceat(values, starts, axis=1) / lengths)
 
 
-def _degrees(psi: Array, seconds: float) -> int:
+def _count_degrees(psi: Array, seconds: float) -> int:
     if psi.shape[1] < 4:
         return 0
     times = [correlation_length(row) for row in psi - psi.mean(axis=0)]
@@ -266,9 +273,9 @@ def two_sided_probability(t: Array, degrees: float) -> Array:
 
 def detection_factor(degrees: float, level: float) -> float:
     """Return the smallest log ratio, in standard errors, that is found with probability `POWER`."""
-    low = chdtri(degrees, POWER)  # the standard error may be estimated too low
+    low_quantile = chdtri(degrees, POWER)  # the standard error may be estimated too low
     t = stdtrit(degrees, 1.0 - level / 2.0) + stdtrit(degrees, POWER)
-    return float(t * np.sqrt(degrees / low))
+    return float(t * np.sqrt(degrees / low_quantile))
 
 
 def adjust_by_holm(p: Mapping[Key, float]) -> dict[Key, float]:

@@ -186,31 +186,31 @@ def covariance_of_parts(
     for label, rows, hessian in parts():
         moments_by_log[label].add(rows @ inverse)
         hessians[label] += hessian
-    logs = sorted(moments_by_log)
-    moments = [moments_by_log[log_number] for log_number in logs]
+    labels = sorted(moments_by_log)
+    moments = [moments_by_log[label] for label in labels]
     carried_covariance = (
         np.zeros_like(inverse) if prior_hessian is None else inverse @ prior_hessian @ inverse
     )
     if carried is not None:
         carried_influences = inverse @ carried
         carried_covariance = carried_covariance + carried_influences @ carried_influences.T
-    covariance = Covariance(
+    carried_only = Covariance(
         names=tuple(names),
         within=np.zeros_like(inverse),
         between=1.0,
         degrees=0.0,
         carried=carried_covariance,
     )
-    if len(logs) >= MIN_SCATTER_LOGS:
+    if len(labels) >= MIN_SCATTER_LOGS:
         sums = np.array([log_moments.total for log_moments in moments])
-        return replace(covariance, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
-    influences = ((logs.index(label), rows @ inverse) for label, rows, _ in parts())
+        return replace(carried_only, within=sums.T @ sums * (len(sums) / (len(sums) - 1)))
+    influences = ((labels.index(label), rows @ inverse) for label, rows, _ in parts())
     variances = compute_long_run(moments, influences)
     between, degrees = _compare_logs(
-        moments, variances, [hessians[log_number] for log_number in logs], total_hessian
+        moments, variances, [hessians[label] for label in labels], total_hessian
     )
     within = np.sum(variances, axis=0) * _correct_few_rows(moments)
-    return replace(covariance, within=within, between=between, degrees=degrees, logs=len(logs))
+    return replace(carried_only, within=within, between=between, degrees=degrees, logs=len(labels))
 
 
 def covariance_of_fit(
@@ -247,12 +247,16 @@ class Moments:
         self.lag2 += np.sum(psi * longer[:-2], axis=0)
         self.last = longer[-2:]
 
-    def whitened_products(self, memory: Array) -> tuple[Array, Array]:
-        """Return the squares and lag-1 products of psi[k] - memory psi[k - 1]."""
+    def whitened_products(self, autoregression: Array) -> tuple[Array, Array]:
+        """Return the squares and lag-1 products of psi[k] - `autoregression` psi[k - 1]."""
         earlier_squares = self.squares - self.last[1] ** 2
-        squares = self.squares - 2.0 * memory * self.lag1 + memory**2 * earlier_squares
+        squares = (
+            self.squares - 2.0 * autoregression * self.lag1 + autoregression**2 * earlier_squares
+        )
         product = self.lag1 - self.last[0] * self.last[1]
-        return squares, self.lag1 - memory * (earlier_squares + self.lag2) + memory**2 * product
+        return squares, self.lag1 - autoregression * (
+            earlier_squares + self.lag2
+        ) + autoregression**2 * product
 
 
 def compute_long_run(
@@ -263,27 +267,31 @@ def compute_long_run(
     The `influences` are numbers of logs with their next rows (N, P). Bartlett's kernel with weights
     1 - lag / width is the mean product of sums over windows of that width.
     """
-    memory = _estimate_autoregression([(log.squares, log.lag1) for log in moments])
-    width = 1 + _choose_bandwidth([log.whitened_products(memory) for log in moments], moments)
-    size = len(memory)
-    last = np.zeros((len(moments), 1, size))
-    held = np.zeros((len(moments), width, size))
+    autoregression = _estimate_autoregression(
+        [(log_moments.squares, log_moments.lag1) for log_moments in moments]
+    )
+    width = 1 + _choose_bandwidth(
+        [log_moments.whitened_products(autoregression) for log_moments in moments], moments
+    )
+    size = len(autoregression)
+    last_rows = np.zeros((len(moments), 1, size))
+    last_white_rows = np.zeros((len(moments), width, size))
     totals = np.zeros((len(moments), size, size))
 
-    def add(log: int, white: Array) -> None:
-        longer = np.concatenate([held[log], white])
-        sums = np.cumsum(longer, axis=0)
+    def add(k: int, white_rows: Array) -> None:
+        extended_rows = np.concatenate([last_white_rows[k], white_rows])
+        sums = np.cumsum(extended_rows, axis=0)
         windows = sums[width:] - sums[:-width]
-        totals[log] += windows.T @ windows
-        held[log] = longer[-width:]
+        totals[k] += windows.T @ windows
+        last_white_rows[k] = extended_rows[-width:]
 
-    for log, psi in influences:
-        longer = np.concatenate([last[log], psi])
-        add(log, psi - memory * longer[:-1])
-        last[log] = longer[-1]
-    for log in range(len(moments)):
-        add(log, np.zeros((width - 1, size)))
-    return list(totals / width / np.outer(1.0 - memory, 1.0 - memory))
+    for k, psi in influences:
+        extended_rows = np.concatenate([last_rows[k], psi])
+        add(k, psi - autoregression * extended_rows[:-1])
+        last_rows[k] = extended_rows[-1]
+    for k in range(len(moments)):
+        add(k, np.zeros((width - 1, size)))
+    return list(totals / width / np.outer(1.0 - autoregression, 1.0 - autoregression))
 
 
 def _correct_few_rows(moments: Sequence[Moments]) -> Array:
@@ -345,7 +353,7 @@ def _estimate_autoregression(sums: Sequence[tuple[Array, Array]]) -> Array:
 def _choose_bandwidth(white: Sequence[tuple[Array, Array]], moments: Sequence[Moments]) -> int:
     """Return the bandwidth of Bartlett's kernel [rows] (Andrews 1991, eq. 6.2 and 6.4)."""
     rho = _estimate_autoregression(white)
-    above = np.sum(4.0 * rho**2 * (1.0 - rho**2) ** 2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2))
-    below = np.sum((1.0 - rho**2) ** 2 / (1.0 - rho) ** 4)
+    numerator = np.sum(4.0 * rho**2 * (1.0 - rho**2) ** 2 / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2))
+    denominator = np.sum((1.0 - rho**2) ** 2 / (1.0 - rho) ** 4)
     rows = np.mean([log_moments.rows for log_moments in moments])
-    return int(np.ceil(1.1447 * (above / below * rows) ** (1.0 / 3.0)))
+    return int(np.ceil(1.1447 * (numerator / denominator * rows) ** (1.0 / 3.0)))

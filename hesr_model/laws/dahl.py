@@ -50,14 +50,16 @@ class DahlBasis(OneForm):
         """Return the expressions."""
         no_structure(cls.name, structure)
         elements = tuple(
-            Relaxation(name=f"x{i}", unit="1", drive=k.symbol * DQ, rate=k.symbol * absolute(DQ))
-            for i, k in zip(_ELEMENTS, _KAPPA, strict=True)
+            Relaxation(
+                name=f"x{i}", unit="1", drive=kappa.symbol * DQ, rate=kappa.symbol * absolute(DQ)
+            )
+            for i, kappa in zip(_ELEMENTS, _KAPPA, strict=True)
         )
         load = absolute(TAU_LOAD) if cls.load else 0
         factors = [
-            quantity.symbol + m.symbol * load for quantity, m in zip(_FORCE, _LOAD, strict=True)
+            force.symbol + rise.symbol * load for force, rise in zip(_FORCE, _LOAD, strict=True)
         ]
-        torque = sum(quantity * x.state for quantity, x in zip(factors, elements, strict=True))
+        torque = sum(factor * x.state for factor, x in zip(factors, elements, strict=True))
         return LawForm(
             coefficients=(*_KAPPA, *_FORCE, *(_LOAD if cls.load else ()), SIGMA_2, TAU_0),
             memory=elements,
@@ -71,7 +73,8 @@ class DahlBasis(OneForm):
             bounds=(),
             linear=tuple(quantity.name for quantity in linear),
             values=tuple(
-                (k.name, sympy.Float(1.0 / d)) for k, d in zip(_KAPPA, DEFLECTIONS, strict=True)
+                (kappa.name, sympy.Float(1.0 / deflection))
+                for kappa, deflection in zip(_KAPPA, DEFLECTIONS, strict=True)
             ),
             non_negative=0 if self.relaxed else len(linear) - 2,
         )

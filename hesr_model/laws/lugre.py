@@ -157,7 +157,9 @@ class LuGrePassive(LuGre):
     order = 70
     expressions = replace(
         _LUGRE,
-        coefficients=tuple(S_2 if c is SIGMA_2 else c for c in _LUGRE.coefficients),
+        coefficients=tuple(
+            S_2 if coefficient is SIGMA_2 else coefficient for coefficient in _LUGRE.coefficients
+        ),
         output=_LUGRE.output.subs(
             SIGMA_2.symbol, S_2.symbol + SIGMA_1.symbol * (F_S.symbol / F_C.symbol - 1)
         ),

@@ -32,7 +32,7 @@ _MIN_SPREAD = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Inputs:
+class NetworkInputs:
     """Inputs of a network for one (alpha, beta), each with mean 0 and spread 1 over all rows."""
 
     cell: Cell
@@ -41,7 +41,7 @@ class Inputs:
     spread: Array  # (3,)
 
     @classmethod
-    def from_features(cls, features: HysteresisFeatures, cell: Cell) -> "Inputs":
+    def from_features(cls, features: HysteresisFeatures, cell: Cell) -> "NetworkInputs":
         """Run the hysteresis state of eq. 9 over the rows of a joint."""
         x = features.columns(cell.alpha, cell.beta)[:, 1:]
         mean = x.mean(axis=0)
@@ -49,7 +49,7 @@ class Inputs:
         return cls(cell=cell, z=(x - mean) / spread, mean=mean, spread=spread)
 
 
-Costs = Callable[[Inputs, int], Array]  # left-out errors by hyper-parameters, for a size
+Costs = Callable[[NetworkInputs, int], Array]  # left-out errors by hyper-parameters, for a size
 
 
 class NetworkEstimator(Estimator):
@@ -58,16 +58,18 @@ class NetworkEstimator(Estimator):
     key: ClassVar[str]  # of the size
     sizes: ClassVar[tuple[int, int]]  # smallest fitted and largest one
 
-    def __init__(self, tried: Sequence[int], cells: int, discretisation: Discretisation) -> None:
+    def __init__(
+        self, tried_sizes: Sequence[int], cells: int, discretisation: Discretisation
+    ) -> None:
         smallest, largest = self.sizes
-        if not tried or any(
-            type(size) is not int or not smallest <= size <= largest for size in tried
+        if not tried_sizes or any(
+            type(size) is not int or not smallest <= size <= largest for size in tried_sizes
         ):
             raise FitError(
-                f"law '{self.name}': '{self.key}' is {list(tried)}; expected whole numbers from "
-                f"{smallest} to {largest}."
+                f"law '{self.name}': '{self.key}' is {list(tried_sizes)}; expected whole numbers "
+                f"from {smallest} to {largest}."
             )
-        self.tried = tuple(tried)
+        self.tried_sizes = tuple(tried_sizes)
         self.cells = cells
         self.discretisation = discretisation
 
@@ -87,22 +89,22 @@ class NetworkEstimator(Estimator):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Cross-validate every choice and fit the best one (seeded by `rng`)."""
-        largest = self.form({self.key: max(self.tried)})
-        rows = JointRows.from_records(records, coefficients=len(largest.coefficients))
-        features = HysteresisFeatures(samples=rows, discretisation=self.discretisation)
+        largest_form = self.form({self.key: max(self.tried_sizes)})
+        rows = JointRows.from_records(records, coefficients=len(largest_form.coefficients))
+        features = HysteresisFeatures(rows=rows, discretisation=self.discretisation)
         return find_bounded_law(
             self._rank_laws(find_candidates(features, self.cells), rows, rng), records
         )
 
     def _rank_laws(
-        self, inputs: Sequence[Inputs], rows: JointRows, rng: np.random.Generator
+        self, inputs: Sequence[NetworkInputs], rows: JointRows, rng: np.random.Generator
     ) -> Iterator[FrictionLaw]:
-        costs_of, law_of = self._search(rows, rng)
-        choices = list(product(inputs, self.tried))
-        costs = np.array([costs_of(*choice) for choice in report_progress(choices, step)])
+        compute_costs, build_law = self._search(rows, rng)
+        choices = list(product(inputs, self.tried_sizes))
+        costs = np.array([compute_costs(*choice) for choice in report_progress(choices, step)])
         for flat_index in np.argsort(costs, axis=None):
             i, *cost_indices = map(int, np.unravel_index(flat_index, costs.shape))
-            yield law_of(*choices[i], *cost_indices)
+            yield build_law(*choices[i], *cost_indices)
 
     @abstractmethod
     def _search(
@@ -121,21 +123,23 @@ class NetworkEstimator(Estimator):
         )
 
 
-def find_candidates(features: HysteresisFeatures, count: int) -> list[Inputs]:
+def find_candidates(features: HysteresisFeatures, count: int) -> list[NetworkInputs]:
     """Return the inputs at the best `count` distinct (alpha, beta) of stage 1."""
     cells = calibrate.select_distinct(calibrate.compute_profile(features), count)
-    return [Inputs.from_features(features, cell) for cell in cells]
+    return [NetworkInputs.from_features(features, cell) for cell in cells]
 
 
-def find_bounded_law(laws: Iterable[FrictionLaw], records: Sequence[FrictionRecord]) -> FrictionLaw:
+def find_bounded_law(
+    laws: Iterable[FrictionLaw], joint_records: Sequence[FrictionRecord]
+) -> FrictionLaw:
     """Return the first law with a bounded torque; FitError if `MAX_TRIED_LAWS` explode."""
-    trained_range = TrainedRange.from_records(records)
+    trained_range = TrainedRange.from_records(joint_records)
     for law in islice(laws, MAX_TRIED_LAWS):
         if not explodes(law, trained_range):
             return law
     raise FitError(
-        f"joint '{records[0].joint}': the torque of the best networks explodes just outside the "
-        "trained speeds; record more motion."
+        f"joint '{joint_records[0].joint}': the torque of the best networks explodes just outside "
+        "the trained speeds; record more motion."
     )
 
 
@@ -204,24 +208,24 @@ class RbfnnH(NetworkEstimator):
     def _search(
         self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
-        def law(inputs: Inputs, count: int, factor: int, ridge: int) -> FrictionLaw:
+        def build_law(inputs: NetworkInputs, count: int, factor: int, ridge: int) -> FrictionLaw:
             centres, spacing = cluster_centres(inputs.z, count, rng)
             width = WIDTH_FACTORS[factor] * spacing
             columns = gaussians(inputs.z, centres, width)
             bias, weights = ridge_weights(columns, rows.tau, (RIDGES[ridge],))
             return self._law(inputs, centres, width, float(bias[0]), weights[:, 0])
 
-        return lambda inputs, count: cross_validate(inputs.z, rows, count, rng), law
+        return lambda inputs, count: cross_validate(inputs.z, rows, count, rng), build_law
 
     def _law(
-        self, inputs: Inputs, centres: Array, width: float, bias: float, weights: Array
+        self, inputs: NetworkInputs, centres: Array, width: float, bias: float, weights: Array
     ) -> FrictionLaw:
         values = {"w_0": bias, "alpha": inputs.cell.alpha, "beta": inputs.cell.beta}
         values |= {f"w_{k}": float(w) for k, w in enumerate(weights, start=1)}
-        places = inputs.mean + inputs.spread * centres
+        raw_centres = inputs.mean + inputs.spread * centres
         for i, (x, _) in enumerate(_INPUTS):
             values[f"s_{x}"] = float(inputs.spread[i] * width)
-            values |= {f"m{k}_{x}": float(m) for k, m in enumerate(places[:, i], start=1)}
+            values |= {f"m{k}_{x}": float(m) for k, m in enumerate(raw_centres[:, i], start=1)}
         return self._build_law(len(weights), values)
 
 

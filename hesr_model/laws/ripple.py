@@ -121,7 +121,7 @@ def select(
     """
     tau = rows.tau
     gain = max(MIN_GAIN, CHANCE_GAIN / len(tau))
-    chosen = Ripple(gear_ratio=gear_ratio, orders=())
+    chosen_ripple = Ripple(gear_ratio=gear_ratio, orders=())
     times = _TIMES[0]
     columns = base
     cost = left_out_cost(base, tau, folds)
@@ -129,33 +129,39 @@ def select(
     def cross_validate(ripple: Ripple, trial_times: Times) -> float:
         return left_out_cost(np.hstack([base, ripple.columns(rows, trial_times)]), tau, folds)
 
-    while len(chosen.orders) < MAX_ORDERS:
+    while len(chosen_ripple.orders) < MAX_ORDERS:
         residual = tau - columns @ least_squares(columns, tau)
         near_times = (
-            [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR_LAG] if chosen.orders else _TIMES
+            [t for t in _TIMES if abs(t[0] - times[0]) < _NEAR_LAG]
+            if chosen_ripple.orders
+            else _TIMES
         )
-        ranked = _rank_orders(rows, residual, chosen, [times] if chosen.orders else _TIMES)
+        ranked = _rank_orders(
+            rows, residual, chosen_ripple, [times] if chosen_ripple.orders else _TIMES
+        )
         for order, trial_times in ranked[:_ATTEMPTS]:
-            extended = replace(chosen, orders=(*chosen.orders, order))
+            extended = replace(chosen_ripple, orders=(*chosen_ripple.orders, order))
             if cross_validate(extended, trial_times) < (1.0 - gain) * cost:
                 break
         else:
             break
-        chosen = extended
-        times = min(near_times, key=lambda at: cross_validate(chosen, at))
-        cost = cross_validate(chosen, times)
-        columns = np.hstack([base, chosen.columns(rows, times)])
-    return (chosen, times) if chosen.orders else None
+        chosen_ripple = extended
+        times = min(near_times, key=lambda at: cross_validate(chosen_ripple, at))
+        cost = cross_validate(chosen_ripple, times)
+        columns = np.hstack([base, chosen_ripple.columns(rows, times)])
+    return (chosen_ripple, times) if chosen_ripple.orders else None
 
 
 def _rank_orders(
-    rows: JointRows, residual: Array, chosen: Ripple, candidates: Sequence[Times]
+    rows: JointRows, residual: Array, chosen_ripple: Ripple, candidates: Sequence[Times]
 ) -> list[tuple[int, Times]]:
     explained = []
-    orders = [order for order in ORDERS if order not in chosen.orders]
-    weights = {order: _weights(rows, chosen.gear_ratio, order, candidates) for order in orders}
+    orders = [order for order in ORDERS if order not in chosen_ripple.orders]
+    weights = {
+        order: _weights(rows, chosen_ripple.gear_ratio, order, candidates) for order in orders
+    }
     for lag in dict.fromkeys(lag for lag, _ in candidates):
-        angle = chosen.gear_ratio * (rows.q - lag * rows.dq)
+        angle = chosen_ripple.gear_ratio * (rows.q - lag * rows.dq)
         for order, rotated in _yield_powers(angle, weights):
             smoothings, wave_sizes, squared = weights[order]
             # Cosine and sine, also of the doubled angle for their squares.

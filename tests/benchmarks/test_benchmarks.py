@@ -69,7 +69,7 @@ def data() -> FrictionRecord:
 @pytest.fixture(scope="module")
 def features(data: FrictionRecord) -> HysteresisFeatures:
     samples = JointRows.from_records([data], coefficients=11)
-    return HysteresisFeatures(samples=samples, discretisation="exact")
+    return HysteresisFeatures(rows=samples, discretisation="exact")
 
 
 def candidate() -> Candidate:
@@ -112,7 +112,7 @@ def test_fit_of_another_law(benchmark: BenchmarkFixture, data: FrictionRecord, l
 def test_objective_with_gradient(benchmark: BenchmarkFixture, features: HysteresisFeatures) -> None:
     """Target: 75 us at 4000 samples (eq. 12 with one unit)."""
     benchmark.extra_info["aim"] = "75 us"
-    x, tau = features.columns(11.0, 200.0), features.samples.tau
+    x, tau = features.columns(11.0, 200.0), features.rows.tau
     scale = np.concatenate([[1.0], x[:, 1:].std(axis=0)])
     objective = evolve.Objective("tanh", x / scale, tau, 1e-3, np.ones(9, bool))
     point = np.random.default_rng(0).normal(size=9)

@@ -24,7 +24,7 @@ from hesr_model.fitting.fit import fit_joint
 from hesr_model.friction.inputs import INPUTS, MOVING
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import LawStepper, numbers, predict
+from hesr_model.friction.predict import LawStepper, coefficient_array, predict
 from hesr_model.friction.records import rmse
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -162,7 +162,7 @@ def test_steps_of_many_motions_in_c_equal_numpy(law: FrictionLaw) -> None:
     others = np.outer(list(law.values.values()), np.linspace(0.9, 1.1, motions))
     for values in (None, others):
         found = LawStepper(law, values)(dt, *inputs, x)
-        own = numbers(law) if values is None else values
+        own = coefficient_array(law) if values is None else values
         expected = over_log.stepped(law, own, dt, inputs, x)
         for own, right in zip(found, expected, strict=True):
             largest = np.abs(right).max(initial=0.0)

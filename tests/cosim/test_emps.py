@@ -13,7 +13,7 @@ from cosim.study.steps import Job
 from cosim.study.study import Study
 from fmu_src.friction.replay import replay
 from hesr_model.fitting.fit import fit
-from hesr_model.forward.output_error import MAX_TORQUE_RATIO, Refined, refine
+from hesr_model.forward.output_error import MAX_TORQUE_RATIO, RefinementResult, refine
 from hesr_model.forward.simulation import Simulator, cut_windows, position_errors, to_single_window
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
@@ -66,7 +66,7 @@ def identified(request: pytest.FixtureRequest, folder: Path, logs: tuple[Log, Lo
 
 
 @pytest.fixture(scope="module")
-def refined(identified: Identified, logs: tuple[Log, Log]) -> Refined:
+def refined(identified: Identified, logs: tuple[Log, Log]) -> RefinementResult:
     robot, body, law = identified
     return refine(robot, body, law, smooth_logs([logs[0]], robot))
 
@@ -90,17 +90,17 @@ def torque_error(robot: Robot, body: RigidBody, law: FrictionModel, log: Log) ->
 def position(robot: Robot, body: RigidBody, law: FrictionModel, log: Log, length: float) -> float:
     """RMS [m] over windows of the given length [s]; 0 is the open loop."""
     records = friction_records(log, robot, body)
-    one = Simulator(robot=robot, parameters=body.parameters, friction=law)
+    one = Simulator(robot=robot, parameters=body.parameters, model=law)
     cut = cut_windows([records], length) if length else to_single_window(records)
     (found,) = position_errors(one.run(cut), cut)
     return np.inf if found is None else found
 
 
 def test_output_error_improves_on_an_unseen_log(
-    identified: Identified, refined: Refined, logs: tuple[Log, Log]
+    identified: Identified, refined: RefinementResult, logs: tuple[Log, Log]
 ) -> None:
     robot, body, law = identified
-    given, better = (robot, body, law), (robot, refined.body, refined.friction)
+    given, better = (robot, body, law), (robot, refined.body, refined.model)
     assert refined.ratio < 0.8
     for length in (0.2, 0.5):
         assert position(*better, logs[1], length) < 0.8 * position(*given, logs[1], length)
@@ -111,13 +111,13 @@ def test_output_error_improves_on_an_unseen_log(
 
 
 def test_torque_error_is_unchanged_on_the_training_log(
-    identified: Identified, refined: Refined, logs: tuple[Log, Log]
+    identified: Identified, refined: RefinementResult, logs: tuple[Log, Log]
 ) -> None:
     robot, body, law = identified
-    after = torque_error(robot, refined.body, refined.friction, logs[0])
+    after = torque_error(robot, refined.body, refined.model, logs[0])
     assert after <= MAX_TORQUE_RATIO * torque_error(robot, body, law, logs[0])
-    np.testing.assert_allclose(refined.friction.training_rmse, [after], rtol=1e-9)
-    assert not refined.friction.laws[0].standard_errors  # those belong to another estimate
+    np.testing.assert_allclose(refined.model.training_rmse, [after], rtol=1e-9)
+    assert not refined.model.laws[0].standard_errors  # those belong to another estimate
 
 
 def test_a_study_refines_by_output_error(folder: Path, logs: tuple[Log, Log]) -> None:
@@ -186,7 +186,7 @@ def test_finer_deflections_simulate_a_sliding_axis_better(
     errors = []
     for sliding in (True, False):
         model = fit(law, [replace(r, sliding=sliding) for r in records])
-        own = Simulator(robot=robot, parameters=body.parameters, friction=model)
+        own = Simulator(robot=robot, parameters=body.parameters, model=model)
         found = [
             position_errors(own.run(windows), windows)[0]
             for windows in (to_single_window(unseen), cut_windows([unseen], 0.2))

@@ -14,7 +14,7 @@ from cosim.study.steps import Job
 from cosim.study.study import Study
 from cosim.study.verdict import ForSimulation, read_verdict
 from hesr_model.audit.certificate import has_proof
-from hesr_model.forward.output_error import MAX_TORQUE_RATIO, Refined
+from hesr_model.forward.output_error import MAX_TORQUE_RATIO, RefinementResult
 from hesr_model.friction.model import FrictionModel
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
@@ -37,7 +37,7 @@ class Axis:
     """Laws of an axis before and after output error, and errors on unseen motions."""
 
     models: dict[str, FrictionModel]
-    refined: dict[str, Refined]
+    refined: dict[str, RefinementResult]
     chosen: ForSimulation
     before: PositionErrors
     after: PositionErrors
@@ -79,7 +79,7 @@ def axis(request: pytest.FixtureRequest, tmp_path: Path) -> Axis:
     chosen = ForSimulation.from_refined(refined)
     assert chosen is not None
     tests = {"unseen": select_records(job.study.logs.test["unseen"], records)}
-    better = {law: one.friction for law, one in refined.items()}
+    better = {law: one.model for law, one in refined.items()}
     before, after = (simulate_tests(m, tests, robot, body)["unseen"] for m in (models, better))
     return Axis(models=models, refined=refined, chosen=chosen, before=before, after=after)
 
@@ -103,12 +103,12 @@ def test_the_law_for_simulation_is_as_good_as_the_references(
         assert axis.chosen.errors[axis.chosen.law] <= one.size
         was = axis.models[law]
         if one.ratio == 1.0:
-            assert one.friction.laws[0].values == was.laws[0].values
+            assert one.model.laws[0].values == was.laws[0].values
             continue
         assert np.sqrt(np.mean((one.left_out / one.before) ** 2)) < 1.0
-        assert one.friction.training_rmse[0] <= MAX_TORQUE_RATIO * was.training_rmse[0]
-        assert has_proof(one.friction.laws[0]) or not has_proof(was.laws[0])
-        assert one.friction.laws[0].values.get("P") == was.laws[0].values.get("P")
+        assert one.model.training_rmse[0] <= MAX_TORQUE_RATIO * was.training_rmse[0]
+        assert has_proof(one.model.laws[0]) or not has_proof(was.laws[0])
+        assert one.model.laws[0].values.get("P") == was.laws[0].values.get("P")
 
 
 @pytest.mark.ci

@@ -28,7 +28,7 @@ from hesr_model.audit.properties import EXPECTATIONS, JointProperties, Propertie
 from hesr_model.errors import ArtifactError
 from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit, fit_joint
-from hesr_model.forward.output_error import Refined
+from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
@@ -499,10 +499,10 @@ def test_helpful_data_are_named(
     assert more == [*found, Containing("robot file to also fit motor")]
 
 
-def refined(model: FrictionModel, ratio: float, *errors: float) -> Refined:
+def refined(model: FrictionModel, ratio: float, *errors: float) -> RefinementResult:
     left_out = np.array([errors])
     body: Any = None  # unused
-    return Refined(body=body, friction=model, ratio=ratio, before=left_out, left_out=left_out)
+    return RefinementResult(body=body, model=model, ratio=ratio, before=left_out, left_out=left_out)
 
 
 def test_a_verdict_names_the_law_for_simulation(scores, models, trained, tested) -> None:

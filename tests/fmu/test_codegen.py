@@ -118,7 +118,11 @@ def test_only_signs_of_inputs_are_held():
     form = LawForm(coefficients=(a,), memory=(h,), output=output)
     # The magnitudes of the load and of a Q - dq have kinks in the torque but are not events.
     assert set(Jumps(form.component).expressions) == {DQ}
-    assert set(Jumps(form.component, every=True).expressions) == {DQ, a.symbol * Q - DQ, TAU_LOAD}
+    assert set(Jumps(form.component, all_magnitudes=True).expressions) == {
+        DQ,
+        a.symbol * Q - DQ,
+        TAU_LOAD,
+    }
     text = own(form).read()
     assert {"fabs(x_0)", "fabs(u_2)"} <= set(re.findall(r"fabs\([^()]*\)", text))
     assert {"sgn(u_2*x_0)", "sgn(x_0*u_2)"} & set(re.findall(r"sgn\([^()]*\)", text))

@@ -29,7 +29,7 @@ def test_separating_invariants_does_not_change_a_law(fitted) -> None:
         program = build_step(own)
         wanted = tuple(program)
         parts = Invariants.from_program(program, wanted, fixed)
-        invariants += len(parts.kept)
+        invariants += len(parts.reused)
         assert not any(e.is_Atom for e in parts.once.values()), name
         known = {*fixed, *parts.once}
         assert all(e.free_symbols <= known for e in parts.once.values()), name
@@ -116,6 +116,6 @@ def test_invariant_terms_and_factors_share_one_name() -> None:
     parts = Invariants.from_program(
         {y: u * sympy.exp(-a) / b, z: u + sympy.exp(-a) / b}, [y, z], {a, b}
     )
-    assert len(parts.kept) == 1
-    assert parts.moving[y] == u * parts.kept[0]
-    assert parts.moving[z] == u + parts.kept[0]
+    assert len(parts.reused) == 1
+    assert parts.moving[y] == u * parts.reused[0]
+    assert parts.moving[z] == u + parts.reused[0]

@@ -52,7 +52,7 @@ def records() -> list[FrictionRecord]:
 def exact(records: list[FrictionRecord]) -> HysteresisFeatures:
     """Features of the records with exact discretisation."""
     return HysteresisFeatures(
-        samples=JointRows.from_records(records, coefficients=11), discretisation="exact"
+        rows=JointRows.from_records(records, coefficients=11), discretisation="exact"
     )
 
 

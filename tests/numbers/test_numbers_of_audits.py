@@ -161,7 +161,9 @@ def test_round_off_work_counts_as_zero() -> None:
 
 
 def test_motions_with_an_oscillating_load(unchanged: Unchanged) -> None:
-    found = list(attacks.loaded_motions(TRAINED, angles=(1e-3, 1e-2), phases=(0.0, 1.0), turns=3))
+    found = list(
+        attacks.loaded_motions(TRAINED, angles=(1e-3, 1e-2), phases=(0.0, 1.0), cycle_count=3)
+    )
     given = [m.compute_generated_energy(-0.1 * m.dq + 0.01 * m.load * np.sign(m.dq)) for m in found]
     unchanged({
         "first": found[0], "last": found[-1], "count": len(found), "given": given,
@@ -171,7 +173,7 @@ def test_motions_with_an_oscillating_load(unchanged: Unchanged) -> None:
 
 
 def test_energy_counts_if_cycles_agree() -> None:
-    motion = next(attacks.loaded_motions(TRAINED, turns=3))
+    motion = next(attacks.loaded_motions(TRAINED, cycle_count=3))
     rows = motion.rows
     for ratio, counts in ((0.96, True), (0.94, False), (1.04, True), (1.06, False)):
         tau = -np.sign(motion.dq)

@@ -168,7 +168,7 @@ def test_jumps_ignore_signs_of_coefficients() -> None:
     output = sgn(DQ) * absolute(k.symbol) + sgn(k.symbol - 1) * DQ + 0.1 * absolute(Q) * DQ
     form = LawForm(coefficients=(k,), output=output)
     assert Jumps(form.component).expressions == (DQ,)
-    assert set(Jumps(form.component, every=True).expressions) == {DQ, Q}
+    assert set(Jumps(form.component, all_magnitudes=True).expressions) == {DQ, Q}
     assert Jumps(form.component).signs == (sympy.Symbol("s_1", real=True),)
     stops = law(
         "parfam_s_v", {"stops": [["1", 0]], "viscous": ["v"]}, F_1=1.0, sigma_3=2.0, tau_0=0.0

@@ -176,7 +176,7 @@ def test_intervals_of_coefficients(
         "covariance": found.covariance, "errors": found.standard_errors, "band": banded.band,
         "names": [sum(map(ord, n)) for n in found.standard_errors],
         "pooled": [one.standard_errors for one in two],
-        "sensitivities": calibration._sensitivities(found, logs[:1])[::50].tolist(),
+        "sensitivities": calibration._compute_sensitivities(found, logs[:1])[::50].tolist(),
         "left out": calibration._cross_validate_band(found, logs),
     }, rtol=1e-3)  # fmt: skip
 

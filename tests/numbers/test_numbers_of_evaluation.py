@@ -92,7 +92,7 @@ def test_columns_of_logs_from_rest(state: str, how: str, unchanged: Unchanged) -
     problem = trial.pose(structure, samples, how)
     low, high = problem.bounds.T
     point = low + (0.2 if how == "euler" else 0.4) * (high - low)
-    weights = (samples.record == 0).astype(float)
+    weights = (samples.log_index == 0).astype(float)
     started = separable.Separable(
         problem.form, problem.space, samples, problem.discretisation, (0.5,)
     )

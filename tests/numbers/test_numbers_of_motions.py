@@ -56,7 +56,7 @@ def test_a_simulated_arm(make_motion: MakeMotion, arm_model: Robot, unchanged: U
     found = {}
     for as_plant in (False, True):
         simulator = Simulator(
-            robot=arm_model, parameters=body.parameters, friction=model, as_plant=as_plant
+            robot=arm_model, parameters=body.parameters, model=model, as_plant=as_plant
         )
         found[str(as_plant)] = position_errors(simulator.run(windows), windows)
     cutoff = arm_model.description.log.filter_cutoff

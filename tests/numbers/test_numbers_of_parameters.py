@@ -241,7 +241,7 @@ def test_a_simulation(
     records = motion_records(motion, arm_model, body)
     windows = cut_windows([records], 0.3)
     simulator = Simulator(
-        robot=arm_model, parameters=body.parameters, friction=friction, as_plant=as_plant
+        robot=arm_model, parameters=body.parameters, model=friction, as_plant=as_plant
     )
     found = simulator.run(windows)
     unchanged({
@@ -275,7 +275,7 @@ def test_costs_of_an_output_error(
     away = problem.build_refinement(change, problem.position_sizes, problem.position_sizes)
     assert away.ratio <= 1.0
     unchanged({
-        "size": problem.size, "costs": problem.costs(theta),
+        "size": problem.size, "costs": problem.compute_costs(theta),
         "residuals": residuals, "slopes": slopes[::211].tolist(),
         "position": problem.position_sizes[0], "torque": problem._torque_sizes,
         "moved": [law.values for law in problem._change_friction(theta[1]).laws],

@@ -10,7 +10,7 @@ from hesr.extras.laws import mlp
 from hesr.extras.laws.mlp import path as trained_along
 from hesr_model.fitting.joint_rows import (
     JointRows,
-    Normal,
+    NormalEquations,
     divide_into_blocks,
     has_significant_gain,
     non_negative_least_squares,
@@ -20,7 +20,7 @@ from hesr_model.fitting.separable import left_out_cost
 from hesr_model.laws import rbfnn
 from hesr_model.laws.parfam.calibrate import Cell
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.rbfnn import Inputs, find_candidates
+from hesr_model.laws.rbfnn import NetworkInputs, find_candidates
 from hesr_model.laws.stops import estimator, form
 from hesr_model.laws.stops import search as terms
 from hesr_model.laws.stops.estimator import ParFamS
@@ -60,7 +60,7 @@ def samples(records: list[FrictionRecord]) -> JointRows:
 
 def test_columns_of_all_terms(samples: JointRows, unchanged: Unchanged) -> None:
     columns = terms.columns(WHOLE, NUMBERS, samples)
-    moved = samples.q * np.where(samples.record == 0, 0.01, 1.0)
+    moved = samples.q * np.where(samples.log_index == 0, 0.01, 1.0)
     unchanged(
         {
             "columns": columns[5::61].T.tolist(),
@@ -95,7 +95,7 @@ def test_the_search_of_stops(load: bool, samples: JointRows, unchanged: Unchange
 def test_ripple_with_columns(samples: JointRows, unchanged: Unchanged) -> None:
     base = np.stack([np.sign(samples.dq), samples.dq, np.ones_like(samples.dq)], axis=1)
     weights = terms.weights(samples)
-    problem = estimator._Problem(base=base, samples=samples, weights=weights)
+    problem = estimator._Problem(base=base, rows=samples, weights=weights)
     chosen = estimator.select_waves(base, samples, weights, 101.0)
     two = estimator.Waves(frequencies=(101, 203), lag=0.002)
     first = estimator._add_best_wave(problem, estimator.Waves(frequencies=(), lag=0.0), 101.0)
@@ -163,7 +163,7 @@ def test_least_squares_with_signs(samples: JointRows, unchanged: Unchanged) -> N
     y = a @ [3.0, -2.0, 0.5, -1.0, 1.0, -1.0]
     y = y / y.std() + 0.3 * rng.normal(size=len(y))
     weights = terms.weights(samples)
-    normal = Normal.from_columns(a, y, samples.folds, weights, free=2)
+    normal = NormalEquations.from_columns(a, y, samples.folds, weights, free=2)
     left = normal.cross_validate()
     blocks = divide_into_blocks(samples.dt, samples.begins)
     unchanged(
@@ -194,8 +194,8 @@ def test_a_gain_must_exceed_one_standard_error() -> None:
 
 
 def test_trained_networks(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
-    inputs = Inputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
-    y = (exact.samples.tau - exact.samples.tau.mean()) / exact.samples.tau.std()
+    inputs = NetworkInputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    y = (exact.rows.tau - exact.rows.tau.mean()) / exact.rows.tau.std()
     start = np.random.default_rng(0).normal(size=(4, 3))
     networks = trained_along(inputs.z[::3], y[::3], start, (1e-2, 1e-3, 1e-4))
     best = find_candidates(exact, 3)
@@ -211,19 +211,19 @@ def test_trained_networks(exact: HysteresisFeatures, unchanged: Unchanged) -> No
 
 
 def test_steps_of_training(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
-    inputs = Inputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
-    y = (exact.samples.tau - 1.0) / 8.0
+    inputs = NetworkInputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    y = (exact.rows.tau - 1.0) / 8.0
     start = np.random.default_rng(0).normal(size=(4, 3))
-    left = mlp.cross_validate(inputs.z[::4], y[::4], [f[::4] for f in exact.samples.folds], [start])
+    left = mlp.cross_validate(inputs.z[::4], y[::4], [f[::4] for f in exact.rows.folds], [start])
     unchanged({"left out": left, "decays": mlp.DECAYS, "rows": mlp.SEARCHED_ROWS}, rtol=1e-3)
 
 
 def test_weights_of_gaussians(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
-    inputs = Inputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    inputs = NetworkInputs.from_features(exact, Cell(alpha=12.0, beta=25.0, cost=0.0))
     centres, spacing = rbfnn.cluster_centres(inputs.z, 5, np.random.default_rng(0))
     columns = rbfnn.gaussians(inputs.z, centres, 1.5 * spacing)
-    bias, weights = rbfnn.ridge_weights(columns, exact.samples.tau, (1e-6, 1e-3, 1e-1))
-    left = rbfnn.cross_validate(inputs.z, exact.samples, 4, np.random.default_rng(1))
+    bias, weights = rbfnn.ridge_weights(columns, exact.rows.tau, (1e-6, 1e-3, 1e-1))
+    left = rbfnn.cross_validate(inputs.z, exact.rows, 4, np.random.default_rng(1))
     of = rbfnn.RbfnnH()._law(inputs, centres, 1.5 * spacing, float(bias[1]), weights[:, 1])
     unchanged(
         {

@@ -27,7 +27,7 @@ def test_a_structure_as_a_problem(
     name: str, exact: HysteresisFeatures, unchanged: Unchanged
 ) -> None:
     structure = STRUCTURES[name]
-    problem = trial.pose(structure, exact.samples)
+    problem = trial.pose(structure, exact.rows)
     middle = problem.bounds.mean(axis=1) + 0.1 * np.ptp(problem.bounds, axis=1)
     near = trial.Trial(structure=structure, problem=problem, point=middle)
     more = near.change_structure({**structure, "linear": structure["linear"][:3]}, {})
@@ -48,7 +48,7 @@ def test_a_structure_as_a_problem(
 
 def test_an_additional_unit(exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     structure = STRUCTURES["paper"]
-    problem = trial.pose(structure, exact.samples)
+    problem = trial.pose(structure, exact.rows)
     base = trial.Trial(
         structure=structure, problem=problem, point=problem.point({"alpha": 12.0, "beta": 25.0})
     )
@@ -98,7 +98,7 @@ def test_terms_kept_by_a_state(state: str, exact: HysteresisFeatures, unchanged:
     of = ParFamHX()
     linear = [x for x in of.linear if state != "bristle" or x != "h_bump"]
     structure = {"linear": linear, "units": [], "state": state}
-    problem = trial.pose(structure, exact.samples)
+    problem = trial.pose(structure, exact.rows)
     middle = problem.bounds.mean(axis=1)
     found = of._remove_useless_terms(
         trial.Trial(structure=structure, problem=problem, point=middle)

@@ -61,11 +61,11 @@ def test_slow_loops_and_loops_in_fast_samples(unchanged: Unchanged) -> None:
         flat = np.zeros_like(t)
         record = FrictionRecord(log="one", joint="j1", t=t, dq=dq, q=flat, tau_load=flat, tau=flat)
         features = HysteresisFeatures(
-            samples=JointRows.from_records([record], coefficients=3), discretisation="exact"
+            rows=JointRows.from_records([record], coefficients=3), discretisation="exact"
         )
         h = features.columns(4.0, 30.0)[:, 2]
         record = replace(record, tau=7.0 * h + 0.5 * dq + 0.3)
-        features = replace(features, samples=JointRows.from_records([record], coefficients=3))
+        features = replace(features, rows=JointRows.from_records([record], coefficients=3))
         courses = calibrate._extract_courses(features)
         found[name] = {
             "guess": calibrate.estimate_from_loop(features),
@@ -98,9 +98,9 @@ def test_cells_whose_neighbours_are_better_come_last() -> None:
 @pytest.mark.parametrize("g", list(UNIT_FUNCTIONS))
 def test_the_second_stage(g: str, exact: HysteresisFeatures, unchanged: Unchanged) -> None:
     rows = slice(None, None, 2)
-    x, tau = exact.columns(CELL.alpha, CELL.beta)[rows], exact.samples.tau[rows]
+    x, tau = exact.columns(CELL.alpha, CELL.beta)[rows], exact.rows.tau[rows]
     starts = evolve.starting_points(np.random.default_rng(3), 6, 4)
-    problem = evolve._Projected(g, x / [1.0, *x[:, 1:].std(axis=0)], x, tau, 2.0)
+    problem = evolve._ProjectedProblem(g, x / [1.0, *x[:, 1:].std(axis=0)], x, tau, 2.0)
     theta = np.random.default_rng(6).uniform(-0.4, 0.4, (4, 6))
     gram, gradient = problem._normal_equations(theta)
     # An offset inside exp acts as a gain, so round-off alone decides the step length there.
@@ -122,13 +122,15 @@ def test_selection_in_the_search_of_a_unit(
     exact: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch, unchanged: Unchanged
 ) -> None:
     """Recorded: the costs of all starts after each round, which select the survivors."""
-    x, tau = exact.columns(CELL.alpha, CELL.beta)[::3], exact.samples.tau[::3]
+    x, tau = exact.columns(CELL.alpha, CELL.beta)[::3], exact.rows.tau[::3]
     starts = evolve.starting_points(np.random.default_rng(3), 8, 4)
     found = {"rounds": np.array(evolve.ROUNDS).ravel(), "limits": [evolve.ARGUMENT_LIMIT]}
     for rounds in (((1, 1.0),), ((2, 0.5),), ((2, 0.5), (2, 0.4)), ((4, 0.3),)):
         monkeypatch.setattr(evolve, "ROUNDS", rounds)
         for limit in (0.7, 12.0):
-            problem = evolve._Projected("tanh", x / [1.0, *x[:, 1:].std(axis=0)], x, tau, limit)
+            problem = evolve._ProjectedProblem(
+                "tanh", x / [1.0, *x[:, 1:].std(axis=0)], x, tau, limit
+            )
             theta, cost = problem.minimise(starts.T.copy())
             found[f"{rounds} {limit}"] = {"theta": theta, "cost": cost}
             kept = evolve.search_arguments("tanh", x, x, tau, starts, 2, limit)
@@ -141,7 +143,7 @@ def test_selection_in_the_search_of_a_unit(
 def test_the_search_of_the_paper(
     g: str, exact: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch, unchanged: Unchanged
 ) -> None:
-    x, tau = exact.columns(CELL.alpha, CELL.beta)[::4], exact.samples.tau[::4]
+    x, tau = exact.columns(CELL.alpha, CELL.beta)[::4], exact.rows.tau[::4]
     monkeypatch.setattr(evolve, "HOPS", 1)
     found = evolve.search_of_paper(CELL, g, x, tau, np.random.default_rng(4))
     point = np.random.default_rng(5).normal(size=9)
@@ -170,7 +172,7 @@ def test_the_third_stage(
     point = problem.pack()
     first = problem.run(4)
     slopes, residual = problem.slopes(point)
-    folds = features.samples.folds
+    folds = features.rows.folds
     found = {
         "point": point,
         "residual": residual.copy(),
@@ -223,7 +225,7 @@ def test_candidates_are_pruned_and_chosen(
         replace(candidate("tanh"), alpha=10.0),
         replace(candidate("sin"), alpha=30.0),
     ]
-    folds, trained = exact.samples.folds, TrainedRange.from_records(records)
+    folds, trained = exact.rows.folds, TrainedRange.from_records(records)
     chosen = refine.select(exact, found, folds, trained)
     unchanged(
         {

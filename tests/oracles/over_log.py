@@ -19,7 +19,7 @@ from hesr_model.errors import SimulationError
 from hesr_model.fitting.separable import Separable
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
-from hesr_model.friction.predict import numbers
+from hesr_model.friction.predict import coefficient_array
 from hesr_model.support.arrays import Array
 
 
@@ -325,7 +325,7 @@ def predicted(law: FrictionLaw, t: Array, dq: Array, q: Array, tau_load: Array) 
     """Return the torque of a law over a log, as `predict` does."""
     form = law.form
     symbols = (*(c.symbol for c in form.coefficients), *INPUTS)
-    values = (*numbers(law), dq, q, tau_load)
+    values = (*coefficient_array(law), dq, q, tau_load)
     dt, begins = np.diff(t, prepend=t[0]), np.arange(len(t)) == 0
     [torque] = over_rows(
         form.memory,
@@ -366,7 +366,7 @@ def stepped(
 
 def columns(problem: Separable, point: Array) -> Array:
     """Return the columns of a least-squares problem at a point, (N, K)."""
-    s, form = problem.samples, problem.form
+    s, form = problem.rows, problem.form
     replaced = {sympy.Symbol(name, real=True): e for name, e in problem.space.values}
     memory = [m.subs(replaced) for m in form.memory]
     output = sympy.expand_mul(form.output.xreplace(replaced))

@@ -58,7 +58,7 @@ def test_degrees_of_freedom_grow_with_duration_and_logs(
     found = compared(errors(0, 3, logs, seconds))
     assert found.degrees == degrees
     assert found.too_short == (degrees < MIN_DEGREES)
-    assert found.between.sum() == logs - 1
+    assert found.is_between.sum() == logs - 1
 
 
 def test_a_long_memory_costs_degrees_of_freedom() -> None:

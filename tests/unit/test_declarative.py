@@ -8,7 +8,7 @@ import pytest
 from joint_data import GEAR_RATIO, along, error_on, law, path, training
 
 from hesr_model.errors import ArtifactError, FitError
-from hesr_model.fitting.declarative import Described, OneForm, no_structure
+from hesr_model.fitting.declarative import DeclarativeEstimator, OneForm, no_structure
 from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.separable import SearchSpace
 from hesr_model.friction.law import FrictionLaw, LawForm
@@ -18,7 +18,7 @@ RIPPLE = {"ripple": {"gear_ratio": GEAR_RATIO, "orders": [3]}}
 STRIBECK = {"F_c": 6.0, "F_s": 9.0, "v_s": 0.1, "sigma_2": 4.0, "tau_0": -0.3}
 WAVES = {"ripple3_cos": 0.5, "ripple3_sin": 0.2, "lag": 2e-3, "smoothing": 1e-3}
 
-DESCRIBED = [name for name, entry in registry().items() if issubclass(entry, Described)]
+DESCRIBED = [name for name, entry in registry().items() if issubclass(entry, DeclarativeEstimator)]
 
 
 class StribeckRipple(Stribeck):

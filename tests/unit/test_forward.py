@@ -93,7 +93,7 @@ def test_a_mass_with_viscous_friction_follows_the_closed_form(carriage: Robot) -
     dq = force / d * (1.0 - np.exp(-t / lag))
     model = stribeck(sigma_2=d)
     window = to_single_window([axis_record(t, np.full_like(t, force), dq, q)])
-    found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=model).run(
+    found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, model=model).run(
         window
     )
     # Implicit steps of 2 ms delay the velocity by half a step.
@@ -116,7 +116,7 @@ def test_a_force_below_coulomb_friction_moves_nothing(carriage: Robot, force: fl
         ),),
     )  # fmt: skip
     window = to_single_window([axis_record(t, np.full_like(t, force), still, still)])
-    found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, friction=dahl).run(
+    found = Simulator(robot=carriage, parameters=carriage.nominal_parameters, model=dahl).run(
         window
     )
     assert np.abs(found).max() < 2e-6  # bristles of 1e7 N/m, at any step
@@ -177,9 +177,9 @@ def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: floa
     robot, body = twin["robot"], twin["body"]
     windows = cut_windows([twin["log"]], length)
     true = Simulator(
-        robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"], as_plant=True
+        robot=robot, parameters=robot.nominal_parameters, model=twin["truth"], as_plant=True
     )
-    lugre = Simulator(robot=robot, parameters=body.parameters, friction=twin["law"], as_plant=True)
+    lugre = Simulator(robot=robot, parameters=body.parameters, model=twin["law"], as_plant=True)
     of_true, of_lugre = (
         np.array(position_errors(one.run(windows), windows), dtype=float) for one in (true, lugre)
     )
@@ -192,7 +192,7 @@ def test_true_parameters_simulate_the_twin(twin: dict[str, object], length: floa
 def test_inner_steps_of_both_orders_agree(twin: dict[str, object]) -> None:
     """At 1 ms the order of steps matters far less than the choice of law."""
     robot, windows = twin["robot"], cut_windows([twin["log"]], 0.2)
-    true = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["truth"])
+    true = Simulator(robot=robot, parameters=robot.nominal_parameters, model=twin["truth"])
     errors = np.array(position_errors(true.run(windows), windows), dtype=float)
     assert np.all(errors < 2e-4)
 
@@ -201,7 +201,7 @@ def test_sets_of_windows_are_simulated_together(twin: dict[str, object]) -> None
     robot, log = twin["robot"], twin["log"]
     later = [replace(record, t=record.t + 3.0) for record in log]
     sets = [cut_windows([log], 0.2), cut_windows([later, log], 0.2)]
-    one = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=twin["law"])
+    one = Simulator(robot=robot, parameters=robot.nominal_parameters, model=twin["law"])
     alone = np.concatenate([one.run(w) for w in sets])
     np.testing.assert_allclose(one.run(join_windows(sets)), alone, rtol=0.0, atol=1e-9)
 
@@ -217,7 +217,7 @@ def test_impossible_simulations_are_refused(twin: dict[str, object]) -> None:
     robot, log = twin["robot"], twin["log"]
     with pytest.raises(SimulationError, match=r"log trial: too short .* 9 s"):
         cut_windows([log], 9.0)
-    hollow = Simulator(robot=robot, parameters=-robot.nominal_parameters, friction=twin["law"])
+    hollow = Simulator(robot=robot, parameters=-robot.nominal_parameters, model=twin["law"])
     with pytest.raises(SimulationError, match="mass matrix is not positive; identify"):
         hollow.run(cut_windows([log], 0.2))
 
@@ -265,7 +265,7 @@ def test_one_joint_under_gravity_is_simulated_at_each_position(tmp_path: Path) -
     start = np.full_like(t, 0.5)
     model = stribeck(sigma_2=1e-6)
     window = to_single_window([axis_record(t, 0.0 * t, 0.0 * t, start)])
-    found = Simulator(robot=robot, parameters=robot.nominal_parameters, friction=model).run(window)
+    found = Simulator(robot=robot, parameters=robot.nominal_parameters, model=model).run(window)
     swing = 5.0 * 9.81 / (5.0 + 1.0)  # weight over inertia
     expected = 0.5 - 0.5 * swing * np.sin(0.5) * t**2  # at first
     np.testing.assert_allclose(found[0, :50, 0], expected[:50], atol=5e-4)

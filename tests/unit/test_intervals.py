@@ -119,7 +119,7 @@ def test_the_least_value_is_found_in_a_dip_between_grid_points(at: float) -> Non
     found = find_minimum(lambda a, b: bound_expression(dip, {X: (a, b)})[0], edges)
     assert found.bound <= found.value == pytest.approx(0.1 / (1.0 + at) - 0.5, abs=1e-4)
     assert found.bound == pytest.approx(found.value, abs=1e-5)
-    assert found.at == pytest.approx(at, rel=1e-3)
+    assert found.minimiser == pytest.approx(at, rel=1e-3)
 
 
 def test_without_a_bound_the_search_ends() -> None:

@@ -316,7 +316,7 @@ def test_vector_width_does_not_change_a_bit(
     for width in range(widest + 1):
         monkeypatch.setattr(rows_module, "vectors", lambda width=width: width)
         solved = rows.fit_factors(np.array([0.7]), non_negative=0, keep=True)
-        every.append((rows.found.tobytes(), rows.gram.tobytes(), str(solved)))
+        every.append((rows.results.tobytes(), rows.gram.tobytes(), str(solved)))
     assert all(one == every[0] for one in every)
 
 
@@ -383,7 +383,7 @@ def test_factors_solve_the_least_squares_problem(samples: JointRows) -> None:
 def test_rows_are_weighted(samples: JointRows) -> None:
     problem = Separable(LuGre.core({}), LuGre().space(), samples)
     point = problem.point({"deflection": 3e-3, "ratio": 1.4, "v_s": 0.1})
-    weights = (samples.record == 0).astype(float)
+    weights = (samples.log_index == 0).astype(float)
     found = problem._residual(point, weights)
     columns, own = over_log.columns(problem, point), problem.space.non_negative
     x, _ = non_negative_least_squares(

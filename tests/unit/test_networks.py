@@ -17,7 +17,13 @@ from hesr_model.friction.records import rmse
 from hesr_model.laws import rbfnn
 from hesr_model.laws.parfam import family
 from hesr_model.laws.parfam.features import HysteresisFeatures
-from hesr_model.laws.rbfnn import MAX_TRIED_LAWS, Inputs, RbfnnH, find_bounded_law, find_candidates
+from hesr_model.laws.rbfnn import (
+    MAX_TRIED_LAWS,
+    NetworkInputs,
+    RbfnnH,
+    find_bounded_law,
+    find_candidates,
+)
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHA, BETA = 9.0, 30.0
@@ -48,7 +54,7 @@ def records() -> list[FrictionRecord]:
 @pytest.fixture(scope="module")
 def features(records: list[FrictionRecord]) -> HysteresisFeatures:
     samples = JointRows.from_records(records, coefficients=3)
-    return HysteresisFeatures(samples=samples, discretisation="exact")
+    return HysteresisFeatures(rows=samples, discretisation="exact")
 
 
 def cloud(rows: int, seed: int = 0) -> np.ndarray:
@@ -65,7 +71,7 @@ def law_with(form_of: type[RbfnnH] | type[MlpH], structure: dict[str, int]) -> F
 
 def columns_of(law: FrictionLaw, data: FrictionRecord) -> np.ndarray:
     features = HysteresisFeatures(
-        samples=JointRows.from_records([data], coefficients=3), discretisation=law.discretisation
+        rows=JointRows.from_records([data], coefficients=3), discretisation=law.discretisation
     )
     return features.columns(law.values["alpha"], law.values["beta"])
 
@@ -206,12 +212,12 @@ def test_ridge_regression_shrinks_weights_but_not_the_offset() -> None:
 
 
 def test_left_out_rows_do_not_train_the_rbf(features: HysteresisFeatures) -> None:
-    samples = features.samples
+    samples = features.rows
     z = find_candidates(features, 1)[0].z
     honest = rbfnn.cross_validate(z, samples, 10, np.random.default_rng(0))
     assert honest.shape == (len(rbfnn.WIDTH_FACTORS), len(rbfnn.RIDGES))
     # Trained on both logs, a network would fit half of an offset between them.
-    moved = replace(samples, tau=samples.tau + 50.0 * samples.record)
+    moved = replace(samples, tau=samples.tau + 50.0 * samples.log_index)
     shifted = rbfnn.cross_validate(z, moved, 10, np.random.default_rng(0))
     assert np.all(np.sqrt(shifted) > 40.0)
     assert np.sqrt(honest.min()) < 1.0
@@ -279,13 +285,13 @@ def test_a_trained_network_becomes_an_equal_law(
 
 
 def test_left_out_rows_do_not_train_the_mlp(features: HysteresisFeatures) -> None:
-    samples = features.samples
+    samples = features.rows
     z = find_candidates(features, 1)[0].z
     y = (samples.tau - samples.tau.mean()) / samples.tau.std()
     starts = [np.random.default_rng(0).normal(size=(4, 3))]
     honest = mlp.cross_validate(z, y, samples.folds, starts)
     assert honest.shape == (len(mlp.DECAYS),)
-    shifted = mlp.cross_validate(z, y + 20.0 * samples.record, samples.folds, starts)
+    shifted = mlp.cross_validate(z, y + 20.0 * samples.log_index, samples.folds, starts)
     assert np.all(np.sqrt(shifted) > 15.0)
     assert np.sqrt(honest.min()) < 0.2
 
@@ -330,9 +336,9 @@ def test_a_log_mostly_at_rest_suffices_for_training() -> None:
 
 
 def test_inputs_without_spread_do_not_divide_by_zero(features: HysteresisFeatures) -> None:
-    still = replace(features.samples, dq=np.zeros_like(features.samples.dq))
-    inputs = Inputs.from_features(
-        HysteresisFeatures(samples=still, discretisation="exact"),
+    still = replace(features.rows, dq=np.zeros_like(features.rows.dq))
+    inputs = NetworkInputs.from_features(
+        HysteresisFeatures(rows=still, discretisation="exact"),
         find_candidates(features, 1)[0].cell,
     )
     np.testing.assert_array_equal(inputs.z, 0.0)

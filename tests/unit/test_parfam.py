@@ -57,7 +57,7 @@ def record(rows: int = 600, seed: int = 0, noise: float = 0.05, log: str = "run"
 
 def features_of(*records: FrictionRecord, how: str = "exact") -> HysteresisFeatures:
     return HysteresisFeatures(
-        samples=JointRows.from_records(records, coefficients=3), discretisation=how
+        rows=JointRows.from_records(records, coefficients=3), discretisation=how
     )
 
 
@@ -90,7 +90,7 @@ def test_features_match_the_law_on_every_record(features: HysteresisFeatures) ->
     values = {"c_h": 1.0, "alpha": ALPHA, "beta": BETA}
     x = features.columns(ALPHA, BETA)
     np.testing.assert_array_equal(x[:, 0], 1.0)
-    np.testing.assert_array_equal(x[:, 1], features.samples.dq)
+    np.testing.assert_array_equal(x[:, 1], features.rows.dq)
     law = Candidate.law(
         candidate(None, c=np.array([0, 0, 1.0, 0]), c_active=np.array([0, 0, 1, 0], bool)),
         "parfam_h",
@@ -98,11 +98,11 @@ def test_features_match_the_law_on_every_record(features: HysteresisFeatures) ->
     )
     assert (law.structure, dict(law.values)) == (structure, values)
     for k in range(3):
-        rows = features.samples.record == k
-        t = np.cumsum(features.samples.dt[rows])
-        h = predict(law, t=t, dq=features.samples.dq[rows])
+        rows = features.rows.log_index == k
+        t = np.cumsum(features.rows.dt[rows])
+        h = predict(law, t=t, dq=features.rows.dq[rows])
         np.testing.assert_allclose(x[rows, 2], h, atol=1e-13)
-    derivative = ALPHA * (np.tanh(BETA * features.samples.dq) - x[:, 2])
+    derivative = ALPHA * (np.tanh(BETA * features.rows.dq) - x[:, 2])
     np.testing.assert_allclose(x[:, 3], derivative, atol=1e-11)
 
 
@@ -114,7 +114,7 @@ def test_derivatives_of_the_state_agree_with_differences(
     by_h, by_dh = np.zeros(11), np.zeros(11)  # laws tau = h and tau = dh
     by_h[[0, 1, 4]] = by_dh[[0, 1, 5]] = alpha, beta, 1.0
     dh, ddh = (run.evaluate(numbers)[:, :2].copy() for numbers in (by_h, by_dh))
-    np.testing.assert_allclose(run.found[:, 2:6], features.columns(alpha, beta), atol=1e-11)
+    np.testing.assert_allclose(run.results[:, 2:6], features.columns(alpha, beta), atol=1e-11)
     for i, (by_alpha, by_beta) in enumerate([(1e-5 * alpha, 0.0), (0.0, 1e-5 * beta)]):
         above = features.columns(alpha + by_alpha, beta + by_beta)
         below = features.columns(alpha - by_alpha, beta - by_beta)
@@ -193,7 +193,7 @@ def test_the_law_gives_the_torque_of_its_candidate(g: str | None, offset: bool) 
     chosen = replace(chosen, c_active=np.array([True, False, True, True]))
     law = chosen.law("parfam_h", "exact")
     assert law.structure["linear"] == ["1", "h", "dh"]
-    samples = features.samples
+    samples = features.rows
     torque = predict(law, t=np.cumsum(samples.dt), dq=samples.dq)
     np.testing.assert_allclose(
         torque, chosen.torque(features.columns(chosen.alpha, chosen.beta)), atol=1e-11
@@ -331,7 +331,7 @@ def test_the_jacobian_agrees_with_differences(
             active["theta_active"] = np.array([False, True, True, False])
     start = candidate(g, **active)
     start = replace(start, c=start.c * start.c_active, theta=start.theta * start.theta_active)
-    rows = features.samples.record != 1
+    rows = features.rows.log_index != 1
     problem = refine.Refinement(features, start, rows)
     point = problem.pack()
     jacobian, _ = problem.slopes(point)
@@ -444,7 +444,7 @@ def test_a_candidate_that_explodes_beyond_the_trained_speeds_is_not_chosen() -> 
     )  # fmt: skip
     spoiled = FrictionRecord(**(vars(data) | {"tau": rises}))
     features = features_of(spoiled)
-    folds, trained = features.samples.folds, TrainedRange.from_records([spoiled])
+    folds, trained = features.rows.folds, TrainedRange.from_records([spoiled])
     assert refine.select(features, [explosive, candidate(None)], folds, trained).g is None
     with pytest.raises(FitError) as caught:
         refine.select(features, [explosive], folds, trained)
@@ -454,7 +454,7 @@ def test_a_candidate_that_explodes_beyond_the_trained_speeds_is_not_chosen() -> 
 def test_the_best_predictor_of_left_out_rows_is_chosen() -> None:
     records = [record(600, 0), record(600, 1, log="two")]
     features = features_of(*records)
-    folds = features.samples.folds
+    folds = features.rows.folds
     found = [candidate(), candidate(None)]
     chosen = refine.select(features, found, folds, TrainedRange.from_records(records))
     assert chosen.g == "tanh"

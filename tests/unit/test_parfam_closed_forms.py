@@ -21,7 +21,7 @@ def features_of(t: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> HysteresisFea
     zero = np.zeros_like(t)
     record = FrictionRecord(log="run", joint="j1", t=t, dq=dq, q=zero, tau_load=zero, tau=tau)
     return HysteresisFeatures(
-        samples=JointRows.from_records([record], coefficients=3), discretisation="exact"
+        rows=JointRows.from_records([record], coefficients=3), discretisation="exact"
     )
 
 
@@ -130,7 +130,7 @@ def test_projection_gives_the_least_squares_cost_and_gradient(g: str) -> None:
     rng = np.random.default_rng(0)
     x = np.column_stack([np.ones(80), rng.normal(size=(80, 3))])
     tau = rng.normal(size=80)
-    problem = evolve._Projected(g, x, x, tau, 12.0)
+    problem = evolve._ProjectedProblem(g, x, x, tau, 12.0)
     theta = 0.5 * rng.normal(size=(4, 3))
     for k, cost in enumerate(problem.cost(theta)):
         columns = np.column_stack([x, UNIT_FUNCTIONS[g][0](x @ theta[:, k])])
@@ -165,7 +165,7 @@ def test_starts_are_normal_with_sizes_from_0_3_to_2() -> None:
 def test_bounds_of_a_structure_follow_from_its_rows() -> None:
     t = 0.01 * np.arange(1000)
     dq = 2.0 * np.sin(2.0 * np.pi * t)
-    samples = features_of(t, dq, t).samples
+    samples = features_of(t, dq, t).rows
     speed, fastest = np.sqrt(2.0), np.abs(dq).max()
     unit = {"g": "tanh", "arguments": ["1", "dq", "h", "dh"]}
     found = trial.search_space(
@@ -245,7 +245,7 @@ def test_the_left_out_error_is_that_of_a_converged_refinement(
     clean = features_of(t, dq, np.zeros(900))
     noise = 0.3 * np.random.default_rng(0).normal(size=900)
     features = features_of(t, dq, truth.torque(clean.columns(ALPHA, BETA)) + noise)
-    folds = features.samples.folds
+    folds = features.rows.folds
     start = replace(truth, alpha=3.0 * ALPHA, beta=0.3 * BETA)
     settled = refine.left_out_cost(features, start, folds, portions=refine.PORTIONS)
     monkeypatch.setattr(refine, "FOLD_EVALUATIONS", 3)
@@ -261,7 +261,7 @@ def test_the_left_out_cost_is_averaged_over_all_rows() -> None:
     tau = 2.0 * dq + 0.5 + 0.1 * np.random.default_rng(3).normal(size=len(t))
     features = features_of(t, dq, tau)
     start = replace(linear([0.5, 2.0, 0.0, 0.0]), c_active=np.array([True, True, False, False]))
-    folds = features.samples.folds
+    folds = features.rows.folds
     columns = np.column_stack([np.ones(600), dq])
     total = 0.0
     for fold in folds:

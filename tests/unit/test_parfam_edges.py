@@ -15,7 +15,7 @@ from hesr_model.laws.parfam.candidate import Candidate
 from hesr_model.laws.parfam.features import HysteresisFeatures
 from hesr_model.laws.parfam.laws import ParFamH
 from hesr_model.laws.parfam.trial import Trial
-from hesr_model.laws.rbfnn import Inputs
+from hesr_model.laws.rbfnn import NetworkInputs
 from hesr_model.rigid_body.residual import FrictionRecord
 
 TRUTH = law(
@@ -31,7 +31,7 @@ def records() -> list[FrictionRecord]:
 @pytest.fixture(scope="module")
 def features(records: list[FrictionRecord]) -> HysteresisFeatures:
     return HysteresisFeatures(
-        samples=JointRows.from_records(records, coefficients=11), discretisation="exact"
+        rows=JointRows.from_records(records, coefficients=11), discretisation="exact"
     )
 
 
@@ -57,8 +57,8 @@ def test_a_candidate_without_a_unit_has_no_arguments() -> None:
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_the_geometric_guess_is_scale_free(features: HysteresisFeatures, size: float) -> None:
-    samples = features.samples
-    small = replace(features, samples=replace(samples, tau=size * samples.tau))
+    samples = features.rows
+    small = replace(features, rows=replace(samples, tau=size * samples.tau))
     assert calibrate.estimate_from_loop(small) == pytest.approx(
         calibrate.estimate_from_loop(features), rel=1e-9
     )
@@ -66,7 +66,7 @@ def test_the_geometric_guess_is_scale_free(features: HysteresisFeatures, size: f
 
 def test_arguments_do_not_depend_on_feature_size(features: HysteresisFeatures) -> None:
     """Holds down to a spread of 1e-12; below it a feature counts as constant."""
-    x, tau = features.columns(12.0, 25.0)[::4], features.samples.tau[::4]
+    x, tau = features.columns(12.0, 25.0)[::4], features.rows.tau[::4]
     small = x * [1.0, 1e-9, 1e-9, 1e-9]
     starts = evolve.starting_points(np.random.default_rng(0), 4, 4)
     [one] = evolve.search_arguments("tanh", x, x, tau, starts, 1)
@@ -78,8 +78,8 @@ def test_arguments_do_not_depend_on_feature_size(features: HysteresisFeatures) -
 
 
 def test_network_inputs_have_the_spread_of_their_features(features: HysteresisFeatures) -> None:
-    slow = replace(features, samples=replace(features.samples, dq=1e-9 * features.samples.dq))
-    found = Inputs.from_features(slow, Cell(alpha=12.0, beta=25.0, cost=0.0))
+    slow = replace(features, rows=replace(features.rows, dq=1e-9 * features.rows.dq))
+    found = NetworkInputs.from_features(slow, Cell(alpha=12.0, beta=25.0, cost=0.0))
     np.testing.assert_allclose(found.z.std(axis=0), 1.0, rtol=1e-9)
 
 
@@ -87,7 +87,7 @@ def test_the_papers_search_is_scale_free(
     features: HysteresisFeatures, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evolve, "HOPS", 0)
-    x, tau = features.columns(12.0, 25.0)[::8], features.samples.tau[::8]
+    x, tau = features.columns(12.0, 25.0)[::8], features.rows.tau[::8]
     cell = Cell(alpha=12.0, beta=25.0, cost=0.0)
     one = evolve.search_of_paper(cell, "tanh", x, tau, np.random.default_rng(1))
     small = x * [1.0, 1e-9, 1e-9, 1e-9]
@@ -223,5 +223,5 @@ def test_reported_steps(
     assert told == [0.0, 0.125, 0.25, 0.375]
     told.clear()
     monkeypatch.setattr(refine, "ROUNDS", ((2, 2), (2, 1)))
-    refine.select(features, found, features.samples.folds, TrainedRange.from_records(records))
+    refine.select(features, found, features.rows.folds, TrainedRange.from_records(records))
     assert told == [0.5, 0.5 + round(1000 / 6) / 2000, 0.5 + round(2000 / 6) / 2000, 0.75, 0.875]

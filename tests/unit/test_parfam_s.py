@@ -10,7 +10,7 @@ from hesr_model.errors import ArtifactError
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import (
     JointRows,
-    Normal,
+    NormalEquations,
     divide_into_blocks,
     has_significant_gain,
     signed_least_squares,
@@ -138,7 +138,7 @@ def test_left_out_errors_match_fits_without_the_fold() -> None:
     rng = np.random.default_rng(1)
     a, y = rng.normal(size=(90, 3)), rng.normal(size=90)
     folds = [np.arange(90) // 30 == k for k in range(3)]
-    found = Normal.from_columns(a, y, folds, np.ones(90), free=3).cross_validate()
+    found = NormalEquations.from_columns(a, y, folds, np.ones(90), free=3).cross_validate()
     for fold in folds:
         x = np.linalg.lstsq(a[~fold], y[~fold])[0]
         np.testing.assert_allclose(found[fold], a[fold] @ x - y[fold], atol=1e-7)

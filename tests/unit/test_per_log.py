@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hesr_model.fitting.days import (
-    OwnOfLog,
+    LogNuisances,
     add_fitted_nuisances,
     estimate_nuisances,
     remove_nuisances,
@@ -50,11 +50,11 @@ def test_day_levels_and_offsets_are_found(records: list[FrictionRecord]) -> None
 
 def test_a_single_log_has_no_day_offset() -> None:
     assert estimate_nuisances([record(2), record(2, part=1)], ("offset", "level")) == {
-        "day2": OwnOfLog(level=1.0, offset=0.0)
+        "day2": LogNuisances(level=1.0, offset=0.0)
     }
     assert estimate_nuisances([record(0), record(1)], ()) == {
-        "day0": OwnOfLog(),
-        "day1": OwnOfLog(),
+        "day0": LogNuisances(),
+        "day1": LogNuisances(),
     }
 
 

@@ -24,7 +24,7 @@ def test_records_are_concatenated() -> None:
     for name in ("dq", "q", "tau_load", "tau"):
         expected = np.concatenate([getattr(first, name), getattr(second, name)])
         np.testing.assert_array_equal(getattr(samples, name), expected)
-    np.testing.assert_array_equal(samples.record, [0] * 5 + [1] * 3)
+    np.testing.assert_array_equal(samples.log_index, [0] * 5 + [1] * 3)
     np.testing.assert_array_equal(np.flatnonzero(samples.begins), [0, 5])
     np.testing.assert_array_equal(samples.dt[1:5], np.diff(first.t))
     np.testing.assert_array_equal(samples.dt[6:], np.diff(second.t))

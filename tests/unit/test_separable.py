@@ -51,11 +51,11 @@ def problem_of(name: str, samples: JointRows) -> tuple[Separable, np.ndarray]:
 
 def torque(problem: Separable, values: Mapping[str, float]) -> np.ndarray:
     """Torque from the law itself, record by record."""
-    s = problem.samples
+    s = problem.rows
     made = FrictionLaw(name="made", form=problem.form, values=values)
     parts = []
-    for k in range(int(s.record[-1]) + 1):
-        rows = s.record == k
+    for k in range(int(s.log_index[-1]) + 1):
+        rows = s.log_index == k
         parts.append(
             predict(
                 made,
@@ -90,7 +90,7 @@ def test_columns_follow_the_discretisation(samples: JointRows) -> None:
     problem, _ = problem_of("strain_wave", samples)
     euler = Separable(problem.form, problem.space, samples, "euler")
     point = problem.point({"x_0": 0.1})
-    rows = samples.record == 0
+    rows = samples.log_index == 0
     values = problem.values(point, np.ones(5))
     expected = predict(
         FrictionLaw(name="made", form=problem.form, values=values, discretisation="euler"),
@@ -200,10 +200,12 @@ def test_polish_finds_the_generating_values() -> None:
 
 def test_polish_uses_its_rows_only(samples: JointRows) -> None:
     problem, point = problem_of("lugre", samples)
-    rows = samples.record == 0
+    rows = samples.log_index == 0
     spoilt = replace(samples, tau=np.where(rows, samples.tau, 1e3 * samples.dq**2))
     other, _ = problem_of("lugre", spoilt)
-    np.testing.assert_array_equal(problem.polish(point, rows=rows), other.polish(point, rows=rows))
+    np.testing.assert_array_equal(
+        problem.polish(point, is_used=rows), other.polish(point, is_used=rows)
+    )
     assert np.any(problem.polish(point) != other.polish(point))
 
 

@@ -138,7 +138,7 @@ def adaptive_component(
         "viscosity": (max(tuning.viscosity[0], viscosity_least), tuning.viscosity[1]),
     }
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
-    torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.rest
+    torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.unscaled
     torque += previous("offset")
     torque_start = sympy.S.Zero if warm else None
     is_moving = exceeds(absolute(DQ), joint_parameters[1].symbol)
@@ -175,7 +175,7 @@ def adaptive_component(
                     f"phi_{name}",
                     is_moving * clip(_replace_nan(expression), _MAX_REGRESSOR * sigma),
                 )
-                for name, expression in (("level", law_parts.along), ("viscosity", viscous))
+                for name, expression in (("level", law_parts.level_slope), ("viscosity", viscous))
             ),
             *_build_gains(tuning, sigma, is_moving, saturates),
             *_build_covariance(deviations),

@@ -136,7 +136,7 @@ class _Robot:
             options=study.options,
             provenance=provenance,
             workers=1,
-            left_out=failures.__setitem__,
+            report_left_out=failures.__setitem__,
         )
         findings = [*check_body(body, self._model), *check_laws(models, records)]
         for law_name, model in models.items():

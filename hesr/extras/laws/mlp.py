@@ -11,7 +11,7 @@ from hesr_model.fitting.estimator import register
 from hesr_model.fitting.joint_rows import JointRows
 from hesr_model.friction.law import FrictionLaw, LawForm
 from hesr_model.laws.parfam import evolve, family
-from hesr_model.laws.rbfnn import Costs, Inputs, NetworkEstimator
+from hesr_model.laws.rbfnn import Costs, NetworkEstimator, NetworkInputs
 from hesr_model.support.arrays import Array, Mask
 
 ITERATIONS = 15  # per weight decay
@@ -159,17 +159,19 @@ class MlpH(NetworkEstimator):
         folds = rows.folds
         starts = {
             hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
-            for hidden in self.tried
+            for hidden in self.tried_sizes
         }
 
-        def law(inputs: Inputs, hidden: int, decay: int) -> FrictionLaw:
+        def law(inputs: NetworkInputs, hidden: int, decay: int) -> FrictionLaw:
             decays = DECAYS[: decay + 1]
             networks = [path(inputs.z, y, theta, decays)[-1] for theta in starts[hidden]]
             return self._law(inputs, min(networks, key=lambda network: network.cost), level, scale)
 
         return lambda inputs, hidden: cross_validate(inputs.z, y, folds, starts[hidden]), law
 
-    def _law(self, inputs: Inputs, network: Network, level: float, scale: float) -> FrictionLaw:
+    def _law(
+        self, inputs: NetworkInputs, network: Network, level: float, scale: float
+    ) -> FrictionLaw:
         gains = network.gains
         theta = network.theta
         # tanh is odd: positive gains, largest first, make the printed network unique.

@@ -66,7 +66,7 @@ class Equations:
 
 def print_equations(form: LawForm) -> Equations:
     """Return `der(x) = drive - rate*x` of each state, and `tau`."""
-    bends = Jumps(form.component, every=True).expressions
+    bends = Jumps(form.component, all_magnitudes=True).expressions
     signs = [
         sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
         for i, e in enumerate(bends, start=1)

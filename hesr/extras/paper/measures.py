@@ -225,7 +225,7 @@ def published(evidence: Evidence, joint: int) -> float:
 def moved(evidence: Evidence, case: Case, joint: int) -> float:
     """Return alpha after stage 3 over that of stage 1."""
     rows = JointRows.from_records(case.training[joint], coefficients=COEFFICIENTS)
-    features = HysteresisFeatures(samples=rows, discretisation="euler")
+    features = HysteresisFeatures(rows=rows, discretisation="euler")
     return (
         _literal_law(evidence, case, joint).values["alpha"]
         / calibrate.estimate_from_loop(features)[0]

@@ -4,7 +4,13 @@ import numpy as np
 
 from hesr.extras.properties.bench import DriveBench
 from hesr.extras.properties.scale import CREEP, Scale, curve, figures, judge, plot
-from hesr_model.audit.properties import FALLS, HELD, PASSIVE, WEAKENING, PropertyResult
+from hesr_model.audit.properties import (
+    ENERGY_ROUND_OFF,
+    MAX_DRIFT,
+    MIN_BREAKAWAY_FALL,
+    MIN_WEAKENING,
+    PropertyResult,
+)
 from hesr_model.support.arrays import Array
 
 AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: pre-sliding, half the level, sliding
@@ -62,7 +68,7 @@ def _judge_dissipation(generated: float, share: float, q: Array, tau: Array) -> 
     return judge(
         ("most energy given in a cycle", max(0.0, generated), "J"),
         ("amplitude of the torque, of the level", share, "1"),
-        wrong=[sentence] if generated > PASSIVE else [],
+        wrong=[sentence] if generated > ENERGY_ROUND_OFF else [],
         plot=plot("position", "torque", curve("", 1e3 * q, tau, closed=True)),
     )
 
@@ -122,7 +128,7 @@ def _judge_stick_slip(
     )
     begins = t[half + 1 :][(dq[half:-1] <= pull) & (dq[half + 1 :] > pull)]
     period = float(np.mean(np.diff(begins))) if cycles and len(begins) > 1 else None
-    weak = falls >= WEAKENING
+    weak = falls >= MIN_WEAKENING
     flat = falls <= _MAX_FLAT_FALL
     outcome = "It ends in steady sliding"
     if cycles:
@@ -224,7 +230,7 @@ def _judge_break_away(peaks: Array, displacements: Array, level: float) -> Prope
             f"{displacements[0] / displacements[1]:.2g} times as far on the slowest ramp as on "
             "the next."
         )
-    if peaks[0] > 0.0 and fall < FALLS:
+    if peaks[0] > 0.0 and fall < MIN_BREAKAWAY_FALL:
         faults.append(
             f"The break-away torque falls by only {fall:.1%}."
             if fall > 1e-3
@@ -284,7 +290,7 @@ def _judge_drift(t: Array, q: Array) -> list[PropertyResult]:
             judge(
                 ("drift in a minute", drift, "rad"),
                 ("rate of the second half", rate, "rad/s"),
-                wrong=["It creeps."] if abs(drift) > HELD else [],
+                wrong=["It creeps."] if abs(drift) > MAX_DRIFT else [],
                 plot=plot(
                     "time", "moved", curve("", t, 1e3 * (joint_q - joint_q[0]), max_points=60)
                 ),

@@ -7,7 +7,13 @@ import numpy as np
 
 from hesr.extras.properties.bench import FrictionBench
 from hesr.extras.properties.scale import Scale, curve, judge, plot
-from hesr_model.audit.properties import CLOSED, INNER, RATE, SMOOTH, PropertyResult
+from hesr_model.audit.properties import (
+    MAX_CLOSING_ERROR,
+    MAX_INNER_HEIGHT,
+    MAX_JUMP,
+    MAX_RATE_CHANGE,
+    PropertyResult,
+)
 from hesr_model.support.arrays import Array
 
 PERIOD = 4.0
@@ -74,9 +80,9 @@ def memory(
         )
         depth = float(np.ptp(inner[:, j])) / max(height, float(load_swing[j]))
         faults = []
-        if depth > INNER:
+        if depth > MAX_INNER_HEIGHT:
             faults.append(f"The inner loop is as high as the outer one ({depth:.0%}): no memory.")
-        if max(closing_error, continuation_error) > CLOSED:
+        if max(closing_error, continuation_error) > MAX_CLOSING_ERROR:
             faults.append(
                 f"The inner loop misses its start by {closing_error:.1%} of the outer height, "
                 "the branch "
@@ -87,7 +93,7 @@ def memory(
         if faults and states[j] == 0:
             faults.append("A law without a state has no memory.")
         # A loop as high as the outer one has no memory.
-        closes = None if depth > INNER else closing_error
+        closes = None if depth > MAX_INNER_HEIGHT else closing_error
         curves = (
             curve("outer", 1e3 * amplitude * (2.0 * _BRANCH_SHARES - 1.0), outer),
             curve("inner", 1e3 * amplitude * inner_path, inner[:, j]),
@@ -147,11 +153,11 @@ def _judge_presliding(fast: Array, slow: Array, amplitude: float) -> PropertyRes
         faults.append("The loop generates energy.")
     if share > _MAX_JUMP:
         faults.append("No pre-sliding: the torque reverses at once.")
-    elif share > SMOOTH:
+    elif share > MAX_JUMP:
         faults.append(f"The torque jumps by {share:.0%} of the loop's height at a reversal.")
     if stiffness < 0.0:
         faults.append("After a reversal the torque changes in the wrong direction.")
-    if abs(ratio - 1.0) > RATE:
+    if abs(ratio - 1.0) > MAX_RATE_CHANGE:
         faults.append(
             f"At a tenth of the speed the loop dissipates {ratio:.2g} times the work: it depends "
             "on velocity, not on position."

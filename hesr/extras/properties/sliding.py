@@ -10,11 +10,11 @@ from hesr.extras.properties.scale import SLIDING, Scale, curve, figures, judge, 
 from hesr_model.audit import audit
 from hesr_model.audit.attack import loaded_motions
 from hesr_model.audit.properties import (
-    BEGINS,
-    PASSIVE,
-    QUIET,
-    STEP,
-    WIDTH,
+    ENERGY_ROUND_OFF,
+    MAX_CHATTER,
+    MAX_START_ERROR,
+    MIN_LAG_WIDTH,
+    MIN_USEFUL_STEP,
     PropertyResult,
     PropertyVerdict,
 )
@@ -55,8 +55,8 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Propert
         2.0 * _SMALL_SPEED
     )  # at rest with fixed states; a jump is huge
     is_driven = ~stops & scale.drives
-    dq = slide(max(STEP, MIN_STEP))[: int(0.2 / STEP)]
-    t = STEP * np.arange(len(dq), dtype=float)
+    dq = slide(max(MIN_USEFUL_STEP, MIN_STEP))[: int(0.2 / MIN_USEFUL_STEP)]
+    t = MIN_USEFUL_STEP * np.arange(len(dq), dtype=float)
     results = []
     for j in range(bench.joints):
         first_chattering = next((dt for dt in chatter_by_step if chatter_by_step[dt][j]), None)
@@ -76,7 +76,7 @@ def coupling(bench: FrictionBench, scale: Scale, inertia: Array) -> list[Propert
             reason = "The joint does not stop at any step: the law drives it."
         elif largest is None:
             reason = f"It chatters even at the smallest step tried, {1e3 * MIN_STEP:g} ms."
-        elif largest < STEP:
+        elif largest < MIN_USEFUL_STEP:
             reason = "Coupled explicitly at 1 ms it chatters."
         else:
             verdict = "pass"
@@ -178,7 +178,7 @@ def _judge_start(speeds: Array, first: Array, steady: Array) -> PropertyResult:
     return judge(
         ("largest difference of the first torque, of the friction", abs(worst_error), "1"),
         ("at a velocity of", speed, "rad/s"),
-        wrong=[] if abs(worst_error) <= BEGINS else [sentence],  # NaN fails
+        wrong=[] if abs(worst_error) <= MAX_START_ERROR else [sentence],  # NaN fails
         plot=plot(
             "velocity",
             "torque",
@@ -225,7 +225,7 @@ def _judge_lag(dq: Array, fast: Array, slow: Array, level: float) -> PropertyRes
     if width == 0.0:
         faults.append("No lag: the torque follows the velocity at once.")
     else:
-        if abs(width) < WIDTH * level:
+        if abs(width) < MIN_LAG_WIDTH * level:
             faults.append(f"The branches are only {abs(width) / level:.2%} of the level apart.")
         # Parts of the torque may rise at once: one fall suffices.
         if (width > 0.0 and slope.min() >= 0.0) or (width < 0.0 and slope[row] <= 0.0):
@@ -261,7 +261,7 @@ def chatter(
         results.append(
             judge(
                 ("standard deviation of the torque", deviation, "N.m"),
-                wrong=[sentence] if deviation > QUIET * level else [],
+                wrong=[sentence] if deviation > MAX_CHATTER * level else [],
                 plot=plot(
                     "time", "torque", curve("at rest", t, of_joint[:_PLOTTED_ROWS], max_points=150)
                 ),
@@ -333,7 +333,7 @@ def _judge_work(cycles: list[audit.Cycle]) -> PropertyResult:
     worst_cycle = min(cycles, key=lambda c: c.work)
     generated = max(0.0, -worst_cycle.work)
     least_dissipative = min(cycles, key=lambda c: c.share)
-    generates = generated > PASSIVE
+    generates = generated > ENERGY_ROUND_OFF
     swings = f" while the load swings by {worst_cycle.swing:.3g} N.m" if worst_cycle.swing else ""
     sentence = f"A cycle at {worst_cycle.frequency:.2g} Hz generates {generated:.3g} J{swings}."
     curves = []

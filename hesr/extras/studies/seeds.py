@@ -184,7 +184,7 @@ def evaluate_truths(
     twin = study.twin
     assert twin is not None
     errors: dict[str, Errors] = {}
-    fit = partial(fit_models, seed=study.seed, left_out=lambda *_: None)
+    fit = partial(fit_models, seed=study.seed, report_left_out=lambda *_: None)
     for truth in report_progress(twin.truths, progress, str):
         with scratch_folder() as folder:
             plant, signals = twin_plant(twin.model_copy(update={"truth": truth}), path, folder)

@@ -15,7 +15,7 @@ from hesr_model.errors import FitError
 from hesr_model.friction.inputs import INPUTS
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
-from hesr_model.friction.predict import numbers
+from hesr_model.friction.predict import coefficient_array
 from hesr_model.friction.records import rmse
 from hesr_model.friction.scales import split_torque
 from hesr_model.friction.thermal import Thermal
@@ -46,7 +46,7 @@ class Factored:
     def __init__(self, law: FrictionLaw) -> None:
         level, viscosity = sympy.symbols("level viscosity", real=True)
         law_parts = split_torque(law, level)
-        output = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.rest
+        output = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.unscaled
         self._law = law
         symbols = (quantity.symbol for quantity in law.form.coefficients)
         settling = law.form.component.settling
@@ -61,7 +61,7 @@ class Factored:
         dt = np.diff(record.t, prepend=record.t[0])
         inputs = (record.dq, record.q, record.tau_load, level, viscosity)
         run = KernelRun(self._kernel, inputs, dt, euler=law.discretisation == "euler")
-        return run.evaluate(numbers(law), np.array(law.start))[:, 0]
+        return run.evaluate(coefficient_array(law), np.array(law.start))[:, 0]
 
 
 @dataclass(frozen=True, kw_only=True)

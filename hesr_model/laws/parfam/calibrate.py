@@ -26,7 +26,7 @@ class Cell:
 
 def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the bounds of alpha [1/s] and beta [s/rad] that the data can resolve."""
-    speed = float(np.sqrt(np.mean(features.samples.dq**2)))
+    speed = float(np.sqrt(np.mean(features.rows.dq**2)))
     return (
         (1.0 / MAX_MEMORY, features.alpha_limit),
         (STEEPNESS_RANGE[0] / speed, STEEPNESS_RANGE[1] / speed),
@@ -35,7 +35,7 @@ def bounds(features: HysteresisFeatures) -> tuple[tuple[float, float], tuple[flo
 
 def compute_profile(features: HysteresisFeatures) -> list[Cell]:
     """Return the cells of a logarithmic grid with the residuals of cubic surfaces, best first."""
-    tau = features.samples.tau
+    tau = features.rows.tau
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     cells = []
     # Without the upper end of alpha, where h has no memory.
@@ -66,7 +66,7 @@ def estimate_from_loop(features: HysteresisFeatures) -> tuple[float, float]:
     1 / alpha is the mean settling time after a reversal: area over height. beta is the slope of the
     torque over speed at its sign change, relative to the sliding level.
     """
-    rows = features.samples
+    rows = features.rows
     (alpha_low, alpha_high), (beta_low, beta_high) = bounds(features)
     level = 0.5 * float(np.quantile(rows.tau, 0.9) - np.quantile(rows.tau, 0.1))
     courses = _extract_courses(features)
@@ -80,7 +80,7 @@ def estimate_from_loop(features: HysteresisFeatures) -> tuple[float, float]:
 
 def _extract_courses(features: HysteresisFeatures) -> list[tuple[Array, float | None]]:
     """Return the torque after each reversal, positive in the direction of motion, and its slope."""
-    rows = features.samples
+    rows = features.rows
     tau = rows.tau - float(np.median(rows.tau))
     flips = np.flatnonzero((rows.dq[:-1] * rows.dq[1:] < 0.0) & ~rows.begins[1:])
     ends = np.flatnonzero(np.append(rows.begins[1:], True)) + 1
@@ -100,7 +100,7 @@ def _extract_courses(features: HysteresisFeatures) -> list[tuple[Array, float | 
 
 def _settling_rate(features: HysteresisFeatures, courses: list[Array]) -> float:
     """Return height over area [1/s] of the mean course; 0 without reversals."""
-    rows = features.samples
+    rows = features.rows
     total = np.zeros(COURSE_ROWS)
     count = np.zeros(COURSE_ROWS)
     for course in courses:

@@ -69,8 +69,8 @@ class Candidate:
         units = [] if self.g is None else [{"g": self.g, "arguments": arguments}]
         structure = {"linear": linear, "units": units}
         values: dict[str, float] = {}
-        for x, quantity, theta in zip(family.FEATURES, self.c, self.theta, strict=True):
-            values |= {family.linear_name(x): quantity, family.argument_name(1, x): theta}
+        for x, c, theta in zip(family.FEATURES, self.c, self.theta, strict=True):
+            values |= {family.linear_name(x): c, family.argument_name(1, x): theta}
         values |= {family.gain_name(1): self.gain, "alpha": self.alpha, "beta": self.beta}
         form = family.form(structure)
         form_values = {

@@ -48,7 +48,7 @@ def search_arguments(
     of the linear law. `starts` (S, F) and `limit` are for standardised features.
     """
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-12)])
-    problem = _Projected(g, features / scale, linear, tau, limit)
+    problem = _ProjectedProblem(g, features / scale, linear, tau, limit)
     theta, cost = problem.minimise(starts.T.copy())
     chosen: list[int] = []
     for i in np.argsort(cost):
@@ -88,7 +88,7 @@ def _candidate(cell: Cell, g: str | None, features: Array, tau: Array, theta: Ar
     )
 
 
-class _Projected:
+class _ProjectedProblem:
     """The problem of one g with linear terms projected out."""
 
     def __init__(self, g: str, x: Array, linear: Array, tau: Array, limit: float) -> None:
@@ -126,10 +126,10 @@ class _Projected:
             for _ in range(iterations):
                 trial = np.clip(theta + self._step(theta, damping), -self.limit, self.limit)
                 trial_cost = self.cost(trial)
-                better = trial_cost < cost
-                theta = np.where(better, trial, theta)
-                cost = np.where(better, trial_cost, cost)
-                damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-10, 1e8)
+                is_better = trial_cost < cost
+                theta = np.where(is_better, trial, theta)
+                cost = np.where(is_better, trial_cost, cost)
+                damping = np.clip(np.where(is_better, damping / 5.0, damping * 4.0), 1e-10, 1e8)
             best = np.argsort(cost)[: int(np.ceil(share * len(cost)))]
             theta, cost, damping = theta[:, best], cost[best], damping[best]
         return theta, cost

@@ -71,9 +71,7 @@ def form(structure: Mapping[str, Any]) -> LawForm:
     }
 
     def build_weighted_sum(weights: Sequence[Coefficient], features: Sequence[str]) -> sympy.Expr:
-        products = (
-            quantity.symbol * symbols[x] for quantity, x in zip(weights, features, strict=True)
-        )
+        products = (weight.symbol * symbols[x] for weight, x in zip(weights, features, strict=True))
         return sum(products, sympy.Integer(0))
 
     coefficients = [
@@ -101,9 +99,8 @@ def form(structure: Mapping[str, Any]) -> LawForm:
         )
         for x in denominator
     ]
-    output = sympy.Add(*terms) / (
-        1 + build_weighted_sum(divisors, denominator)
-    )  # a sum of two at a time is slow
+    # A sum of two at a time is slow.
+    output = sympy.Add(*terms) / (1 + build_weighted_sum(divisors, denominator))
     coefficients += divisors
     if not output.free_symbols & {h, dh}:
         return LawForm(coefficients=tuple(coefficients), output=output)

@@ -55,21 +55,21 @@ def _kernel(g: str | None, discretisation: Discretisation) -> Kernel:
 class HysteresisFeatures:
     """Features x = (1, dq, h, dh) of eq. 11 as functions of (alpha, beta)."""
 
-    samples: JointRows
+    rows: JointRows
     discretisation: Discretisation
 
     @property
     def alpha_limit(self) -> float:
         """Upper limit of alpha [1/s]: alpha * step < 1, for Euler at the longest step (eq. 10)."""
-        steps = self.samples.dt[~self.samples.begins]
+        steps = self.rows.dt[~self.rows.begins]
         if self.discretisation == "euler":
             return (1.0 - 1e-9) / float(steps.max())
         return 1.0 / float(np.median(steps))
 
     def columns(self, alpha: float, beta: float) -> Array:
         """Return the (N, 4) features 1, dq [rad/s], h [1], dh [1/s]."""
-        rows = self.samples
-        z = alpha * self.samples.dt
+        rows = self.rows
+        z = alpha * self.rows.dt
         a = np.exp(-z) if self.discretisation == "exact" else 1.0 - z
         target = np.tanh(beta * rows.dq)
         h = rows.recurrence(a, (1.0 - a) * target, target)  # h+ = a h + (1 - a) tanh(beta dq)
@@ -87,7 +87,7 @@ class HysteresisFeatures:
     def slopes(self, g: str | None) -> KernelRun:
         """Return the run of a candidate's slopes by `NUMBERS` and of its residual, (N, 12)."""
         if g not in self._runs:
-            rows = self.samples
+            rows = self.rows
             self._runs[g] = KernelRun(
                 _kernel(g, self.discretisation),
                 (rows.dq, rows.tau),

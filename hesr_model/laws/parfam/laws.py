@@ -8,7 +8,7 @@ import numpy as np
 
 from hesr_model.equations.memory import Discretisation
 from hesr_model.errors import FitError
-from hesr_model.fitting.declarative import Described
+from hesr_model.fitting.declarative import DeclarativeEstimator
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.joint_rows import JointRows, find_first_best, is_no_worse
 from hesr_model.fitting.separable import SearchSpace, Separable, left_out_cost
@@ -76,7 +76,7 @@ class ParFamH(Estimator):
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Run the three stages, with starts and hops drawn from `rng`."""
         rows = JointRows.from_records(records, coefficients=COEFFICIENTS)
-        features = HysteresisFeatures(samples=rows, discretisation=self.discretisation)
+        features = HysteresisFeatures(rows=rows, discretisation=self.discretisation)
         search = self._search_like_paper if self.search == "paper" else self._evolve
         trained_range = TrainedRange.from_records(records)
         chosen = refine.select(features, search(features, rng), rows.folds, trained_range)
@@ -93,7 +93,7 @@ class ParFamH(Estimator):
         # A law without a state has no (alpha, beta).
         if (self.units < 2 and not self.denominator) or "alpha" not in law.values:
             return law
-        problem = pose(law.structure, features.samples, self.discretisation)
+        problem = pose(law.structure, features.rows, self.discretisation)
         point = problem.point({name: law.values[name] for name in problem.space.names})
         best = Trial(structure=law.structure, problem=problem, point=point)
         if self.units > 1:
@@ -108,20 +108,23 @@ class ParFamH(Estimator):
         return law if best.structure == law.structure else replace(best.law(), name=self.name)
 
     def _evolve(self, features: HysteresisFeatures, rng: np.random.Generator) -> list[Candidate]:
-        tau = features.samples.tau
-        rows = slice(None, None, max(1, len(tau) // evolve.ROWS))
+        tau = features.rows.tau
+        searched_rows = slice(None, None, max(1, len(tau) // evolve.ROWS))
         candidates: list[Candidate] = []
         cells = calibrate.select_distinct(calibrate.compute_profile(features), self.cells)
         searches = len(cells) * len(self.functions)
         for i, cell in enumerate(cells):
-            columns = features.columns(cell.alpha, cell.beta)[rows]
-            candidates.append(evolve.fit_linear(cell, columns, tau[rows]))
+            columns = features.columns(cell.alpha, cell.beta)[searched_rows]
+            candidates.append(evolve.fit_linear(cell, columns, tau[searched_rows]))
             for k, g in enumerate(self.functions):
                 step(i * len(self.functions) + k, 2 * searches)  # the second half is stage 3
                 starts = evolve.starting_points(rng, self.starts, 4)
-                candidates += evolve.search(cell, g, columns, tau[rows], starts, keep=3)
-        candidates.sort(key=lambda f: f.cost)
-        groups = ([f for f in candidates if f.g == g] for g in (None, *self.functions))
+                candidates += evolve.search(cell, g, columns, tau[searched_rows], starts, keep=3)
+        candidates.sort(key=lambda candidate: candidate.cost)
+        groups = (
+            [candidate for candidate in candidates if candidate.g == g]
+            for g in (None, *self.functions)
+        )
         return [candidate for group in groups for candidate in group[: self.candidates]]
 
     def _search_like_paper(
@@ -131,8 +134,7 @@ class ParFamH(Estimator):
         cell = Cell(alpha=alpha, beta=beta, cost=np.nan)
         columns = features.columns(alpha, beta)
         return [
-            evolve.search_of_paper(cell, g, columns, features.samples.tau, rng)
-            for g in self.functions
+            evolve.search_of_paper(cell, g, columns, features.rows.tau, rng) for g in self.functions
         ]
 
 
@@ -143,7 +145,7 @@ _SEARCH_ROWS = 1200
 
 @register
 @dataclass(kw_only=True, eq=False)
-class ParFamV(Described):
+class ParFamV(DeclarativeEstimator):
     """tau = c . (1, v) + c_g g(theta . (1, v))  (eq. 11 with x = v)."""
 
     name = "parfam_v"
@@ -161,27 +163,27 @@ class ParFamV(Described):
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Search the unit's argument for every g; cross-validation selects one."""
-        samples = JointRows.from_records(records, coefficients=5)
-        x = np.column_stack([np.ones(len(samples.dq)), samples.dq])
-        rows = slice(None, None, max(1, len(x) // _SEARCH_ROWS))
+        rows = JointRows.from_records(records, coefficients=5)
+        x = np.column_stack([np.ones(len(rows.dq)), rows.dq])
+        searched_rows = slice(None, None, max(1, len(x) // _SEARCH_ROWS))
         solutions = []
         for g in self.functions:
             structure = {"linear": list(FEATURES), "units": [{"g": g, "arguments": list(FEATURES)}]}
-            problem = Separable(family.form(structure), _space(samples), samples)
+            problem = Separable(family.form(structure), _space(rows), rows)
             starts = evolve.starting_points(rng, 2 * self.starts, 2)
             if g == "tanh":
                 starts[self.starts :, 1] *= np.geomspace(2.0, MAX_STEEPNESS, self.starts)
             limit = MAX_STEEPNESS if g == "tanh" else evolve.ARGUMENT_LIMIT
-            features = x[rows]
-            tau = samples.tau[rows]
+            features = x[searched_rows]
+            tau = rows.tau[searched_rows]
             for theta in evolve.search_arguments(
                 g, features, features, tau, starts, keep=3, limit=limit
             ):
                 start = problem.point({"theta1_0": theta[0], "theta1_dq": theta[1]})
                 point = problem.polish(start, evaluations=30)
-                cost = left_out_cost(problem.columns(point), samples.tau, samples.folds)
+                cost = left_out_cost(problem.columns(point), rows.tau, rows.folds)
                 solutions.append((cost, structure, problem, point))
-        _, structure, problem, point = solutions[find_first_best([entry[0] for entry in solutions])]
+        _, structure, problem, point = solutions[find_first_best([cost for cost, *_ in solutions])]
         return self.finish(structure, problem, point)
 
 
@@ -198,7 +200,7 @@ MIN_STATE_GAIN = 0.02  # smallest relative gain by memory in time: 1 % for each 
 
 
 @register
-class ParFamHX(Described):
+class ParFamHX(DeclarativeEstimator):
     """ParFam-H with a generalised state, load, a Stribeck term, motor ripple and an initial state.
 
         h'  = alpha gate (tanh(beta v) - h) + kappa (v - |v| h),  gate = 1 - exp(-(v/v_0)^2)
@@ -266,7 +268,7 @@ class ParFamHX(Described):
         return self._remove_useless_terms(Trial(structure=structure, problem=problem, point=point))
 
     def _remove_useless_terms(self, trial: Trial) -> Trial:
-        rows = trial.problem.samples
+        rows = trial.problem.rows
         columns = trial.problem.columns(trial.point)
         linear = trial.structure["linear"]
         remaining_terms = list(range(columns.shape[1]))

@@ -49,7 +49,8 @@ def select(
     hopeful = [candidate for candidate in shortlist if candidate.cost <= HOPEFUL_RATIO * best]
     # If all explode, try the others, then the linear law.
     linear = sorted(
-        (candidate for candidate in candidates if candidate.g is None), key=lambda k: k.cost
+        (candidate for candidate in candidates if candidate.g is None),
+        key=lambda candidate: candidate.cost,
     )[:1]
     for group in (
         hopeful,
@@ -77,7 +78,7 @@ def select(
 def select_distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates sorted by cost; of tied ones the one with the fewest terms."""
     distinct_candidates: list[Candidate] = []
-    for candidate in sorted(candidates, key=lambda k: k.cost):
+    for candidate in sorted(candidates, key=lambda candidate: candidate.cost):
         if not distinct_candidates or candidate.cost > distinct_candidates[-1].cost * (
             1.0 + TIE_TOLERANCE
         ):
@@ -140,7 +141,7 @@ def _remove_coefficient(candidate: Candidate, coefficient: int) -> Candidate:
 
 
 def _find_acceptable_cost(features: HysteresisFeatures, candidate: Candidate) -> float:
-    tau = features.samples.tau
+    tau = features.rows.tau
     residual = candidate.torque(features.columns(candidate.alpha, candidate.beta)) - tau
     rise = SIGNIFICANCE**2 * correlation_length(residual) / len(tau)
     return candidate.cost * (1.0 + rise) + VARIANCE_ROUND_OFF * float(np.var(tau))
@@ -154,8 +155,8 @@ def left_out_cost(
     for fold in folds:
         refined = refine_to_convergence(features, candidate, portions, ~fold)
         torque = refined.torque(features.columns(refined.alpha, refined.beta))
-        total += float(np.sum((torque - features.samples.tau)[fold] ** 2))
-    return total / len(features.samples.tau)
+        total += float(np.sum((torque - features.rows.tau)[fold] ** 2))
+    return total / len(features.rows.tau)
 
 
 class Refinement:
@@ -173,13 +174,13 @@ class Refinement:
         self.start = start
         self.rows = rows
         self.weights = rows.astype(float) if isinstance(rows, np.ndarray) else None
-        self.count = len(features.samples.tau[rows])
+        self.count = len(features.rows.tau[rows])
         (a_low, a_high), (b_low, b_high) = bounds(features)
         self.low = np.log([a_low, b_low])
         self.span = np.log([a_high, b_high]) - self.low
         columns = features.columns(start.alpha, start.beta)
         self.scale = np.concatenate([[1.0], np.maximum(columns[:, 1:].std(axis=0), 1e-12)])
-        self.run_of_slopes = features.slopes(start.g)
+        self._slopes_run = features.slopes(start.g)
         self.active = np.r_[True, True, start.c_active, start.g is not None, start.theta_active]
 
     def pack(self) -> Array:
@@ -208,7 +209,7 @@ class Refinement:
     def slopes(self, point: Array) -> tuple[Array, Array]:
         """Return the (rows, parameters) slopes of the residual at a search vector, and itself."""
         numbers, factors = self._unpack_numbers(point)
-        slope_columns = self.run_of_slopes.evaluate(numbers)[self.rows]
+        slope_columns = self._slopes_run.evaluate(numbers)[self.rows]
         return slope_columns[:, :-1][:, self.active] * factors[self.active], slope_columns[:, -1]
 
     def _unpack_numbers(self, point: Array) -> tuple[Array, Array]:
@@ -227,8 +228,8 @@ class Refinement:
         Levenberg-Marquardt depends on inner products alone, so it takes the same steps with R.
         """
         numbers, factors = self._unpack_numbers(point)
-        self.run_of_slopes.begin(numbers)
-        products = self.run_of_slopes.multiply(numbers, self.weights)[:-1, :-1]
+        self._slopes_run.begin(numbers)
+        products = self._slopes_run.multiply(numbers, self.weights)[:-1, :-1]
         is_used, factors = np.r_[self.active, True], np.r_[factors, 1.0]
         gram = (products * np.outer(factors, factors))[np.ix_(is_used, is_used)]
         if not np.isfinite(gram).all():  # refused as a step

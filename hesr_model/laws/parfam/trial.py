@@ -40,7 +40,7 @@ class Trial:
         self, structure: Mapping[str, Any], extra_numbers: Mapping[str, float]
     ) -> "Trial":
         """Return the trial of another structure, polished from these and `extra_numbers`."""
-        problem = pose(structure, self.problem.samples, self.problem.discretisation)
+        problem = pose(structure, self.problem.rows, self.problem.discretisation)
         names = problem.space.names
         numbers = (
             dict.fromkeys(names, 0.0) | self.problem.name_numbers(self.point) | dict(extra_numbers)
@@ -65,9 +65,9 @@ def add_unit(
     trial: Trial, features: Array, functions: Sequence[str], starts: int, rng: np.random.Generator
 ) -> list[Trial]:
     """Return the trial with a further unit g, with the two best arguments of every g."""
-    tau = trial.problem.samples.tau
-    rows = slice(None, None, max(1, len(tau) // _SEARCH_ROWS))
-    columns = trial.problem.columns(trial.point)[rows]
+    tau = trial.problem.rows.tau
+    searched_rows = slice(None, None, max(1, len(tau) // _SEARCH_ROWS))
+    columns = trial.problem.columns(trial.point)[searched_rows]
     units = list(trial.structure["units"])
     names = [family.argument_name(len(units) + 1, x) for x in family.FEATURES]
     extended_trials = []
@@ -78,7 +78,7 @@ def add_unit(
         extended_trials += [
             trial.change_structure(structure, dict(zip(names, theta, strict=True)))
             for theta in evolve.search_arguments(
-                g, features[rows], columns, tau[rows], theta_starts, keep=2
+                g, features[searched_rows], columns, tau[searched_rows], theta_starts, keep=2
             )
         ]
     return extended_trials
@@ -104,17 +104,17 @@ def cross_validate(trial: Trial) -> float:
     """Return the sum of squared errors by cross-validation."""
     problem = trial.problem
     total = 0.0
-    for fold in problem.samples.folds:
-        columns = problem.columns(problem.polish(trial.point, evaluations=3, rows=~fold))
-        x = np.linalg.lstsq(columns[~fold], problem.samples.tau[~fold])[0]
-        total += float(np.sum((problem.samples.tau - columns @ x)[fold] ** 2))
+    for fold in problem.rows.folds:
+        columns = problem.columns(problem.polish(trial.point, evaluations=3, is_used=~fold))
+        x = np.linalg.lstsq(columns[~fold], problem.rows.tau[~fold])[0]
+        total += float(np.sum((problem.rows.tau - columns @ x)[fold] ** 2))
     return total
 
 
 def search_space(structure: Mapping[str, Any], rows: JointRows) -> SearchSpace:
     """Return the search space of a structure."""
     state = structure.get("state", "paper")
-    alpha, beta = calibrate.bounds(HysteresisFeatures(samples=rows, discretisation="exact"))
+    alpha, beta = calibrate.bounds(HysteresisFeatures(rows=rows, discretisation="exact"))
     bounds: list[tuple[str, tuple[float, float]]] = []
     values: list[tuple[str, sympy.Expr]] = []
     if state == "bristle":

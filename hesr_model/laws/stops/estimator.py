@@ -10,7 +10,7 @@ import scipy
 from hesr_model.fitting.estimator import Estimator, register
 from hesr_model.fitting.joint_rows import (
     JointRows,
-    Normal,
+    NormalEquations,
     divide_into_blocks,
     find_first_best,
     has_significant_gain,
@@ -48,7 +48,7 @@ def waves(frequencies: Sequence[int], lag: float, rows: JointRows) -> Array:
 
 def select_waves(base: Array, rows: JointRows, weights: Array, gear_ratio: float) -> Waves:
     """Return the waves that lower the error of `base` (N, K) by more than one standard error."""
-    problem = _Problem(base=base, samples=rows, weights=weights)
+    problem = _Problem(base=base, rows=rows, weights=weights)
     blocks = divide_into_blocks(rows.dt, rows.begins)
     chosen = Waves(frequencies=(), lag=0.0)
     errors = problem.cross_validate(chosen)
@@ -69,23 +69,23 @@ def select_waves(base: Array, rows: JointRows, weights: Array, gear_ratio: float
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Problem:
     base: Array
-    samples: JointRows
+    rows: JointRows
     weights: Array
 
     def columns(self, chosen: Waves) -> Array:
-        wave_columns = waves(chosen.frequencies, chosen.lag, self.samples)
+        wave_columns = waves(chosen.frequencies, chosen.lag, self.rows)
         return np.hstack([self.base, wave_columns]) if chosen.frequencies else self.base
 
     def cross_validate(self, chosen: Waves) -> Array:
-        rows = self.samples
+        rows = self.rows
         free = 1 + 2 * len(chosen.frequencies)
-        return Normal.from_columns(
+        return NormalEquations.from_columns(
             self.columns(chosen), rows.tau, rows.folds, self.weights, free=free
         ).cross_validate()
 
     def residual(self, chosen: Waves) -> Array:
         columns = self.weights[:, None] * self.columns(chosen)
-        tau = self.weights * self.samples.tau
+        tau = self.weights * self.rows.tau
         x = np.linalg.lstsq(columns.T @ columns, columns.T @ tau, rcond=1e-12)[0]
         return np.asarray(tau - columns @ x)
 
@@ -105,7 +105,7 @@ class _Problem:
 
 def _add_best_wave(problem: _Problem, chosen: Waves, gear_ratio: float) -> Waves | None:
     """Return the waves plus the one that fits the residual best, over all lags for the first."""
-    rows = problem.samples
+    rows = problem.rows
     residual = problem.residual(chosen)
     chosen_orders = {round(n / gear_ratio) for n in chosen.frequencies}
     orders = [order for order in ORDERS if order not in chosen_orders]
@@ -133,7 +133,7 @@ WINDOW_SAMPLES = 1.5  # step without averaging of ripple, in sample times
 
 
 @dataclass(kw_only=True, eq=False)
-class _Stops(Estimator):
+class _StopsEstimator(Estimator):
     """Stops with expressions as bounds; no part generates energy."""
 
     load: ClassVar[bool] = False
@@ -156,36 +156,38 @@ class _Stops(Estimator):
         trials = [build_dictionary(rows, load=self.load, scale=scale) for scale in scales]
         if not self.skeleton_only:
             trials = [search(terms, load=self.load) for terms in trials]
-        best = trials[find_first_best([terms.cost for terms in trials])]
-        structure, columns = best.select_active()
+        best_terms = trials[find_first_best([terms.cost for terms in trials])]
+        structure, columns = best_terms.select_active()
         structure = replace(structure, limited=self.load)
         lag = 0.0
         if self.ripple and rows.gear_ratio is not None:
-            chosen = select_waves(columns, rows, best.weights, rows.gear_ratio)
+            chosen = select_waves(columns, rows, best_terms.weights, rows.gear_ratio)
             if chosen.frequencies:
                 window = WINDOW_SAMPLES * float(np.median(rows.dt[~rows.begins]))
                 window, lag = float(f"{window:.3g}"), chosen.lag
                 structure = replace(structure, ripple=chosen.frequencies, window=window)
                 columns = np.hstack([columns, waves(chosen.frequencies, lag, rows)])
-        return self._law(best, structure, columns, lag)
+        return self._law(best_terms, structure, columns, lag)
 
-    def _law(self, best: Terms, structure: Structure, columns: Array, lag: float) -> FrictionLaw:
-        rows = best.samples
+    def _law(self, terms: Terms, structure: Structure, columns: Array, lag: float) -> FrictionLaw:
+        rows = terms.rows
         form = structure.form()
         names = (*structure.forces, "tau_0", *structure.waves)
         free = 1 + len(structure.waves)
-        normal = Normal.from_columns(columns, rows.tau, rows.folds, best.weights, free=free)
+        normal = NormalEquations.from_columns(
+            columns, rows.tau, rows.folds, terms.weights, free=free
+        )
         x = normal.solve()
         if structure.ripple:
             x = forms.constrain_coefficients(
                 normal.gram,
                 normal.moment,
                 x,
-                forms.evaluate_viscous(structure, best.numbers, SPEEDS),
+                forms.evaluate_viscous(structure, terms.numbers, SPEEDS),
                 forms.compute_required_viscosity(structure.ripple, lag, structure.window),
                 free=free,
             )
-        values = {**best.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}
+        values = {**terms.numbers, LAG.name: lag, **dict(zip(names, map(float, x), strict=True))}
         return FrictionLaw(
             name=self.name,
             structure=to_json(structure),
@@ -196,11 +198,11 @@ class _Stops(Estimator):
         )
 
 
-_LOADED = {**_Stops.typical, "stops": [*_SKELETON, ["load", 0]], "limited": True}
+_LOADED = {**_StopsEstimator.typical, "stops": [*_SKELETON, ["load", 0]], "limited": True}
 
 
 @register
-class ParFamS(_Stops):
+class ParFamS(_StopsEstimator):
     """Stops with bounds of age and load, and ripple: passive for any step (equations in `form`)."""
 
     name = "parfam_s"
@@ -214,7 +216,7 @@ class ParFamS(_Stops):
 
 
 @register
-class ParFamSLoad(_Stops):
+class ParFamSLoad(_StopsEstimator):
     """ParFam-S without ripple: bounds of age and load."""
 
     name = "parfam_s_load"
@@ -225,7 +227,7 @@ class ParFamSLoad(_Stops):
 
 
 @register
-class ParFamSV(_Stops):
+class ParFamSV(_StopsEstimator):
     """ParFam-S of the velocity alone: bounds of age."""
 
     name = "parfam_s_v"

@@ -61,7 +61,7 @@ BOUNDS: Mapping[str, sympy.Expr] = {
     "root": sympy.sqrt(absolute(_LOAD)),
     "plus": positive(_LOAD),
     "minus": positive(-_LOAD),
-}  # Bounds by name; none is negative, and none vanishes at rest alone
+}  # bounds by name; none is negative, and none vanishes at rest alone
 SHARES = {"a": 0.05, "b": 0.2, "c": 0.6}  # thinning speeds, of the largest speed
 THINNING = {
     letter: Coefficient(
@@ -162,8 +162,8 @@ class Structure:
             stops.append(x)
             terms.append((_torque(name, _describe_stop(kind, x.deflection)), x.state))
         terms += [
-            (quantity, DQ * factor)
-            for quantity, factor in (_VISCOUS[kind] for kind in self.viscous)
+            (coefficient, DQ * factor)
+            for coefficient, factor in (_VISCOUS[kind] for kind in self.viscous)
         ]
         # The mean over the part of a step beyond `window` certifies any step.
         beyond = positive(DT - sympy.Float(self.window))
@@ -184,7 +184,9 @@ class Structure:
                 *((LAG,) if self.ripple else ()),
             ),
             memory=(AGE, *stops) if AGE.state in bound_symbols else tuple(stops),
-            output=sum((quantity.symbol * factor for quantity, factor in terms), TAU_0.symbol),
+            output=sum(
+                (coefficient.symbol * factor for coefficient, factor in terms), TAU_0.symbol
+            ),
         )
 
 
@@ -242,10 +244,10 @@ def distance(lag: float, window: float) -> float:
     if window <= 0.0:
         return abs(lag)
     if lag <= 0.0 or lag >= window:
-        at_end = abs(lag - window / 2.0)
+        end_distance = abs(lag - window / 2.0)
     else:
-        at_end = (lag**2 + (window - lag) ** 2) / (2.0 * window)
-    return max(abs(lag), at_end)
+        end_distance = (lag**2 + (window - lag) ** 2) / (2.0 * window)
+    return max(abs(lag), end_distance)
 
 
 def compute_required_viscosity(frequencies: Sequence[int], lag: float, window: float) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hesr_model.equations.recurrence import recurrence
 from hesr_model.fitting import joint_rows
-from hesr_model.fitting.joint_rows import JointRows, Normal, Products
+from hesr_model.fitting.joint_rows import FoldProducts, JointRows, NormalEquations
 from hesr_model.fitting.separable import SearchSpace, Separable
 from hesr_model.friction.law import LawForm
 from hesr_model.laws.stops import form as forms
@@ -60,12 +60,12 @@ def weights(rows: JointRows, longest: float = 0.0) -> Array:
     return row_weights
 
 
-def find_largest_age(rows: JointRows, counted: Array, v_s: float, time: float) -> float:
+def find_largest_age(rows: JointRows, row_weights: Array, v_s: float, time: float) -> float:
     """Return the largest age of the rows with a weight (N,), rounded up to three digits."""
     decay = np.exp(-rows.dt / time)
     growth = (1.0 - decay) * np.exp(-((rows.dq / v_s) ** 2))
     decay, growth = np.where(rows.begins, 0.0, decay), np.where(rows.begins, 1.0, growth)
-    return float(np.ceil(1e3 * np.max(recurrence(decay, growth, 1.0) * counted)) / 1e3)
+    return float(np.ceil(1e3 * np.max(recurrence(decay, growth, 1.0) * row_weights)) / 1e3)
 
 
 def columns(structure: Structure, numbers: Mapping[str, float], rows: JointRows) -> Array:
@@ -91,9 +91,9 @@ class Terms:
 
     bounds: tuple[str, ...]  # each with a stop at every deflection
     numbers: dict[str, float]  # other coefficients
-    samples: JointRows
+    rows: JointRows
     weights: Array  # (N,) 1 or 0
-    products: Products  # shared by trials
+    products: FoldProducts  # shared by trials
     scale: int = 0  # place of the deflections' scale in `DEFLECTION_SCALES`
     cache: dict[str, Array] = field(default_factory=dict)  # weighted columns by bound
 
@@ -109,7 +109,7 @@ class Terms:
                 Structure(viscous=VISCOUS) if kind == "viscous" else build_stops(kind, self.scale)
             )
             self.cache[kind] = self.weights[:, None] * columns(
-                kind_structure, self.numbers, self.samples
+                kind_structure, self.numbers, self.rows
             )
         return self.cache[kind]
 
@@ -120,9 +120,9 @@ class Terms:
         return [self._weighted_columns(kind) for kind in (*self.bounds, "viscous", "offset")]
 
     @cached_property
-    def normal(self) -> Normal:
+    def normal(self) -> NormalEquations:
         """The least-squares problem."""
-        return Normal(self.blocks, self.products, free=1)
+        return NormalEquations(self.blocks, self.products, free=1)
 
     @cached_property
     def errors(self) -> Array:
@@ -137,7 +137,7 @@ class Terms:
     def replace_age(self, v_s: float, time: float) -> "Terms":
         """Return the terms with another Stribeck velocity [rad/s] and ageing time [s]."""
         unaged_columns = {k: c for k, c in self.cache.items() if k != "age"}
-        largest_age = find_largest_age(self.samples, self.weights, v_s, time)
+        largest_age = find_largest_age(self.rows, self.weights, v_s, time)
         numbers = self.numbers | {"v_s": v_s, "T": time, "P": largest_age}
         return replace(self, numbers=numbers, cache=unaged_columns)
 
@@ -161,40 +161,40 @@ def build_dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
     """Return the bounds of the skeleton with the best v_s and T, at a scale of deflections."""
     speed = float(np.max(np.abs(rows.dq)))
     ageing = select_ageing_times(rows)
-    counted = weights(rows, max(ageing, default=0.0))
-    first = Terms(
+    row_weights = weights(rows, max(ageing, default=0.0))
+    first_terms = Terms(
         bounds=("1", *("age",) * bool(ageing), *("load",) * load),
         numbers=derive_scales(rows),
-        samples=rows,
-        weights=counted,
-        products=Products(rows.tau, rows.folds, counted),
+        rows=rows,
+        weights=row_weights,
+        products=FoldProducts(rows.tau, rows.folds, row_weights),
         scale=scale,
     )
     trials = []
     costs = []
     if not ageing:
-        return first
+        return first_terms
     for share, time in product(STRIBECK_SHARES, ageing):
-        trials.append(first.replace_age(share * speed, time))
+        trials.append(first_terms.replace_age(share * speed, time))
         costs.append(trials[-1].cost)  # fills the cache
-        first.cache.update({k: c for k, c in trials[-1].cache.items() if k != "age"})
+        first_terms.cache.update({k: c for k, c in trials[-1].cache.items() if k != "age"})
     return trials[joint_rows.find_first_best(costs)]
 
 
 def search(baseline: Terms, *, load: bool) -> Terms:
     """Add bounds that gain more than a standard error on left-out rows; remove useless ones."""
-    blocks = joint_rows.divide_into_blocks(baseline.samples.dt, baseline.samples.begins)
-    best = _remove_useless_bounds(baseline)
+    blocks = joint_rows.divide_into_blocks(baseline.rows.dt, baseline.rows.begins)
+    best_terms = _remove_useless_bounds(baseline)
     for kind in EXTRA_BOUNDS if load else ():
-        extended = replace(best, bounds=(*best.bounds, kind))
-        if joint_rows.has_significant_gain(best.errors, extended.errors, blocks):
-            best = _remove_useless_bounds(extended)
-    return best
+        extended_terms = replace(best_terms, bounds=(*best_terms.bounds, kind))
+        if joint_rows.has_significant_gain(best_terms.errors, extended_terms.errors, blocks):
+            best_terms = _remove_useless_bounds(extended_terms)
+    return best_terms
 
 
 def _remove_useless_bounds(terms: Terms) -> Terms:
     for kind in reversed(terms.bounds[1:]):
-        reduced = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
-        if joint_rows.is_no_worse(reduced.cost, terms.cost):
-            terms = reduced
+        reduced_terms = replace(terms, bounds=tuple(k for k in terms.bounds if k != kind))
+        if joint_rows.is_no_worse(reduced_terms.cost, terms.cost):
+            terms = reduced_terms
     return terms
