@@ -132,7 +132,7 @@ class FrictionRegressor:
             robot = find_robot(self.robot, logs)
             self.robot_ = robot.description
             self.rigid_body_ = find_body(self.rigid_body, logs, robot)
-            name = robot.description.name
+            robot_name = robot.description.name
             records = self._records(collect_parts(logs))
             self.__dict__.pop("n_features_in_", None)
         else:
@@ -140,13 +140,15 @@ class FrictionRegressor:
             measured = read_torques(y, len(values))
             table = self._motion(values, names)
             load = table.load if self.target == "torque" else 0.0
-            name = "table"
+            robot_name = "table"
             records = [table.to_records(measured - load)]
             for attribute in ("robot_", "rigid_body_"):
                 self.__dict__.pop(attribute, None)
             self.n_features_in_ = values.shape[1]
             self._flat = np.asarray(y).ndim == 1
-        self.model_ = fit(self.law, *records, seed=self.seed, options=self.options, robot=name)
+        self.model_ = fit(
+            self.law, *records, seed=self.seed, options=self.options, robot=robot_name
+        )
         return self
 
     def predict(self, X: Any) -> Array:
@@ -173,8 +175,8 @@ class FrictionRegressor:
         if logs is not None:
             if len(logs) != 1:
                 raise TableError(f"predict() was given {len(logs)} logs; expected one.")
-            (records,) = self._records(logs)
-            return self._convert_to_target(model.predict(records), records)
+            (log_records,) = self._records(logs)
+            return self._convert_to_target(model.predict(log_records), log_records)
         table = self._table(X)
         torque = model.predict(t=table.t, dq=table.dq, q=table.q, tau_load=table.load)
         torque += table.load if self.target == "torque" else 0.0
@@ -229,10 +231,10 @@ class FrictionRegressor:
         tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
         logs = self._logs(X)
         if logs is not None:
-            (records,) = self._records(logs)
-            t = records[0].t
-            tau = np.column_stack([record.tau for record in records])
-            tau_measured = self._convert_to_target(tau, records)
+            (log_records,) = self._records(logs)
+            t = log_records[0].t
+            tau = np.column_stack([record.tau for record in log_records])
+            tau_measured = self._convert_to_target(tau, log_records)
         else:
             t = self._table(X).t
             tau_measured = read_torques(y, len(tau_predicted))
@@ -254,12 +256,12 @@ class FrictionRegressor:
         from fmu_src import export_fmu
         from fmu_src.export.toolchain import DEFAULT_PLATFORMS
 
-        built_for: Sequence[str] = DEFAULT_PLATFORMS
+        platform_names: Sequence[str] = DEFAULT_PLATFORMS
         if platforms is not None:
-            built_for = list_names("platforms", platforms)
+            platform_names = list_names("platforms", platforms)
         model = self._require_fitted()
         fmu = to_path(path, "'path'")
-        return export_fmu(model, fmu, platforms=built_for)
+        return export_fmu(model, fmu, platforms=platform_names)
 
     def to_torch(self, path: str | PathLike[str]) -> Path:
         """Write the fitted law as a module of PyTorch, in the export format `torch`."""
@@ -292,10 +294,10 @@ class FrictionRegressor:
                 f"{expected} features as input."
             )
         table = self._motion(values, names)
-        joints = len(self._require_fitted().joints)
-        if table.dq.shape[1] != joints:
+        joint_count = len(self._require_fitted().joints)
+        if table.dq.shape[1] != joint_count:
             raise TableError(
-                f"X is the motion of {table.dq.shape[1]} joints; the law was fitted to {joints}."
+                f"X is the motion of {table.dq.shape[1]} joints; the law was fitted to {joint_count}."
             )
         return table
 
@@ -312,10 +314,10 @@ class FrictionRegressor:
         robot = to_robot(self.robot_)
         return [friction_records(log, robot, self.rigid_body_) for log in logs]
 
-    def _convert_to_target(self, friction: Array, records: Record) -> Array:
+    def _convert_to_target(self, friction: Array, log_records: Record) -> Array:
         if self.target == "friction":
             return friction
-        return friction + np.column_stack([record.of_bodies for record in records])
+        return friction + np.column_stack([record.of_bodies for record in log_records])
 
     def _require_fitted(self) -> FrictionModel:
         if hasattr(self, "model_"):

@@ -103,8 +103,8 @@ class Scheme:
         match = _NAME_PATTERN.fullmatch(name)
         if match is None:
             raise RuleError(f"'{name}' is not a scheme", code="loop.scheme")
-        parts = {key: text for key, text in match.groupdict().items() if text}
-        return TypeAdapter(cls).validate_python(parts)
+        fields = {key: text for key, text in match.groupdict().items() if text}
+        return TypeAdapter(cls).validate_python(fields)
 
 
 _NAME_PATTERN = re.compile(

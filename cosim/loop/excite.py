@@ -81,10 +81,10 @@ class ArmRun:
 class TwinArm:
     """An arm under velocity command, run as an FMU with the signals of models/uf850/arm.toml."""
 
-    def __init__(self, component: FmuInstance, plant: Plant) -> None:
+    def __init__(self, instance: FmuInstance, plant: Plant) -> None:
         self.plant = plant
         self.limits = joint_limits(plant)  # (n, 2) [rad]
-        self._component = component
+        self._component = instance
 
     def run(self, q0: ArrayLike, commands: Array, *, seed: int, unlogged: int = 0) -> ArmRun:
         """Start at rest at `q0` (n,) [rad], hold each command (N, n) [rad/s] for a sample, and log.
@@ -103,16 +103,20 @@ class TwinArm:
             "noise_seed": seed_halves(seed),
         }
         instance.initialise(start=instance.variables.expand_values(start))
-        joints = range(1, len(self.plant.joints) + 1)
-        inputs = instance.buffer([f"dq_cmd[{i}]" for i in joints])
-        outputs = instance.buffer([f"{name}[{i}]" for name in _OUTPUTS.values() for i in joints])
+        numbers = range(1, len(self.plant.joints) + 1)
+        inputs = instance.buffer([f"dq_cmd[{number}]" for number in numbers])
+        outputs = instance.buffer(
+            [f"{name}[{number}]" for name in _OUTPUTS.values() for number in numbers]
+        )
         period = 1.0 / self.plant.sample_rate
         times = period * np.arange(len(commands) - 1, dtype=float)
         first_outputs = outputs.read().copy()
         rows = step_rows(
             instance, inputs, outputs, times, np.full(len(times), period), commands[:-1]
         )
-        values = np.vstack([first_outputs, rows])[unlogged:].reshape(-1, len(_OUTPUTS), len(joints))
+        values = np.vstack([first_outputs, rows])[unlogged:].reshape(
+            -1, len(_OUTPUTS), len(numbers)
+        )
         return ArmRun(**{name: values[:, k] for k, name in enumerate(_OUTPUTS)})
 
 
@@ -199,13 +203,13 @@ def record(
             f"motion '{name}': lasts {trajectory.duration:g} s, which at {rate:g} Hz are "
             f"{trajectory.duration * rate:.3g} samples; at most {_MAX_SAMPLES:g} can be logged."
         )
-    first, count = (round(t * rate) for t in (unlogged[0], trajectory.duration - unlogged[1]))
-    if count - first < 2:
+    first_row, end_row = (round(t * rate) for t in (unlogged[0], trajectory.duration - unlogged[1]))
+    if end_row - first_row < 2:
         raise ConfigError(
             f"motion '{name}': {sum(unlogged):g} of {trajectory.duration:g} s are not logged; at "
             f"least two samples at {rate:g} Hz must remain."
         )
-    desired = trajectory.sample(np.arange(count + 1) / rate)[0]
+    desired = trajectory.sample(np.arange(end_row + 1) / rate)[0]
     joints = arm.plant.joints
     if desired.shape[1] != len(joints):
         raise ConfigError(
@@ -214,16 +218,16 @@ def record(
     require_within(arm.limits, desired, joints, f"motion '{name}':")
     commands = np.diff(desired, axis=0) * rate
     stream = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
-    truth = arm.run(desired[0], commands, seed=int(words(seed, stream, 0)), unlogged=first)
+    truth = arm.run(desired[0], commands, seed=int(words(seed, stream, 0)), unlogged=first_row)
     log = Log(
         name=name,
-        t=np.arange(count - first) / rate,
+        t=np.arange(end_row - first_row) / rate,
         q=truth.q_noisy,
         dq=np.gradient(truth.q_noisy, 1 / rate, axis=0),
         tau=truth.tau_noisy,
-        dq_cmd=commands[first:count],
+        dq_cmd=commands[first_row:end_row],
     )
-    return Recording(log=log, truth=truth, desired=desired[first:count])
+    return Recording(log=log, truth=truth, desired=desired[first_row:end_row])
 
 
 def truth_path(log: Path) -> Path:

@@ -178,10 +178,10 @@ class StudyLoop:
 
     def rows(self) -> Iterator[LoopRow]:
         """Yield the rows of the tables: every law in every scheme, and no law."""
-        outer = self.tracking.Kx
-        for Kx in (0.0, outer):
+        outer_gain = self.tracking.Kx
+        for Kx in (0.0, outer_gain):
             yield self.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none", Kx=Kx))
-        for compensation, Kx in product(_COMPENSATIONS, (0.0, outer)):
+        for compensation, Kx in product(_COMPENSATIONS, (0.0, outer_gain)):
             for law_name in (StandIn.BODY_ONLY, *self.friction, StandIn.ORACLE):
                 yield self.row(law_name, Scheme(compensation=compensation, Kx=Kx))
         for law_name, compensation, source in product(
@@ -243,10 +243,10 @@ def build(
     body: RigidBody,
     plant: Plant,
     *,
-    oracle: FrictionModel,
+    true_model: FrictionModel,
     platforms: Sequence[str] = HOST,
 ) -> None:
-    """Write the FMUs of a loop, without arm and laws, for the true friction `oracle`."""
+    """Write the FMUs of a loop, without arm and laws, for the true friction `true_model`."""
     step = 1.0 / plant.sample_rate
     dynamics = partial(inverse_dynamics, robot, step=step)
     contents: dict[str, Callable[[], Content]] = {
@@ -257,7 +257,7 @@ def build(
         "TrueInverseDynamics": partial(dynamics, robot.nominal_parameters),
     }
     jobs = [
-        partial(export_bare, oracle, folder / f"{oracle.law}.fmu"),
+        partial(export_bare, true_model, folder / f"{true_model.law}.fmu"),
         *(
             partial(_write_block, make, folder / f"{name}.fmu", platforms)
             for name, make in contents.items()

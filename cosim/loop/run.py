@@ -92,10 +92,10 @@ def run_loop(
     require_reachable(tracking, robot)
     progress("building the loop", 0, 1)
     fmus = folder / "fmus"
-    truth = true_friction(
+    true_model = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
-    build(fmus, robot, body, plant, oracle=truth, platforms=platforms)
+    build(fmus, robot, body, plant, true_model=true_model, platforms=platforms)
     loop = assemble(
         fmus,
         robot,
@@ -107,12 +107,12 @@ def run_loop(
     )
     findings = write_loops(loop, robot, body, run.models, folder, platforms=platforms)
     progress("building the loop", 1, 1)
-    tables, long = run_tracking(loop, quick=quick)
+    tracked, long_tracked = run_tracking(loop, quick=quick)
     write_traces(
         folder / TRACES,
         [
             (tracked_row.scheme, tracked_row.law, tracked_row.trace)
-            for tracked_row in tables
+            for tracked_row in tracked
             if tracked_row.trace
         ],
     )
@@ -120,10 +120,10 @@ def run_loop(
     overcompensation = []
     robustness = None if quick else plugins.load("hesr.studies").get("robustness")
     if robustness:
-        sweeps, overcompensation = robustness.load()(loop, robot, body, fmus, tables)
+        sweeps, overcompensation = robustness.load()(loop, robot, body, fmus, tracked)
     return LoopOutcome(
-        tracking=tables,
-        long=long,
+        tracking=tracked,
+        long=long_tracked,
         sweeps=sweeps,
         overcompensation=overcompensation,
         findings=[*findings, *([] if quick else check_masters(loop, plant, signals))],
@@ -146,13 +146,17 @@ def write_loops(
     try:
         fitted_models = list(models.values())
         model = next(
-            (candidate for candidate in fitted_models if candidate.laws[0].form.memory),
+            (
+                candidate_model
+                for candidate_model in fitted_models
+                if candidate_model.laws[0].form.memory
+            ),
             fitted_models[0],
         )
         plant = export_plant(
             model,
             folder / "fmus" / PLANT,
-            body=PlantBody.from_robot(robot, body),
+            plant_body=PlantBody.from_robot(robot, body),
             kv=gains.Kv,
             ki=gains.Ki,
             platforms=platforms,
@@ -177,13 +181,13 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
     runs = []
     with scratch_folder() as folder:
         try:
-            python = export_python_arm(plant.model, signals, folder / ARM)
+            python_arm = export_python_arm(plant.model, signals, folder / ARM)
         except ConfigError as error:
             observation = "the Python and the native master were not compared"
             remedy = str(error).rstrip(".")
             return [Finding(check="masters", severity="advice", found=observation, remedy=remedy)]
         # The arm is a PythonFMU under a PD controller, in the third run a native FMU.
-        for arm, native in ((python, False), (python, True), (loop.fmus.arm, True)):
+        for arm, native in ((python_arm, False), (python_arm, True), (loop.fmus.arm, True)):
             arm_loop = replace(loop, fmus=replace(loop.fmus, arm=arm))
             system = build_example(arm_loop, compensation="torque_error", duration=_RUN_DURATION)
             with Master(system, native=native) as master:

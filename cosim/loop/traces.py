@@ -176,13 +176,15 @@ def read_traces(path: Path) -> dict[tuple[Scheme, str], Trace]:
         runs = list(zip(map(str, table["scheme"]), map(str, table["law"]), strict=True))
         order = {run: k for k, run in enumerate(dict.fromkeys(runs))}
         run_indices = np.array([order[run] for run in runs])
-        joints = len(names) // 2
+        joint_count = len(names) // 2
         return {
             (Scheme.from_name(scheme), law_name): Trace(
-                t=part[:, 0], q_d=part[:, 1 : 1 + joints], q=part[:, 1 + joints :]
+                t=run_values[:, 0],
+                q_d=run_values[:, 1 : 1 + joint_count],
+                q=run_values[:, 1 + joint_count :],
             )
             for (scheme, law_name), k in order.items()
-            for part in [values[run_indices == k]]
+            for run_values in [values[run_indices == k]]
         }
     except (LogError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path}: is not a file of closed-loop traces.") from error

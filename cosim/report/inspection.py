@@ -67,10 +67,10 @@ def _summary_lines(proposal: Proposal, views: Sequence[JointView]) -> list[str]:
 
 def _tables(proposal: Proposal, robot: Robot | None) -> list[ResultTable]:
     """Return the tables of the robot, if its model is known, of the logs and of the joints."""
-    shown = [replace(table, section=_ROBOT) for table in robot_tables(robot)] if robot else []
+    tables = [replace(table, section=_ROBOT) for table in robot_tables(robot)] if robot else []
     if proposal.logs:
-        shown += [_logs(proposal), _joints(proposal)]
-    return shown
+        tables += [_logs(proposal), _joints(proposal)]
+    return tables
 
 
 def _figures(
@@ -166,7 +166,7 @@ def _views(proposal: Proposal) -> list[JointView]:
             unit="m/s" if j in proposal.sliding else "rad/s",
             velocities=_velocities(part, int(j)),
             friction=_friction(examination, k, int(j)),
-            covered=np.concatenate([each.v[:, j] for each in examination.parts]),
+            covered=np.concatenate([motionwise.v[:, j] for motionwise in examination.parts]),
             loads=np.concatenate([torques.gravity[:, j] for torques in examination.torques])
             if examination.torques
             else None,
@@ -181,14 +181,14 @@ def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:
 
 
 def _velocities(part: Motionwise, j: int) -> Sequence[Line]:
-    raw = part.log
+    log = part.log
     position_line = _line(
         "from the position", part.t, part.v[:, j], Stroke(colour=SERIES[1], width=0.9)
     )
     return (
         (position_line,)
-        if raw.dq is None
-        else (_line("logged", raw.t, raw.dq[:, j], MEASURED), position_line)
+        if log.dq is None
+        else (_line("logged", log.t, log.dq[:, j], MEASURED), position_line)
     )
 
 

@@ -151,9 +151,9 @@ def write_sections(
         palette=VARIABLES,
     )
     numbers = count(1)
-    numbered = re.sub(_NUMBER, lambda _: str(next(numbers)), page)
+    numbered_page = re.sub(_NUMBER, lambda _: str(next(numbers)), page)
     with written_whole(path) as temporary:
-        temporary.write_text(numbered, encoding="utf-8")
+        temporary.write_text(numbered_page, encoding="utf-8")
 
 
 def table(table: ResultTable, *, brief: bool = False) -> Markup:

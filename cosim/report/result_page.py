@@ -54,25 +54,25 @@ def _compose_sections(answer: "Answer", pictures: Pictures) -> list[Section]:
         texts = {"alt": figure.alt, "small": figure.small}
         drawing = pictures.embed_figure(figure.key, figure.drawing, figure.caption, **texts)
         drawings.setdefault(figure.section, []).append(drawing)
-    shown = answer.tables()
-    parts: dict[str, list[Markup]] = {}
-    for title, item in zip(_name_sections(shown), shown, strict=True):
-        part = parts.setdefault(title, [])
+    items = answer.tables()
+    html_by_section: dict[str, list[Markup]] = {}
+    for title, item in zip(_name_sections(items), items, strict=True):
+        section_html = html_by_section.setdefault(title, [])
         if isinstance(item, ResultTable):
-            part += drawings.pop(title, [])
-        part.append(_show_item(item))
-    parts |= drawings  # sections without tables
+            section_html += drawings.pop(title, [])
+        section_html.append(_show_item(item))
+    html_by_section |= drawings  # sections without tables
     return [
         Section(key=_link_name(title), title=title, html=join_parts(*html))
-        for title, html in parts.items()
+        for title, html in html_by_section.items()
     ]
 
 
-def _name_sections(shown: Sequence[ResultTable | str]) -> list[str]:
+def _name_sections(items: Sequence[ResultTable | str]) -> list[str]:
     """Return the section of each table and sentence; a sentence belongs to the next table."""
     titles: list[str] = []
     title = "Remarks"  # of sentences without any table
-    for item in reversed(shown):
+    for item in reversed(items):
         if isinstance(item, ResultTable):
             title = item.section or item.caption
         titles.append(title)

@@ -43,41 +43,46 @@ def simulate_tests(
         str, list[simulation.Windows]
     ] = {}  # windows of all `LENGTHS`, then whole logs
     for test, records in tests.items():
-        of_joints = transpose_records(records)
+        records_by_log = transpose_records(records)
         try:
             windows_by_test[test] = [
-                simulation.cut_windows(of_joints, length) for length in LENGTHS
+                simulation.cut_windows(records_by_log, length) for length in LENGTHS
             ]
         except SimulationError as error:
             _warn(error)
             continue
         # Whole logs only without gravity: an upright arm diverges with any friction.
-        if simulation.is_weightless(of_joints, robot, body):
-            windows_by_test[test] += map(simulation.to_single_window, of_joints)
+        if simulation.is_weightless(records_by_log, robot, body):
+            windows_by_test[test] += map(simulation.to_single_window, records_by_log)
     all_windows = list(chain.from_iterable(windows_by_test.values()))
-    jobs = [partial(_errors, model, all_windows, robot, body) for model in models.values()]
+    jobs = [
+        partial(_compute_window_errors, model, all_windows, robot, body)
+        for model in models.values()
+    ]
     with parallel.results_of(jobs, names=list(models)) as results:
-        of_laws = list(results)
-    parts = {}
-    for law, errors in zip(models, of_laws, strict=True):
+        law_errors = list(results)
+    iterators = {}
+    for law, errors in zip(models, law_errors, strict=True):
         if isinstance(errors, SimulationError):
             _warn(errors)
             return {}
-        parts[law] = iter(errors)
+        iterators[law] = iter(errors)
     joints = tuple(robot.description.joints)
-    kinds = len(LENGTHS)
+    length_count = len(LENGTHS)
     errors_by_test = {}
-    for test, of_test in windows_by_test.items():
-        errors_by_law = {law: tuple(islice(part, len(of_test))) for law, part in parts.items()}
-        logs = of_test[kinds:]
+    for test, test_windows in windows_by_test.items():
+        errors_by_law = {
+            law: tuple(islice(iterator, len(test_windows))) for law, iterator in iterators.items()
+        }
+        log_windows = test_windows[length_count:]
         errors_by_test[test] = PositionErrors(
             joints=joints,
             lengths=LENGTHS,
-            windows={law: errors[:kinds] for law, errors in errors_by_law.items()},
+            windows={law: errors[:length_count] for law, errors in errors_by_law.items()},
             open_loop={
-                law: _average_logs(errors[kinds:], logs)
+                law: _average_logs(errors[length_count:], log_windows)
                 for law, errors in errors_by_law.items()
-                if logs
+                if log_windows
             },
         )
     return errors_by_test
@@ -87,30 +92,34 @@ def _warn(reason: SimulationError) -> None:
     _log.warning("warning: laws are not scored as simulators: %s", reason)
 
 
-def _errors(
+def _compute_window_errors(
     model: FrictionModel, windows: Sequence[simulation.Windows], robot: Robot, body: RigidBody
 ) -> list[_Errors] | SimulationError:
     simulator = simulation.Simulator(robot=robot, parameters=body.parameters, model=model)
     errors_by_window: dict[int, _Errors] = {}
     groups: dict[tuple[int, int], list[int]] = {}
-    for i, w in enumerate(windows):
-        groups.setdefault((w.t.shape[1], simulation.count_inner_steps(np.diff(w.t))), []).append(i)
+    for i, window in enumerate(windows):
+        groups.setdefault(
+            (window.t.shape[1], simulation.count_inner_steps(np.diff(window.t))), []
+        ).append(i)
     try:
-        for places in groups.values():
-            q = simulator.run(simulation.join_windows([windows[i] for i in places]))
-            ends = np.cumsum([len(windows[i].t) for i in places])
-            for i, part in zip(places, np.split(q, ends[:-1]), strict=True):
-                errors_by_window[i] = simulation.position_errors(part, windows[i])
+        for indices in groups.values():
+            q = simulator.run(simulation.join_windows([windows[i] for i in indices]))
+            ends = np.cumsum([len(windows[i].t) for i in indices])
+            for i, positions in zip(indices, np.split(q, ends[:-1]), strict=True):
+                errors_by_window[i] = simulation.position_errors(positions, windows[i])
     except SimulationError as error:
         return error
     return [errors_by_window[i] for i in range(len(windows))]
 
 
-def _average_logs(errors: Sequence[_Errors], logs: Sequence[simulation.Windows]) -> _Errors:
-    rows = [log.t.shape[1] for log in logs]
+def _average_logs(errors: Sequence[_Errors], log_windows: Sequence[simulation.Windows]) -> _Errors:
+    row_counts = [window.t.shape[1] for window in log_windows]
     return tuple(
         None
-        if None in of_joint
-        else float(np.sqrt(np.average(np.square(np.array(of_joint, dtype=float)), weights=rows)))
-        for of_joint in zip(*errors, strict=True)
+        if None in joint_errors
+        else float(
+            np.sqrt(np.average(np.square(np.array(joint_errors, dtype=float)), weights=row_counts))
+        )
+        for joint_errors in zip(*errors, strict=True)
     )

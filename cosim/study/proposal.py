@@ -89,27 +89,31 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
         "",
         "[logs]",
     ]
-    plan = split(proposal.logs)
-    split_index = len(files) - plan.tested
-    trained = files[:split_index]
-    tested = files[split_index:]
-    if plan.cuts:
+    test_split = split(proposal.logs)
+    split_index = len(files) - test_split.tested
+    trained_names = files[:split_index]
+    tested_names = files[split_index:]
+    if test_split.cuts:
         numbers = [str(k) for k in range(1, len(files) + 1)] if len(files) > 1 else [""]
-        trained, tested = ([f"{part}{k}" for k in numbers] for part in ("first", "rest"))
+        trained_names, tested_names = (
+            [f"{part}{k}" for k in numbers] for part in ("first", "rest")
+        )
     lines += [
-        f"identification = {json.dumps(trained, ensure_ascii=False)}",
+        f"identification = {json.dumps(trained_names, ensure_ascii=False)}",
         "",
-        *([f"# {plan.limit}"] if plan.limit else []),
+        *([f"# {test_split.limit}"] if test_split.limit else []),
         "[logs.test]",
-        f"test = {json.dumps(tested, ensure_ascii=False)}",
+        f"test = {json.dumps(tested_names, ensure_ascii=False)}",
     ]
-    if plan.cuts:
+    if test_split.cuts:
         lines += ["", "# Times in s, from the log's first row.", "[logs.parts]"]
-    for file, cut, trained_part, test_part in zip(files, plan.cuts, trained, tested, strict=False):
-        of_log = f"log = {json.dumps(file)}"
+    for file, cut, trained_part, test_part in zip(
+        files, test_split.cuts, trained_names, tested_names, strict=False
+    ):
+        log_entry = f"log = {json.dumps(file)}"
         lines += [
-            f"{trained_part} = {{ {of_log}, stop = {cut:g} }}",
-            f"{test_part} = {{ {of_log}, start = {cut:g} }}",
+            f"{trained_part} = {{ {log_entry}, stop = {cut:g} }}",
+            f"{test_part} = {{ {log_entry}, start = {cut:g} }}",
         ]
     return "\n".join(lines) + "\n"
 
@@ -139,11 +143,11 @@ def dry_run(proposal: Proposal) -> None:
         logs = {name: job.read(name, file) for name, file in job.log_files(folder).items()}
     robot = Robot(job.robot)
     check_logs(list(logs.values()), robot)
-    trained = [logs[name] for name in job.trained_on]
-    body = identify(trained, robot)
-    records = [friction_records(part, robot, body) for part in collect_parts(trained)]
-    for of_joint in zip(*records, strict=True):
-        fit_joint(select_laws("quick")[0], of_joint, seed=0)
+    trained_logs = [logs[name] for name in job.trained_on]
+    body = identify(trained_logs, robot)
+    records = [friction_records(part, robot, body) for part in collect_parts(trained_logs)]
+    for joint_records in zip(*records, strict=True):
+        fit_joint(select_laws("quick")[0], joint_records, seed=0)
 
 
 def _share(log: Log, seconds: float) -> float:
@@ -151,15 +155,15 @@ def _share(log: Log, seconds: float) -> float:
     dq = np.gradient(log.q, log.t, axis=0) if log.dq is None else log.dq
     joint_reversals = [reversals(np.asarray(v)) for v in dq.T]
     duration = log.t[-1] - log.t[0]
-    first = [rows[0] for rows in joint_reversals if len(rows)]
-    late = float(np.max(log.t[first] - log.t[0], initial=0.0) / duration)
+    first_reversals = [rows[0] for rows in joint_reversals if len(rows)]
+    latest_reversal = float(np.max(log.t[first_reversals] - log.t[0], initial=0.0) / duration)
     remaining_share = 1.0 - MIN_SECONDS / seconds
     share = (
         remaining_share
         if _MIN_TRAINED_SHARE <= remaining_share < _TRAINED_SHARE
         else _TRAINED_SHARE
     )
-    return min(max(share, late + _SHARE_AFTER_REVERSAL), _MAX_TRAINED_SHARE)
+    return min(max(share, latest_reversal + _SHARE_AFTER_REVERSAL), _MAX_TRAINED_SHARE)
 
 
 def _name(path: Path) -> str:

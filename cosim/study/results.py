@@ -174,23 +174,23 @@ def _file(name: str, file: Path) -> str:
 
 def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
     logs = run.study.logs
-    first: dict[str, dict[str, list[Array]]] = {
+    torques_by_log: dict[str, dict[str, list[Array]]] = {
         name: {} for name in (logs.identification[0], *logs.training)
     }
     for test, names in logs.test.items():
-        first[names[0]] = {
-            law: [of_joint[0] for of_joint in predicted]
+        torques_by_log[names[0]] = {
+            law: [joint_torques[0] for joint_torques in predicted]
             for law, predicted in run.predictions[test].items()
         }
     traces = {}
-    for k, (name, predicted) in enumerate(first.items(), start=1):
+    for k, (name, predicted) in enumerate(torques_by_log.items(), start=1):
         traces[name] = f"torques_{k}.npz"
         write_torques(folder / traces[name], run.records[name][0], predicted)
     return traces
 
 
 def write_torques(
-    path: Path, records: Sequence[FrictionRecord], predicted: Mapping[str, Sequence[Array]]
+    path: Path, log_records: Sequence[FrictionRecord], predicted: Mapping[str, Sequence[Array]]
 ) -> None:
     """Write the torques [N.m] of one log as arrays: measured, rigid body, and every law.
 
@@ -198,8 +198,8 @@ def write_torques(
     cylinder also tau_load{k}.
     """
     rows = slice(0, MAX_TRACE_ROWS)
-    columns: dict[str, Array] = {"t": records[0].t[rows] - records[0].t[0]}
-    for k, record in enumerate(records, start=1):
+    columns: dict[str, Array] = {"t": log_records[0].t[rows] - log_records[0].t[0]}
+    for k, record in enumerate(log_records, start=1):
         columns |= {
             f"q{k}": record.q[rows],
             f"dq{k}": record.dq[rows],

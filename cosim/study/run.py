@@ -15,7 +15,7 @@ from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_fi
 from cosim.study.scores import Errors, LogRecords, select_records
 from cosim.study.steps import Job, map_models
 from cosim.study.study import Study
-from cosim.study.verdict import Verdict, verdict, write_verdict
+from cosim.study.verdict import Verdict, judge_run, write_verdict
 from fmu_src.export.toolchain import DEFAULT_PLATFORMS, HOST, get_ready, targets
 from fmu_src.friction.friction_fmu import export_bare, export_fmu
 from fmu_src.pages.datasheet import ModelAudit
@@ -72,20 +72,25 @@ def run_study(
     if quick:
         study = _shorten_study(study)
     targets(platforms)  # refuse unknown names, and none at all
-    built_for = tuple(target.folder for target in targets((*HOST, *platforms)))
+    platform_folders = tuple(target.folder for target in targets((*HOST, *platforms)))
     used_before = USED.copy()
     checkpoints = checkpoint_folder(output)
-    job = Job(study=study, path=path, progress=progress, kept=checkpoints, platforms=built_for)
+    job = Job(
+        study=study, path=path, progress=progress, kept=checkpoints, platforms=platform_folders
+    )
     with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
         with folder_written_whole(output) as folder:
             run = score_study(job, folder, accepted=accepted)
             models = run.models
             records = run.records
-            tested = {
+            test_records = {
                 test: select_records(names, records) for test, names in study.logs.test.items()
             }
-            simulated = simulate_tests(models, tested, run.robot, run.rigid_body)
-            write_json(folder / SIMULATION, {test: to_json(s) for test, s in simulated.items()})
+            position_errors = simulate_tests(models, test_records, run.robot, run.rigid_body)
+            write_json(
+                folder / SIMULATION,
+                {test: to_json(test_errors) for test, test_errors in position_errors.items()},
+            )
             truths = job.score_truths([law for law in models if law not in study.variants])
             if truths:
                 write_json(folder / TRUTHS, truths)
@@ -95,24 +100,24 @@ def run_study(
             # Last: the FMUs document the physics checks.
             audits = map_models(
                 models,
-                partial(_document_fmu, run.fmus, properties, platforms=built_for),
+                partial(_document_fmu, run.fmus, properties, platforms=platform_folders),
                 partial(job.progress, "documenting FMUs"),
             )
-            words = verdict(
+            run_verdict = judge_run(
                 run.comparisons,
                 models,
                 select_records(study.logs.training, records),
-                next(iter(tested.values())),
+                next(iter(test_records.values())),
                 properties,
                 gear_ratio=job.robot.gear_ratio is not None,
                 expected=Forecast.from_logs(run.files[name] for name in study.logs.training),
                 refined=run.refined if study.refinement else None,
             )
-            write_verdict(folder, words)
+            write_verdict(folder, run_verdict)
             final_models = dict(models) | write_mixed_model(
-                words, models, folder, audits, properties, platforms=built_for
+                run_verdict, models, folder, audits, properties, platforms=platform_folders
             )
-            following = job.following(run, final_models, words.law, folder)
+            following = job.following(run, final_models, run_verdict.law, folder)
             save_run(folder, run, command=_command(path, platforms, quick=quick), quick=quick)
             _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
@@ -121,12 +126,12 @@ def run_study(
     return Outcome(
         **vars(replace(run, models=final_models, fmus=fmus)),
         properties=properties,
-        verdict=words,
+        verdict=run_verdict,
         loop=loop,
         following=following,
         truths=truths,
         truth=(study.twin and study.twin.truth) or "",
-        platforms=built_for,
+        platforms=platform_folders,
         cached=count_hits(used_before),
     )
 
@@ -169,8 +174,8 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     source = _provenance(job, files)
     replace(body, provenance=source).write(folder / "rigid_body.json")
 
-    runs = _records_with_history(job, files, logs, robot, body)
-    records = _records_of_logs(logs, runs)
+    extended_records = _records_with_history(job, files, logs, robot, body)
+    records = _records_of_logs(logs, extended_records)
     models, left_out = job.fit_all(records, source)
     for law, model in refined_models.items():
         if law in models:
@@ -183,7 +188,9 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     write_findings(folder, findings)
 
     fmus = _write_laws(job, models, folder)
-    comparisons, predictions = job.compare(models, records, files, folder / "fmus", runs)
+    comparisons, predictions = job.compare(
+        models, records, files, folder / "fmus", extended_records
+    )
     write_json(
         folder / "evaluation.json",
         {test: to_json(comparison) for test, comparison in comparisons.items()},
@@ -226,27 +233,27 @@ def _records_with_history(
     job: Job, files: Mapping[str, Path], logs: Mapping[str, Log], robot: Robot, body: RigidBody
 ) -> LogRecords:
     """Return the records of each part of the logs; a tested part includes all rows before it."""
-    runs = {}
+    extended_records = {}
     for name, log in logs.items():
-        history = job.read_with_history(name, files[name]) if name in job.tested_on else None
-        parts = log.parts() if history is None else _extend_parts(log, history)
-        runs[name] = [friction_records(part, robot, body) for part in parts]
-    return runs
+        history_log = job.read_with_history(name, files[name]) if name in job.tested_on else None
+        parts = log.parts() if history_log is None else _extend_parts(log, history_log)
+        extended_records[name] = [friction_records(part, robot, body) for part in parts]
+    return extended_records
 
 
-def _extend_parts(log: Log, history: Log) -> list[Log]:
-    """Return the parts of a log, each with the rows of `history` before it."""
-    part_by_end = {part.t[-1]: part for part in history.parts()}
+def _extend_parts(log: Log, history_log: Log) -> list[Log]:
+    """Return the parts of a log, each with the rows of `history_log` before it."""
+    part_by_end = {part.t[-1]: part for part in history_log.parts()}
     return [part_by_end.get(part.t[-1], part) for part in log.parts()]
 
 
-def _records_of_logs(logs: Mapping[str, Log], runs: LogRecords) -> LogRecords:
-    """Return the records of the logs themselves, which are the last rows of `runs`."""
+def _records_of_logs(logs: Mapping[str, Log], extended_records: LogRecords) -> LogRecords:
+    """Return the records of the logs themselves, which are the last rows of `extended_records`."""
     records = {}
     for name, log in logs.items():
         records[name] = [
             [record.rows(slice(-len(part.t), None)) for record in part_records]
-            for part, part_records in zip(log.parts(), runs[name], strict=True)
+            for part, part_records in zip(log.parts(), extended_records[name], strict=True)
         ]
     return records
 
@@ -279,7 +286,7 @@ def _document_fmu(
 
 
 def write_mixed_model(
-    words: Verdict,
+    run_verdict: Verdict,
     models: Mapping[str, FrictionModel],
     folder: Path,
     audits: Mapping[str, ModelAudit | None],
@@ -287,20 +294,20 @@ def write_mixed_model(
     **export_options: Any,
 ) -> dict[str, FrictionModel]:
     """Write and return the model with the recommended laws, if joints differ."""
-    if words.law != MIXED:
+    if run_verdict.law != MIXED:
         return {}
-    model = mix_models([models[law] for law in words.laws])
+    model = mix_models([models[law] for law in run_verdict.laws])
     model.write(folder / "laws" / f"{MIXED}.json")
     audit = None
-    law_audits = [audits.get(law) for law in words.laws]
+    law_audits = [audits.get(law) for law in run_verdict.laws]
     if all(law_audits):
         joints = list(enumerate(audit for audit in law_audits if audit))
         audit = ModelAudit(
             certificates=tuple(law_audit.certificates[k] for k, law_audit in joints),
             audits=tuple(law_audit.audits[k] for k, law_audit in joints),
         )
-    checks = combine_results(MIXED, properties, words.laws)
-    export_fmu(model, folder / words.fmu, properties=checks, audit=audit, **export_options)
+    checks = combine_results(MIXED, properties, run_verdict.laws)
+    export_fmu(model, folder / run_verdict.fmu, properties=checks, audit=audit, **export_options)
     return {MIXED: model}
 
 

@@ -62,8 +62,8 @@ def sample_logs(robot: Robot) -> tuple[Log, Log]:
 def sample_settings(robot: Robot, period: float = _PERIOD) -> ExcitationSettings:
     """Return the settings of sample motions with a period [s]."""
     lower, upper, speed = robot.reach
-    free = RANGE_MARGIN * (upper - lower)
-    ranges = zip((lower + free).tolist(), (upper - free).tolist(), strict=True)
+    margin = RANGE_MARGIN * (upper - lower)
+    ranges = zip((lower + margin).tolist(), (upper - margin).tolist(), strict=True)
     return ExcitationSettings(
         harmonics=_HARMONICS,
         period=(period, period),
@@ -133,15 +133,18 @@ def simulate_log(
     seconds: float = _PERIOD,
 ) -> Log:
     """Simulate the log of a motion with friction and noise."""
-    fine = np.arange(round(seconds * RATE) * _FINER + 1) / (RATE * _FINER)
-    velocity = motion.sample(fine)[1]
+    fine_times = np.arange(round(seconds * RATE) * _FINER + 1) / (RATE * _FINER)
+    velocity = motion.sample(fine_times)[1]
     friction = np.column_stack(
-        [predict(law, t=fine, dq=v)[::_FINER] for law, v in zip(laws, velocity.T, strict=True)]
+        [
+            predict(law, t=fine_times, dq=v)[::_FINER]
+            for law, v in zip(laws, velocity.T, strict=True)
+        ]
     )
-    t = fine[::_FINER]
+    t = fine_times[::_FINER]
     q, dq, ddq = motion.sample(t)
     tau = robot.torque(robot.nominal_parameters, q, dq, ddq) + friction
-    size = np.array([law.values["F_c"] for law in laws]) / _COULOMB
+    levels = np.array([law.values["F_c"] for law in laws]) / _COULOMB
     streams = np.arange(3 * robot.n)
     rows = np.arange(len(t))
     noise = standard_normal(seed, streams[None, :], rows[:, None]).reshape(len(t), 3, robot.n)
@@ -150,5 +153,5 @@ def simulate_log(
         t=t,
         q=q + _POSITION_NOISE * np.ptp(q, axis=0) * noise[:, 0],
         dq=dq + _VELOCITY_NOISE * np.abs(dq).max(axis=0) * noise[:, 1],
-        tau=tau + _TORQUE_NOISE * size * noise[:, 2],
+        tau=tau + _TORQUE_NOISE * levels * noise[:, 2],
     )

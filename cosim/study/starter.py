@@ -59,10 +59,10 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
     resting_positions = find_rest_positions(other_joints)
     springs = load(model).springs
     name = project_name(folder)
-    last = f"..{{}}{len(used_joints)}" if len(used_joints) > 1 else ""
+    last_suffix = f"..{{}}{len(used_joints)}" if len(used_joints) > 1 else ""
     with folder_written_whole(folder) as temporary:
-        mjcf = model.suffix.lower() == ".xml"
-        content = resolve_includes(model) if mjcf else model.read_bytes()
+        is_mjcf = model.suffix.lower() == ".xml"
+        content = resolve_includes(model) if is_mjcf else model.read_bytes()
         (temporary / model.name).write_bytes(content)
         for file in _FILES:
             text = _template(file).render(
@@ -85,7 +85,9 @@ def start(folder: Path, model: Path, joints: Sequence[str] = ()) -> NewProject:
                     ", ".join("100.0" if i == k else "0.0" for i in range(len(used_joints)))
                     for k in range(len(used_joints))
                 ],
-                columns=", ".join(["t", *(f"{c}1{last.format(c)}" for c in ("q", "dq", "tau"))]),
+                columns=", ".join(
+                    ["t", *(f"{c}1{last_suffix.format(c)}" for c in ("q", "dq", "tau"))]
+                ),
                 rate=RATE,
             )
             (temporary / file).write_text(text, encoding="utf-8")
@@ -189,16 +191,16 @@ class Bench:
     def _body(self, k: int) -> Mapping[str, Any]:
         """Return mass, inertia and centre of a body; half of its inertia is that of the mass."""
         inertia = self.inertia[k] if self.inertia else 1.0
-        turns = self.kind == "rotary" and self.hangs
-        first = (self.moment[k] if self.moment else 1.0) / _GRAVITY if turns else 0.0
-        mass = 2.0 * first**2 / inertia if turns else inertia
+        is_pendulum = self.kind == "rotary" and self.hangs
+        first_moment = (self.moment[k] if self.moment else 1.0) / _GRAVITY if is_pendulum else 0.0
+        mass = 2.0 * first_moment**2 / inertia if is_pendulum else inertia
         phase = self.phase[k] if self.phase else 0.0
         return {
             "name": self.joints[k],
             "mass": mass,
-            "inertia": inertia - first**2 / mass,
-            "x": first / mass * float(np.sin(phase)),
-            "z": -first / mass * float(np.cos(phase)),
+            "inertia": inertia - first_moment**2 / mass,
+            "x": first_moment / mass * float(np.sin(phase)),
+            "z": -first_moment / mass * float(np.cos(phase)),
         }
 
 

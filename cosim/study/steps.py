@@ -108,9 +108,9 @@ class Job:
             self._require_law("refinement.law", study.refinement.law)
         for law in study.tracking.sources if study.tracking else ():
             if law not in self.laws:
-                listed = ", ".join(self.laws)
+                law_list = ", ".join(self.laws)
                 raise self._error(
-                    f"key 'tracking.sources': law '{law}' is not in the study; it has {listed}.",
+                    f"key 'tracking.sources': law '{law}' is not in the study; it has {law_list}.",
                     code="study.tracking_source",
                     key="tracking.sources",
                 )
@@ -149,12 +149,12 @@ class Job:
     @cached_property
     def laws(self) -> tuple[str, ...]:
         """Laws and variants; by default all everyday laws that the robot allows."""
-        possible = (
+        possible_laws = (
             name
             for name, law in registry().items()
             if law.everyday and all(getattr(self.robot, need) is not None for need in law.needs)
         )
-        return (*(self.study.laws or possible), *self.study.variants)
+        return (*(self.study.laws or possible_laws), *self.study.variants)
 
     @property
     def trained_on(self) -> list[str]:
@@ -274,11 +274,11 @@ class Job:
 
     def score_truths(self, laws: Sequence[str]) -> dict[str, Errors]:
         """Score laws on the alternative plants of the twin, if there are any, and a plug-in."""
-        under_truths = plugins.load("hesr.studies").get("truths")
-        if under_truths is None or self.study.twin is None or not self.study.twin.truths:
+        score_under_truths = plugins.load("hesr.studies").get("truths")
+        if score_under_truths is None or self.study.twin is None or not self.study.twin.truths:
             return {}
         progress = partial(self.progress, "trying alternative plants")
-        truth_errors: dict[str, Errors] = under_truths.load()(
+        truth_errors: dict[str, Errors] = score_under_truths.load()(
             self.study, self.path, laws, progress=progress
         )
         return truth_errors
@@ -287,10 +287,12 @@ class Job:
         self, logs: Mapping[str, Log], robot: Robot
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
         """Identify the rigid body, refine it if configured, and return the refined law, if any."""
-        forward = [logs[name] for name in self.study.logs.identification]
-        backward = [logs[name] for name in self.study.logs.reversed]
+        forward_logs = [logs[name] for name in self.study.logs.identification]
+        backward_logs = [logs[name] for name in self.study.logs.reversed]
         self.progress("identifying the rigid body", 0, 1)
-        body = identify(forward, robot, reversed_logs=backward, physical=self.study.physical)
+        body = identify(
+            forward_logs, robot, reversed_logs=backward_logs, physical=self.study.physical
+        )
         self.progress("identifying the rigid body", 1, 1)
         refinement = self.study.refinement
         if refinement is None:
@@ -330,9 +332,9 @@ class Job:
                 body = refined_law.body
                 models[law] = refined_law.model
             else:
-                forward = [logs[name] for name in self.study.logs.identification]
-                backward = [logs[name] for name in self.study.logs.reversed]
-                body = identify_again(forward, robot, body, model, reversed_logs=backward)
+                forward_logs = [logs[name] for name in self.study.logs.identification]
+                backward_logs = [logs[name] for name in self.study.logs.reversed]
+                body = identify_again(forward_logs, robot, body, model, reversed_logs=backward_logs)
         return body, models
 
     def _training_records(
@@ -413,19 +415,19 @@ class Job:
         records: LogRecords,
         files: Mapping[str, Path],
         fmus: Path,
-        runs: LogRecords,
+        extended_records: LogRecords,
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and its bands; return scores and torques.
 
         Their velocity is causal; all rows of whole tests are also predicted without its lag.
         With `per_log`, a second comparison has the offsets of each test log fitted. `records` are
-        the last rows of `runs`.
+        the last rows of `extended_records`.
         """
         study = self.study
         comparisons = {}
         predictions = {}
         inputs = input_classes(models)
-        replayed = self._replay_fmus(models, records, fmus, runs)
+        replayed = self._replay_fmus(models, records, fmus, extended_records)
         for test, names in study.logs.test.items():
             test_records = select_records(names, records)
             torques = replayed[test, True]
@@ -451,14 +453,14 @@ class Job:
         models: Mapping[str, FrictionModel],
         records: LogRecords,
         fmus: Path,
-        runs: LogRecords,
+        extended_records: LogRecords,
     ) -> dict[tuple[str, bool], dict[str, list[list[Array]]]]:
         """Return torques of the FMUs by (test, is causal) and row, [joint][log]."""
         logs = self.study.logs.test
         cases = _list_replays(logs, models)
         jobs = []
         for case in cases:
-            test_records = select_records(logs[case.test], runs)
+            test_records = select_records(logs[case.test], extended_records)
             jobs.append(
                 partial(
                     predict_fmu,

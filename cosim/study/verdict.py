@@ -123,11 +123,11 @@ class Verdict:
         )
 
 
-def verdict(
+def judge_run(
     comparisons: Mapping[str, Comparison],
     models: Mapping[str, FrictionModel],
-    trained: Records,
-    tested: Records,
+    trained_records: Records,
+    tested_records: Records,
     properties: Mapping[str, Properties],
     *,
     gear_ratio: bool,
@@ -145,7 +145,7 @@ def verdict(
     percent = {joint: 100.0 * share for joint, share in zip(comparison.joints, shares, strict=True)}
     joints = tuple(
         replace(joint_separation, law=law_name)
-        for joint_separation, law_name in zip(separation(comparison), laws, strict=True)
+        for joint_separation, law_name in zip(find_separations(comparison), laws, strict=True)
     )
     named_joints = zip(comparison.joints, joints, strict=True)
     detectable_ratios = {
@@ -161,20 +161,24 @@ def verdict(
         why=reason,
         unexplained=percent,
         weak=tuple(
-            _weak(comparison.combine_scores(laws), percent, combine_results(law, properties, laws))
+            _list_weaknesses(
+                comparison.combine_scores(laws), percent, combine_results(law, properties, laws)
+            )
         ),
         improve=(
-            *_improve(models[laws[0]], trained, tested, gear_ratio=gear_ratio),
-            *_simulate(trained, refined),
+            *_list_improvements(
+                models[laws[0]], trained_records, tested_records, gear_ratio=gear_ratio
+            ),
+            *_suggest_refinement(trained_records, refined),
         ),
         simulation=ForSimulation.from_refined(refined or {}),
         joints=joints,
-        limits=tuple(limits(f"'{test}'", joints)),
+        limits=tuple(describe_limits(f"'{test}'", joints)),
         constants=tuple(statements(models[laws[0]].provenance)),
     )
 
 
-def separation(comparison: Comparison) -> Iterator[Separation]:
+def find_separations(comparison: Comparison) -> Iterator[Separation]:
     """Yield the laws that the test cannot distinguish, by joint."""
     for of_joint, detectable, seconds in zip(
         comparison.leading, comparison.detectable, comparison.seconds, strict=True
@@ -200,8 +204,8 @@ def recommend(
     """
     names = [law for law in comparison.laws if law in models]
     count = len(comparison.joints)
-    long = [j for j in range(count) if not comparison.too_short[j]]
-    if not long:
+    long_joints = [j for j in range(count) if not comparison.too_short[j]]
+    if not long_joints:
         validated_laws = [law for law in names if models[law].left_out_rmse]
         if not validated_laws:
             return (min(names, key=comparison.size),) * count, f"{_SHORT}; it has the lowest error."
@@ -213,36 +217,52 @@ def recommend(
     lowest = [comparison.laws[leading[0]].rmse[j] for j, leading in enumerate(comparison.leading)]
     rmse = {law: zip(comparison.laws[law].rmse, lowest, strict=True) for law in names}
     error_ratios = {
-        law: [e / max(minimum, 1e-300) for e, minimum in of_law] for law, of_law in rmse.items()
+        law: [error / max(minimum, 1e-300) for error, minimum in of_law]
+        for law, of_law in rmse.items()
     }
-    good = {
+    close_laws = {
         j: [
             law
             for law in comparison.leading[j]
             if law in names and error_ratios[law][j] <= CLOSE_RATIO
         ]
-        for j in long
+        for j in long_joints
     }
-    spread = {
-        n: (-sum(n in joint_laws for joint_laws in good.values()), max(error_ratios[n]))
-        for n in names
+    ranking = {
+        law_name: (
+            -sum(law_name in joint_laws for joint_laws in close_laws.values()),
+            max(error_ratios[law_name]),
+        )
+        for law_name in names
     }
-    recommended = min(names, key=lambda n: (spread[n][0], simplicity(models[n]), spread[n][1]))
+    recommended = min(
+        names,
+        key=lambda law_name: (
+            ranking[law_name][0],
+            simplicity(models[law_name]),
+            ranking[law_name][1],
+        ),
+    )
     laws = [recommended] * count
     reasons: dict[str, list[str]] = {}
     for j, short in enumerate(short_names(count)):
-        fitting = [
-            n
-            for n in good.get(j, ())
-            if n == recommended or can_share_fmu(models[n], models[recommended])
+        compatible_laws = [
+            law_name
+            for law_name in close_laws.get(j, ())
+            if law_name == recommended or can_share_fmu(models[law_name], models[recommended])
         ]
-        if fitting:
-            laws[j] = min(fitting, key=lambda n: (simplicity(models[n], j), *spread[n]))
+        if compatible_laws:
+            laws[j] = min(
+                compatible_laws,
+                key=lambda law_name: (simplicity(models[law_name], j), *ranking[law_name]),
+            )
             minimum = simplicity(models[laws[j]], j)
-            equal = sum(simplicity(models[n], j) == minimum for n in fitting)
-            fit_text = f"one of {len(fitting)}" + f", {equal} equally simple" * (equal > 1)
-            reasons.setdefault(fit_text if len(fitting) > 1 else "the only one", []).append(short)
-        elif j in good:
+            equal = sum(simplicity(models[law_name], j) == minimum for law_name in compatible_laws)
+            fit_text = f"one of {len(compatible_laws)}" + f", {equal} equally simple" * (equal > 1)
+            reasons.setdefault(fit_text if len(compatible_laws) > 1 else "the only one", []).append(
+                short
+            )
+        elif j in close_laws:
             reasons.setdefault("no such law fits into this FMU", []).append(short)
     reasons_text = "; ".join(
         f"{', '.join(joint_names)}: {reason}" for reason, joint_names in reasons.items()
@@ -267,20 +287,20 @@ def format_excess_percent(low: float, high: float) -> str:
     return f"{first} %" if first == last else f"{first} to {last} %"
 
 
-def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
+def describe_limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
     """Yield sentences on the limits of a test of each joint's law."""
     joint_separations = dict(zip(short_names(len(joints)), joints, strict=True))
-    short = [
+    short_joints = [
         name
         for name, joint_separation in joint_separations.items()
         if joint_separation.detectable is None and joint_separation.tied
     ]
-    if short:
-        place_text = f" on {', '.join(short)}" if len(short) < len(joints) else ""
-        seconds = max(joint_separations[name].seconds for name in short)
+    if short_joints:
+        place_text = f" on {', '.join(short_joints)}" if len(short_joints) < len(joints) else ""
+        seconds = max(joint_separations[name].seconds for name in short_joints)
         yield f"{test} is too short to compare laws{place_text}; record at least {seconds:.0f} s."
     parts = []
-    wide = []
+    required_seconds = []
     for name, joint_separation in joint_separations.items():
         laws = {joint_separation.best, *joint_separation.tied}
         if (
@@ -293,57 +313,57 @@ def limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
                 f"{count} on {name} ({format_excess_percent(*joint_separation.detectable)})"
             )
             if joint_separation.detectable[1] > RECORDED:
-                wide.append(joint_separation.seconds)
+                required_seconds.append(joint_separation.seconds)
     if parts:
         yield (
             f"{test} does not separate it from {', '.join(parts)}; the smallest detectable "
             "difference is in brackets."
         )
-    if wide:
-        yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(wide):.0f} s."
+    if required_seconds:
+        yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(required_seconds):.0f} s."
 
 
-def _weak(
+def _list_weaknesses(
     law_scores: LawScores, percent: Mapping[str, float], checks: Properties | None
 ) -> Iterable[str]:
-    short = short_names(len(percent))
-    much = [
+    joint_names = short_names(len(percent))
+    poor_joints = [
         name
-        for name, share in zip(short, percent.values(), strict=True)
+        for name, share in zip(joint_names, percent.values(), strict=True)
         if share > _MAX_UNEXPLAINED
     ]
-    if much:
+    if poor_joints:
         yield (
-            f"Poorly modelled: {', '.join(much)} (more than {_MAX_UNEXPLAINED:g} % of "
+            f"Poorly modelled: {', '.join(poor_joints)} (more than {_MAX_UNEXPLAINED:g} % of "
             "friction unexplained)."
         )
-    pairs = zip(short, law_scores.rmse_reversal, law_scores.rmse, strict=True)
-    turning = [
+    pairs = zip(joint_names, law_scores.rmse_reversal, law_scores.rmse, strict=True)
+    reversal_joints = [
         name
         for name, reversal_error, total_error in pairs
         if reversal_error is not None and reversal_error > _MAX_REVERSAL_RATIO * total_error
     ]
-    if turning:
-        yield f"Large errors near reversals: {', '.join(turning)}."
+    if reversal_joints:
+        yield f"Large errors near reversals: {', '.join(reversal_joints)}."
     if checks and (failed := checks.failed):
         yield f"Physics checks it fails on at least one joint: {', '.join(failed)}."
 
 
-def _improve(
+def _list_improvements(
     model: FrictionModel, trained: Records, tested: Records, *, gear_ratio: bool
 ) -> Iterable[str]:
     trained, tested = transform_all_records(trained), transform_all_records(tested)
-    short = short_names(len(trained))
+    joint_names = short_names(len(trained))
     faster = []
     heavier = []
     resting = []
     constant_load = []
-    rows = zip(short, model.laws, model.trained, trained, tested, strict=True)
+    rows = zip(joint_names, model.laws, model.trained, trained, tested, strict=True)
     for name, law, trained_range, trained_records, tested_records in rows:
         excesses = {
-            k: e
-            for k, e in find_excess(trained_range, tested_records).items()
-            if e.rows > _MAX_UNTRAINED_SHARE
+            input_name: excess
+            for input_name, excess in find_excess(trained_range, tested_records).items()
+            if excess.rows > _MAX_UNTRAINED_SHARE
         }
         if "dq" in excesses:
             faster.append(name)
@@ -371,8 +391,10 @@ def _improve(
         yield "Add gear_ratio to the robot file to also fit motor ripple."
 
 
-def _simulate(trained: Records, refined: Mapping[str, RefinementResult] | None) -> Iterator[str]:
-    if refined is None and len(trained) == 1 and trained[0][0].tau_body is None:
+def _suggest_refinement(
+    trained_records: Records, refined: Mapping[str, RefinementResult] | None
+) -> Iterator[str]:
+    if refined is None and len(trained_records) == 1 and trained_records[0][0].tau_body is None:
         yield 'To choose and refine a law for simulation, add refinement = "output_error".'
     if refined and ForSimulation.from_refined(refined) is None:
         yield "The training logs are too short to choose a law for simulation by left-out windows."

@@ -192,16 +192,16 @@ def open_single(
 def _choose_outputs(model_description: Any) -> list[str]:
     """Return the outputs; the first continuous states or variables of an FMU without outputs."""
     observable = [
-        v
-        for v in model_description.modelVariables
-        if v.type in _OBSERVED_TYPES and v.name != "time"
+        variable
+        for variable in model_description.modelVariables
+        if variable.type in _OBSERVED_TYPES and variable.name != "time"
     ]
-    outputs = [v.name for v in observable if v.causality == "output"]
+    outputs = [variable.name for variable in observable if variable.causality == "output"]
     if outputs:
         return outputs
     states = [unknown.variable.derivative for unknown in model_description.derivatives or ()]
     shown_states = [state.name for state in states if state is not None]
-    return (shown_states or [v.name for v in observable])[:_MAX_STATES]
+    return (shown_states or [variable.name for variable in observable])[:_MAX_STATES]
 
 
 def _require_settable(fmu: Path, variables: Variables, values: Mapping[str, Value]) -> None:

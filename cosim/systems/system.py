@@ -129,8 +129,8 @@ def open_system(
     if path.suffix.lower() != ".ssp":
         yield SystemSpec.read(path)
         return
-    with plugins.find("hesr.systems", "ssp-reader")(path, times or {}, values or {}) as spec:
-        yield spec
+    with plugins.find("hesr.systems", "ssp-reader")(path, times or {}, values or {}) as system:
+        yield system
 
 
 def write_system(system: SystemSpec, path: Path) -> Path:

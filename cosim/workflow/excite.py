@@ -149,24 +149,26 @@ def excite(
     from hesr_model.rigid_body.base_parameters import base_columns
     from hesr_model.robots.robot import Robot, RobotDescription
 
-    model = Robot(RobotDescription.read(robot_path))
+    loaded_robot = Robot(RobotDescription.read(robot_path))
     limits = ExcitationSettings.read(settings_path) if settings_path else ExcitationSettings()
     try:
-        excitation = design(model, limits, progress=partial(progress, "designing the motion"))
+        excitation = design(
+            loaded_robot, limits, progress=partial(progress, "designing the motion")
+        )
     except HesrError as error:
         raise type(error)(f"{settings_path or robot_path}: {error}") from error
-    base = base_columns(model)
+    base = base_columns(loaded_robot)
     with threadpool_limits(1):  # threads cost more than they save
-        random = random_motions(model, limits, _COMPARED, limits.seed)
-        conditions = [condition(model, base, motion) for motion in random]
+        random = random_motions(loaded_robot, limits, _COMPARED, limits.seed)
+        conditions = [condition(loaded_robot, base, motion) for motion in random]
     backward = path.with_stem(f"{path.stem}_reversed")
     picture = path.with_suffix(".png")
     t, q, dq, ddq = excitation.setpoints()  # [s, rad, rad/s, rad/s2; m for prismatic joints]
     with written_together(path) as new:
         write_table(new(path), {"t": t} | number_columns(q=q, dq=dq, ddq=ddq))
-        back = number_columns(q=q[::-1], dq=-dq[::-1], ddq=ddq[::-1])
-        write_table(new(backward), {"t": t} | back)
-        draw_excitation(new(picture), excitation, model.description.joints)
+        backward_columns = number_columns(q=q[::-1], dq=-dq[::-1], ddq=ddq[::-1])
+        write_table(new(backward), {"t": t} | backward_columns)
+        draw_excitation(new(picture), excitation, loaded_robot.description.joints)
     return ExcitationDesign(
         excitation=excitation,
         random_condition=float(np.median(conditions)),

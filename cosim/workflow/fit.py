@@ -143,11 +143,11 @@ def fit(
     for name in additions:
         if name not in refinements:
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
-    fitted = _read_fitted_law(law, additions, options, priors)
+    fitted_model = _read_fitted_law(law, additions, options, priors)
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
     records = checked.compute_records(checked.find_body(rigid_body), seed)
     joint_records = transpose_records(records)
-    if fitted is None:
+    if fitted_model is None:
         law_name = str(law)
         models = fit_models(
             [law_name],
@@ -160,7 +160,7 @@ def fit(
         )
         model = _add_health(models[law_name], check_laws(models, joint_records))
     else:
-        model = fitted
+        model = fitted_model
     if priors:
         log_findings(check_owner(model, checked.robot))
         progress("adapting", 0, 1)
@@ -175,7 +175,7 @@ def fit(
         model = replace(model, provenance={**model.provenance, name: sentences})
     if output is not None:
         model.write(to_path(output, "'output'"))
-    if fitted is None:
+    if fitted_model is None:
         _log_new_findings(model, checked)
     return model
 

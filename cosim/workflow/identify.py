@@ -114,31 +114,35 @@ def identify(
     in_pieces = method == "stacked" and not physical and friction is None and payload is None
     sources = [*forward_sources, *backward_sources]
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=in_pieces)
-    forward = checked.logs[: len(forward_sources)]
-    backward = checked.logs[len(forward_sources) :]
+    forward_logs = checked.logs[: len(forward_sources)]
+    backward_logs = checked.logs[len(forward_sources) :]
 
     progress("identifying", 0, 1)
-    carried = None
+    carried_payload = None
     if payload is not None:
-        body, carried = _identify_payload(checked, payload)
+        body, carried_payload = _identify_payload(checked, payload)
     elif friction is not None and rigid_body is not None:
         body = identify_again(
-            forward,
+            forward_logs,
             checked.robot,
             find_body(rigid_body, (), checked.robot),
             read_model(friction),
-            reversed_logs=backward,
+            reversed_logs=backward_logs,
         )
     elif checked.long_logs:
         body = identify_long(checked.long_logs, checked.robot)
     else:
         body = identify_body(
-            forward, checked.robot, method=method, reversed_logs=backward, physical=physical
+            forward_logs,
+            checked.robot,
+            method=method,
+            reversed_logs=backward_logs,
+            physical=physical,
         )
 
     findings = list(check_body(body, checked.robot))
     files = [*checked.files, *paths_among(payload, friction, rigid_body)]
-    body = replace(body, provenance=_provenance(checked, findings, files, carried))
+    body = replace(body, provenance=_provenance(checked, findings, files, carried_payload))
     if output is not None:
         body.write(to_path(output, "'output'"))
     log_findings(findings)

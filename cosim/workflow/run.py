@@ -45,11 +45,13 @@ class RunResult(Answer):
         from cosim.report.tables import loop
 
         verdict = self.outcome.verdict
-        located = replace(verdict, fmu=str(self.outcome.fmus[verdict.law]))  # can be copied
+        located_verdict = replace(verdict, fmu=str(self.outcome.fmus[verdict.law]))  # can be copied
         if verdict.simulation:
             fmu = str(self.outcome.fmus[verdict.simulation.law])
-            located = replace(located, simulation=replace(verdict.simulation, fmu=fmu))
-        lines = list(located.sentences)
+            located_verdict = replace(
+                located_verdict, simulation=replace(verdict.simulation, fmu=fmu)
+            )
+        lines = list(located_verdict.sentences)
         if self.outcome.following.rows:
             lines.append(loop.benefit(self.outcome.following, self._sliding))
         count = len(self.findings)

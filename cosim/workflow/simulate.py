@@ -139,12 +139,12 @@ def simulate(
         )
         return _run(open_fmu, file, partial(progress, path.stem))
     _require_system_options(path, times, start_values, input)
-    with open_system(path, times, parse_start_values(path, start_values)) as spec:
-        remember_trust((component.fmu for component in spec.components), trust=trust)
-        if not spec.observe:
+    with open_system(path, times, parse_start_values(path, start_values)) as system_spec:
+        remember_trust((component.fmu for component in system_spec.components), trust=trust)
+        if not system_spec.observe:
             raise ConfigError(f"{path}: key 'observe' names no signals to write.")
-        open_master = partial(Master, spec, path, isolate=isolate)
-        return _run(open_master, file, partial(progress, spec.name))
+        open_master = partial(Master, system_spec, path, isolate=isolate)
+        return _run(open_master, file, partial(progress, system_spec.name))
 
 
 def _require_system_options(

@@ -144,12 +144,12 @@ class LawReport(Answer):
             "passivity": {
                 name: [
                     {
-                        "verdict": c.label,
-                        "storage": c.storage,
-                        "rests_on": list(c.rests_on),
-                        "sequences": c.sequences,
+                        "verdict": certificate.label,
+                        "storage": certificate.storage,
+                        "rests_on": list(certificate.rests_on),
+                        "sequences": certificate.sequences,
                     }
-                    for c in audit.certificates
+                    for certificate in audit.certificates
                 ]
                 for name, audit in self.audits.items()
             },
@@ -320,7 +320,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
     from hesr_model.findings import Finding, sort_by_severity
 
     audits = {}
-    refuted = []
+    passivity_findings = []
     for law in report.laws:
         if law.model is None:
             if alone:
@@ -340,7 +340,7 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
             if certificate.verdict == "refuted"
         ]
         if joints:
-            refuted.append(
+            passivity_findings.append(
                 Finding(
                     check="passivity",
                     where=law.name,
@@ -349,7 +349,9 @@ def _add_certificates(report: LawReport, *, alone: bool) -> LawReport:
                     remedy="--verbose shows the cycle; use a law that is proven passive",
                 )
             )
-    return replace(report, audits=audits, findings=sort_by_severity([*report.findings, *refuted]))
+    return replace(
+        report, audits=audits, findings=sort_by_severity([*report.findings, *passivity_findings])
+    )
 
 
 def _add_properties(
@@ -376,15 +378,17 @@ def _add_properties(
     return replace(report, properties=properties, files=(output,) if output else ())
 
 
-def _scores_lines(scores: Comparison) -> list[str]:
+def _scores_lines(comparison: Comparison) -> list[str]:
     """Return the best law, its error, and the limits of the logs."""
-    from cosim.study.verdict import limits, separation
+    from cosim.study.verdict import describe_limits, find_separations
 
-    best = min(scores.laws, key=scores.size)
-    pairs = zip(scores.joints, scores.unexplained_shares(scores.laws[best].rmse), strict=True)
+    best = min(comparison.laws, key=comparison.size)
+    pairs = zip(
+        comparison.joints, comparison.unexplained_shares(comparison.laws[best].rmse), strict=True
+    )
     shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
-    joints = [replace(separated, law=best) for separated in separation(scores)]
-    return [f"Best: {best}. Unexplained friction: {shares}.", *limits("The test", joints)]
+    joints = [replace(separated, law=best) for separated in find_separations(comparison)]
+    return [f"Best: {best}. Unexplained friction: {shares}.", *describe_limits("The test", joints)]
 
 
 def _failed_checks(properties: Properties) -> str:
@@ -422,5 +426,5 @@ def _describe_left_ranges(law: Subject, records: Records) -> list[str]:
     ):
         inputs = (*map(str, friction_law.form.inputs), "temperature")
         share_by_input = find_excess(trained_range, joint_records, thermal)
-        shares.append({name: x for name, x in share_by_input.items() if name in inputs})
+        shares.append({name: excess for name, excess in share_by_input.items() if name in inputs})
     return [describe_excesses(model.joints, shares, model.sliding)] if any(shares) else []

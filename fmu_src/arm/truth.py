@@ -95,7 +95,7 @@ def true_friction(
 def _build_loss_law(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
     coefficients = [Coefficient(name=n, unit=u, description=d) for n, u, d in _LOSS_COEFFICIENTS]
     values = losses.select_joint(i) | {"viscous": viscous}
-    *numbers, viscous_ = (quantity.symbol for quantity in coefficients)
+    *numbers, viscous_symbol = (quantity.symbol for quantity in coefficients)
     symbols = dict(zip(NUMBERS, numbers, strict=True)) | {SPEED: DQ, TORQUE: TAU_LOAD}
     rate = renewal_rate().xreplace(symbols)
     age = Relaxation(name="s", unit="s", drive=sympy.Integer(1), rate=rate)
@@ -103,7 +103,7 @@ def _build_loss_law(losses: LossTable, i: int, viscous: float) -> FrictionLaw:
     for symbol, expression in level_steps().items():  # each uses earlier ones only
         symbols[symbol] = expression.xreplace(symbols)
     level = symbols[LEVEL].replace(log1p, lambda x: sympy.log(1 + x))
-    output = sgn(DQ) * level + viscous_ * DQ
+    output = sgn(DQ) * level + viscous_symbol * DQ
     form = LawForm(coefficients=tuple(coefficients), memory=(age,), output=output)
     return FrictionLaw(name="true_friction", form=form, values=values)
 

@@ -95,12 +95,12 @@ def block(
         Joint(component=component, names=_names(component, i)) for i in range(1, joints + 1)
     ]
     # Values of the last sample are not states of a solver.
-    free = not (component.remembered or component.sample_time)
+    supports_exchange = not (component.remembered or component.sample_time)
     interface = Interface(
         variables=tuple(_variables(component, block_joints)),
         own=memory_size(block_joints),
-        model_exchange=free,
-        directional_derivatives=free,
+        model_exchange=supports_exchange,
+        directional_derivatives=supports_exchange,
     )
     return content(
         interface,
@@ -118,8 +118,8 @@ def block(
 
 
 def _names(component: Component, joint: int) -> dict[str, str]:
-    of_joint = (*component.inputs, *component.parameters, *component.outputs)
-    return {quantity.name: f"{quantity.name}[{joint}]" for quantity in of_joint} | {
+    joint_quantities = (*component.inputs, *component.parameters, *component.outputs)
+    return {quantity.name: f"{quantity.name}[{joint}]" for quantity in joint_quantities} | {
         quantity.name: quantity.name for quantity in component.shared
     }
 

@@ -90,7 +90,7 @@ def inverse_dynamics(
 
 def _tree(robot: Robot) -> str:
     rows = []
-    motors = robot.description.motors
+    motor_coupling = robot.description.motors
     gravity = robot.gravity.tolist()
     for joint in robot.tree:
         numbers = map(_numbers, (joint.rotation.ravel(), joint.translation, joint.axis))
@@ -106,9 +106,10 @@ def _tree(robot: Robot) -> str:
         slopes="\n".join(f"    {_numbers(row)}," for row in slopes),
         offsets=_numbers(offsets),
         rows="\n".join(rows),
-        coupled=int(motors is not None),
+        coupled=int(motor_coupling is not None),
         motors="\n".join(
-            f"    {_numbers(row)}," for row in (motors.forward if motors else np.eye(robot.n))
+            f"    {_numbers(row)},"
+            for row in (motor_coupling.forward if motor_coupling else np.eye(robot.n))
         ),
         **dict(zip("xyz", map(literal, gravity), strict=True)),
     )

@@ -131,8 +131,8 @@ def read_description(
     root: etree._Element, build: etree._Element | None = None
 ) -> ParsedDescription:
     """Read the elements fmiModelDescription, of FMI 2.0 or 3.0, and fmiBuildDescription."""
-    three = root.get("fmiVersion", "").startswith("3.")
-    return (_Reader3(root, build) if three else _Reader(root)).description()
+    is_fmi3 = root.get("fmiVersion", "").startswith("3.")
+    return (_Reader3(root, build) if is_fmi3 else _Reader(root)).description()
 
 
 def read_name(element: etree._Element) -> str:

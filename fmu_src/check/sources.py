@@ -144,8 +144,8 @@ _FOLDER = "sources/"
 def problems(model_description: ParsedDescription, contents: Contents) -> Iterator[Problem]:
     """Yield missing source files."""
     names = set(contents.names)
-    binaries = any(name.startswith("binaries/") for name in names)
-    if not binaries and not any(kind.sources for kind in model_description.kinds):
+    has_binaries = any(name.startswith("binaries/") for name in names)
+    if not has_binaries and not any(kind.sources for kind in model_description.kinds):
         yield "binary-none", "binaries and a list of source files are both missing."
     for kind in model_description.kinds:
         for source in kind.sources:

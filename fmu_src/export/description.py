@@ -240,19 +240,21 @@ def common_attributes(variable: Variable, name: str, place: int, text: str) -> d
 
 def values(elements: Sequence[Variable]) -> dict[str, str]:
     """Return the attributes for start values and common limits of a variable or an array."""
-    first = elements[0]
-    if first.enumeration:
-        count = len(first.enumeration.items)
-        return {"min": "1", "max": str(count), "start": str(int(first.start))}
+    first_variable = elements[0]
+    if first_variable.enumeration:
+        count = len(first_variable.enumeration.items)
+        return {"min": "1", "max": str(count), "start": str(int(first_variable.start))}
     attributes = {}
-    if not (first.computed or first.role == "state"):
+    if not (first_variable.computed or first_variable.role == "state"):
         attributes["start"] = " ".join(
             _value_text(variable, variable.start) for variable in elements
         )
     lower_limits = [variable.least for variable in elements if variable.least is not None]
     upper_limits = [variable.greatest for variable in elements if variable.greatest is not None]
-    attributes |= {"min": _value_text(first, max(lower_limits))} if lower_limits else {}
-    return attributes | ({"max": _value_text(first, min(upper_limits))} if upper_limits else {})
+    attributes |= {"min": _value_text(first_variable, max(lower_limits))} if lower_limits else {}
+    return attributes | (
+        {"max": _value_text(first_variable, min(upper_limits))} if upper_limits else {}
+    )
 
 
 def _value_text(variable: Variable, value: float) -> str:

@@ -83,19 +83,19 @@ def _name_type(unit: str, nominal: float) -> str:
 
 
 def _variable(array: ArrayVariable, interface: Interface) -> ET.Element:
-    first = array.elements[0]
-    text = first.description if first.enumeration else _description(array)
-    attributes = common_attributes(first, array.name, array.place, text)
+    first_variable = array.elements[0]
+    text = first_variable.description if first_variable.enumeration else _description(array)
+    attributes = common_attributes(first_variable, array.name, array.place, text)
     attributes |= values(array.elements)
-    if first.enumeration or first.integer:
+    if first_variable.enumeration or first_variable.integer:
         kind = "Int32"
-    elif first.boolean:
+    elif first_variable.boolean:
         kind = "Boolean"
     else:
         kind = "Float64"
-        attributes["declaredType"] = _name_type(first.unit or "1", first.nominal)
-    if first.derivative_of:
-        attributes["derivative"] = str(interface.part_of[first.derivative_of].place)
+        attributes["declaredType"] = _name_type(first_variable.unit or "1", first_variable.nominal)
+    if first_variable.derivative_of:
+        attributes["derivative"] = str(interface.part_of[first_variable.derivative_of].place)
     element = ET.Element(kind, attributes)
     for size in array.shape:
         ET.SubElement(element, "Dimension", start=str(size))

@@ -114,25 +114,25 @@ def build(source: Path, identifier: str, target: Target, flags: Sequence[str] = 
             # One folder per architecture: the linker writes import libraries next to the output.
             output = folder / triple / library
             output.parent.mkdir()
-            last = [*(flag.replace("{library}", library) for flag in target.flags), *flags]
+            last_flags = [*(flag.replace("{library}", library) for flag in target.flags), *flags]
             parts.append(
-                _compile_library(source, ("-target", triple, *CFLAGS, *_LINK), output, last)
+                _compile_library(source, ("-target", triple, *CFLAGS, *_LINK), output, last_flags)
             )
     return parts[0] if len(parts) == 1 else join_universal_binary(parts)
 
 
 def _compile_library(
-    source: Path, flags: Sequence[str], output: Path, last: Sequence[str]
+    source: Path, flags: Sequence[str], output: Path, last_flags: Sequence[str]
 ) -> bytes:
     """Compile without the numbers of an interface.h, so that others compile nothing; add them."""
     header = source.with_name("interface.h")
     if not header.is_file():
-        compile_c(source, flags, output, last)
+        compile_c(source, flags, output, last_flags)
         return output.read_bytes()
     text = header.read_text(encoding="utf-8")
     blank, content = extract_numbers(text)
     header.write_text(blank, encoding="utf-8")
-    compile_c(source, flags, output, last)
+    compile_c(source, flags, output, last_flags)
     header.write_text(text, encoding="utf-8")
     binary = bytearray(output.read_bytes())
     place = binary.index(NUMBERS) + len(NUMBERS)

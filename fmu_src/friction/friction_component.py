@@ -300,8 +300,10 @@ def scales(model: FrictionModel) -> Iterator[Variable]:
 
 def band_numbers(model: FrictionModel) -> Iterator[Variable]:
     """Yield the parameters of a band: coverage, and the numbers of every joint."""
-    coverage = Variable(COVERAGE.name, "tunable", COVERAGE.description, unit=COVERAGE.unit)
-    yield replace(coverage, start=COVERAGE.start, least=MIN_COVERAGE, greatest=MAX_COVERAGE)
+    coverage_variable = Variable(COVERAGE.name, "tunable", COVERAGE.description, unit=COVERAGE.unit)
+    yield replace(
+        coverage_variable, start=COVERAGE.start, least=MIN_COVERAGE, greatest=MAX_COVERAGE
+    )
     for number in NUMBERS:
         for i, law in enumerate(model.laws, start=1):
             start = law.band.values[number.name] if law.band else 0.0

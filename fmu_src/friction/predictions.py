@@ -49,12 +49,12 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
     for log_records in zip(*records, strict=True):
         start: dict[str, float] = {}
         if model is not None and len(model.laws) == len(log_records):
-            friction_records = transform_records(
+            coordinate_records = transform_records(
                 [replace(r, coupling=model.coupling) for r in log_records]
             )
             start[START_MODE] = GIVEN
             for i, (law, record) in enumerate(
-                zip(model.laws, friction_records, strict=True), start=1
+                zip(model.laws, coordinate_records, strict=True), start=1
             ):
                 initial_inputs = (float(getattr(record, u)[0]) for u in ("dq", "q", "tau_load"))
                 estimated = law.start_samples > 0

@@ -114,15 +114,15 @@ class _Printer(StrPrinter):  # type: ignore[misc] # SymPy is not typed
 
 def _rows(interface: Interface, roles: Sequence[Role]) -> Iterator[dict[str, Any]]:
     for array in interface.arrays:
-        first = array.elements[0]
-        if first.role not in roles:
+        first_variable = array.elements[0]
+        if first_variable.role not in roles:
             continue
-        items = first.enumeration.items if first.enumeration else ()
+        items = first_variable.enumeration.items if first_variable.enumeration else ()
         yield {
             "name": _indexed_name(array),
-            "unit": _unit_text(first),
-            "start": "" if first.computed else _start_text(array),
-            "changes": _CHANGES.get(first.role, ""),
+            "unit": _unit_text(first_variable),
+            "start": "" if first_variable.computed else _start_text(array),
+            "changes": _CHANGES.get(first_variable.role, ""),
             "text": _common_text(array),
             "choices": [(k, name, text) for k, (name, text) in enumerate(items, start=1)],
         }

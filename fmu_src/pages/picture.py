@@ -91,14 +91,14 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
     loops = []
     for law, (dq, q, load) in zip(model.laws, motion.iterate_joints(), strict=True):
         # The exact discretisation is stable at any step.
-        exact = replace(law, discretisation="exact")
+        exact_law = replace(law, discretisation="exact")
         middle = 0.5 * (q.min() + q.max())
         joint_loops = []
         with np.errstate(all="ignore"):  # non-finite results are left out
             for share in _SHARES:
                 v = share * dq
                 position = middle + share * (q - middle)
-                tau = predict(exact, t=motion.t, dq=v, q=position, tau_load=load)
+                tau = predict(exact_law, t=motion.t, dq=v, q=position, tau_load=load)
                 joint_loops.append((v[-_ROWS_PER_PERIOD:], tau[-_ROWS_PER_PERIOD:]))
         loops.append(joint_loops)
     return loops

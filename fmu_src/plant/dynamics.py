@@ -460,8 +460,8 @@ def tool_header(robot: Robot, place: int | None) -> str:
 
 def _rotors(arm: _Arm, i: int, j: int) -> Expression:
     """Return an entry of the rotors' mass matrix."""
-    motors = arm.robot.description.motors
-    turns = (np.eye(arm.robot.n) if motors is None else motors.forward) @ arm.mixing
+    motor_coupling = arm.robot.description.motors
+    turns = (np.eye(arm.robot.n) if motor_coupling is None else motor_coupling.forward) @ arm.mixing
     inertia = (arm.graph.name(f"rotor[{k}]") for k in range(arm.robot.n))
     pairs = zip(inertia, _round_exact(turns[:, i] * turns[:, j]), strict=True)
     return _sum(arm.graph, (x * float(f) for x, f in pairs))

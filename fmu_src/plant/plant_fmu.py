@@ -232,7 +232,7 @@ class ServoGains:
     kp: tuple[float, ...] = ()
 
     @classmethod
-    def of(
+    def from_gains(
         cls,
         kv: Sequence[float] | None,
         ki: Sequence[float] | None,
@@ -286,13 +286,13 @@ def _interface(
     numbers = range(1, len(laws) + 1)
     zeros = (0.0,) * len(laws)
     starts = list(_parameters(plant_body))
-    own_parameters = list(inertial_parameters(plant_body))
-    inertial = tuple(variable.name for variable in own_parameters)
+    inertial_variables = list(inertial_parameters(plant_body))
+    inertial_names = tuple(variable.name for variable in inertial_variables)
     motion = tuple(f"{name}[{i}]" for name in ("q", "dq") for i in numbers)
-    own_servo = list(servo.parameters()) if servo else []
+    servo_variables = list(servo.parameters()) if servo else []
     commands = tuple(f"{name}[{i}]" for name in _inputs(servo) for i in numbers)
     stops = tuple(variable.name for variable in starts if variable.name.startswith(("q_m", "stop")))
-    load = (*commands, *motion, *stops, *inertial)
+    load = (*commands, *motion, *stops, *inertial_names)
     torque = sympy.Symbol(TORQUE, real=True)
 
     def sources(i: int) -> dict[str, tuple[str, ...]]:
@@ -301,7 +301,7 @@ def _interface(
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
     of_friction = (n for one in friction for n in one)
-    all_sources = (*load, *(variable.name for variable in own_servo), *of_friction)
+    all_sources = (*load, *(variable.name for variable in servo_variables), *of_friction)
     at_start = {"q_cmd": [variable.start for variable in starts[: len(laws)]]}
     variables = [
         variable
@@ -325,13 +325,13 @@ def _interface(
             description = f"{text}, {element}"
             pose = Variable(f"{name}[{k}]", "output", description, unit=unit)
             variables.append(replace(pose, dependencies=motion[: len(laws)]))
-    variables += starts + own_servo
+    variables += starts + servo_variables
     variables.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     meaning = "how the states of the friction are relaxed over an inner step"
-    variables += [discretisation(model, meaning), start_mode(), *own_parameters, *scales(model)]
+    variables += [discretisation(model, meaning), start_mode(), *inertial_variables, *scales(model)]
     for i, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1):
-        of_load = {TAU_LOAD.name: (*load, *friction[i - 1])}
-        variables += law_variables(law, i, joint, sources(i) | of_load)
+        load_sources = {TAU_LOAD.name: (*load, *friction[i - 1])}
+        variables += law_variables(law, i, joint, sources(i) | load_sources)
     variables = [adapt_to_joint(variable, model.slides) for variable in variables]
     return Interface(
         variables=tuple(
@@ -371,7 +371,7 @@ def export_plant(
     model: FrictionModel,
     path: Path,
     *,
-    body: PlantBody,
+    plant_body: PlantBody,
     kv: Sequence[float] | None = None,
     ki: Sequence[float] | None = None,
     kp: Sequence[float] | None = None,
@@ -389,10 +389,10 @@ def export_plant(
     """
     check_request(path, platforms)
     require_exportable(model, "a plant")
-    require_fitting(model, body.robot)
-    servo = ServoGains.of(kv, ki, kp)
+    require_fitting(model, plant_body.robot)
+    servo = ServoGains.from_gains(kv, ki, kp)
     return write_fmu(
-        content(model, body, servo=servo, tool=tool, bare=bare),
+        content(model, plant_body, servo=servo, tool=tool, bare=bare),
         path,
         platforms=platforms,
         progress=progress,

@@ -349,10 +349,10 @@ class Variables:
     def _misfit(self, name: str, value: Any, expected: str = "") -> SimulationError:
         variable = self[name]
         kind = self._declared_type(variable)
-        shown = sanitise(repr(value), _MAX_VALUE_LENGTH)
+        value_text = sanitise(repr(value), _MAX_VALUE_LENGTH)
         end = f"; it must be {expected}." if expected else "."
         return SimulationError(
-            f"{self._fmu}: '{name}' is of type {kind}; it cannot be {shown}{end}"
+            f"{self._fmu}: '{name}' is of type {kind}; it cannot be {value_text}{end}"
         )
 
     def _choice(self, name: str, value: str) -> int:

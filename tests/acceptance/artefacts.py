@@ -163,14 +163,14 @@ def _elastic_drive(model: FrictionModel, folder: Path, fmi: Version) -> Path:
 
 def _plant(model: FrictionModel, folder: Path, fmi: Version) -> Path:
     body = PlantBody.from_robot(arm_of(model, folder))
-    return export_plant(model, folder / "Plant.fmu", body=body, bare=True, fmi=fmi)
+    return export_plant(model, folder / "Plant.fmu", plant_body=body, bare=True, fmi=fmi)
 
 
 def _servo_plant(model: FrictionModel, folder: Path, fmi: Version) -> Path:
     body = PlantBody.from_robot(arm_of(model, folder))
     joints = range(len(model.joints))
     gains = {"kv": [_KV[j % 3] for j in joints], "ki": [10.0 * _KV[j % 3] for j in joints]}
-    return export_plant(model, folder / "Plant.fmu", body=body, bare=True, fmi=fmi, **gains)
+    return export_plant(model, folder / "Plant.fmu", plant_body=body, bare=True, fmi=fmi, **gains)
 
 
 def _observer(model: FrictionModel, folder: Path, fmi: Version) -> Path:

@@ -86,12 +86,12 @@ def export_motors(path: Path, fmi: Version) -> Path:
 
 
 def export_arm_plant(path: Path, fmi: Version) -> Path:
-    return export_plant(plain(), path, body=PlantBody.from_robot(robot()), tool=True, fmi=fmi)
+    return export_plant(plain(), path, plant_body=PlantBody.from_robot(robot()), tool=True, fmi=fmi)
 
 
 def export_servo_plant(path: Path, fmi: Version) -> Path:
     gains = {"kv": [90.0] * 3, "ki": [900.0] * 3, "kp": [1.0] * 3}
-    return export_plant(plain(), path, body=PlantBody.from_robot(robot()), fmi=fmi, **gains)
+    return export_plant(plain(), path, plant_body=PlantBody.from_robot(robot()), fmi=fmi, **gains)
 
 
 def export_contact(path: Path, fmi: Version) -> Path:

@@ -88,7 +88,7 @@ def test_servo_with_position_commands(
     kp, latency, share, step = (30.0, 40.0, 25.0), 0.007, 0.6, 1e-3
     fmu = tmp_path / "Plant.fmu"
     gains = {"kv": np.array(KV), "ki": np.array(KI), "kp": np.array(kp)}
-    export_plant(table1, fmu, body=PlantBody.from_robot(robot), **gains, bare=True)
+    export_plant(table1, fmu, plant_body=PlantBody.from_robot(robot), **gains, bare=True)
     t = np.arange(0.0, 12.0, step)
     q_cmd = np.column_stack([np.interp(t, recorded.log.t, q) for q in recorded.desired.T])
     with FmuInstance(fmu, name="plant") as plant:

@@ -296,7 +296,7 @@ def test_both_plants_track_alike(bench: Bench, tmp_path: Path) -> None:
     fmu = export_plant(
         truth,
         tmp_path / "Plant.fmu",
-        body=PlantBody.from_robot(bench.robot),
+        plant_body=PlantBody.from_robot(bench.robot),
         kv=GAINS.Kv,
         ki=GAINS.Ki,
     )

@@ -70,7 +70,7 @@ def loop(tmp_path_factory: pytest.TempPathFactory, robot: Robot, body: RigidBody
     export_mjcf(plant.model, folder / "Arm.fmu", table=UF850 / "arm.toml")
     law = export_fmu(FrictionModel.read(model_file("uf850-table1")), folder / "parfam_h.fmu")
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
-    build(folder, robot, body, plant, oracle=truth)
+    build(folder, robot, body, plant, true_model=truth)
     return assemble(folder, robot, tracking=settings, friction={"parfam_h": law}, plant=plant)
 
 

@@ -71,7 +71,7 @@ def outcome(folder: Path) -> Outcome:
         run = score_study(job, folder)
         plant = Plant.read(models_folder() / "uf850" / "plant.toml")
         truth = true_friction(plant.model, plant.joints, sample_time=1.0 / plant.sample_rate)
-        build(folder / "fmus", run.robot, run.rigid_body, plant, oracle=truth)
+        build(folder / "fmus", run.robot, run.rigid_body, plant, true_model=truth)
         loop = loop_of(folder, study, plant, run.robot)
         tracking, long = run_tracking(loop)
     return Outcome(

@@ -14,13 +14,13 @@ from cosim.report.tables.scores import errors
 from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare
 from cosim.study.verdict import (
     Verdict,
-    _improve,
-    _weak,
-    limits,
+    _list_improvements,
+    _list_weaknesses,
+    describe_limits,
+    find_separations,
+    judge_run,
     read_verdict,
     recommend,
-    separation,
-    verdict,
     write_verdict,
 )
 from fmu_src.friction.predictions import predict_model
@@ -77,7 +77,7 @@ def scores(
 
 def judged(scores, models, trained, tested, **more: bool) -> Verdict:  # type: ignore[no-untyped-def]
     settings = {"gear_ratio": False} | more
-    return verdict(scores, models, trained, tested, {}, **settings)
+    return judge_run(scores, models, trained, tested, {}, **settings)
 
 
 def test_a_verdict_names_the_fmu_the_reason_and_the_residual(
@@ -287,7 +287,7 @@ def test_a_law_better_on_two_of_six_joints_is_recommended_for_them(trained, test
     scores = made(sizes)
     seen = (TrainedRange.from_records(trained[0]),) * 6
     models = {law: replace(model_of(law, 6), trained=seen) for law in sizes}
-    found = verdict({"t": scores}, models, trained[:1] * 6, trained[:1] * 6, {}, gear_ratio=True)
+    found = judge_run({"t": scores}, models, trained[:1] * 6, trained[:1] * 6, {}, gear_ratio=True)
     assert found.laws == ("lugre",) * 4 + ("lugre_load",) * 2
     assert (found.law, found.fmu) == ("recommended", "fmus/recommended.fmu")
     judge(scores, found.laws, found.why)
@@ -346,7 +346,9 @@ def test_a_test_of_five_seconds_decides_nothing() -> None:
     laws, why = recommend(scores, models)
     assert (laws, "too short" in why) == (("lugre", "lugre"), True)
     assert "left-out training logs" in why
-    (limit,) = limits("'five seconds'", [replace(one, law="lugre") for one in separation(scores)])
+    (limit,) = describe_limits(
+        "'five seconds'", [replace(one, law="lugre") for one in find_separations(scores)]
+    )
     assert "record at least 40 s" in limit
     unknown = {law: replace(model, left_out_rmse=()) for law, model in models.items()}
     laws, why = recommend(scores, unknown)
@@ -361,7 +363,9 @@ def test_a_joint_without_enough_rows_has_the_law_of_the_others() -> None:
     laws, why = recommend(scores, {law: model_of(law, 2) for law in scores.laws})
     assert laws == ("lugre", "lugre")
     judge(scores, laws, why)
-    (limit,) = limits("'t'", [replace(one, law="lugre") for one in separation(scores)])
+    (limit,) = describe_limits(
+        "'t'", [replace(one, law="lugre") for one in find_separations(scores)]
+    )
     assert "on J2; record at least 120 s" in limit
 
 
@@ -380,7 +384,9 @@ def test_twice_the_error_is_not_recommended_even_if_the_test_cannot_show_it() ->
     laws, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
     assert laws == ("lugre_load", "lugre_load")
     judge(scores, laws, why)
-    first, second = limits("'t'", [replace(one, law=laws[0]) for one in separation(scores)])
+    first, second = describe_limits(
+        "'t'", [replace(one, law=laws[0]) for one in find_separations(scores)]
+    )
     assert "1 law on J1 (150 %), 1 law on J2 (150 %)" in first
     assert "about 120 s" in second
 
@@ -388,7 +394,9 @@ def test_twice_the_error_is_not_recommended_even_if_the_test_cannot_show_it() ->
 def test_a_longer_test_is_advised_only_if_10_percent_would_not_show() -> None:
     rmse = {"lugre": [1.0, 1.0], "stribeck": [1.01, 1.5]}
     scores = case(rmse, [("lugre", "stribeck"), ("lugre",)], found=1.05)
-    (limit,) = limits("'t'", [replace(one, law="lugre") for one in separation(scores)])
+    (limit,) = describe_limits(
+        "'t'", [replace(one, law="lugre") for one in find_separations(scores)]
+    )
     assert "from 1 law on J1 (5 %)" in limit
 
 
@@ -425,7 +433,7 @@ def test_a_failed_check_of_all_laws_is_stated(scores, models, trained, tested) -
         )
         for law in models
     }
-    found = verdict(scores, models, trained, tested, failed, gear_ratio=True)
+    found = judge_run(scores, models, trained, tested, failed, gear_ratio=True)
     assert any(EXPECTATIONS[key].title in sentence for sentence in found.weak)
 
 
@@ -447,11 +455,14 @@ def test_weaknesses_are_named_by_joint() -> None:
         rmse=(1.0, 1.0, 2.0, 1.0), rmse_reversal=(1.5, 1.51, 3.01, None), rmse_moving=none, r2=none
     )
     percent = {"a": 25.0, "b": 25.1, "c": 3.0, "d": 99.0}
-    assert list(_weak(own, percent, None)) == [
+    assert list(_list_weaknesses(own, percent, None)) == [
         Containing("Poorly modelled: J2, J4 (more than 25 %"),
         "Large errors near reversals: J2, J3.",
     ]
-    assert list(_weak(replace(own, rmse_reversal=none), dict.fromkeys("abcd", 1.0), None)) == []
+    assert (
+        list(_list_weaknesses(replace(own, rmse_reversal=none), dict.fromkeys("abcd", 1.0), None))
+        == []
+    )
 
 
 def rows(*, fast: int = 0, resting: int = 10, load: float = 1.0) -> FrictionRecord:
@@ -493,9 +504,9 @@ def test_helpful_data_are_named(
     )
     model = replace(model_of("lugre_load", 1), trained=(wide,))
     known, new = [[rows(**trained)]], [[rows(**tested)]]  # type: ignore[arg-type]
-    found = list(_improve(model, known, new, gear_ratio=True))
+    found = list(_list_improvements(model, known, new, gear_ratio=True))
     assert found == ([] if advice is None else [OneSentence(advice)])
-    more = list(_improve(model, known, new, gear_ratio=False))
+    more = list(_list_improvements(model, known, new, gear_ratio=False))
     assert more == [*found, Containing("robot file to also fit motor")]
 
 

@@ -77,7 +77,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     body = identify([_excitation(robot)], robot)
     body.write(folder / "rigid_body.json")
     truth = true_friction(plant.model, plant.joints, sample_time=0.005)
-    build(fmus, robot, body, plant, oracle=truth)
+    build(fmus, robot, body, plant, true_model=truth)
     loop = assemble(fmus, robot, tracking=settings, friction={"parfam_h": law}, plant=plant)
     inversion = Scheme(compensation="servo_inversion")
     rows = [

@@ -90,16 +90,20 @@ def grid(
     Places follow from the figure's size, left, top and bottom margin, and gaps [in].
     """
     # Laying out axes by their texts takes as long as drawing them.
-    (width, height), (left_margin, top_margin, bottom_margin), (aside, above) = size, margins, gaps
-    across = (width - left_margin - _RIGHT_MARGIN - (columns - 1) * aside) / columns
-    down = (height - top_margin - bottom_margin - (rows - 1) * above) / rows
+    (width, height), (left_margin, top_margin, bottom_margin), (horizontal_gap, vertical_gap) = (
+        size,
+        margins,
+        gaps,
+    )
+    axes_width = (width - left_margin - _RIGHT_MARGIN - (columns - 1) * horizontal_gap) / columns
+    axes_height = (height - top_margin - bottom_margin - (rows - 1) * vertical_gap) / rows
     places = {
         "left": left_margin / width,
         "right": 1.0 - _RIGHT_MARGIN / width,
         "top": 1.0 - top_margin / height,
         "bottom": bottom_margin / height,
-        "wspace": aside / across,
-        "hspace": above / down,
+        "wspace": horizontal_gap / axes_width,
+        "hspace": vertical_gap / axes_height,
     }
     figure = Figure(figsize=size)
     return figure, figure.subplots(
@@ -161,10 +165,10 @@ def _draw(axis: Axes, panel: Panel, window: tuple[float, float] | None, columns:
             start, stop = np.searchsorted(line.x, window)
             rows = slice(int(start), int(stop) + 1)
         plot(axis, replace(line, x=line.x[rows], y=line.y[rows]), columns)
-    for place, word in panel.marks:
+    for place, label in panel.marks:
         axis.axvline(place, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
         axis.annotate(
-            word,
+            label,
             (place, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(4, -2),

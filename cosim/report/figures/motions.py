@@ -53,9 +53,9 @@ def _draw(axis: Any, robot: Robot, q: Array) -> None:
         axis.text(*(place + 1.5 * arrow), frame.name, fontsize=7, color=SOFT)
     axis.scatter(*np.transpose(ends), s=14, color=SERIES[1])
     axis.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    low = middle - 0.5 * size
-    high = middle + 0.5 * size
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    lower = middle - 0.5 * size
+    upper = middle + 0.5 * size
+    axis.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
     axis.set_box_aspect((1.0, 1.0, 1.0), zoom=0.85)
     axis.locator_params(nbins=4)
 

@@ -63,20 +63,29 @@ def loops(
         gaps = (0.11, 0.26)
         figure, axes = grid(size, rows, columns, margins, gaps, sharex=True, sharey=True)
         fastest = float(np.max(np.abs(measured[0])))
-        slow = np.abs(measured[0]) <= _MAX_SPEED_SHARE * fastest
-        reach, near = (_MAX_SPEED_SHARE * fastest, slow) if slow.any() else (fastest, ~slow)
-        count = int(np.count_nonzero(near))
+        is_slow = np.abs(measured[0]) <= _MAX_SPEED_SHARE * fastest
+        reach, is_near = (
+            (_MAX_SPEED_SHARE * fastest, is_slow) if is_slow.any() else (fastest, ~is_slow)
+        )
+        count = int(np.count_nonzero(is_near))
         measured_step, law_step = (
             max(1, count // max_points)
             for max_points in (points or _MAX_MEASURED_POINTS, points or count + 1)
         )
-        low, high = np.quantile(measured[1][near], (0.002, 0.998))
-        margin = 0.15 * (high - low)
+        lowest, highest = np.quantile(measured[1][is_near], (0.002, 0.998))
+        margin = 0.15 * (highest - lowest)
         for axis, (title, (dq, tau)) in zip(axes.flat, laws.items(), strict=False):
-            axis.plot(*_parts(near, *measured, measured_step), color=SOFT, linewidth=0.6, alpha=0.7)
-            axis.plot(*_parts(near, dq, tau, law_step), color=SERIES[0], linewidth=1.2)
+            axis.plot(
+                *_select_near_rows(is_near, *measured, measured_step),
+                color=SOFT,
+                linewidth=0.6,
+                alpha=0.7,
+            )
+            axis.plot(
+                *_select_near_rows(is_near, dq, tau, law_step), color=SERIES[0], linewidth=1.2
+            )
             axis.set_title(title, fontsize=8.5)
-            axis.set(xlim=(-reach, reach), ylim=(low - margin, high + margin))
+            axis.set(xlim=(-reach, reach), ylim=(lowest - margin, highest + margin))
         for axis in axes.flat[len(laws) :]:
             axis.set_visible(False)
         figure.supxlabel(x, fontsize=9, y=0.04 / height, va="bottom")
@@ -131,9 +140,11 @@ def _ratio_axis(axis: Axes) -> None:
     axis.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _parts(near: NDArray[np.bool_], x: Array, y: Array, every: int = 1) -> tuple[Array, Array]:
-    near_rows = near.copy()
-    near_rows[:-1] |= near[1:]
-    near_rows[1:] |= near[:-1]
-    rows = np.flatnonzero(near_rows | np.roll(near_rows, 1))[::every]
-    return x[rows], np.where(near_rows, y, np.nan)[rows]
+def _select_near_rows(
+    is_near: NDArray[np.bool_], x: Array, y: Array, step: int = 1
+) -> tuple[Array, Array]:
+    is_shown = is_near.copy()
+    is_shown[:-1] |= is_near[1:]
+    is_shown[1:] |= is_near[:-1]
+    rows = np.flatnonzero(is_shown | np.roll(is_shown, 1))[::step]
+    return x[rows], np.where(is_shown, y, np.nan)[rows]

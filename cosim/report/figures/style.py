@@ -165,19 +165,22 @@ def _shorten_paths(body: str) -> str:
 
 def _to_relative_path(path: str) -> str:
     parts: list[str] = []
-    last = [0, 0]
-    before = ""
+    last_point = [0, 0]
+    previous_command = ""
     for command, numbers in _COMMAND.findall(path):
         tenths = [round(10.0 * float(number)) for number in numbers.split()]
         coordinates = tenths
         if command == "L":
-            coordinates = [now - then for now, then in zip(tenths, last, strict=True)]
+            coordinates = [
+                value - previous_value
+                for value, previous_value in zip(tenths, last_point, strict=True)
+            ]
             command = "l"
         parts += [
-            "" if command == before == "l" else command,
+            "" if command == previous_command == "l" else command,
             *(f"{v / 10: g}" for v in coordinates),
         ]
-        last, before = tenths[-2:] or last, command
+        last_point, previous_command = tenths[-2:] or last_point, command
     return "".join(parts).replace(" 0.", " .").replace("-0.", "-.")
 
 

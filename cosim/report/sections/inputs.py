@@ -97,8 +97,8 @@ def parameters(body: RigidBody) -> ResultTable:
     gear_rows = [
         (f"{g.joint}.{n}", *estimate) for g in body.gears for n, estimate in g.parameters.items()
     ]
-    base = zip(body.base, body.standard_errors, strict=True)
-    rows = [*((body.names[k], body.parameters[k], error) for k, error in base), *gear_rows]
+    base_errors = zip(body.base, body.standard_errors, strict=True)
+    rows = [*((body.names[k], body.parameters[k], error) for k, error in base_errors), *gear_rows]
     return ResultTable(
         caption="Base parameters: m [kg], mx.. [kg.m], Ixx.. and rotor Ir [kg.m²]"
         f"{springs}{gears}; each includes the parameters that depend on it",

@@ -108,29 +108,37 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
     pairs = [(n, law) for n, law in named_laws if any(r.name == "h" for r in law.form.relaxations)]
     if not pairs or not {"alpha", "beta"} <= set(pairs[0][1].values):
         return None
-    first = pairs[0][1]
-    alpha = first.values["alpha"]
-    beta = first.values["beta"]
+    first_law = pairs[0][1]
+    alpha = first_law.values["alpha"]
+    beta = first_law.values["beta"]
     speed = model.trained[0].speed if model.trained else _SPEED
     small_speeds = np.linspace(-4.0 / beta, 4.0 / beta, 201)
     styles = strokes(list(_FACTORS.values()))
     slopes = tuple(
         Line(
-            name=name, x=1e3 * small_speeds, y=np.tanh(f * beta * small_speeds), stroke=styles[name]
+            name=name,
+            x=1e3 * small_speeds,
+            y=np.tanh(factor * beta * small_speeds),
+            stroke=styles[name],
         )
-        for f, name in _FACTORS.items()
+        for factor, name in _FACTORS.items()
     )
     widths = tuple(
-        _loop(replace(first, values={**first.values, "alpha": f * alpha}), speed, name, styles)
-        for f, name in _FACTORS.items()
+        _loop(
+            replace(first_law, values={**first_law.values, "alpha": factor * alpha}),
+            speed,
+            name,
+            styles,
+        )
+        for factor, name in _FACTORS.items()
     )
     styles = strokes(results.joints)
     fitted_loops = tuple(_loop(law, speed, short, styles) for short, law in pairs)
-    slow, dq = (f"dq [{results.unit(unit, 0)}]" for unit in ("mrad/s", "rad/s"))
+    slow_label, speed_label = (f"dq [{results.unit(unit, 0)}]" for unit in ("mrad/s", "rad/s"))
     picture = sheets(
         (
-            (slow, Panel(title="(a) β: slope at rest", y="tanh(β dq)", lines=slopes)),
-            (dq, Panel(title="(b) α: width of the loop", y="h", lines=widths)),
+            (slow_label, Panel(title="(a) β: slope at rest", y="tanh(β dq)", lines=slopes)),
+            (speed_label, Panel(title="(b) α: width of the loop", y="h", lines=widths)),
             (
                 f"dq [{results.unit('rad/s')}]",
                 Panel(title="(c) as fitted", y="h", lines=fitted_loops),
@@ -148,10 +156,14 @@ def hysteresis(results: Results) -> dict[str, Any] | None:
 
 def _loop(law: FrictionLaw, speed: float, name: str, styles: Mapping[str, Stroke]) -> Line:
     relaxation = next(r for r in law.form.relaxations if r.name == "h")
-    only = replace(law, form=replace(law.form, output=relaxation.state), discretisation="exact")
+    state_law = replace(
+        law, form=replace(law.form, output=relaxation.state), discretisation="exact"
+    )
     t = np.linspace(0.0, 2.0 / _FREQUENCY, 2 * _ROWS - 1)
     dq = speed * np.sin(2.0 * np.pi * _FREQUENCY * t)
-    return Line(name=name, x=dq[-_ROWS:], y=predict(only, t=t, dq=dq)[-_ROWS:], stroke=styles[name])
+    return Line(
+        name=name, x=dq[-_ROWS:], y=predict(state_law, t=t, dq=dq)[-_ROWS:], stroke=styles[name]
+    )
 
 
 def ablation(results: Results) -> dict[str, Any] | None:

@@ -58,11 +58,11 @@ def _test(results: Results, test: str) -> dict[str, Any]:
     comparison = results.comparisons[test]
     log = results.find_log(test)
     simulated = results.simulated.get(test)
-    split = test != results.tests[0] and test in {band.test for band in results.run.bands}
+    is_split = test != results.tests[0] and test in {band.test for band in results.run.bands}
     table, *parts = (_errors(results, test, measure) for measure in tables.MEASURES)
     laws = _key_laws(results)
     verdict = results.verdict
-    decided = verdict.laws if verdict and verdict.test == test else ()
+    recommended_laws = verdict.laws if verdict and verdict.test == test else ()
     window = (0.0, WINDOW) if log and log.duration > 1.5 * WINDOW else None
     return {
         "name": test,
@@ -71,11 +71,11 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "log": log,
         "laws": ", ".join(map(title, laws)),
         "window": window,
-        "traces": _chart(results, log, laws, window=window) if log and not split else None,
+        "traces": _chart(results, log, laws, window=window) if log and not is_split else None,
         "simulated": simulated
         and tables.position_errors(test, simulated, comparison, results.sliding),
         "bands": tables.bands(test, comparison) if comparison.bands else None,
-        "separations": tables.separations(test, comparison, decided),
+        "separations": tables.separations(test, comparison, recommended_laws),
     }
 
 
@@ -92,13 +92,13 @@ def _key_laws(results: Results) -> list[str]:
 
 def chirp(results: Results) -> dict[str, Any] | None:
     """Compare the laws on both sides of a chirp's middle frequency."""
-    bands_of = results.run.bands
+    bands = results.run.bands
     laws = results.find_fitted(_NETWORK, papers_law(), results.best)
     laws = laws if len(laws) > 1 else _key_laws(results)
     tests = []
-    for test in dict.fromkeys(band.test for band in bands_of):
+    for test in dict.fromkeys(band.test for band in bands):
         log = results.find_log(test)
-        parts = [band for band in bands_of if band.test == test]
+        parts = [band for band in bands if band.test == test]
         marks = tuple((band.start, "split") for band in parts if band.start > 0.0)
         tests.append(
             {
@@ -130,8 +130,8 @@ def _chart(
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
         predicted = {law: torques[f"{law}.tau_f{k}"] for law in laws}
         errors = {law: moving_rms(t, tau - measured) for law, tau in predicted.items()}
-        moving = _lines(t, errors, styles)
-        friction = (
+        error_lines = _lines(t, errors, styles)
+        friction_lines = (
             *(band(results, results.best, k, torques) if results.best in laws else ()),
             Line(name="measured", x=t, y=measured, stroke=MEASURED),
             *_lines(t, predicted, styles),
@@ -140,15 +140,15 @@ def _chart(
         y = f"friction [{unit}]"
         rows.append(
             (
-                Panel(title=heading, y=y, lines=friction, marks=marks),
-                Panel(title="", y=f"RMS error [{unit}]", lines=moving, marks=marks),
+                Panel(title=heading, y=y, lines=friction_lines, marks=marks),
+                Panel(title="", y=f"RMS error [{unit}]", lines=error_lines, marks=marks),
             )
         )
     return Chart(x="t [s]", rows=tuple(rows), height=1.5, window=window)
 
 
 def _lines(t: Array, laws: Mapping[str, Array], styles: Mapping[str, Stroke]) -> tuple[Line, ...]:
-    return tuple(Line(name=title(a), x=t, y=y, stroke=styles[a]) for a, y in laws.items())
+    return tuple(Line(name=title(law), x=t, y=y, stroke=styles[law]) for law, y in laws.items())
 
 
 def moving_rms(t: Array, error: Array) -> Array:
@@ -187,14 +187,14 @@ def loops(results: Results) -> dict[str, Any] | None:
     if log is None:
         return None
     torques = results.torques(log)
-    rows = torques["t"] - torques["t"][0] <= _LOOPS
+    is_shown = torques["t"] - torques["t"][0] <= _LOOPS
     points = min(_POINTS, 3 * _POINTS // len(results.joints))
     figures = []
     for k, short, name in results.numbered:
-        dq = torques[f"dq{k}"][rows]
-        measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[rows]
+        dq = torques[f"dq{k}"][is_shown]
+        measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[is_shown]
         laws = {
-            law: (dq, torques[f"{law}.tau_f{k}"][rows])
+            law: (dq, torques[f"{law}.tau_f{k}"][is_shown])
             for law in (*results.laws, ORACLE)
             if f"{law}.tau_f{k}" in torques
         }
@@ -224,29 +224,29 @@ def tracking(results: Results) -> dict[str, Any] | None:
     """Compare tracking errors under every law and scheme."""
     if results.loop is None:
         return None
-    desired, measured = (
+    desired_rows, measured_rows = (
         [row for row in results.loop.tracking if (row.scheme.source == "desired") == is_desired]
         for is_desired in (True, False)
     )
-    rows_without_kx = [row for row in desired if not row.scheme.Kx]
+    rows_without_kx = [row for row in desired_rows if not row.scheme.Kx]
     further_tables = {}
-    if measured:
+    if measured_rows:
         caption = "RMSE [mrad] with friction evaluated on measured or filtered velocity"
-        further_tables["tracking_measured_velocity"] = loop_tables.tracking(caption, measured)
+        further_tables["tracking_measured_velocity"] = loop_tables.tracking(caption, measured_rows)
     if results.loop.long:
         caption = f"One motion of {results.run.controller['drift']:g} s: RMSE [mrad]"
         further_tables["tracking_long"] = loop_tables.tracking(caption, results.loop.long)
     if results.run.robot == loop_tables.ROBOT:
         further_tables["paper_tracking"] = loop_tables.table_iii(results.joints)
     return {
-        "motions": desired[0].rmse.shape[0],
+        "motions": desired_rows[0].rmse.shape[0],
         "Kx": f"{results.run.controller['Kx']:g}",
         "diagram": render("controller.svg"),
         "own": loop_tables.tracking(
             f"{_CAPTION}, torque error scheme", _select_rows(_TORQUE_ERROR_SCHEME, rows_without_kx)
         ),
         "inverse": loop_tables.tracking(
-            f"{_CAPTION}, servo inversion", _select_rows(_INVERSION_SCHEME, desired)
+            f"{_CAPTION}, servo inversion", _select_rows(_INVERSION_SCHEME, desired_rows)
         ),
         "figures": {
             scheme.name: _figure(results, scheme)
@@ -271,17 +271,17 @@ def _figure(results: Results, scheme: Scheme) -> Chart | None:
     if not paths:
         return None
     styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
-    first = next(iter(paths.values()))
-    complete_paths = {law: path for law, path in paths.items() if len(path.t) == len(first.t)}
-    make_lines = partial(_lines, first.t, styles=styles)
+    first_path = next(iter(paths.values()))
+    complete_paths = {law: path for law, path in paths.items() if len(path.t) == len(first_path.t)}
+    make_lines = partial(_lines, first_path.t, styles=styles)
     rows = []
     for k, short in enumerate(results.joints):
-        desired = Line(name="desired", x=first.t, y=first.q_d[:, k], stroke=DESIRED)
+        desired_line = Line(name="desired", x=first_path.t, y=first_path.q_d[:, k], stroke=DESIRED)
         position = {law: path.q[:, k] for law, path in complete_paths.items()}
         error = {law: 1e3 * np.abs(path.q - path.q_d)[:, k] for law, path in complete_paths.items()}
         rows.append(
             (
-                Panel(title=short, y="q [rad]", lines=(*make_lines(position), desired)),
+                Panel(title=short, y="q [rad]", lines=(*make_lines(position), desired_line)),
                 Panel(title="", y="|error| [mrad]", lines=make_lines(error)),
             )
         )

@@ -29,9 +29,18 @@ def properties(properties_by_law: Mapping[str, Properties], *, full: bool = Fals
     """Return figure and verdict of each joint, by law and check; `full` names checks."""
     return ResultTable(
         caption="Physics checks by law, one mark per joint: ✓ pass, ✗ fail",
-        head=("law", *(e.title if full else e.short for e in EXPECTATIONS.values())),
+        head=(
+            "law",
+            *(
+                expectation.title if full else expectation.short
+                for expectation in EXPECTATIONS.values()
+            ),
+        ),
         rows=[
-            make_row(title(name), *(_cell(properties, e) for e in EXPECTATIONS.values()))
+            make_row(
+                title(name),
+                *(_cell(properties, expectation) for expectation in EXPECTATIONS.values()),
+            )
             for name, properties in properties_by_law.items()
         ],
     )
@@ -48,10 +57,12 @@ def find_most_passing(properties_by_law: Mapping[str, Properties]) -> tuple[list
 def legend(sliding: Sequence[bool] = ()) -> ResultTable:
     """Return the meaning of the columns of `properties`."""
     rows = []
-    for e in EXPECTATIONS.values():
-        sources_text = "; ".join(re.sub(r" \((\d+)\):.*", r" \1", s) for s in e.sources)
-        meaning = f"{e.shows} [{unit_of_joints(e.unit, sliding)}]. {e.expected} ({sources_text})"
-        rows.append(make_row(e.short, meaning))
+    for expectation in EXPECTATIONS.values():
+        sources_text = "; ".join(
+            re.sub(r" \((\d+)\):.*", r" \1", source) for source in expectation.sources
+        )
+        meaning = f"{expectation.shows} [{unit_of_joints(expectation.unit, sliding)}]. {expectation.expected} ({sources_text})"
+        rows.append(make_row(expectation.short, meaning))
     return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
 
 
@@ -88,8 +99,8 @@ def _figure(property_result: PropertyResult, expectation: Expectation) -> str:
     if value is None or property_result.verdict not in ("pass", "fail"):
         return ""
     scaled = expectation.factor * value
-    little = abs(scaled) < _MIN_SHOWN and property_result.verdict == "pass"
-    return _shorten_number(0.0 if little else scaled)
+    is_small = abs(scaled) < _MIN_SHOWN and property_result.verdict == "pass"
+    return _shorten_number(0.0 if is_small else scaled)
 
 
 def _shorten_number(value: float) -> str:
@@ -174,15 +185,15 @@ def convention(name: str, errors: "Convention") -> ResultTable:
 
     torque, speed = (unit_of_joints(unit, errors.sliding) for unit in ("N.m", "rad/s"))
     rows = []
-    for truth, by_setting in (
+    for truth_label, by_setting in (
         ("against the replay of a log", errors.replay),
         ("against continuous time", errors.continuous),
     ):
-        rows.append(make_row(truth))
-        for setting, of_joints in by_setting.items():
+        rows.append(make_row(truth_label))
+        for setting, joint_errors in by_setting.items():
             cells = [
-                fixed_cell(e.rmse, 3, notes=(fixed_cell(e.rmse_reversal, 3).text,))
-                for e in of_joints
+                fixed_cell(error.rmse, 3, notes=(fixed_cell(error.rmse_reversal, 3).text,))
+                for error in joint_errors
             ]
             rows.append(make_row(setting, *cells))
     return ResultTable(
@@ -203,9 +214,9 @@ def describe_excesses(
     units = {**INPUT_UNITS, TEMPERATURE.name: TEMPERATURE.unit}
     return "\n".join(
         f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
-        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(units[name], is_prismatic=s)}."
-        for joint, of_joint, s in zip(names, excesses, slides, strict=True)
-        for name, excess in of_joint.items()
+        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(units[name], is_prismatic=joint_slides)}."
+        for joint, joint_excesses, joint_slides in zip(names, excesses, slides, strict=True)
+        for name, excess in joint_excesses.items()
     )
 
 

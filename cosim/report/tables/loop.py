@@ -70,7 +70,7 @@ def tracking(caption: str, rows: Sequence[Tracked]) -> table.ResultTable:
         for row in rows:
             if row.scheme == scheme:
                 notes = row.last[0] if is_single else row.spread
-                cells = [mrad(*part) for part in zip(row.mean, digits, notes, strict=True)]
+                cells = [mrad(*values) for values in zip(row.mean, digits, notes, strict=True)]
                 table_rows.append(table.make_row(table.title(row.law), *cells))
     small = "mean error of its last tenth" if is_single else "spread over the motions"
     return table.ResultTable(

@@ -16,7 +16,7 @@ from cosim.report.tables.table import (
 )
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors
-from cosim.study.verdict import format_excess_percent, separation
+from cosim.study.verdict import find_separations, format_excess_percent
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
 from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
@@ -45,7 +45,9 @@ def errors(
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
     covers_all_rows = measure == "rmse"
     ratios = comparison.ratios.laws if covers_all_rows else {}
-    clear_leaders = [of_joint[0] if len(of_joint) == 1 else "" for of_joint in comparison.leading]
+    clear_leaders = [
+        joint_leaders[0] if len(joint_leaders) == 1 else "" for joint_leaders in comparison.leading
+    ]
     zero_phase = comparison.zero_phase if covers_all_rows else {}
     best = (
         clear_leaders
@@ -54,7 +56,10 @@ def errors(
     )
     rows = []
     if covers_all_rows:
-        cells = [fixed_cell(s, n) for s, n in zip(comparison.tau_std, places, strict=True)]
+        cells = [
+            fixed_cell(std, decimal_count)
+            for std, decimal_count in zip(comparison.tau_std, places, strict=True)
+        ]
         cells += [fixed_cell(None, 2)] * bool(zero_phase)
         rows.append(make_row("(std of friction)", *cells, quiet=True))
 
@@ -101,7 +106,9 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
         return None
     rows = []
     shorts = joints(len(comparison.joints))
-    for k, (short, joint_separation) in enumerate(zip(shorts, separation(comparison), strict=True)):
+    for k, (short, joint_separation) in enumerate(
+        zip(shorts, find_separations(comparison), strict=True)
+    ):
         detectable_text = (
             format_excess_percent(*joint_separation.detectable)
             if joint_separation.detectable
@@ -181,24 +188,35 @@ def compare_truths(
     run_truth: str = "",
 ) -> ResultTable:
     """Return errors over the reference's by plant of a twin; `run_truth` is that of the run."""
-    first = next(iter(errors_by_truth.values()))
-    laws = list(dict.fromkeys(law for of_test in first.values() for law in of_test))
-    scores = {test: comparisons[test].laws for test in first}
-    here = {
+    first_errors = next(iter(errors_by_truth.values()))
+    laws = list(dict.fromkeys(law for of_test in first_errors.values() for law in of_test))
+    scores = {test: comparisons[test].laws for test in first_errors}
+    run_errors = {
         test: {law: of_test[law].rmse for law in laws if law in of_test}
         for test, of_test in scores.items()
     }
-    truths: Mapping[str, Errors] = {run_truth or "MJCF": here, **errors_by_truth}
+    truths: Mapping[str, Errors] = {run_truth or "MJCF": run_errors, **errors_by_truth}
     reference = REFERENCE if REFERENCE in laws else laws[0]
     means = {
         law: [_mean_ratio(truth_errors, law, reference) for truth_errors in truths.values()]
         for law in laws
     }
     ranked = sorted(
-        means, key=lambda law: (law == ORACLE, sum(m or float("inf") for m in means[law]))
+        means,
+        key=lambda law: (
+            law == ORACLE,
+            sum(mean_ratio or float("inf") for mean_ratio in means[law]),
+        ),
     )
     lowest = [
-        min((m for law in laws if law != ORACLE and (m := means[law][k]) is not None), default=0.0)
+        min(
+            (
+                mean_ratio
+                for law in laws
+                if law != ORACLE and (mean_ratio := means[law][k]) is not None
+            ),
+            default=0.0,
+        )
         for k in range(len(truths))
     ]
     return ResultTable(
@@ -209,8 +227,8 @@ def compare_truths(
             make_row(
                 title(law),
                 *(
-                    fixed_cell(m, 3, best=m == best)
-                    for m, best in zip(means[law], lowest, strict=True)
+                    fixed_cell(mean_ratio, 3, best=mean_ratio == best)
+                    for mean_ratio, best in zip(means[law], lowest, strict=True)
                 ),
             )
             for law in ranked
@@ -234,13 +252,13 @@ def find_leader(errors: Errors) -> str:
 
 
 def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
-    logs = [
+    log_ratios = [
         math.log(law_error / reference_error)
         for row in errors.values()
         if law in row and reference in row
         for law_error, reference_error in zip(row[law], row[reference], strict=True)
     ]
-    return math.exp(math.fsum(logs) / len(logs)) if logs else None
+    return math.exp(math.fsum(log_ratios) / len(log_ratios)) if log_ratios else None
 
 
 def position_errors(
@@ -268,18 +286,21 @@ def position_errors(
     rows = []
     for j, joint in enumerate(joints(len(simulated_errors.joints))):
         columns = [
-            [e and scale * e for e in (of_law[j] for of_law in column)]
+            [error and scale * error for error in (law_errors[j] for law_errors in column)]
             for column, scale in zip(errors, (1.0, *[1e3] * len(heads)), strict=True)
         ]
-        lowest = [min((e for e in column if e is not None), default=None) for column in columns]
+        lowest = [
+            min((error for error in column if error is not None), default=None)
+            for column in columns
+        ]
         places = [decimals(column) for column in columns]
         rows += [make_row(joint)] * (len(simulated_errors.joints) > 1)
         rows += [
             make_row(
                 title(law),
                 *(
-                    fixed_cell(e, p, best=e == b)
-                    for e, p, b in zip(row, places, lowest, strict=True)
+                    fixed_cell(error, decimal_count, best=error == best)
+                    for error, decimal_count, best in zip(row, places, lowest, strict=True)
                 ),
             )
             for law, *row in zip(laws, *columns, strict=True)

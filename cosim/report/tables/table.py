@@ -33,8 +33,8 @@ class TableCell:
     def marked(self) -> list[tuple[str, str]]:
         """Marks with their lines; only one if no joint has a result."""
         pairs = list(zip(self.marks, self.text.split("\n"), strict=True))
-        none = len(set(self.marks)) == 1 and self.marks[0] in ("not applicable", "not run")
-        return pairs[:1] if none else pairs
+        has_no_result = len(set(self.marks)) == 1 and self.marks[0] in ("not applicable", "not run")
+        return pairs[:1] if has_no_result else pairs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,24 +137,24 @@ def rounded(value: float, digits: int = 3) -> str:
 
 def csv_text(table: ResultTable) -> str:
     """Return a table as CSV; a missing number is empty, notes and row groups have columns."""
-    grouped = any(not row.cells for row in table.rows)
+    has_groups = any(not row.cells for row in table.rows)
     columns = zip(*(row.cells for row in table.rows if row.cells), strict=True)
-    noted = [any(cell.notes for cell in column) for column in columns]
+    columns_have_notes = [any(cell.notes for cell in column) for column in columns]
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     head = [table.head[0]]
-    for name, has_notes in zip(table.head[1:], noted, strict=True):
+    for name, has_notes in zip(table.head[1:], columns_have_notes, strict=True):
         head += [name, f"{name}: note"] if has_notes else [name]
-    writer.writerow(["group", *head] if grouped else head)
+    writer.writerow(["group", *head] if has_groups else head)
     group = ""
     for row in table.rows:
         if not row.cells:
             group = _plain(row.head)
             continue
         fields = [_plain(row.head)]
-        for cell, has_notes in zip(row.cells, noted, strict=True):
+        for cell, has_notes in zip(row.cells, columns_have_notes, strict=True):
             fields += [_value(cell), *(["; ".join(cell.notes)] if has_notes else [])]
-        writer.writerow([group, *fields] if grouped else fields)
+        writer.writerow([group, *fields] if has_groups else fields)
     return text.getvalue()
 
 
@@ -172,17 +172,19 @@ def _plain(text: str | Markup) -> str:
 
 def markdown(table: ResultTable) -> str:
     """Return a table with its caption; notes follow in brackets."""
-    side = "---:" if table.numeric else "---"
-    sides = [side if k and k not in table.words else "---" for k in range(len(table.head))]
+    alignment = "---:" if table.numeric else "---"
+    alignments = [
+        alignment if k and k not in table.words else "---" for k in range(len(table.head))
+    ]
     rows = [
         (f"**{row.head}**" if not row.cells else str(row.head), *map(_text, row.cells))
         for row in table.rows
     ]
     padded_rows = [(*row, *[""] * (len(table.head) - len(row))) for row in rows]
-    escaped = (
-        [cell.replace("|", r"\|") for cell in row] for row in (table.head, sides, *padded_rows)
+    escaped_rows = (
+        [cell.replace("|", r"\|") for cell in row] for row in (table.head, alignments, *padded_rows)
     )
-    lines = [f"| {' | '.join(row)} |" for row in escaped]
+    lines = [f"| {' | '.join(row)} |" for row in escaped_rows]
     caption_text = table.caption.replace("; small: ", "; in brackets: ")
     caption = [f"{caption_text}.", ""] if caption_text else []
     return "\n".join([*caption, *lines, *(["", table.note] if table.note else [])]) + "\n"

@@ -41,25 +41,25 @@ class Drawn:
             yield self._block(widths)
         yield Text(f"{self._table.note}\n" if self._table.note else "")
 
-    def _blocks(self, room: int) -> Iterator[dict[int, int | None]]:
+    def _blocks(self, max_width: int) -> Iterator[dict[int, int | None]]:
         head = self._table.head
         if not self._table.numeric:
             yield dict.fromkeys(range(len(head)))  # sentences may be folded
             return
-        first = _width([Text(head[0]), *self._heads])
+        first_width = _width([Text(head[0]), *self._heads])
         widths = {}
         for k, name in enumerate(head[1:], start=1):
             texts = [*(row[k - 1] for row in self._cells if row), *map(Text, name.split())]
-            widths[k] = min(room // 2, _width(texts))
-        if first + sum(widths.values()) + len(widths) > room:
-            first = min(first, room // 2, room - 1 - max(widths.values()))
-        block: dict[int, int | None] = {0: first}
-        used_width = first
+            widths[k] = min(max_width // 2, _width(texts))
+        if first_width + sum(widths.values()) + len(widths) > max_width:
+            first_width = min(first_width, max_width // 2, max_width - 1 - max(widths.values()))
+        block: dict[int, int | None] = {0: first_width}
+        used_width = first_width
         for k, width in widths.items():
-            if len(block) > 1 and used_width + 1 + width > room:
+            if len(block) > 1 and used_width + 1 + width > max_width:
                 yield block
-                block = {0: first}
-                used_width = first
+                block = {0: first_width}
+                used_width = first_width
             block[k] = width
             used_width += 1 + width
         yield block
@@ -67,10 +67,10 @@ class Drawn:
     def _block(self, widths: dict[int, int | None]) -> Table:
         rich_table = Table(box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False, show_edge=False)
         for k, width in widths.items():
-            right = k > 0 and self._table.numeric and k not in self._table.words
+            is_right_aligned = k > 0 and self._table.numeric and k not in self._table.words
             rich_table.add_column(
                 Text(self._table.head[k]),
-                justify="right" if right else "left",
+                justify="right" if is_right_aligned else "left",
                 overflow="fold",
                 width=width,
                 no_wrap=k == 0 and width is None,

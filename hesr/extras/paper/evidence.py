@@ -160,7 +160,7 @@ def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stage
     truth = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
-    build(folder, robot, body, plant, oracle=truth)
+    build(folder, robot, body, plant, true_model=truth)
     tracking = study.tracking
     tracked = {}
     fmus = {

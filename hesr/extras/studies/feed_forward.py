@@ -69,7 +69,9 @@ def _predict_errors(
     commands = dict(feed_forward(log, robot, body, models, servo))
     kv, ki, kp = (tuple(map(float, gains)) for gains in cascade(servo.factors))
     plant_body = PlantBody.from_robot(robot, body)
-    export_plant(model, fmu, body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True)
+    export_plant(
+        model, fmu, plant_body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True
+    )
     error = compute_commands(log)[0] - log.q
     missing_torque = _estimate_missing_torque(log, robot, body, model)
     generator = np.random.default_rng(0)

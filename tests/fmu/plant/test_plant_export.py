@@ -35,7 +35,8 @@ def fmus(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> dic
     """The twin's robot, by the version of FMI."""
     folder, body = tmp_path_factory.mktemp("plant"), PlantBody.from_robot(Robot(UF850))
     return {
-        fmi: export_plant(table1, folder / f"Arm{fmi}.fmu", body=body, fmi=fmi) for fmi in (2, 3)
+        fmi: export_plant(table1, folder / f"Arm{fmi}.fmu", plant_body=body, fmi=fmi)
+        for fmi in (2, 3)
     }
 
 
@@ -142,11 +143,11 @@ def test_a_law_of_another_robot_is_refused(table1: FrictionModel, tmp_path: Path
     others = replace(table1, joints=("hip", "knee", "ankle"))
     sentence = "joints hip, knee, ankle, but robot"
     with pytest.raises(ExportError, match=re.escape(sentence)):
-        export_plant(others, tmp_path / "A.fmu", body=body)
+        export_plant(others, tmp_path / "A.fmu", plant_body=body)
     twisted = Robot(coupled(tmp_path))
     model = content_model(table1, twisted)
     with pytest.raises(ExportError, match="another transmission matrix than the friction"):
-        export_plant(model, tmp_path / "A.fmu", body=PlantBody.from_robot(twisted))
+        export_plant(model, tmp_path / "A.fmu", plant_body=PlantBody.from_robot(twisted))
 
 
 def content_model(table1: FrictionModel, robot: Robot) -> FrictionModel:

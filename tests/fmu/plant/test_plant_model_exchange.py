@@ -147,7 +147,7 @@ def test_a_plant_with_a_servo_is_for_co_simulation_only(make_law, tmp_path: Path
         sample_time=0.005,
     )
     body = PlantBody.from_robot(robot)
-    path = export_plant(model, tmp_path / "Plant.fmu", body=body, kv=[9.0], bare=True)
+    path = export_plant(model, tmp_path / "Plant.fmu", plant_body=body, kv=[9.0], bare=True)
     about = read_model_description(str(path))
     assert about.modelExchange is None
     assert not about.coSimulation.providesDirectionalDerivative

@@ -29,7 +29,7 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def servo_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("servo") / "Arm.fmu"
-    return export_plant(table1, path, body=PlantBody.from_robot(Robot(UF850)), kv=KV, ki=KI)
+    return export_plant(table1, path, plant_body=PlantBody.from_robot(Robot(UF850)), kv=KV, ki=KI)
 
 
 def driven(
@@ -102,7 +102,7 @@ def test_nothing_moves_where_the_servo_carries_all_torques(
         sample_time=0.005,
     )
     body = PlantBody.from_robot(robot)
-    fmu = export_plant(model, tmp_path / "Arm.fmu", body=body, kv=KV, ki=KI, bare=True)
+    fmu = export_plant(model, tmp_path / "Arm.fmu", plant_body=body, kv=KV, ki=KI, bare=True)
     names = [f"q[{i}]" for i in (1, 2, 3)]
     for posture, start in AT_REST.items():
         with FmuInstance(fmu) as arm:
@@ -143,7 +143,7 @@ KP = (12.0, 10.0, 15.0)
 def position_arm(table1: FrictionModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("position") / "Arm.fmu"
     body = PlantBody.from_robot(Robot(UF850))
-    return export_plant(table1, path, body=body, kv=KV, ki=KI, kp=KP, tool=True)
+    return export_plant(table1, path, plant_body=body, kv=KV, ki=KI, kp=KP, tool=True)
 
 
 def followed(fmu: Path, goals: Array, step: float = STEP, **start: float) -> Array:
@@ -227,13 +227,13 @@ def test_bad_gains_are_refused(table1: FrictionModel, tmp_path: Path) -> None:
     body, path = PlantBody.from_robot(Robot(UF850)), tmp_path / "Arm.fmu"
     sentence = "plant: 'kv' of joint 2 is -1"
     with pytest.raises(ExportError, match=re.escape(sentence)):
-        export_plant(table1, path, body=body, kv=(1.0, -1.0, 1.0))
+        export_plant(table1, path, plant_body=body, kv=(1.0, -1.0, 1.0))
     sentence = "plant: 'ki' needs 'kv', the proportional"
     with pytest.raises(ExportError, match=re.escape(sentence)):
-        export_plant(table1, path, body=body, ki=KI)
+        export_plant(table1, path, plant_body=body, ki=KI)
     sentence = "plant: 'kp' needs 'kv', the proportional"
     with pytest.raises(ExportError, match=re.escape(sentence)):
-        export_plant(table1, path, body=body, kp=KP)
+        export_plant(table1, path, plant_body=body, kp=KP)
 
 
 def test_the_file_is_valid(servo_arm: Path) -> None:
