@@ -297,7 +297,8 @@ class FrictionRegressor:
         joint_count = len(self._require_fitted().joints)
         if table.dq.shape[1] != joint_count:
             raise TableError(
-                f"X is the motion of {table.dq.shape[1]} joints; the law was fitted to {joint_count}."
+                f"X is the motion of {table.dq.shape[1]} joints; the law was fitted to "
+                f"{joint_count}."
             )
         return table
 

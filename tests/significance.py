@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.study.results import Scored
+from cosim.study.results import ScoredRun
 from cosim.study.scores import select_records
 from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, adjust_by_holm, law_errors
 from hesr_model.inference.covariance import Moments, compute_long_run
@@ -36,7 +36,7 @@ class Against:
         )
 
 
-def against(run: Scored, tests: str, laws: Iterable[str], other: str = "lugre") -> Against:
+def against(run: ScoredRun, tests: str, laws: Iterable[str], other: str = "lugre") -> Against:
     """Compare laws with a reference law on test logs, joint by joint."""
     records, torque, laws = (
         select_records(run.study.logs.test[tests], run.records),

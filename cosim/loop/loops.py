@@ -61,7 +61,9 @@ class LoopRow:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Kept:
+class _FinishedRow:
+    """A row in its checkpoint; the trace is not part of the JSON of `Tracked`."""
+
     tracked: Tracked
     trace: Trace | None
 
@@ -160,7 +162,7 @@ class StudyLoop:
     step: float  # [s]
     limits: Array  # (n, 2) [rad] where a run ends
     noise: tuple[float, ...] = ()  # standard deviation of tau_meas [N.m]
-    kept: Path | None = None  # finished rows of a resumed study
+    checkpoints: Path | None = None  # finished rows of a resumed study
     progress: Stages = silent
 
     def setting(self, law: str, scheme: Scheme) -> Setting:
@@ -207,17 +209,17 @@ class StudyLoop:
 
         A run ends early outside `limits`. `traced` keeps the first motion's positions.
         """
-        rows, limits, progress = list(rows), self.limits, partial(self.progress, stage)
+        rows = list(rows)
+        limits = self.limits
+        progress = partial(self.progress, stage)
         run_settings = ([asdict(motion) for motion in motions], duration, limits.tolist(), traced)
-        files = (
-            [self.kept / f"{key}.json" for key in _compute_keys(rows, run_settings)]
-            if self.kept
-            else []
-        )
+        files = []
+        if self.checkpoints:
+            files = [self.checkpoints / f"{key}.json" for key in _compute_keys(rows, run_settings)]
         tracked_by_row: dict[int, Tracked] = {}
         for i, file in enumerate(files):
             if file.is_file():
-                finished_row = from_json(_Kept, read_json(file), file, "a finished row")
+                finished_row = from_json(_FinishedRow, read_json(file), file, "a finished row")
                 tracked_by_row[i] = replace(finished_row.tracked, trace=finished_row.trace)
         open_rows = [i for i in range(len(rows)) if i not in tracked_by_row]
         progress(len(tracked_by_row), len(rows))
@@ -228,9 +230,9 @@ class StudyLoop:
                 for i, tracked_row in zip(open_rows, results, strict=True):
                     tracked_by_row[i] = tracked_row
                     if files:
-                        row = _Kept(tracked=tracked_row, trace=tracked_row.trace)
+                        finished_row = _FinishedRow(tracked=tracked_row, trace=tracked_row.trace)
                         with written_whole(files[i]) as temporary:
-                            temporary.write_text(to_text(row), encoding="utf-8")
+                            temporary.write_text(to_text(finished_row), encoding="utf-8")
                     progress(len(tracked_by_row), len(rows))
         finally:
             POOL.clear()  # for runs in this process
@@ -299,7 +301,7 @@ def assemble(
         step=1.0 / plant.sample_rate,
         limits=np.column_stack([lower - _MARGIN, upper + _MARGIN]),
         noise=plant.noise.torque,
-        kept=checkpoints,
+        checkpoints=checkpoints,
         progress=progress,
     )
 

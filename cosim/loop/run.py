@@ -35,7 +35,7 @@ from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Stages
 
 if TYPE_CHECKING:
-    from cosim.study.results import Scored
+    from cosim.study.results import ScoredRun
 
 _RUN_DURATION = 2.0  # [s] length of the runs that compare the masters
 _MAX_DIFFERENCE = 1e-9  # allowed difference, relative to the largest value
@@ -71,7 +71,7 @@ def replace_arm(system: SystemSpec, plant: Path, gains: Gains) -> SystemSpec:
 
 
 def run_loop(
-    run: "Scored",
+    run: "ScoredRun",
     tracking: Tracking,
     plant: Plant,
     signals: SignalTable,
@@ -199,8 +199,7 @@ def check_masters(loop: StudyLoop, plant: Plant, signals: SignalTable) -> list[F
         caution(
             check="masters",
             found=f"the Python and the native master differ by {largest_difference:.1e} of a "
-            "signal's largest "
-            f"value, more than rounding ({_MAX_DIFFERENCE:g})",
+            f"signal's largest value, more than rounding ({_MAX_DIFFERENCE:g})",
             remedy="report this as a bug, with closed_loop.toml and fmus/",
         )
     ]

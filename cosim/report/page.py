@@ -39,10 +39,10 @@ class Chapter:
 
 
 @dataclass(frozen=True)
-class Made:
+class RenderedChapter:
     """HTML of a chapter, its zooming views and CSV files."""
 
-    part: Chapter
+    chapter: Chapter
     html: Markup
     zooms: Mapping[str, str] = field(default_factory=dict)
     tables: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -97,37 +97,37 @@ def compose_report(
     results: Results,
     folder: Path,
     page: Path,
-    place: Path,
+    page_folder: Path,
     *,
     brief: bool = False,
     progress: Stages = silent,
 ) -> None:
-    """Write the page of results, which is read at `place`, and figures and tables to a folder.
+    """Write the page of results, read in `page_folder`, and figures and tables to a folder.
 
     A `brief` page has neither files of figures nor zooming views.
     """
-    *first, last = SECTIONS.items()
-    further = [plugin.load() for plugin in plugins.load("hesr.chapters").values()]
-    folded = dict([*first, *(((f.key, f.title), (replace(f, title=""),)) for f in further), last])
-    parts = [part for of_section in folded.values() for part in of_section]
-    home = _relative_link(place.resolve(), results.folder.resolve())
-    jobs = [partial(_make_chapter, part, results, folder, home, brief) for part in parts]
-    chapters: list[Made] = []
+    chapters_by_section = _arrange_chapters()
+    chapters = [chapter for group in chapters_by_section.values() for chapter in group]
+    home = _relative_link(page_folder.resolve(), results.folder.resolve())
+    jobs = [partial(_render_chapter, chapter, results, folder, home, brief) for chapter in chapters]
+    rendered_chapters: list[RenderedChapter] = []
     workers = None if parallel.is_sharing() and not brief else 1  # starting processes costs more
-    names = [part.title or part.key for part in parts]
+    names = [chapter.title or chapter.key for chapter in chapters]
     with parallel.results_of(jobs, workers, names=names) as chapter_results:
-        chapters += filter(None, [_make_chapter(_SUMMARY, results, folder, home, brief)])
+        rendered_chapters += filter(None, [_render_chapter(_SUMMARY, results, folder, home, brief)])
         for _ in report_progress(jobs, partial(progress, "writing the report")):
-            chapters += filter(None, [next(chapter_results)])
-    zooms = {key: data for chapter in chapters for key, data in chapter.zooms.items()}
+            rendered_chapters += filter(None, [next(chapter_results)])
+    zooms = {key: data for rendered in rendered_chapters for key, data in rendered.zooms.items()}
     if not can_zoom() and not brief:
         _log.warning("figures of the report do not zoom: pip install 'hesr[report]'.")
-    sections = [
-        _section(*names, [chapter for chapter in chapters if chapter.part in of_section], home)
-        for names, of_section in folded.items()
-    ]
+    sections = []
+    for (key, title), group in chapters_by_section.items():
+        section_chapters = [rendered for rendered in rendered_chapters if rendered.chapter in group]
+        sections.append(_section(key, title, section_chapters, home))
     rows = [
-        make_row(file, *texts) for chapter in chapters for file, texts in chapter.tables.items()
+        make_row(file, *texts)
+        for rendered in rendered_chapters
+        for file, texts in rendered.tables.items()
     ]
     index = ResultTable(caption="", head=("file", "caption", "note"), rows=rows)
     Tables(folder / TABLES).csv(index, "index")
@@ -135,27 +135,37 @@ def compose_report(
         page,
         title=f"HESR report: {results.run.study}",
         heading=f"Friction of {results.run.robot}: report of the study ‘{results.run.study}’",
-        summary=chapters[0].html,
+        summary=rendered_chapters[0].html,
         sections=[section for section in sections if section],
         zooms=zooms,
         library=library() if zooms else "",
     )
 
 
-def _relative_link(place: Path, folder: Path) -> str:
+def _arrange_chapters() -> dict[tuple[str, str], tuple[Chapter, ...]]:
+    """Return the chapters of each section; sections of plug-ins precede the last one."""
+    *first_sections, last_section = SECTIONS.items()
+    plugin_sections = []
+    for plugin in plugins.load("hesr.chapters").values():
+        chapter: Chapter = plugin.load()
+        plugin_sections.append(((chapter.key, chapter.title), (replace(chapter, title=""),)))
+    return dict([*first_sections, *plugin_sections, last_section])
+
+
+def _relative_link(page_folder: Path, folder: Path) -> str:
     try:
-        link = quote(Path(os.path.relpath(folder, place)).as_posix())
+        link = quote(Path(os.path.relpath(folder, page_folder)).as_posix())
     except ValueError:  # two drives of Windows
         link = folder.as_uri()
     return "" if link == "." else f"{link}/"
 
 
-def _make_chapter(
-    part: Chapter, results: Results, folder: Path, home: str, brief: bool
-) -> Made | None:
+def _render_chapter(
+    chapter: Chapter, results: Results, folder: Path, home: str, brief: bool
+) -> RenderedChapter | None:
     pictures = Pictures(folder / FIGURES, brief)
     tables = Tables(folder / TABLES)
-    values = part.values(results)
+    values = chapter.values(results)
     if values is None:
         return None
     values |= {
@@ -166,15 +176,19 @@ def _make_chapter(
         "csv": tables.csv,
     }
     values |= {"figure": pictures.figure, "chart": pictures.chart, "drawing": pictures.drawing}
-    html = render(f"sections/{part.key}.html.j2", folder=part.folder, **values)
-    return Made(part, html, pictures.zooms, tables.written)
+    html = render(f"sections/{chapter.key}.html.j2", folder=chapter.folder, **values)
+    return RenderedChapter(chapter, html, pictures.zooms, tables.written)
 
 
-def _section(key: str, title: str, parts: list[Made], home: str) -> Section | None:
-    if not parts:
+def _section(
+    key: str, title: str, rendered_chapters: list[RenderedChapter], home: str
+) -> Section | None:
+    if not rendered_chapters:
         return None
     files = {
-        f"{TABLES}/{file}": text for chapter in parts for file, (text, _) in chapter.tables.items()
+        f"{TABLES}/{file}": text
+        for rendered in rendered_chapters
+        for file, (text, _) in rendered.tables.items()
     }
-    html = render("section.html.j2", parts=parts, files=files, home=home)
+    html = render("section.html.j2", chapters=rendered_chapters, files=files, home=home)
     return Section(key=key, title=title, html=html, folded=True)

@@ -97,20 +97,23 @@ class Results:
         test = self.tests[0]
         comparison = self.comparisons[test]
         law = self.recommended[joint]
-        pair = law, comparison.ratios.find_reference(law, joint)
-        law_scores = [comparison.laws[law_name] for law_name in pair]
-        models = [self.models[law_name] for law_name in pair]
-        days = sum("training" in log.roles for log in self.run.logs) > 1
+        law_names = law, comparison.ratios.find_reference(law, joint)
+        law_scores = [comparison.laws[law_name] for law_name in law_names]
+        models = [self.models[law_name] for law_name in law_names]
+        has_days = sum("training" in log.roles for log in self.run.logs) > 1
         simulated = self.simulated.get(test)
         errors = (
             [scores.rmse[joint : joint + 1] for scores in law_scores],
             [scores.rmse_rest[joint : joint + 1] for scores in law_scores],
             [scores.rmse_reversal[joint : joint + 1] for scores in law_scores],
-            [_simulated_errors(simulated, law_name, joint) for law_name in pair],
-            [m.left_out_rmse[joint : joint + 1] if days and not m.coupling else () for m in models],
+            [_simulated_errors(simulated, law_name, joint) for law_name in law_names],
+            [
+                model.left_out_rmse[joint : joint + 1] if has_days and not model.coupling else ()
+                for model in models
+            ],
         )
         ratios = (o[0] / r[0] if o and r and o[0] and r[0] else None for o, r in errors)
-        return *pair, dict(zip(AREAS, ratios, strict=True))
+        return *law_names, dict(zip(AREAS, ratios, strict=True))
 
     @property
     def fmu(self) -> str:
@@ -165,31 +168,37 @@ class Results:
             raise ArtifactError(f"{folder}: no results of 'hesr run'; {reason}.")
         run = SavedRun.read(folder / RUN)
         body = RigidBody.read(folder / "rigid_body.json")
-        battery = folder / "properties.json"
-        positions = folder / SIMULATION
-        truths = read_json(folder / TRUTHS) if (folder / TRUTHS).is_file() else {}
-        plants = "the errors on alternative plants"
-        path = folder / FOLLOWING
-        follow = read_json(path) if path.is_file() else {}
-        scores = folder / "evaluation.json"
-        loop = folder / "closed_loop.json"
-        comparisons = _read_by_test(Comparison, scores, "the scores of a run")
+        properties_path = folder / "properties.json"
+        simulation_path = folder / SIMULATION
+        truths_path = folder / TRUTHS
+        truths = read_json(truths_path) if truths_path.is_file() else {}
+        following_path = folder / FOLLOWING
+        following = read_json(following_path) if following_path.is_file() else {}
+        scores_path = folder / "evaluation.json"
+        loop_path = folder / "closed_loop.json"
+        comparisons = _read_by_test(Comparison, scores_path, "the scores of a run")
         if not comparisons:
-            raise ArtifactError(f"{scores}: not the scores of a run (it has no test set).")
+            raise ArtifactError(f"{scores_path}: not the scores of a run (it has no test set).")
         return cls(
             folder=folder,
             run=run,
             body=body,
             models={law: FrictionModel.read(folder / "laws" / f"{law}.json") for law in run.inputs},
             comparisons=comparisons,
-            properties=read_properties(battery) if battery.is_file() and not run.quick else {},
-            simulated=_read_by_test(PositionErrors, positions, "the simulations of a run")
-            if positions.is_file()
+            properties=read_properties(properties_path)
+            if properties_path.is_file() and not run.quick
             else {},
-            truths=from_json(dict[str, Errors], truths, folder / TRUTHS, plants),
-            following=from_json(Following, follow, path, "following errors") if follow else None,
+            simulated=_read_by_test(PositionErrors, simulation_path, "the simulations of a run")
+            if simulation_path.is_file()
+            else {},
+            truths=from_json(
+                dict[str, Errors], truths, truths_path, "the errors on alternative plants"
+            ),
+            following=from_json(Following, following, following_path, "following errors")
+            if following
+            else None,
             provenance=body.provenance,
-            loop=from_json(LoopOutcome, read_json(loop), loop, "the closed loop of a run")
+            loop=from_json(LoopOutcome, read_json(loop_path), loop_path, "the closed loop of a run")
             if run.controller
             else None,
             paths=read_traces(folder / PATHS) if run.controller else {},

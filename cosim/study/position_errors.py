@@ -39,9 +39,8 @@ def simulate_tests(
     models: Mapping[str, FrictionModel], tests: Mapping[str, Records], robot: Robot, body: RigidBody
 ) -> dict[str, PositionErrors]:
     """Score laws as simulators on test sets; those that cannot be simulated are left out."""
-    windows_by_test: dict[
-        str, list[simulation.Windows]
-    ] = {}  # windows of all `LENGTHS`, then whole logs
+    # Windows of all `LENGTHS`, then whole logs.
+    windows_by_test: dict[str, list[simulation.Windows]] = {}
     for test, records in tests.items():
         records_by_log = transpose_records(records)
         try:

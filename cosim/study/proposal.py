@@ -56,10 +56,9 @@ def split(logs: Sequence[Log]) -> Split:
     total_seconds = sum(durations)
     has_moved = np.array([np.ptp(log.q, axis=0) > MIN_TRAVEL for log in logs])
     sums = {k: sum(durations[-k:]) for k in range(1, len(logs))}
-    tested = next((k for k, tested in sums.items() if tested >= MIN_SECONDS), 1)
-    tested = (
-        tested if total_seconds - sums.get(tested, 0.0) >= _MIN_TRAINED_SHARE * total_seconds else 1
-    )
+    tested = next((k for k, seconds in sums.items() if seconds >= MIN_SECONDS), 1)
+    if total_seconds - sums.get(tested, 0.0) < _MIN_TRAINED_SHARE * total_seconds:
+        tested = 1
     if len(logs) > 1 and np.array_equal(has_moved[:-tested].any(axis=0), has_moved.any(axis=0)):
         return Split(tested=tested, seconds=sums[tested])
     # The training would lack a joint that moves, or there is a single log: cut each log.
@@ -71,8 +70,8 @@ def split(logs: Sequence[Log]) -> Split:
 def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     """Return a study file at `path`, with the logs used as in `split`."""
     folder = path.resolve().parent
-    paths = [log.path.resolve() for log in proposal.logs if log.path]
-    files = [Path(relpath(path, folder)).as_posix() for path in paths]
+    log_paths = [log.path.resolve() for log in proposal.logs if log.path]
+    files = [Path(relpath(log_path, folder)).as_posix() for log_path in log_paths]
     refinement_hint = [
         '# refinement = "output_error"  # also refine the laws for simulation; it takes longer'
     ]

@@ -82,7 +82,7 @@ class SavedRun:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scored:
+class ScoredRun:
     """Results of a run up to the scores on the test logs."""
 
     study: Study
@@ -105,7 +105,7 @@ class _Findings:
     findings: tuple[Finding, ...]
 
 
-def save_run(folder: Path, run: Scored, *, command: str, quick: bool) -> None:
+def save_run(folder: Path, run: ScoredRun, *, command: str, quick: bool) -> None:
     """Write `run.json`, and the torques of training logs and of the first log of each role."""
     study = run.study
     description = run.robot.description
@@ -172,7 +172,7 @@ def _file(name: str, file: Path) -> str:
     return inside.as_posix() if is_inside else file.name
 
 
-def _save_torques(folder: Path, run: Scored) -> dict[str, str]:
+def _save_torques(folder: Path, run: ScoredRun) -> dict[str, str]:
     logs = run.study.logs
     torques_by_log: dict[str, dict[str, list[Array]]] = {
         name: {} for name in (logs.identification[0], *logs.training)

@@ -11,7 +11,7 @@ from typing import Any
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
-from cosim.study.results import TRUTHS, Scored, record_files, save_run, write_findings
+from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
 from cosim.study.scores import Errors, LogRecords, select_records
 from cosim.study.steps import Job, map_models
 from cosim.study.study import Study
@@ -41,7 +41,7 @@ _WORK = ("cosim.study.scores", "hesr_model.fitting.fit")  # preloaded by the wor
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome(Scored):
+class Outcome(ScoredRun):
     """Results of a run: those up to the scores, with final laws and FMUs, and the verdict."""
 
     properties: Mapping[str, Properties]  # empty for a quick run
@@ -76,7 +76,11 @@ def run_study(
     used_before = USED.copy()
     checkpoints = checkpoint_folder(output)
     job = Job(
-        study=study, path=path, progress=progress, kept=checkpoints, platforms=platform_folders
+        study=study,
+        path=path,
+        progress=progress,
+        checkpoints=checkpoints,
+        platforms=platform_folders,
     )
     with parallel.one_pool(*_WORK, first=(vectors, get_ready)):
         with folder_written_whole(output) as folder:
@@ -161,7 +165,7 @@ def _report(
     compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
 
 
-def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scored:
+def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> ScoredRun:
     """Identify, fit, write the FMUs into an existing folder and score them; see `run_study`."""
     study = job.study
     robot = Robot(job.robot)
@@ -195,7 +199,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         folder / "evaluation.json",
         {test: to_json(comparison) for test, comparison in comparisons.items()},
     )
-    return Scored(
+    return ScoredRun(
         study=study,
         robot=robot,
         rigid_body=body,

@@ -102,8 +102,13 @@ class Comparison:
 
     def combine_scores(self, laws: Sequence[str]) -> LawScores:
         """Return the errors of a law per joint."""
-        rows = list(enumerate(self.laws[law] for law in laws))
-        return LawScores(**{m: tuple(getattr(row, m)[k] for k, row in rows) for m in MEASURES})
+        scores_by_joint = list(enumerate(self.laws[law] for law in laws))
+        return LawScores(
+            **{
+                measure: tuple(getattr(law_scores, measure)[k] for k, law_scores in scores_by_joint)
+                for measure in MEASURES
+            }
+        )
 
     def unexplained_shares(self, errors: Sequence[float]) -> tuple[float, ...]:
         """Return errors by joint over the standard deviation of its friction."""
@@ -121,7 +126,7 @@ class Comparison:
         return pandas_frame(names | scores).set_index(["law", "joint"])
 
     def _repr_html_(self) -> str:
-        rows = ((law, *of_law.rmse) for law, of_law in self.laws.items())
+        rows = ((law, *law_scores.rmse) for law, law_scores in self.laws.items())
         spread = ("(standard deviation)", *self.tau_std)
         return html_table(
             "RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows)
@@ -130,7 +135,7 @@ class Comparison:
 
 def transpose_records(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
     """Transpose records [log][joint] to [joint][log]."""
-    return [list(of_joint) for of_joint in zip(*records, strict=True)]
+    return [list(joint_records) for joint_records in zip(*records, strict=True)]
 
 
 def make_causal(records: Records) -> list[list[FrictionRecord]]:
@@ -140,7 +145,7 @@ def make_causal(records: Records) -> list[list[FrictionRecord]]:
 
 def select_records(names: Iterable[str], records: LogRecords) -> list[list[FrictionRecord]]:
     """Return the records of the named logs, [joint][part]."""
-    return transpose_records([joint_records for name in names for joint_records in records[name]])
+    return transpose_records([part_records for name in names for part_records in records[name]])
 
 
 def compare(
@@ -156,12 +161,15 @@ def compare(
     predictions of a `zero_phase` velocity.
     """
     scores = {
-        law: [score(joint_records, p) for joint_records, p in zip(records, predicted, strict=True)]
-        for law, predicted in predictions.items()
+        law: [score(*pair) for pair in zip(records, torques, strict=True)]
+        for law, torques in predictions.items()
     }
     fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
     ranked = [law for law in predictions if law != ORACLE and not law.endswith(MEASURED_START)]
-    tables = [_joint_errors(of_joint, predictions, j, ranked) for j, of_joint in enumerate(records)]
+    error_tables = [
+        _joint_errors(joint_records, predictions, j, ranked)
+        for j, joint_records in enumerate(records)
+    ]
     references = [
         {
             law: _choose_reference(law, j, scores, inputs or {}, models or {}, fallback)
@@ -169,34 +177,45 @@ def compare(
         }
         for j in range(len(records))
     ]
-    ratios = [_error_ratios(*pair) for pair in zip(tables, references, strict=True)]
-    rated_laws = [law for law in scores if any(law in of_joint for of_joint in ratios)]
+    ratios = [_error_ratios(*pair) for pair in zip(error_tables, references, strict=True)]
+    rated_laws = [law for law in scores if any(law in joint_ratios for joint_ratios in ratios)]
     itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
-    against = [_find_leaders(table, ranked) for table in tables if ranked]
+    rankings = [_find_leaders(error_table, ranked) for error_table in error_tables if ranked]
     return Comparison(
-        joints=tuple(of_joint[0].joint for of_joint in records),
-        tau_std=tuple(s.tau_std for s in scores[fallback]),
-        laws={
-            law: LawScores(
-                **{m: tuple(getattr(s, m) for s in row) for m in (*MEASURES, "rmse_rest")}
-            )
-            for law, row in scores.items()
-        },
+        joints=tuple(joint_records[0].joint for joint_records in records),
+        tau_std=tuple(score.tau_std for score in scores[fallback]),
+        laws={law: _law_scores(joint_scores) for law, joint_scores in scores.items()},
         ratios=Ratios(
             reference=fallback,
-            laws={law: tuple(of.get(law, itself) for of in ratios) for law in rated_laws},
-            by_joint={law: tuple(of[law] for of in references) for law in rated_laws if inputs},
+            laws={
+                law: tuple(joint_ratios.get(law, itself) for joint_ratios in ratios)
+                for law in rated_laws
+            },
+            by_joint={
+                law: tuple(joint_references[law] for joint_references in references)
+                for law in rated_laws
+                if inputs
+            },
         ),
-        leading=tuple(leading for leading, *_ in against),
+        leading=tuple(leading for leading, *_ in rankings),
         bands=_band_scores(models or {}, records, predictions),
-        detectable=tuple(detectable for _, detectable, _ in against),
-        seconds=tuple(seconds for *_, seconds in against),
+        detectable=tuple(detectable for _, detectable, _ in rankings),
+        seconds=tuple(seconds for *_, seconds in rankings),
         zero_phase={
-            law: tuple(
-                score(joint_records, p).rmse for joint_records, p in zip(records, of, strict=True)
-            )
-            for law, of in (zero_phase or {}).items()
+            law: tuple(score(*pair).rmse for pair in zip(records, torques, strict=True))
+            for law, torques in (zero_phase or {}).items()
         },
+    )
+
+
+def _law_scores(joint_scores: Sequence[Score]) -> LawScores:
+    """Return the scores of a law on each joint as its errors per joint."""
+    measures = (*MEASURES, "rmse_rest")
+    return LawScores(
+        **{
+            measure: tuple(getattr(score, measure) for score in joint_scores)
+            for measure in measures
+        }
     )
 
 
@@ -207,18 +226,18 @@ def _joint_errors(
     ranked: Sequence[str],
 ) -> LawErrors:
     errors = {
-        law: [p - record.tau for record, p in zip(joint_records, predicted[joint], strict=True)]
-        for law, predicted in predictions.items()
+        law: [tau - record.tau for record, tau in zip(joint_records, torques[joint], strict=True)]
+        for law, torques in predictions.items()
     }
     return law_errors(
         errors, [float(np.median(np.diff(record.t))) for record in joint_records], ranked
     )
 
 
-def _error_ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
-    compared_laws = [law for law in table.laws if references[law] != law]
-    against = {reference: table.ratios(reference) for reference in set(references.values())}
-    law_ratios = {law: against[references[law]][law] for law in compared_laws}
+def _error_ratios(error_table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
+    compared_laws = [law for law in error_table.laws if references[law] != law]
+    ratios = {reference: error_table.ratios(reference) for reference in set(references.values())}
+    law_ratios = {law: ratios[references[law]][law] for law in compared_laws}
     adjusted_p = adjust_by_holm(
         {law: ratio.p for law, ratio in law_ratios.items() if ratio.p is not None}
     )
@@ -229,19 +248,21 @@ def _error_ratios(table: LawErrors, references: Mapping[str, str]) -> dict[str, 
 
 
 def _find_leaders(
-    table: LawErrors, ranked: Sequence[str]
+    error_table: LawErrors, ranked: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
     """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
     # One family per joint; one over all would have little power.
-    best = min(ranked, key=lambda law: table.log_rmse[table.laws.index(law)])
+    best = min(ranked, key=lambda law: error_table.log_rmse[error_table.laws.index(law)])
     rivals = [law for law in ranked if law != best]
-    if not rivals or table.too_short:
+    if not rivals or error_table.too_short:
         return (best, *rivals), {}, MIN_SECONDS
-    ratios = table.ratios(best, len(rivals))
+    ratios = error_table.ratios(best, len(rivals))
     adjusted_p = adjust_by_holm({law: p for law in rivals if (p := ratios[law].p) is not None})
     tied = [law for law in rivals if adjusted_p[law] >= SIGNIFICANCE]
-    detectable = {law: x for law in rivals if (x := ratios[law].detectable) is not None}
-    durations = [table.required_seconds(law, best, RECORDED, len(rivals)) for law in tied or rivals]
+    detectable = {law: ratio for law in rivals if (ratio := ratios[law].detectable) is not None}
+    durations = [
+        error_table.required_seconds(law, best, RECORDED, len(rivals)) for law in tied or rivals
+    ]
     return (best, *tied), detectable, float(np.median(durations))
 
 
@@ -251,21 +272,26 @@ def _band_scores(
     predictions: Mapping[str, Sequence[Sequence[Array]]],
 ) -> dict[str, tuple[BandScore, ...]]:
     motions = [
-        {n: np.column_stack([r.causal.motion[n] for r in log]) for n in ("dq", "q", "tau_load")}
-        | {"t": log[0].t}
-        for log in zip(*records, strict=True)
+        {
+            name: np.column_stack([record.causal.motion[name] for record in log_records])
+            for name in ("dq", "q", "tau_load")
+        }
+        | {"t": log_records[0].t}
+        for log_records in zip(*records, strict=True)
     ]
     scores = {}
     for name, model in models.items():
         if model.banded:
             torques = map(np.column_stack, zip(*predictions[name], strict=True))
             ends = [
-                compute_band(model, **m, torque=torque)
-                for m, torque in zip(motions, torques, strict=True)
+                compute_band(model, **motion, torque=torque)
+                for motion, torque in zip(motions, torques, strict=True)
             ]
             scores[name] = tuple(
                 score_band(
-                    joint_records, predictions[name][k], [(lo[:, k], up[:, k]) for lo, up in ends]
+                    joint_records,
+                    predictions[name][k],
+                    [(lower[:, k], upper[:, k]) for lower, upper in ends],
                 )
                 for k, joint_records in enumerate(records)
             )
@@ -312,20 +338,20 @@ def select_window(
 
     Raises ConfigError if no log has such rows.
     """
-    kept_records = []
-    kept_torques = []
-    for joint_records, predicted in zip(records, torques, strict=True):
-        rows = [time_band(record.t - record.t[0], start, stop) for record in joint_records]
-        log_indices = [k for k, mask in enumerate(rows) if np.count_nonzero(mask) > 1]
+    window_records = []
+    window_torques = []
+    for joint_records, joint_torques in zip(records, torques, strict=True):
+        is_inside = [time_band(record.t - record.t[0], start, stop) for record in joint_records]
+        log_indices = [k for k, mask in enumerate(is_inside) if np.count_nonzero(mask) > 1]
         if not log_indices:
             longest = max(float(record.t[-1] - record.t[0]) for record in joint_records)
             raise ConfigError(
                 f"the band from {start:g} to {stop:g} s is empty; the longest log of its test set "
                 f"lasts {longest:.3g} s."
             )
-        kept_records.append([joint_records[k].rows(rows[k]) for k in log_indices])
-        kept_torques.append([predicted[k][rows[k]] for k in log_indices])
-    return kept_records, kept_torques
+        window_records.append([joint_records[k].rows(is_inside[k]) for k in log_indices])
+        window_torques.append([joint_torques[k][is_inside[k]] for k in log_indices])
+    return window_records, window_torques
 
 
 def name_inputs(model: FrictionModel) -> str:
@@ -356,7 +382,7 @@ def input_classes(models: Mapping[str, FrictionModel]) -> dict[str, str]:
 def predict_models(
     models: Mapping[str, FrictionModel], records: Records, progress: Progress = silent
 ) -> dict[str, list[list[Array]]]:
-    """Return the torques (N,) [N.m] by row of `rows_of`, joint and log."""
+    """Return the torques (N,) [N.m] by row of `table_rows`, joint and log."""
     rows = table_rows(models)
     return {
         row: predict_model(models[name], records, measured_start=with_start)

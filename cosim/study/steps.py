@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from cosim.loop.traces import FOLLOWING, Following, LoopOutcome
-from cosim.study.results import Scored, read_findings, write_findings
+from cosim.study.results import ScoredRun, read_findings, write_findings
 from cosim.study.scores import (
     ORACLE,
     Comparison,
@@ -86,7 +86,7 @@ class Job:
     study: Study
     path: Path
     progress: Stages
-    kept: Path | None = None  # checkpoints of an interrupted run
+    checkpoints: Path | None = None  # of an interrupted run
     platforms: Sequence[str] = HOST  # of the FMUs, except for MuJoCo's arm
 
     def __post_init__(self) -> None:
@@ -213,7 +213,7 @@ class Job:
             Log.read(file, self.robot), name, part.model_copy(update={"start": 0.0})
         )
 
-    def properties(self, run: Scored, folder: Path) -> "dict[str, Properties]":
+    def properties(self, run: ScoredRun, folder: Path) -> "dict[str, Properties]":
         """Run the physics checks, if present, on all laws and write the results."""
         from hesr_model.audit.properties import Subject, write_properties
 
@@ -224,13 +224,13 @@ class Job:
             [Subject(name=name, model=model) for name, model in run.models.items()],
             body=(run.robot, run.rigid_body),
             progress=partial(self.progress, "testing the laws"),
-            kept=self.kept and self.kept / "properties",
+            kept=self.checkpoints and self.checkpoints / "properties",
         )
         properties_by_law = dict(zip(run.models, property_list, strict=True))
         write_properties(folder / "properties.json", properties_by_law)
         return properties_by_law
 
-    def closed_loop(self, run: Scored, folder: Path, *, quick: bool) -> LoopOutcome | None:
+    def closed_loop(self, run: ScoredRun, folder: Path, *, quick: bool) -> LoopOutcome | None:
         """Run the closed loop of the study; None if it has none."""
         if self.study.tracking is None or self.study.twin is None:
             return None
@@ -245,7 +245,7 @@ class Job:
             plant,
             signals,
             folder,
-            self.kept,
+            self.checkpoints,
             self.progress,
             quick=quick,
             platforms=self.platforms,
@@ -256,7 +256,7 @@ class Job:
         return outcome
 
     def following(
-        self, run: Scored, models: Mapping[str, FrictionModel], law: str, folder: Path
+        self, run: ScoredRun, models: Mapping[str, FrictionModel], law: str, folder: Path
     ) -> Following:
         """Predict and write the following error with feed-forward, at last of `law`, if offered."""
         predict = plugins.load("hesr.studies").get("following")
@@ -387,7 +387,7 @@ class Job:
             provenance=source,
             progress=partial(self.progress, stage),
             report_left_out=left_out,
-            checkpoints=self.kept and self.kept / "laws",
+            checkpoints=self.checkpoints and self.checkpoints / "laws",
             per_log=study.per_log,
         )
 

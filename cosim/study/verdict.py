@@ -180,10 +180,10 @@ def judge_run(
 
 def find_separations(comparison: Comparison) -> Iterator[Separation]:
     """Yield the laws that the test cannot distinguish, by joint."""
-    for of_joint, detectable, seconds in zip(
+    for leaders, detectable, seconds in zip(
         comparison.leading, comparison.detectable, comparison.seconds, strict=True
     ):
-        best, *tied = of_joint
+        best, *tied = leaders
         ratios = [detectable[law] for law in tied if law in detectable] or [*detectable.values()]
         yield Separation(
             best=best,
@@ -198,9 +198,9 @@ def recommend(
 ) -> tuple[tuple[str, ...], str]:
     """Return the recommended law of each joint and the rule that decided.
 
-    It is the simplest law with an error within `CLOSE` of the lowest and none significantly better.
-    Joints with a short test, and those whose laws one FMU cannot combine, have the law of most
-    joints.
+    It is the simplest law with an error within `CLOSE_RATIO` of the lowest and none significantly
+    better. Joints with a short test, and those whose laws one FMU cannot combine, have the law of
+    most joints.
     """
     names = [law for law in comparison.laws if law in models]
     count = len(comparison.joints)
@@ -217,8 +217,8 @@ def recommend(
     lowest = [comparison.laws[leading[0]].rmse[j] for j, leading in enumerate(comparison.leading)]
     rmse = {law: zip(comparison.laws[law].rmse, lowest, strict=True) for law in names}
     error_ratios = {
-        law: [error / max(minimum, 1e-300) for error, minimum in of_law]
-        for law, of_law in rmse.items()
+        law: [error / max(minimum, 1e-300) for error, minimum in pairs]
+        for law, pairs in rmse.items()
     }
     close_laws = {
         j: [
@@ -320,7 +320,10 @@ def describe_limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
             "difference is in brackets."
         )
     if required_seconds:
-        yield f"To find {100 * (RECORDED - 1):.0f} %, record tests of about {max(required_seconds):.0f} s."
+        yield (
+            f"To find {100 * (RECORDED - 1):.0f} %, record tests of about "
+            f"{max(required_seconds):.0f} s."
+        )
 
 
 def _list_weaknesses(
@@ -350,19 +353,25 @@ def _list_weaknesses(
 
 
 def _list_improvements(
-    model: FrictionModel, trained: Records, tested: Records, *, gear_ratio: bool
+    model: FrictionModel, trained_records: Records, tested_records: Records, *, gear_ratio: bool
 ) -> Iterable[str]:
-    trained, tested = transform_all_records(trained), transform_all_records(tested)
-    joint_names = short_names(len(trained))
+    joint_names = short_names(len(trained_records))
     faster = []
     heavier = []
     resting = []
     constant_load = []
-    rows = zip(joint_names, model.laws, model.trained, trained, tested, strict=True)
-    for name, law, trained_range, trained_records, tested_records in rows:
+    joints = zip(
+        joint_names,
+        model.laws,
+        model.trained,
+        transform_all_records(trained_records),
+        transform_all_records(tested_records),
+        strict=True,
+    )
+    for name, law, trained_range, joint_records, tested_joint_records in joints:
         excesses = {
             input_name: excess
-            for input_name, excess in find_excess(trained_range, tested_records).items()
+            for input_name, excess in find_excess(trained_range, tested_joint_records).items()
             if excess.rows > _MAX_UNTRAINED_SHARE
         }
         if "dq" in excesses:
@@ -370,7 +379,7 @@ def _list_improvements(
         if "tau_load" in excesses and TAU_LOAD in law.form.inputs:
             heavier.append(name)
         dq, load, tau = (
-            np.concatenate([getattr(record, quantity) for record in trained_records])
+            np.concatenate([getattr(record, quantity) for record in joint_records])
             for quantity in ("dq", "tau_load", "tau")
         )
         if np.mean(np.abs(dq) < MOVING) < _MIN_REST_SHARE:

@@ -77,8 +77,7 @@ class System:
         system = self.spec
         return (
             f"System('{system.name}', {len(system.components)} components, {system.stop:g} s in "
-            "steps of "
-            f"{system.step:g} s)"
+            f"steps of {system.step:g} s)"
         )
 
     def run(self, progress: Progress = silent) -> Signals:
@@ -117,20 +116,20 @@ class Master:
     (see `Wiring`).
     """
 
-    spec: SystemSpec
+    system: SystemSpec
     path: Path = Path("system")  # for messages
     _: KW_ONLY
     native: bool = True
     isolate: bool = False
     loaded: FmuPool | None = None
-    scheme: ExchangeScheme | None = None  # default: that of `spec`
+    scheme: ExchangeScheme | None = None  # default: that of the system
     source: SampledInputs | None = None  # gives inputs; it is a component of the system
     times: Array | None = None  # (steps + 1,) [s] communication points that are not evenly spaced
     exchange: bool = False  # whether FMUs for model exchange alone get a solver
     single: bool = False  # whether signals are named as in their only FMU
 
     def __post_init__(self) -> None:
-        self._scheme = self.scheme or ExchangeScheme(order=self.spec.order)
+        self._scheme = self.scheme or ExchangeScheme(order=self.system.order)
         self._cleanup = ExitStack()
 
     def __enter__(self) -> "Master":
@@ -141,12 +140,12 @@ class Master:
                 component.name: cleanup.enter_context(
                     lend(component.fmu, name=component.name, system=sandbox)
                 )
-                for component in self.spec.components
+                for component in self.system.components
             }
             variables = {name: instance.variables for name, instance in self._slaves.items()}
             if self.source:
                 variables[self.source.name] = self.source.variables
-            self._wiring = Wiring(self.spec, variables, self.path)
+            self._wiring = Wiring(self.system, variables, self.path)
             self._build()
             self._cleanup = cleanup.pop_all()
         return self
@@ -159,14 +158,14 @@ class Master:
         layout_elements = [
             *wiring.sources.values(),
             *wiring.observed,
-            *(e for e, _ in wiring.limited),
+            *(element for element, _ in wiring.limited),
         ]
         order = [*self._slaves, *([self.source.name] if self.source else [])]
         names = sorted(dict.fromkeys(layout_elements), key=lambda element: order.index(element[0]))
         indices = {element: i for i, element in enumerate(names)}
         values = np.zeros(len(indices))
         stations = []
-        for component in self.spec.components:
+        for component in self.system.components:
             instance = self._slaves[component.name]
             component_outputs = [element for element in names if element[0] == component.name]
             fed_inputs = [target for target in wiring.sources if target[0] == component.name]
@@ -175,7 +174,7 @@ class Master:
             stations.append(
                 Station(
                     slave=instance,
-                    every=self.spec.find_step_multiple(component),
+                    every=self.system.find_step_multiple(component),
                     inputs=build_mixed_buffer(instance, [variable for _, variable in fed_inputs]),
                     sources=np.array(
                         [indices[wiring.sources[target]] for target in fed_inputs], dtype=np.intp
@@ -183,7 +182,7 @@ class Master:
                     outputs=build_mixed_buffer(
                         instance, [variable for _, variable in component_outputs], component_values
                     ),
-                    begin=self.spec.begin,
+                    begin=self.system.begin,
                     conversions=[
                         (i, convert)
                         for i, target in enumerate(fed_inputs)
@@ -198,8 +197,8 @@ class Master:
             stations=tuple(stations),
             links=tuple(self._build_links(indices)),
             scheme=self._scheme,
-            begin=self.spec.begin,
-            step=self.spec.step,
+            begin=self.system.begin,
+            step=self.system.step,
             values=values,
             names=tuple(names),
             rows=np.array([indices[e] for e in wiring.observed], dtype=np.intp),
@@ -225,7 +224,7 @@ class Master:
             inputs=source.buffer([], np.zeros(0)),
             sources=np.array([], dtype=np.intp),
             outputs=source.buffer([names[i][1] for i in places], part),
-            begin=self.spec.begin,
+            begin=self.system.begin,
         )
 
     def _buffer(self, name: str, variables: Sequence[str]) -> Buffer:
@@ -234,7 +233,7 @@ class Master:
         return build_mixed_buffer(self._slaves[name], variables)
 
     def _build_conversion(self, target: Element) -> Convert | None:
-        steps = self.spec.conversions.get(".".join(target), ())
+        steps = self.system.conversions.get(".".join(target), ())
         return partial(reduce, lambda value, step: step(value), steps) if steps else None
 
     def _build_links(self, indices: Mapping[Element, int]) -> Iterator[Link]:
@@ -257,8 +256,8 @@ class Master:
 
         `start` adds start values of components to those of the system.
         """
-        steps = self.spec.steps
-        step_size = self.spec.step
+        steps = self.system.steps
+        step_size = self.system.step
         stepper = self._stepper
         recorded = np.empty((steps + 1, len(self._layout.rows)))
         failure = None
@@ -285,7 +284,7 @@ class Master:
             for i, e in enumerate(self._wiring.observed)
         }
         if self.times is None:
-            t = self.spec.begin + step_size * np.arange(done, dtype=float)
+            t = self.system.begin + step_size * np.arange(done, dtype=float)
         else:
             t = self.times[:done]
         return Signals(t=t, signals=signals, failure=failure)
@@ -340,11 +339,13 @@ class Master:
             start = self._wiring.start[name] | instance.variables.expand_values(
                 extra_start.get(name, {})
             )
-            instance.enter_initialisation(time=self.spec.begin, stop=self.spec.stop, start=start)
+            instance.enter_initialisation(
+                time=self.system.begin, stop=self.system.stop, start=start
+            )
         if self._scheme.first == "propagated":
             previous_values = None
             for _ in self._wiring.order:
-                self._layout.propagate(self.spec.begin)
+                self._layout.propagate(self.system.begin)
                 if previous_values is not None and np.array_equal(
                     previous_values, self._layout.values
                 ):

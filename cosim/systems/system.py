@@ -102,8 +102,7 @@ def _require_multiple(time: float, step: float, subject: str, key: str) -> None:
     if not time / step <= _MAX_STEPS:
         raise RuleError(
             f"{subject} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at "
-            "most "
-            f"{_MAX_STEPS:g} are allowed",
+            f"most {_MAX_STEPS:g} are allowed",
             code="system.most_steps",
             key=key,
         )

@@ -28,21 +28,21 @@ class Wiring:
     Raises ConfigError if signals do not fit, an input has no value, or there is an algebraic loop.
     """
 
-    def __init__(self, spec: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
+    def __init__(self, system: SystemSpec, slaves: Mapping[str, Variables], path: Path) -> None:
         self._slaves = slaves
         self._path = path
-        self._converted = frozenset(spec.conversions)
+        self._converted = frozenset(system.conversions)
         self.sources: dict[Element, Element] = {}
-        for target, source in spec.connections.items():
+        for target, source in system.connections.items():
             self._connect(target, source, f"connection '{target}' = '{source}'")
-        starts = {component.name: component.start for component in spec.components}
+        starts = {component.name: component.start for component in system.components}
         self.start = {name: self._start(name, starts.get(name, {})) for name in slaves}
-        observed = (self.elements(s, f"observed '{s}'") for s in spec.observe)
+        observed = (self.elements(s, f"observed '{s}'") for s in system.observe)
         self.observed = list(dict.fromkeys(chain.from_iterable(observed)))
         self.limited: list[tuple[Element, Bounds]] = []
-        for signal, bounds in spec.limits.items():
+        for signal, bounds in system.limits.items():
             self.limited += self._bounds(signal, bounds, f"limits of '{signal}'")
-        if not spec.open_inputs:
+        if not system.open_inputs:
             for name, slave in self._slaves.items():
                 for variable in slave.needed:
                     if (name, variable) not in self.sources and variable not in self.start[name]:

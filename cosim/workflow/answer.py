@@ -48,7 +48,7 @@ def find_job(path: Path, verb: str) -> PluginJob | None:
     return None
 
 
-MOST_LINES = 25  # largest number of lines of a summary
+MAX_LINES = 25  # largest number of lines of a summary
 
 
 class Answer(ABC):
@@ -159,12 +159,12 @@ class Written(Answer):
 
 
 def shorten_lines(lines: Iterable[str], files: Sequence[Path] = ()) -> str:
-    """Return lines and written files as text of at most `MOST_LINES` lines."""
+    """Return lines and written files as text of at most `MAX_LINES` lines."""
     single_lines: list[str] = []
     for line in lines:
         single_lines += line.split("\n")
     written = [f"Written: {', '.join(map(str, files))}"] if files else []
-    limit = MOST_LINES - len(written)
+    limit = MAX_LINES - len(written)
     if len(single_lines) > limit:
         hidden_count = len(single_lines) - limit + 1
         single_lines = single_lines[: limit - 1]

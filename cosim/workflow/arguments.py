@@ -49,15 +49,11 @@ Names = str | Iterable[str]
 Paths = PathArg | Iterable[PathArg]
 PerJoint = float | Iterable[float]  # one number for each joint, or one for all
 
-MOST_CELLS = 2**22  # largest count of numbers of logs that are held in memory
-_CELL = 8  # bytes of a number in a file, roughly
-MOST_ROWS = 10**6  # rows of a fit or test
+MAX_NUMBERS = 2**22  # numbers of logs that are held in memory
+_NUMBER_BYTES = 8  # of a number in a file, roughly
+MAX_ROWS = 10**6  # rows of a fit or test
 
 _log = logging.getLogger(__name__)
-
-MOST_CELLS = 2**22
-_CELL = 8  # numbers of logs held in memory, and their size [B]
-MOST_ROWS = 10**6  # rows of a fit or test
 
 
 def list_names(name: str, texts: Names, *, commas: bool = False) -> list[str]:
@@ -194,7 +190,7 @@ class CheckedLogs:
 
         if not self.long_logs:
             return [friction_records(part, self.robot, body) for part in collect_parts(self.logs)]
-        sample = Sample(MOST_ROWS, seed)
+        sample = Sample(MAX_ROWS, seed)
         row_count = 0
         for log in self.long_logs:
             for motion in log.motions():
@@ -257,16 +253,16 @@ def _open_long_logs(sources: Sequence[LogSource], robot: RobotArg | None) -> lis
     from hesr_model.logs.long_log import LongLog
     from hesr_model.robots.robot import to_robot
 
-    cells = 0.0
+    number_count = 0.0
     for source in sources:
         if not isinstance(source, Path):
-            cells += 3 * source.q.size
+            number_count += 3 * source.q.size
         elif source.is_file():  # a missing file is refused by its reader
-            cells += source.stat().st_size / _CELL
-    owner = robot or _find_first_robot(sources)
-    if owner is None or cells <= MOST_CELLS:
+            number_count += source.stat().st_size / _NUMBER_BYTES
+    robot_of_logs = robot or _find_first_robot(sources)
+    if robot_of_logs is None or number_count <= MAX_NUMBERS:
         return []
-    description = to_robot(owner).description
+    description = to_robot(robot_of_logs).description
     if description.log.columns.q_link or description.log.sort:  # need all rows at once
         return []
     return [LongLog(source, description) for source in sources]
@@ -289,9 +285,9 @@ def read_checked_logs(
 
     require_items("logs", sources)
     long_logs = _open_long_logs(sources, robot) if in_pieces else []
-    stretches = [stretch for long_log in long_logs for stretch in long_log.stretches]
+    stretch_logs = [log for long_log in long_logs for log in long_log.stretches]
     stated_robot = None if robot is None else to_robot(robot)
-    logs = read_logs(stretches or sources, stated_robot, partial(progress, "reading logs"))
+    logs = read_logs(stretch_logs or sources, stated_robot, partial(progress, "reading logs"))
     checked_robot = stated_robot or find_robot(None, logs)
     findings = require_healthy(logs, checked_robot, accept)
     for long_log in long_logs:

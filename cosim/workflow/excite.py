@@ -188,8 +188,8 @@ def answer(designed: ExcitationDesign, _: PathArg | None) -> Answer:
         format="hesr-excitation-1",
         lines=[
             f"Period {motion.period:.3f} s, condition number {designed.excitation.condition:.3g} "
-            "(random motions within the same limits: "
-            f"{designed.random_condition:.3g} in the median).",
+            f"(random motions within the same limits: {designed.random_condition:.3g} in the "
+            "median).",
             f"It starts at {start}; rigid-body torque peaks at {peaks} N.m without friction.",
             "Collisions are not checked: check the motion before you run it.",
         ],

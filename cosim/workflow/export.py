@@ -250,13 +250,13 @@ def _platform_line(fmu: Path) -> str:
     return f"Platforms: {', '.join(platforms)}{remedy}."
 
 
-def _coupling_line(system: Path, effect: str = "") -> str:
+def _coupling_line(system_path: Path, effect: str = "") -> str:
     """Return the declared coupling of a system, and how other engines differ from it."""
     from cosim.systems.system import open_system
 
-    with open_system(system) as spec:
-        if spec.order == "jacobi" or not spec.connections:
-            return f"Coupling: {spec.order}, as in other engines."
+    with open_system(system_path) as system:
+        if system.order == "jacobi" or not system.connections:
+            return f"Coupling: {system.order}, as in other engines."
     return (
         "Coupling: gauss_seidel, in 'hesr simulate' and simulate.py. Jacobi engines (libcosim, "
         f"OMSimulator) pass each value on a step later{effect}: see docs/import.md."

@@ -153,7 +153,7 @@ class LawReport(Answer):
                 ]
                 for name, audit in self.audits.items()
             },
-            "properties": {name: to_json(audit) for name, audit in self.properties.items()},
+            "properties": {name: to_json(checks) for name, checks in self.properties.items()},
             **{kind: other.result() for kind, other in self.others.items()},
         }
 

@@ -92,9 +92,13 @@ def servo_signals(
     force = mujoco.mjtSensor.mjSENS_ACTUATORFRC
     object_types = mujoco.mjtObj
     for i, actuator in enumerate(spec.actuators):
-        actuator.name = own = actuator.name or f"/actuator{i}"
+        actuator_name = actuator.name or f"/actuator{i}"
+        actuator.name = actuator_name
         spec.add_sensor(
-            name=f"/{own}", type=force, objtype=object_types.mjOBJ_ACTUATOR, objname=own
+            name=f"/{actuator_name}",
+            type=force,
+            objtype=object_types.mjOBJ_ACTUATOR,
+            objname=actuator_name,
         )
     for joint in plant.joints:
         spec.joint(joint).actgravcomp = True
@@ -106,10 +110,10 @@ def servo_signals(
         _require(model, "sensor", sensor, plant)
     elements = [passive_motors(model, joint) for joint in plant.joints]
     levels, rates = (np.broadcast_to(x, len(elements)) for x in (coulomb, viscous))
-    for own, level, rate in zip(elements, levels, rates, strict=True):
-        model.actuator_dynprm[own, 5] *= level  # bristle stiffness
-        model.actuator_biasprm[np.ix_(own, (3, 4))] *= level
-        model.actuator_damping[own] *= rate
+    for joint_elements, level, rate in zip(elements, levels, rates, strict=True):
+        model.actuator_dynprm[joint_elements, 5] *= level  # bristle stiffness
+        model.actuator_biasprm[np.ix_(joint_elements, (3, 4))] *= level
+        model.actuator_damping[joint_elements] *= rate
     return select_signals(model, plant.model, _table(model, plant, elements))
 
 

@@ -139,9 +139,8 @@ def _law(model: Any, actuators: Sequence[int]) -> FrictionLaw:
     return FrictionLaw(name="true_friction", form=form, values=values)
 
 
-_FRICTION_IMPEDANCE = (
-    "0.9999 0.9999 0.001 0.5 2"  # highest impedance of dry friction, to avoid creep under load
-)
+# The highest impedance of dry friction, to avoid creep under load.
+_FRICTION_IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 
 _ROTOR_INERTIAL = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-6 1e-6 1e-6"}
 """Mass [kg] and inertia [kg.m2] of a rotor's body; the armature of its joint is the inertia."""

@@ -77,15 +77,15 @@ _PAGE = BlockPage(
 def trajectory(joints: int, *, step: float = 0.005) -> Content:
     """Return the Trajectory FMU for a number of joints with preferred step `step` [s]."""
     zeros = np.zeros(joints)
-    kind = Variable("kind", "fixed", "kind of the motion", enumeration=KIND, start=2.0)
+    kind_variable = Variable("kind", "fixed", "kind of the motion", enumeration=KIND, start=2.0)
     scalars = [
         Variable(name, "fixed", text, unit=unit, start=start)
         for name, unit, text, start in _SCALARS
     ]
     vectors = [
-        parameter
-        for n, unit, text in _PARAMETERS
-        for parameter in vector(n, "fixed", unit, text, zeros)
+        variable
+        for name, unit, text in _PARAMETERS
+        for variable in vector(name, "fixed", unit, text, zeros)
     ]
     series = [
         Variable(f"{name}[{i},{k}]", "fixed", f"harmonic {k} of joint {i}", unit="rad/s")
@@ -93,7 +93,8 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         for i in range(1, joints + 1)
         for k in range(1, HARMONICS + 1)
     ]
-    parameter_names = [parameter.name for parameter in (kind, *scalars, *vectors, *series)]
+    parameter_variables = (kind_variable, *scalars, *vectors, *series)
+    parameter_names = [variable.name for variable in parameter_variables]
     outputs = [
         variable
         for tail, text in (("", "desired {}"), ("_ahead", "desired {} a preview time ahead"))
@@ -103,7 +104,7 @@ def trajectory(joints: int, *, step: float = 0.005) -> Content:
         )
     ]
     interface = Interface(
-        variables=(*outputs, kind, *scalars, *vectors, *series),
+        variables=(*outputs, *parameter_variables),
         model_exchange=False,
         directional_derivatives=False,
     )

@@ -254,8 +254,7 @@ def _missing(kind: InterfaceKind, exports: set[str]) -> Iterator[Problem]:
         yield (
             "binary-functions",
             f"it exports {quote_names([f'{kind.identifier}_{prefixed[0]}'])} and the like; the "
-            "prefix "
-            "is for source code and static libraries only.",
+            "prefix is for source code and static libraries only.",
         )
         return
     promised: set[str] = set()

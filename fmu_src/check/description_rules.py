@@ -194,8 +194,7 @@ def _types(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
         yield (
             "variable-type",
             f"is of type {sanitise(variable.kind)}, but its declared type "
-            f"{quote(variable.type.name)} is of type "
-            f"{sanitise(variable.type.kind)}.",
+            f"{quote(variable.type.name)} is of type {sanitise(variable.type.kind)}.",
         )
 
 
@@ -236,8 +235,7 @@ def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
             continue
         subject = (
             f"the variables {quote_names(variable.name for variable in members)} share value "
-            "reference "
-            f"{reference}"
+            f"reference {reference}"
         )
         constants = [variable for variable in members if variable.variability == "constant"]
         if constants and len(constants) < len(members):
@@ -294,9 +292,7 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
             yield (
                 rule,
                 f"{list_name} {verb} {quote_names(variable.name for variable in variables)}; "
-                "it must list "
-                "every "
-                "derivative of a state and no other variable.",
+                "it must list every derivative of a state and no other variable.",
             )
 
 
@@ -312,8 +308,7 @@ def _order(model_description: ParsedDescription) -> Iterator[Problem]:
             yield (
                 "structure-order",
                 f"{model_description.lists[list_name]} lists {quote(after.name)} after "
-                f"{quote(before.name)}; it "
-                "must follow the order of the variables.",
+                f"{quote(before.name)}; it must follow the order of the variables.",
             )
 
 
@@ -362,8 +357,7 @@ def _dependencies(model_description: ParsedDescription) -> Iterator[Problem]:
             if missing:
                 text = (
                     f"{subject} a dependency on {model_description.name_index(missing[0])}, "
-                    "which does not "
-                    "exist."
+                    "which does not exist."
                 )
                 yield "structure-dependency", text
             elif model_description.fmi == 2 and any(a >= b for a, b in pairwise(dependencies)):

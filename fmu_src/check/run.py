@@ -83,7 +83,7 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
         folder = Path(temporary, "work")
         files.mkdir()
         folder.mkdir()
-        check_run = _Found(folder, vdmcheck, kinds)
+        check_run = _CheckRun(folder, vdmcheck, kinds)
         contents = archive.unpack(path, files)
         check_run.check(contents)
     return Report(
@@ -94,7 +94,9 @@ def check(path: Path, *, vdmcheck: Path | None = None, kinds: Iterable[str] = ()
     )
 
 
-class _Found:
+class _CheckRun:
+    """Findings and skipped validators of the checks of one FMU."""
+
     def __init__(self, folder: Path, vdmcheck: Path | None, kinds: Iterable[str]) -> None:
         self._folder = folder
         self._vdmcheck = vdmcheck

@@ -67,8 +67,7 @@ def machine_paths(contents: Contents) -> Iterator[Problem]:
             yield (
                 "machine-path",
                 f"{sanitise(name)}: it holds {quote(paths[0])}{suffix}, a path of the machine "
-                "where "
-                "the FMU was built.",
+                "where the FMU was built.",
             )
 
 

@@ -287,14 +287,16 @@ def _sizes(joints: Sequence[Joint]) -> dict[str, int]:
         "JOINTS": len(joints),
         "OWN_FIXED": 5,
         "MAX_INPUTS": max(1, *(_count_inputs(joint) for joint in joints)),
-        "MAX_STATES": find_maximum(lambda c: len(c.memory)),
-        "MAX_OUTPUTS": find_maximum(lambda c: len(c.outputs)),
+        "MAX_STATES": find_maximum(lambda component: len(component.memory)),
+        "MAX_OUTPUTS": find_maximum(lambda component: len(component.outputs)),
         "MAX_REMEMBERED": max(len(joint.component.remembered) for joint in joints),
         "MAX_INVARIANTS": max(
             _count(joint.component, joint.gathered, "invariant") for joint in joints
         ),
-        "MAX_SWITCHES": find_maximum(lambda c: len(Functions(c, "").jumps.expressions)),
-        "MAX_PARAMETERS": find_maximum(lambda c: len(c.parameters)),
+        "MAX_SWITCHES": find_maximum(
+            lambda component: len(Functions(component, "").jumps.expressions)
+        ),
+        "MAX_PARAMETERS": find_maximum(lambda component: len(component.parameters)),
     }
 
 

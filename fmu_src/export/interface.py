@@ -89,9 +89,9 @@ class Variable:
 class Interface:
     """All scalar variables of an FMU in index order.
 
-    `own` is the number of doubles in the component's own memory. A component with
-    `count_inner_steps` follows input slopes itself. Arrays in `connected` remain scalars in FMI
-    3.0, as members of terminals. Raises ExportError if a name is duplicate or invalid in FMI.
+    `own` is the number of doubles in the component's own memory. A component with `inner_steps`
+    follows input slopes itself. Arrays in `connected` remain scalars in FMI 3.0, as members of
+    terminals. Raises ExportError if a name is duplicate or invalid in FMI.
     """
 
     variables: tuple[Variable, ...]

@@ -195,7 +195,7 @@ def translation_unit(content: Content, fmi: Version = 2) -> tuple[str, dict[str,
 
 
 def write_archive(members: Mapping[str, bytes], path: Path, created: str) -> None:
-    """Write an archive, with all members dated ISO 8601 `date`, if it is a valid FMU."""
+    """Write an archive, with all members dated `created`, ISO 8601, if it is a valid FMU."""
     with written_whole(path) as temporary:
         zip_members(temporary, members, created)
         texts = [c for name, c in members.items() if name.endswith(".xml")]

@@ -47,10 +47,13 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
     model = judge(fmu)
     motion = reference_motion(model, frequency=frequency, periods=periods)
     truths = {truth: torques(model, motion, truth) for truth in ("direct", CONTINUOUS)}
-    found = {setting: run(fmu, motion, setting) for setting in SETTINGS}
+    torque_by_setting = {setting: run(fmu, motion, setting) for setting in SETTINGS}
 
-    def against(truth: str) -> dict[str, tuple[Error, ...]]:
-        return {way: errors(motion, torque, truths[truth]) for way, torque in found.items()}
+    def compare_with(truth: str) -> dict[str, tuple[Error, ...]]:
+        return {
+            setting: errors(motion, torque, truths[truth])
+            for setting, torque in torque_by_setting.items()
+        }
 
     return Convention(
         joints=model.joints,
@@ -58,8 +61,8 @@ def measure(fmu: Path, *, frequency: float = 0.25, periods: float = 5.0) -> Conv
         step=model.sample_time,
         frequency=frequency,
         speeds=tuple(map(float, np.abs(motion.dq).max(axis=0))),
-        replay=against("direct"),
-        continuous=against(CONTINUOUS),
+        replay=compare_with("direct"),
+        continuous=compare_with(CONTINUOUS),
     )
 
 

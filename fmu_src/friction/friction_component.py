@@ -40,9 +40,8 @@ DISCRETISATION = Enumeration(
     ),
 )
 
-_MIN_COEFFICIENT = (
-    1e-12  # round-off of the inverse of a coupling; smaller coefficients count as zero
-)
+# Round-off of the inverse of a coupling; smaller coefficients count as zero.
+_MIN_COEFFICIENT = 1e-12
 _STEADY = (
     "in the steady state of the first inputs, faded in from the start values at rest up to "
     f"a speed of {MOVING:g} in SI units"

@@ -18,9 +18,8 @@ from hesr_model.robots.model_file import JointFrame
 from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
-_ROUNDING_TOLERANCE = (
-    5e-12  # deviation of a direction cosine from 0 or 1 that is the rounding of an angle
-)
+# Deviation of a direction cosine from 0 or 1 that is the rounding of an angle.
+_ROUNDING_TOLERANCE = 5e-12
 _TENSOR = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])  # of xx, xy, yy, xz, yz, zz
 _ENTRIES = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # rows and columns of these
 _MASS = 0
@@ -407,7 +406,7 @@ def jacobian_header(robot: Robot) -> str:
     unity = arm.graph.constant(1.0)
     columns = [[zero] * 6 for _ in arm.links]
     link = _find_last_link(robot)
-    tip = np.full(3, zero)  # in the frame of link `at`
+    tip = np.full(3, zero)  # in the frame of `link`
     while link >= 0:
         joint = arm.joints[link]
         axis = np.array([zero, zero, unity])

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -296,12 +297,12 @@ def _interface(
     torque = sympy.Symbol(TORQUE, real=True)
 
     def sources(i: int) -> dict[str, tuple[str, ...]]:
-        moving = {n: find_joint_signals(n, i, model.coupling) for n in ("dq", "q")}
+        moving = {name: find_joint_signals(name, i, model.coupling) for name in ("dq", "q")}
         return {**moving, TAU_LOAD.name: load}
 
     friction = [dependencies(law, torque, sources(i)) for i, law in enumerate(laws, start=1)]
-    of_friction = (n for one in friction for n in one)
-    all_sources = (*load, *(variable.name for variable in servo_variables), *of_friction)
+    servo_names = (variable.name for variable in servo_variables)
+    all_sources = (*load, *servo_names, *chain.from_iterable(friction))
     at_start = {"q_cmd": [variable.start for variable in starts[: len(laws)]]}
     variables = [
         variable
@@ -309,22 +310,31 @@ def _interface(
         for variable in vector(name, "input", unit, text, at_start.get(name, zeros))
     ]
     for name, unit, text in (*_OUTPUTS, *(_SERVO_OUTPUTS if servo else ())):
-        for i, one in enumerate(vector(name, "output", unit, text, zeros), start=1):
-            joint_sources = (
-                n for k in find_added_coordinates(i, model.coupling) for n in friction[k - 1]
-            )
-            special = {"q": (one.name,), "dq": (one.name,), "tau_friction": joint_sources}
-            special["tau_stop"] = (*motion, *stops)
-            output_sources = tuple(dict.fromkeys(special.get(name, all_sources)))
+        for i, variable in enumerate(vector(name, "output", unit, text, zeros), start=1):
+            coordinates = find_added_coordinates(i, model.coupling)
+            own_sources = {
+                "q": (variable.name,),
+                "dq": (variable.name,),
+                "tau_friction": tuple(chain.from_iterable(friction[k - 1] for k in coordinates)),
+                "tau_stop": (*motion, *stops),
+            }
+            output_sources = tuple(dict.fromkeys(own_sources.get(name, all_sources)))
             start_names = (f"{name}_start[{i}]",) if f"{name}_start" in _START else ()
             state_name = f"{_INTEGRAL_OF[name]}[{i}]" if name in _INTEGRAL_OF else None
-            output = replace(one, dependencies=output_sources, derivative_of=state_name)
-            variables.append(replace(output, initial_dependencies=start_names))
+            output_variable = replace(
+                variable,
+                dependencies=output_sources,
+                derivative_of=state_name,
+                initial_dependencies=start_names,
+            )
+            variables.append(output_variable)
     for name, unit, text, elements in _TOOL_OUTPUTS if tool else ():
         for k, element in enumerate(elements, start=1):
             description = f"{text}, {element}"
-            pose = Variable(f"{name}[{k}]", "output", description, unit=unit)
-            variables.append(replace(pose, dependencies=motion[: len(laws)]))
+            positions = motion[: len(laws)]
+            variables.append(
+                Variable(f"{name}[{k}]", "output", description, unit=unit, dependencies=positions)
+            )
     variables += starts + servo_variables
     variables.append(Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP))
     meaning = "how the states of the friction are relaxed over an inner step"

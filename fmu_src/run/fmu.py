@@ -295,8 +295,7 @@ def _require_exact(instance: FmuInstance, names: Sequence[str], values: Iterable
         if abs(value) > _LARGEST_EXACT:
             raise SimulationError(
                 f"{instance.fmu.name} ('{instance.name}') at t = {instance.time:.9g} s: '{name}' "
-                "is "
-                f"{value:.0f}; integers of a run are at most 2^53 in magnitude."
+                f"is {value:.0f}; integers of a run are at most 2^53 in magnitude."
             )
 
 
@@ -352,7 +351,7 @@ class FmuPool:
     """Instances kept for their next use, because loading is slow."""
 
     def __init__(self, max_idle: int = 48) -> None:
-        self._most = max_idle
+        self._max_idle = max_idle
         self._idle: dict[_Key, FmuInstance] = {}
 
     @contextmanager
@@ -376,7 +375,7 @@ class FmuPool:
             and _make_ready(instance)
         ):
             self._idle[key] = instance
-            while len(self._idle) > self._most:
+            while len(self._idle) > self._max_idle:
                 self._idle.pop(next(iter(self._idle))).__exit__(None, None, None)
         else:
             instance.__exit__(None, None, None)

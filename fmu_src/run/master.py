@@ -162,7 +162,7 @@ class PythonStepper:
 
     def begin(self, recorded_rows: Array) -> None:
         """Begin a run that is recorded in an array (steps + 1, n)."""
-        self._kept = recorded_rows
+        self._recorded_rows = recorded_rows
         self.done = 0
 
     def advance(self, stop: int) -> None:
@@ -179,7 +179,7 @@ class PythonStepper:
             if shown.dot(self._zeros) != 0.0:  # infinity and NaN times zero are NaN
                 layout.values[:] = shown
                 break
-            shown.take(layout.rows, out=self._kept[k], mode="clip")
+            shown.take(layout.rows, out=self._recorded_rows[k], mode="clip")
             self.done = k + 1
             if layout.limited.size:
                 layout.require_limits(shown, time)

@@ -142,7 +142,7 @@ class NativeStepper:
 
     def begin(self, recorded_rows: Array) -> None:
         """See `PythonStepper`."""
-        self._kept = recorded_rows
+        self._recorded_rows = recorded_rows
         self._system.kept = recorded_rows.ctypes.data
         self._progress.done = 0
 

@@ -69,7 +69,7 @@ class Sandbox:
         self.buffers = 0  # number
         self._total = total
         self._ended = False
-        self._left = b""
+        self._last_shared = b""
         self.begin()
         # Kept open, because the FMU may replace the file.
         self._shared = (folder / sandbox_child.SHARED).open("w+b", buffering=0)
@@ -81,7 +81,7 @@ class Sandbox:
         child = ("-P", "-m", "fmu_src.run.sandbox_child", str(theirs.fileno()), readable.resolve())
         windows = sys.platform == "win32"
         try:
-            self._started = ChildProcess(
+            self._child = ChildProcess(
                 (sys.executable, *map(str, child), *modules),
                 folder,
                 environment=dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder.resolve())),
@@ -99,7 +99,7 @@ class Sandbox:
 
     def begin(self) -> None:
         """Begin a run, which has `total` seconds."""
-        self._last = time.monotonic() + self._total
+        self._run_deadline = time.monotonic() + self._total
 
     def share(self, values: bytes, size: int) -> None:
         """Clear the progress in the shared file; values and `size` bytes follow it."""
@@ -112,7 +112,7 @@ class Sandbox:
     def read_shared(self, begin: int, size: int) -> bytes:
         """Return bytes of the shared file, fewer if the FMU has shortened it."""
         if self._ended:
-            return self._left[begin : begin + size]
+            return self._last_shared[begin : begin + size]
         self._shared.seek(begin)
         return self._shared.read(size)
 
@@ -121,7 +121,8 @@ class Sandbox:
     ) -> Any:
         """Return the answer to a request, at most `limit` bytes; `stepping` has `seconds` a row."""
         data = json.dumps(request).encode()
-        self._end, self._stepping = time.monotonic() + self.seconds, stepping
+        self._answer_deadline = time.monotonic() + self.seconds
+        self._stepping = stepping
         try:
             self._send(sandbox_child.LENGTH.pack(len(data)) + data)
             return json.loads(self._receive(limit))
@@ -144,7 +145,7 @@ class Sandbox:
 
     def end_process(self, reason: str) -> DiedError:
         """End the process and return the error; keep the rows that it has shared."""
-        self._left = self.read_shared(0, self._size)
+        self._last_shared = self.read_shared(0, self._size)
         self.kill()
         return DiedError(reason)
 
@@ -155,9 +156,9 @@ class Sandbox:
         self._ended = True
         self._shared.close()
         self._socket.close()
-        if self._started.process.stdin:
-            self._started.process.stdin.close()
-        self._started.end()
+        if self._child.process.stdin:
+            self._child.process.stdin.close()
+        self._child.end()
 
     def progress(self) -> tuple[int, int, int]:
         """Return rows, station and call; the FMU may have written anything there."""
@@ -180,10 +181,10 @@ class Sandbox:
                 piece = self._socket.recv(_RECEIVE_SIZE)
             except TimeoutError:
                 # Descendants may keep the connection open.
-                if self._started.process.poll() is not None:
+                if self._child.process.poll() is not None:
                     raise ConnectionError from None
                 if before and before[0] != (now := self.progress())[0]:
-                    before, self._end = now, time.monotonic() + self.seconds
+                    before, self._answer_deadline = now, time.monotonic() + self.seconds
                 self._require_time()
                 continue
             if not piece:
@@ -201,14 +202,14 @@ class Sandbox:
 
     def _require_time(self) -> None:
         now = time.monotonic()
-        if now > self._end:
+        if now > self._answer_deadline:
             raise self.end_process(f"gave no answer within {self.seconds:g} s and was ended")
-        if now > self._last:
+        if now > self._run_deadline:
             raise self.end_process(f"ran for more than {self._total:g} s and was ended")
 
     def _describe_end(self) -> str:
         try:
-            return describe_end(self._started.process.wait(1.0))
+            return describe_end(self._child.process.wait(1.0))
         except subprocess.TimeoutExpired:
             return "closed its connection and was ended"
 
@@ -347,7 +348,7 @@ class SandboxedInstance:
         """Do what `_call` does; raise CallError or DiedError as they are."""
         calls, self._written = [*(call for _, call in self._written), (method, *arguments)], []
         self._known.clear()
-        request = {"who": self.number, "calls": calls, "ahead": ahead}
+        request = {"instance_number": self.number, "calls": calls, "ahead": ahead}
         limit = sandbox_child.MAX_ANSWER_BYTES + 2 * sum(self._sizes.values())
         answer = self.sandbox.ask(request, limit, stepping=stepping)
         try:
@@ -434,7 +435,7 @@ class SandboxStepper:
 
     def begin(self, recorded_rows: Array) -> None:
         """See `PythonStepper`."""
-        self._kept = recorded_rows
+        self._recorded_rows = recorded_rows
         self.done = 0
         self._is_prepared = False
 
@@ -470,7 +471,7 @@ class SandboxStepper:
 
     def _prepare(self) -> None:
         layout = self._layout
-        self._sandbox.share(layout.values.tobytes(), self._kept.nbytes)
+        self._sandbox.share(layout.values.tobytes(), self._recorded_rows.nbytes)
         stations = [
             (
                 input_buffer.instance.number,
@@ -487,7 +488,7 @@ class SandboxStepper:
             name: np.asarray(getattr(layout, name)).tolist() for name in sandbox_child.LAYOUT_FIELDS
         }
         layout_fields["order"] = layout.scheme.order
-        size = (len(layout.values), *self._kept.shape)
+        size = (len(layout.values), *self._recorded_rows.shape)
         self._inputs[0].instance.request(
             "system", stations, size, layout_fields, str(self._library or "")
         )
@@ -496,12 +497,15 @@ class SandboxStepper:
     def _take(self, done: int) -> None:
         """Copy values and new rows."""
         values = self._layout.values
-        width = self._kept.shape[1]
+        width = self._recorded_rows.shape[1]
         first = sandbox_child.HEAD + values.nbytes + 8 * width * self.done
-        for array, begin in ((values, sandbox_child.HEAD), (self._kept[self.done : done], first)):
+        for array, begin in (
+            (values, sandbox_child.HEAD),
+            (self._recorded_rows[self.done : done], first),
+        ):
             data = self._sandbox.read_shared(begin, array.nbytes)
             if len(data) < array.nbytes:
                 return
             array[:] = np.frombuffer(data).reshape(array.shape)
-        if np.isfinite(self._kept[self.done : done]).all():
+        if np.isfinite(self._recorded_rows[self.done : done]).all():
             self.done = done

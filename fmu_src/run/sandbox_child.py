@@ -31,16 +31,15 @@ if TYPE_CHECKING:
     from fmu_src.run.instance import Instance, LocalBuffer
     from fmu_src.run.native import StepRecord
 
-MAX_MEMORY_BYTES = 4 << 30
+MAX_MEMORY_BYTES = 4 << 30  # of the process
 MAX_FILE_BYTES = 1 << 30
-MAX_OPEN_FILES = 256  # limits of the process [bytes, bytes, open at a time]
+MAX_OPEN_FILES = 256  # at a time
 MAX_MESSAGES = 100
 MAX_MESSAGE_LENGTH = 2000
 """Number and size [characters] of the last messages of an FMU that are forwarded."""
 
-MAX_ANSWER_BYTES = (
-    4 * MAX_MESSAGES * MAX_MESSAGE_LENGTH
-)  # largest text of an answer of an FMU [bytes]
+# Largest text of an answer of an FMU.
+MAX_ANSWER_BYTES = 4 * MAX_MESSAGES * MAX_MESSAGE_LENGTH
 SHARED = "shared"
 HEAD = 24  # bytes of `StepRecord`
 LENGTH = struct.Struct("!I")
@@ -68,7 +67,7 @@ class _Host:
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         self._process = os.getpid()
-        self._who = 0
+        self._instance_number = 0
         self._messages: list[tuple[int, int, str]] = []  # number of the instance, status, text
         self._instances: list[Instance] = []
         self._buffers: list[LocalBuffer] = []
@@ -90,17 +89,19 @@ class _Host:
         del self._messages[:-MAX_MESSAGES]
 
     def _answer_calls(
-        self, who: int, calls: Sequence[Sequence[Any]], ahead: Sequence[int]
+        self, instance_number: int, calls: Sequence[Sequence[Any]], ahead: Sequence[int]
     ) -> dict[str, Any]:
         """Do the calls, and read buffers speculatively."""
         from fmu_src.run.instance import CallError, LoadError
 
         answer: dict[str, Any] = {"results": [], "ahead": []}
-        self._who = who
+        self._instance_number = instance_number
         try:
             for position, (method, *arguments) in enumerate(calls):
                 self._note(position)
-                call = getattr(self, f"_{method}", None) or getattr(self._instances[who], method)
+                call = getattr(self, f"_{method}", None) or getattr(
+                    self._instances[instance_number], method
+                )
                 answer["results"].append(call(*arguments))
         except LoadError as error:
             answer["unloadable"] = str(error)[:MAX_MESSAGE_LENGTH]
@@ -125,10 +126,12 @@ class _Host:
         from fmu_src.run.instance import UnpackedFmu
         from fmu_src.run.loader import load_instance
 
-        self._instances.append(load_instance(UnpackedFmu(**fmu), partial(self._tell, self._who)))
+        self._instances.append(
+            load_instance(UnpackedFmu(**fmu), partial(self._tell, self._instance_number))
+        )
 
     def _buffer(self, references: Sequence[int]) -> None:
-        self._buffers.append(self._instances[self._who].buffer(references))
+        self._buffers.append(self._instances[self._instance_number].buffer(references))
 
     def _write(self, number: int, values: str) -> None:
         buffer = self._buffers[number]
@@ -139,7 +142,7 @@ class _Host:
         return base64.b64encode(self._buffers[number].read().tobytes()).decode()
 
     def _close(self, stepping: bool) -> None:
-        self._instances[self._who].close(stepping=stepping)
+        self._instances[self._instance_number].close(stepping=stepping)
 
     def _system(
         self,

@@ -10,7 +10,7 @@ from rich.console import Console
 from small_study import Hesr, hesr_here
 
 from cosim.report.tables.laws import convention
-from cosim.report.tables.terminal import Drawn
+from cosim.report.tables.terminal import TerminalTable
 from fmu_src import model_file
 from fmu_src.friction.convention import measure, run
 from fmu_src.friction.embedded_model import EMBEDDED_MODEL
@@ -117,7 +117,7 @@ def test_a_friction_fmu_with_a_broken_description_is_still_checked(
 def test_results_are_given_as_table_and_json(friction_fmu: Path) -> None:
     found = measure(friction_fmu, periods=1.0)
     console = Console(width=80, record=True)
-    console.print(Drawn(convention("[x].fmu", found)))
+    console.print(TerminalTable(convention("[x].fmu", found)))
     text = console.export_text()
     assert "[x].fmu" in text
     for setting, meaning in SETTINGS.items():

@@ -186,10 +186,10 @@ class ConnectedSandbox(Sandbox):
         self._socket, self.theirs = socket.socketpair()
         self._socket.settimeout(0.01)
         self.seconds, self._total = seconds, total
-        self._last = time.monotonic() + total
+        self._run_deadline = time.monotonic() + total
         self._size, self._ended = 0, False
         process = SimpleNamespace(poll=lambda: None, wait=lambda _seconds: 3)
-        self._started: Any = SimpleNamespace(process=process)
+        self._child: Any = SimpleNamespace(process=process)
 
     def read_shared(self, begin: int, size: int) -> bytes:
         return bytes(size)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cosim.report.tables.scores import errors
-from cosim.report.tables.terminal import Drawn
+from cosim.report.tables.terminal import TerminalTable
 from cosim.study.scores import (
     MEASURES,
     Comparison,
@@ -209,7 +209,7 @@ def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
     found = scores.ratios.laws["parfam_hx"][0].value
     rmses = [scores.laws[law].rmse[0] for law in ("parfam_hx", "lugre_load")]
     assert found == pytest.approx(rmses[0] / rmses[1], rel=1e-12)
-    text = shown(Drawn(errors("unseen", scores, inputs=inputs)))
+    text = shown(TerminalTable(errors("unseen", scores, inputs=inputs)))
     assert "the strongest classic law" in " ".join(text.split())
 
 
@@ -327,7 +327,7 @@ def test_tables_group_laws_by_inputs_fewest_first(
     )
     classes = {"parfam_hx": "v, q, load, start", "lugre": "v", "hx_bare": "v",
                "lugre_load": "v, load"}  # fmt: skip
-    text = shown(Drawn(errors("unseen", scores, inputs=classes)))
+    text = shown(TerminalTable(errors("unseen", scores, inputs=classes)))
     lines = [line.strip() for line in text.splitlines()]
     headings = [line for line in lines if line.startswith("inputs")]
     assert headings == ["inputs v", "inputs v, load", "inputs v, q, load, start"]

@@ -13,7 +13,7 @@ from cosim.loop.traces import Tracked
 from cosim.report.markup import table as page
 from cosim.report.tables import laws, loop, scores
 from cosim.report.tables.table import ResultTable, TableRow, number
-from cosim.report.tables.terminal import Drawn
+from cosim.report.tables.terminal import TerminalTable
 from cosim.study.scores import Comparison, LawScores, Ratios
 from hesr_model.audit.properties import (
     EXPECTATIONS,
@@ -31,7 +31,7 @@ LAWS = ("lugre", "lugre_load_ripple", "parfam_hx", LONG, "anamewithoutanyblanks"
 
 def terminal(table: ResultTable, width: int = 80) -> str:
     out = StringIO()
-    Console(file=out, width=width).print(Drawn(table))
+    Console(file=out, width=width).print(TerminalTable(table))
     assert max(map(len, out.getvalue().splitlines())) <= width
     assert "…" not in out.getvalue()
     return out.getvalue()

@@ -148,7 +148,7 @@ def test_an_interrupted_study_resumes(
 
     run_of = {"motions": motions(loop.tracking), "duration": 1.0, "stage": "tracking", "workers": 1}
     whole = loop.track(rows, **run_of)
-    loop = replace(loop, kept=tmp_path / "kept")
+    loop = replace(loop, checkpoints=tmp_path / "checkpoints")
     with pytest.raises(InterruptedForTestError):
         replace(loop, progress=interrupt).track(rows, **run_of)
     ran = []

@@ -11,7 +11,7 @@ from significance import against
 from cosim.loop.closed_loop import StandIn
 from cosim.loop.loops import StudyLoop, assemble, build, motions, run_tracking
 from cosim.loop.traces import Tracked
-from cosim.study.results import Scored
+from cosim.study.results import ScoredRun
 from cosim.study.run import run_study, score_study
 from cosim.study.scores import (
     MEASURED_START,
@@ -55,7 +55,7 @@ COMPENSATING = ("parfam_h", "parfam_hx")
 class Outcome:
     """Scores of the shipped study, and its closed loop on all motions and on the long one."""
 
-    run: Scored
+    run: ScoredRun
     comparisons: Mapping[str, Comparison]
     models: Mapping[str, FrictionModel]
     tracking: Sequence[Tracked]

@@ -84,7 +84,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
         loop.row(StandIn.VELOCITY_ONLY, Scheme(compensation="none")),
         *(loop.row(name, inversion) for name in (StandIn.BODY_ONLY, "parfam_h", StandIn.ORACLE)),
     ]
-    loop = replace(loop, limits=np.tile([-10.0, 10.0], (3, 1)), kept=folder / "kept")
+    loop = replace(loop, limits=np.tile([-10.0, 10.0], (3, 1)), checkpoints=folder / "checkpoints")
     found, again = (
         loop.track(rows, motions(settings), 1.0, "tracking", traced=True, workers=1)
         for _ in range(2)

@@ -203,14 +203,14 @@ def _robot_of_fleet(folder: Path) -> object:
 
 def _write_tracked(path: Path) -> None:
     from cosim.loop.closed_loop import Scheme
-    from cosim.loop.loops import _Kept
+    from cosim.loop.loops import _FinishedRow
     from cosim.loop.traces import Trace, Tracked
     from hesr_model.support.typed_files import to_json, write_json
 
     rows = np.array([[0.1, np.nan], [0.3, 0.4]])
     row = Tracked(scheme=Scheme(compensation="none"), law="lugre", rmse=rows, last=rows)
     trace = Trace(t=np.arange(2.0), q_d=np.ones((2, 2)), q=np.zeros((2, 2)))
-    write_json(path, to_json(_Kept(tracked=row, trace=trace)))
+    write_json(path, to_json(_FinishedRow(tracked=row, trace=trace)))
 
 
 INPUTS, OUTPUTS = ("arm.payload", "controller.Kp"), ("tracking",)
@@ -320,7 +320,7 @@ RESULTS = {
     ),
     "paths": Reader(suffix=".npz", write=_write_paths, read=_paths),
     "tracked": Reader(
-        suffix=".json", write=_write_tracked, read=_result("cosim.loop.loops", "_Kept")
+        suffix=".json", write=_write_tracked, read=_result("cosim.loop.loops", "_FinishedRow")
     ),
     "robot of a fleet": Reader(
         suffix=".json",

@@ -23,7 +23,7 @@ from interop.matrix import (
 from interop.table import notes, table
 from rich.console import Console
 
-from cosim.report.tables.terminal import Drawn
+from cosim.report.tables.terminal import TerminalTable
 from hesr_model.support.process import FailedError
 
 _WIDTH = 132
@@ -116,6 +116,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     terminalreporter.section("engines")
     console = Console(width=_WIDTH)
     with console.capture() as shown:
-        console.print(Drawn(table(matrix)))
+        console.print(TerminalTable(table(matrix)))
     for line in (*shown.get().splitlines(), *notes(matrix)):
         terminalreporter.write_line(line)

@@ -16,7 +16,7 @@ from fmpy.fmi2 import FMU2Slave
 from registry_models import STUDIED
 from significance import against
 
-from cosim.study.results import Scored
+from cosim.study.results import ScoredRun
 from cosim.study.run import run_study, score_study
 from cosim.study.scores import (
     MEASURED_START,
@@ -85,7 +85,7 @@ def takes_start(model: FrictionModel) -> bool:
 
 
 @pytest.fixture(scope="session")
-def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
+def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> ScoredRun:
     """The study up to its scores; skipped if the logs are missing."""
     study = Study.read(STUDY)
     variants = {**study.variants, "lugre_load_relaxed": Variant(law="lugre_load", options=RELAX)}
@@ -108,7 +108,7 @@ def test_the_whole_study_runs_and_names_a_law(
 
 
 @pytest.fixture(scope="session")
-def scores(outcome: Scored, records: list[list[FrictionRecord]]) -> Comparison:
+def scores(outcome: ScoredRun, records: list[list[FrictionRecord]]) -> Comparison:
     """Scores with a velocity without lag, for which the bounds were found."""
     tested = transpose_records(records)
     predicted = {
@@ -118,7 +118,9 @@ def scores(outcome: Scored, records: list[list[FrictionRecord]]) -> Comparison:
     return compare(tested, predicted, input_classes(outcome.models), outcome.models)
 
 
-def test_the_lag_of_the_velocity_costs_a_few_per_cent(outcome: Scored, scores: Comparison) -> None:
+def test_the_lag_of_the_velocity_costs_a_few_per_cent(
+    outcome: ScoredRun, scores: Comparison
+) -> None:
     found = outcome.comparisons["test"]
     for law, rmse in found.zero_phase.items():
         np.testing.assert_allclose(rmse, errors(scores, law), rtol=1e-9)
@@ -128,7 +130,7 @@ def test_the_lag_of_the_velocity_costs_a_few_per_cent(outcome: Scored, scores: C
 
 @pytest.fixture(scope="session")
 def records(
-    outcome: Scored, unseen_logs: list[Log], ur10e_model: Robot
+    outcome: ScoredRun, unseen_logs: list[Log], ur10e_model: Robot
 ) -> list[list[FrictionRecord]]:
     """Friction of every joint in every test log."""
     return [friction_records(log, ur10e_model, outcome.rigid_body) for log in unseen_logs]
@@ -142,7 +144,7 @@ def mean_ratio(scores: Comparison, law: str, other: str) -> float:
     return float(np.exp(np.mean(np.log(errors(scores, law) / errors(scores, other)))))
 
 
-def started(outcome: Scored, law: str) -> str:
+def started(outcome: ScoredRun, law: str) -> str:
     """The row of a law with its initial state estimated from measured torque, if supported."""
     return measured_start(law) if takes_start(outcome.models[law]) else law
 
@@ -163,7 +165,7 @@ def test_the_extended_law_predicts_without_ripple_and_start(scores: Comparison, 
 
 @pytest.mark.parametrize("other", MOST_OF_OTHERS)
 def test_the_extended_law_is_ahead_of_others(
-    outcome: Scored, scores: Comparison, other: str
+    outcome: ScoredRun, scores: Comparison, other: str
 ) -> None:
     own = measured_start("parfam_hx")
     assert mean_ratio(scores, own, started(outcome, other)) <= MOST_OF_OTHERS[other]
@@ -171,7 +173,7 @@ def test_the_extended_law_is_ahead_of_others(
 
 @pytest.mark.parametrize("row", [str, measured_start])
 def test_no_other_law_of_the_same_inputs_is_better_than_stops(
-    outcome: Scored, scores: Comparison, row: Callable[[str], str]
+    outcome: ScoredRun, scores: Comparison, row: Callable[[str], str]
 ) -> None:
     """Both without and with the initial state estimated from measured torque."""
     own = name_inputs(outcome.models["parfam_s"])
@@ -210,7 +212,7 @@ def test_stops_with_symbolic_bounds_are_ahead_in_every_class(
 
 @pytest.mark.parametrize("other", ["lugre", "lugre_relaxed"])
 def test_stops_are_never_significantly_worse_than_lugre(
-    outcome: Scored, scores: Comparison, other: str
+    outcome: ScoredRun, scores: Comparison, other: str
 ) -> None:
     laws = ("parfam_s_v", "parfam_s_load", "parfam_s")
     found = against(outcome, "test", laws, other)
@@ -219,7 +221,7 @@ def test_stops_are_never_significantly_worse_than_lugre(
 
 
 def test_most_laws_are_separated_from_the_best(
-    outcome: Scored, records: list[list[FrictionRecord]]
+    outcome: ScoredRun, records: list[list[FrictionRecord]]
 ) -> None:
     """Nine laws with memory, on each joint; J4 turns too little."""
     laws = ("lugre", "lugre_textbook", "lugre_load_ripple", "dahl", "dahl_load", "strain_wave",
@@ -231,7 +233,7 @@ def test_most_laws_are_separated_from_the_best(
     assert [leading[0] for leading in found.leading] == ["parfam_s"] * 6
 
 
-def test_every_studied_law_and_every_extension_is_a_row(outcome: Scored) -> None:
+def test_every_studied_law_and_every_extension_is_a_row(outcome: ScoredRun) -> None:
     rows = {*FAST, *ABLATION, *RELAXED, "lugre_load_relaxed"}
     assert set(outcome.models) == rows
     with_start = {measured_start(law) for law in rows if takes_start(outcome.models[law])}
@@ -259,7 +261,7 @@ def assert_it_is_the_law(
 
 @pytest.mark.parametrize("law", FAST)
 def test_the_fmu_matches_the_law_on_every_test_log(
-    outcome: Scored, records: list[list[FrictionRecord]], law: str
+    outcome: ScoredRun, records: list[list[FrictionRecord]], law: str
 ) -> None:
     assert_it_is_the_law(outcome.fmus[law], outcome.models[law], records)
 
@@ -332,7 +334,7 @@ def stepped(fmu: Path, folder: Path, t: np.ndarray, inputs: dict[str, np.ndarray
 
 @pytest.fixture(scope="session")
 def second(
-    outcome: Scored,
+    outcome: ScoredRun,
     unseen_logs: list[Log],
     ur10e_model: Robot,
     tmp_path_factory: pytest.TempPathFactory,
@@ -368,7 +370,7 @@ def second(
 
 
 def test_ratios_are_those_of_a_second_computation(
-    outcome: Scored, second: tuple[list[str], list[float]]
+    outcome: ScoredRun, second: tuple[list[str], list[float]]
 ) -> None:
     scored = outcome.comparisons["test"].ratios
     assert list(scored.by_joint["parfam_s"]) == second[0]

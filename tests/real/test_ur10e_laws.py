@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.study.results import Scored
+from cosim.study.results import ScoredRun
 from cosim.study.run import score_study
 from cosim.study.scores import Comparison, compare, predict_models, select_records
 from cosim.study.steps import Job
@@ -28,7 +28,7 @@ VARIANT = "lugre_relaxed"
 
 
 @pytest.fixture(scope="module")
-def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
+def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> ScoredRun:
     """The study next to this file, with the laws of known figures."""
     whole = Study.read(STUDY)
     variants = {VARIANT: whole.variants[VARIANT]}
@@ -39,7 +39,7 @@ def outcome(ur10e_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Score
 
 
 @pytest.fixture(scope="module")
-def without_lag(outcome: Scored) -> Comparison:
+def without_lag(outcome: ScoredRun) -> Comparison:
     """Scores with the velocity of the fits; the bounds are for it."""
     records = select_records(outcome.study.logs.test["test"], outcome.records)
     return compare(records, predict_models(outcome.models, records), {})
@@ -50,13 +50,13 @@ def scores(comparison: Comparison, law: str, measure: str) -> list[float]:
 
 
 def test_scores_of_the_fmus_without_lag_are_those_of_the_laws(
-    outcome: Scored, without_lag: Comparison
+    outcome: ScoredRun, without_lag: Comparison
 ) -> None:
     for law, found in outcome.comparisons["test"].zero_phase.items():
         np.testing.assert_allclose(found, scores(without_lag, law, "rmse"), rtol=1e-9)
 
 
-def test_the_test_logs_are_the_known_ones(outcome: Scored) -> None:
+def test_the_test_logs_are_the_known_ones(outcome: ScoredRun) -> None:
     spread = outcome.comparisons["test"].tau_std
     np.testing.assert_allclose(spread, [27.6, 23.9, 11.7, 4.33, 4.25, 3.73], rtol=0.005)
 
@@ -79,7 +79,7 @@ def test_a_state_reduces_the_error_at_reversals(without_lag: Comparison) -> None
     assert np.all(with_state < 0.9 * without)
 
 
-def test_everything_is_written(outcome: Scored) -> None:
+def test_everything_is_written(outcome: ScoredRun) -> None:
     assert set(outcome.fmus) == {*STUDIED, VARIANT}
     for law, fmu in outcome.fmus.items():
         assert fmu.is_file()

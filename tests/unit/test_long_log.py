@@ -112,7 +112,7 @@ def test_identify_reads_long_logs_in_pieces(
     file = tmp_path / "robot.toml"
     expected = hesr.identify(paths, robot=file)
     physical = hesr.identify(paths, robot=file, physical=True)
-    monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
+    monkeypatch.setattr(arguments, "MAX_NUMBERS", 1000)
     monkeypatch.setattr(long_log, "PIECE_ROWS", 500)
     used: list[LongLog] = []
     make = long_log.LongLog
@@ -146,7 +146,7 @@ def test_fit_takes_whole_stretches_of_long_logs(
         return arguments.read_checked_logs([path], file, (), in_pieces=True).compute_records(body)
 
     expected = records()
-    monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
+    monkeypatch.setattr(arguments, "MAX_NUMBERS", 1000)
     found = records()
     assert "The logs have" not in caplog.text
     assert caplog.messages[0] == caplog.messages[1]
@@ -158,7 +158,7 @@ def test_fit_takes_whole_stretches_of_long_logs(
     files = list(map(str, law.provenance["files"]))
     for name, one in zip(("robot.toml", "chain.urdf", "log.npz"), files, strict=True):
         assert name in one
-    monkeypatch.setattr(arguments, "MOST_ROWS", 1500)
+    monkeypatch.setattr(arguments, "MAX_ROWS", 1500)
     some = records()
     assert 1000 < sum(len(part[0].t) for part in some) <= 1500
     assert "The logs have 2500 rows; " in caplog.text
@@ -180,9 +180,9 @@ def test_laws_are_tested_on_long_logs(
         return list(found.scores.zero_phase["law"])
 
     expected = errors()
-    monkeypatch.setattr(arguments, "MOST_CELLS", 1000)
+    monkeypatch.setattr(arguments, "MAX_NUMBERS", 1000)
     np.testing.assert_allclose(errors(), expected, rtol=1e-9)
-    monkeypatch.setattr(arguments, "MOST_ROWS", 1500)
+    monkeypatch.setattr(arguments, "MAX_ROWS", 1500)
     assert max(np.abs(np.array(errors()) / expected - 1.0)) > 1e-9
 
 

@@ -9,7 +9,7 @@ from cosim.report.figures.chart import Chart, Line, Panel
 from cosim.report.figures.style import MEASURED, strokes
 from cosim.report.figures.zoom import can_zoom
 from cosim.report.results import Results
-from cosim.report.tables.table import ResultTable, make_row, number, rounded
+from cosim.report.tables.table import ResultTable, format_significant, make_row, number
 from cosim.study.results import HEALTH, SavedLog, read_findings
 from cosim.study.verdict import VERDICT
 from hesr_model.rigid_body.identification import RigidBody
@@ -63,8 +63,8 @@ def body(results: Results) -> dict[str, Any]:
         "body": body,
         "rotors": sum(name.endswith(".Ir") for name in body.names),
         "method": _METHODS[body.method] + weighted,
-        "condition": rounded(body.condition),
-        "errors": ", ".join(map(rounded, body.rmse)),
+        "condition": format_significant(body.condition),
+        "errors": ", ".join(map(format_significant, body.rmse)),
         "log": log,
         "torques": _torques(results, log) if log else None,
         "parameters": parameters(body),

@@ -249,23 +249,23 @@ def audit(results: Results) -> dict[str, Any] | None:
                 title(law),
                 *(
                     TableCell(text="none", value=0.0)
-                    if a.generated < _ROUNDING
-                    else number(a.generated, 2)
-                    for a in audit.audits
+                    if joint_audit.generated < _ROUNDING
+                    else number(joint_audit.generated, 2)
+                    for joint_audit in model_audit.audits
                 ),
-                *(fixed_cell(a.chatter, 2) for a in audit.audits),
+                *(fixed_cell(joint_audit.chatter, 2) for joint_audit in model_audit.audits),
             )
-            for law, audit in audits.items()
+            for law, model_audit in audits.items()
         ],
     )
     proofs = ResultTable(
         caption="Passivity of each law and joint",
         head=("law", "joint", "certificate"),
         rows=[
-            make_row(title(law), joint, describe_certificate(c, slides=slides))
-            for law, audit in audits.items()
-            for joint, c, slides in zip(
-                results.joints, audit.certificates, results.models[law].slides, strict=True
+            make_row(title(law), joint, describe_certificate(certificate, slides=slides))
+            for law, model_audit in audits.items()
+            for joint, certificate, slides in zip(
+                results.joints, model_audit.certificates, results.models[law].slides, strict=True
             )
         ],
         numeric=False,
@@ -275,10 +275,11 @@ def audit(results: Results) -> dict[str, Any] | None:
         "energy": energy,
         "proofs": proofs,
         "proven": sum(
-            all(c.verdict == "proven" for c in audit.certificates) for audit in audits.values()
+            all(certificate.verdict == "proven" for certificate in model_audit.certificates)
+            for model_audit in audits.values()
         ),
         "passive": sum(
-            all(a.generated < _ROUNDING for a in model_audit.audits)
+            all(joint_audit.generated < _ROUNDING for joint_audit in model_audit.audits)
             for model_audit in audits.values()
         ),
         "audits": [

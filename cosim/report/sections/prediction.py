@@ -294,7 +294,7 @@ def following(results: Results) -> dict[str, Any] | None:
     if following_errors is None:
         return None
     return {
-        "found": following_errors,
+        "following": following_errors,
         "sentence": loop_tables.benefit(following_errors, results.sliding),
         "errors": loop_tables.following(following_errors, results.sliding),
     }

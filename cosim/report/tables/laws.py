@@ -61,7 +61,8 @@ def legend(sliding: Sequence[bool] = ()) -> ResultTable:
         sources_text = "; ".join(
             re.sub(r" \((\d+)\):.*", r" \1", source) for source in expectation.sources
         )
-        meaning = f"{expectation.shows} [{unit_of_joints(expectation.unit, sliding)}]. {expectation.expected} ({sources_text})"
+        unit = unit_of_joints(expectation.unit, sliding)
+        meaning = f"{expectation.shows} [{unit}]. {expectation.expected} ({sources_text})"
         rows.append(make_row(expectation.short, meaning))
     return ResultTable(caption="", head=("column", "shows"), rows=rows, numeric=False)
 
@@ -214,7 +215,8 @@ def describe_excesses(
     units = {**INPUT_UNITS, TEMPERATURE.name: TEMPERATURE.unit}
     return "\n".join(
         f"{joint}: {name} leaves the trained range in {100.0 * excess.rows:.1f} % of the rows, by "
-        f"up to {max(excess.below, excess.above):.3g} {unit_of_joint(units[name], is_prismatic=joint_slides)}."
+        f"up to {max(excess.below, excess.above):.3g} "
+        f"{unit_of_joint(units[name], is_prismatic=joint_slides)}."
         for joint, joint_excesses, joint_slides in zip(names, excesses, slides, strict=True)
         for name, excess in joint_excesses.items()
     )
@@ -244,7 +246,5 @@ def _gear(gear: ElasticGear) -> str:
             f"Gear of {gear.joint}: these logs do not determine its stiffness "
             f"({parameter_texts['stiffness']} N.m/rad); record faster motion, or a payload."
         )
-    return (
-        f"Gear of {gear.joint} [SI]: "
-        f"{', '.join(f'{n} {text}' for n, text in parameter_texts.items())}."
-    )
+    parameters = ", ".join(f"{name} {text}" for name, text in parameter_texts.items())
+    return f"Gear of {gear.joint} [SI]: {parameters}."

@@ -111,7 +111,13 @@ def following(errors: Following, sliding: Sequence[bool]) -> table.ResultTable |
     for row in errors.rows:
         columns = 1e3 * np.array([row.error, row.low, row.high]).T
         cells = [
-            table.number(error, 2, notes=(f"{table.rounded(low, 2)} to {table.rounded(high, 2)}",))
+            table.number(
+                error,
+                2,
+                notes=(
+                    f"{table.format_significant(low, 2)} to {table.format_significant(high, 2)}",
+                ),
+            )
             for error, low, high in columns
         ]
         rows.append(table.make_row(table.title(row.command), *cells))
@@ -139,7 +145,7 @@ def benefit(following_errors: Following, sliding: Sequence[bool]) -> str:
     k = int(np.argmin(ratios))
     unit = "m" if any(sliding[k : k + 1]) else "rad"
     errors = (first.error, last.error, last.low, last.high)
-    old, new, low, high = (table.rounded(1e3 * e[k], 2) for e in errors)
+    old, new, low, high = (table.format_significant(1e3 * e[k], 2) for e in errors)
     return (
         f"Feed-forward of {table.title(last.command)} would reduce the following error on "
         f"{table.joints(k + 1)[k]} from {old} to {new} m{unit} ({low} to {high})."

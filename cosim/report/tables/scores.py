@@ -41,7 +41,7 @@ def errors(
 
     Bold: significantly better than all others that users can run.
     """
-    values = {law: getattr(of_law, measure) for law, of_law in comparison.laws.items()}
+    values = {law: getattr(scores, measure) for law, scores in comparison.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
     covers_all_rows = measure == "rmse"
     ratios = comparison.ratios.laws if covers_all_rows else {}
@@ -84,7 +84,7 @@ def errors(
     if comparison.ratios.fair:
         reference = "the strongest classic law of the same inputs or fewer"
     small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
-    if any(ratio.others for of_law in ratios.values() for ratio in of_law):
+    if any(ratio.others for law_ratios in ratios.values() for ratio in law_ratios):
         small += " on these logs, then on other logs of the kind"
     if zero_phase:
         small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
@@ -189,11 +189,11 @@ def compare_truths(
 ) -> ResultTable:
     """Return errors over the reference's by plant of a twin; `run_truth` is that of the run."""
     first_errors = next(iter(errors_by_truth.values()))
-    laws = list(dict.fromkeys(law for of_test in first_errors.values() for law in of_test))
+    laws = list(dict.fromkeys(law for errors in first_errors.values() for law in errors))
     scores = {test: comparisons[test].laws for test in first_errors}
     run_errors = {
-        test: {law: of_test[law].rmse for law in laws if law in of_test}
-        for test, of_test in scores.items()
+        test: {law: law_scores[law].rmse for law in laws if law in law_scores}
+        for test, law_scores in scores.items()
     }
     truths: Mapping[str, Errors] = {run_truth or "MJCF": run_errors, **errors_by_truth}
     reference = REFERENCE if REFERENCE in laws else laws[0]

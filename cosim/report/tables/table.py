@@ -108,7 +108,7 @@ def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ())
     """Return the cell of a number with significant digits."""
     if value is None or value != value:
         return TableCell(text="–")
-    return TableCell(text=rounded(value, digits), value=value, notes=notes)
+    return TableCell(text=format_significant(value, digits), value=value, notes=notes)
 
 
 def fixed_cell(
@@ -127,7 +127,7 @@ def decimals(values: Iterable[float | None], digits: int = 3) -> int:
     return max(0, digits - 1 - floor(log10(min(sizes)))) if sizes else 0
 
 
-def rounded(value: float, digits: int = 3) -> str:
+def format_significant(value: float, digits: int = 3) -> str:
     """Return a number with significant digits, including trailing zeros."""
     text = f"{value:#.{digits}g}"
     if "e" in text:
@@ -149,9 +149,9 @@ def csv_text(table: ResultTable) -> str:
     group = ""
     for row in table.rows:
         if not row.cells:
-            group = _plain(row.head)
+            group = _to_plain_text(row.head)
             continue
-        fields = [_plain(row.head)]
+        fields = [_to_plain_text(row.head)]
         for cell, has_notes in zip(row.cells, columns_have_notes, strict=True):
             fields += [_value(cell), *(["; ".join(cell.notes)] if has_notes else [])]
         writer.writerow([group, *fields] if has_groups else fields)
@@ -163,10 +163,10 @@ def _value(cell: TableCell) -> str:
         return str(cell.value)
     if cell.marks:
         return "; ".join(f"{mark} {figure}".strip() for mark, figure in cell.marked)
-    return "" if cell.text == "–" else _plain(cell.text)
+    return "" if cell.text == "–" else _to_plain_text(cell.text)
 
 
-def _plain(text: str | Markup) -> str:
+def _to_plain_text(text: str | Markup) -> str:
     return text.striptags() if isinstance(text, Markup) else str(text)
 
 

@@ -19,11 +19,13 @@ def show(*contents: "ResultTable | str") -> None:
     console = Console()
     for table_or_text in contents:
         console.print(
-            Drawn(table_or_text) if isinstance(table_or_text, ResultTable) else table_or_text
+            TerminalTable(table_or_text)
+            if isinstance(table_or_text, ResultTable)
+            else table_or_text
         )
 
 
-class Drawn:
+class TerminalTable:
     """A table for rich that never truncates figures."""
 
     def __init__(self, table: ResultTable) -> None:

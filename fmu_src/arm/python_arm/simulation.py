@@ -40,11 +40,11 @@ class LossState:
         self._scale = scale
         rows = np.array([astuple(loss) for loss in losses], dtype=float)
         columns = rows.reshape(len(losses), len(fields(Loss))).T
-        self._of = {f.name: column for f, column in zip(fields(Loss), columns, strict=True)}
-        self._dof = self._of["dof"].astype(int)
-        self._carrier = np.maximum(self._of["carrier"], 0).astype(int)
-        self._load = self._of["load"] * (self._of["carrier"] >= 0)
-        self.levels: Array = self._of["constant"].copy()
+        self._numbers = {f.name: column for f, column in zip(fields(Loss), columns, strict=True)}
+        self._dof = self._numbers["dof"].astype(int)
+        self._carrier = np.maximum(self._numbers["carrier"], 0).astype(int)
+        self._load = self._numbers["load"] * (self._numbers["carrier"] >= 0)
+        self.levels: Array = self._numbers["constant"].copy()
         self.ages: Array = np.zeros(len(losses))
 
     def start(self, model: Any, data: Any) -> None:
@@ -56,11 +56,13 @@ class LossState:
         """Advance by the last step of the simulation."""
         speed = data.qvel[self._dof]
         step = float(model.opt.timestep)
-        [self.ages] = age_function()(speed, self.ages, step, self._of["slip"], self._of["longest"])
+        [self.ages] = age_function()(
+            speed, self.ages, step, self._numbers["slip"], self._numbers["longest"]
+        )
         self._update(model, data)
 
     def _update(self, model: Any, data: Any) -> None:
-        columns = self._of
+        columns = self._numbers
         torque = data.qfrc_spring[self._carrier] + data.qfrc_gravcomp[self._carrier]
         speed = data.qvel[self._dof]
         numbers = (
@@ -87,8 +89,8 @@ class Simulation:
     """A compiled model, which does not change, with the variables of its FMUs."""
 
     _data: mujoco.MjData
-    _drawn: Array
-    _drawn_from: int
+    _noise_block: Array
+    _first_sample: int
 
     def __init__(self, signals: ArmSignals) -> None:
         self.signals = signals
@@ -179,19 +181,19 @@ class Simulation:
         data.qacc_warmstart[:] = guess
         outputs: Array = self._weights @ data.sensordata
         if self.signals.losses:
-            outputs += self._lost @ self._losses.torque(self._model, data)
+            outputs += self._loss_weights @ self._losses.torque(self._model, data)
         if self._noisy:
             outputs[self._noisy] += self._sigma * self._noise(self.samples)
         return outputs
 
     def _noise(self, sample: int) -> Array:
-        row = sample - self._drawn_from
-        if not 0 <= row < len(self._drawn):
-            self._drawn_from = sample
+        row = sample - self._first_sample
+        if not 0 <= row < len(self._noise_block):
+            self._first_sample = sample
             counters = np.arange(sample, sample + _NOISE_BLOCK_SIZE)[:, None]
-            self._drawn = standard_normal(self._seed, self._streams, counters)
+            self._noise_block = standard_normal(self._seed, self._streams, counters)
             row = 0
-        return np.asarray(self._drawn[row])
+        return np.asarray(self._noise_block[row])
 
     def state(self) -> dict[str, Any]:
         """Return the state in a form that JSON can hold."""
@@ -268,11 +270,12 @@ class Simulation:
         for row, output in zip(self._weights, signals.outputs, strict=True):
             for address, factor, scaled in output.reads:
                 row[address] += factor * (scale if scaled else 1.0)
-        self._lost = np.zeros((len(signals.outputs), len(signals.losses)))
-        for row, output in zip(self._lost, signals.outputs, strict=True):
+        self._loss_weights = np.zeros((len(signals.outputs), len(signals.losses)))
+        for row, output in zip(self._loss_weights, signals.outputs, strict=True):
             row[list(output.losses)] = 1.0
         self._sigma = np.array([parameters[noise_name(signals.outputs[k])] for k in self._noisy])
-        self._drawn, self._drawn_from = np.empty((0, len(self._noisy))), 0
+        self._noise_block = np.empty((0, len(self._noisy)))
+        self._first_sample = 0
         self._seed = join_seed_halves(
             *(int(parameters.get(f"{SEED}[{half}]", 0)) for half in (1, 2))
         )

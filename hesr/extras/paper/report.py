@@ -15,10 +15,10 @@ from cosim.report.tables.table import (
     ResultTable,
     TableCell,
     fixed_cell,
+    format_significant,
     joints,
     make_row,
     markdown,
-    rounded,
     title,
 )
 from cosim.workflow.answer import Written
@@ -153,9 +153,11 @@ def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
 
 def _format_number(number: Number) -> str:
     interval = (
-        f" ({rounded(number.low)}–{rounded(number.high)})" if number.low and number.high else ""
+        f" ({format_significant(number.low)}–{format_significant(number.high)})"
+        if number.low and number.high
+        else ""
     )
-    return f"{rounded(number.value)}{interval}"
+    return f"{format_significant(number.value)}{interval}"
 
 
 def _format_limits(claim: Claim) -> str:

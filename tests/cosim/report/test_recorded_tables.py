@@ -26,7 +26,7 @@ from cosim.report.tables.table import (
     markdown,
     number,
 )
-from cosim.report.tables.terminal import Drawn
+from cosim.report.tables.terminal import TerminalTable
 from cosim.study.position_errors import PositionErrors
 from cosim.study.results import Seeds, SeedScores, Spread
 from cosim.study.scores import Comparison, LawScores, Ratios
@@ -61,7 +61,7 @@ def on_terminal(table: ResultTable) -> str:
     text = StringIO()
     Console(
         file=text, width=78, force_terminal=True, color_system="standard", no_color=False
-    ).print(Drawn(table))
+    ).print(TerminalTable(table))
     return text.getvalue()
 
 
