@@ -102,7 +102,7 @@ class Bench:
 def build(folder: Path, friction: FrictionModel, platforms: Sequence[str] = ("linux64",)) -> Bench:
     """Build the FMUs."""
     write_fmus(folder, friction, platforms)
-    return Bench.from_gains(folder, friction)
+    return Bench.of(folder, friction)
 
 
 def write_fmus(

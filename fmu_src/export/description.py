@@ -158,13 +158,19 @@ def to_xml(interface: Interface, about: Description, guid: str) -> bytes:
     for i, variable in enumerate(interface.variables):
         variables.append(_scalar(variable, i, interface))
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [v for v in interface.variables if v.role in ("output", "on_demand")]
+    outputs = [
+        variable for variable in interface.variables if variable.role in ("output", "on_demand")
+    ]
     _unknowns(structure, "Outputs", outputs, interface, RUNNING_ROLES)
     _unknowns(structure, "Derivatives", interface.derivatives, interface, RUNNING_ROLES)
-    initial = [
-        v for v in interface.variables if v in outputs or v.derivative_of or v.role == "state"
+    initial_unknowns = [
+        variable
+        for variable in interface.variables
+        if variable in outputs or variable.derivative_of or variable.role == "state"
     ]
-    _unknowns(structure, "InitialUnknowns", initial, interface, STARTING_ROLES, initially=True)
+    _unknowns(
+        structure, "InitialUnknowns", initial_unknowns, interface, STARTING_ROLES, initially=True
+    )
     return to_bytes(root)
 
 

@@ -102,7 +102,7 @@ def twin() -> ErrorsOnTests:
         reversed_logs=[logs[name] for name in study.logs.reversed],
     )
     found = partial(friction_records, model=robot, rigid_body=body)
-    return ErrorsOnTests.from_gains(
+    return ErrorsOnTests.of(
         [found(logs[n]) for n in study.logs.training], [found(log) for log in tests]
     )
 
@@ -117,7 +117,7 @@ def ur10e() -> ErrorsOnTests:
     robot, logs = Robot(description), [Log.read(file, description) for file in files]
     tests = [Log.read(files[0].with_name(f"{name}.csv"), description) for name in FOURIER]
     found = partial(friction_records, model=robot, rigid_body=identify(logs, robot))
-    return ErrorsOnTests.from_gains([found(log) for log in logs], [found(log) for log in tests])
+    return ErrorsOnTests.of([found(log) for log in logs], [found(log) for log in tests])
 
 
 def tables(

@@ -153,9 +153,7 @@ def test_step_in_a_c_host(
 ) -> None:
     """Target: 150 ns for three joints of ParFam-H; the number of instructions ignores the load."""
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
-    in_host = InHost.from_gains(
-        host, export_fmu(replace(model, laws=laws), tmp_path / "F.fmu"), tmp_path
-    )
+    in_host = InHost.of(host, export_fmu(replace(model, laws=laws), tmp_path / "F.fmu"), tmp_path)
     taken = benchmark.pedantic(in_host.time, rounds=5)
     benchmark.extra_info |= {"aim": "150 ns", "ns": taken}
     tell(f"doStep of three joints, {discretisation}: {taken:.0f} ns in a C host")
@@ -183,7 +181,7 @@ def test_a_step_of_stops_compared_with_lugre(
 ) -> None:
     def in_host(name: str) -> InHost:
         fmu = export_fmu(fitted(name, records), tmp_path / f"{name}.fmu")
-        return InHost.from_gains(host, fmu, tmp_path / name)
+        return InHost.of(host, fmu, tmp_path / name)
 
     own, lugres = least(in_host(law).time, in_host("lugre").time)
     goal = f" (aim: {aim})" if aim else ""
@@ -233,7 +231,7 @@ def test_a_step_compared_with_c_by_hand(
     if law != "parfam_h":
         model = fitted(law, {"sweep": records["sweep"]})
     model = replace(model, laws=(replace(model.laws[0], discretisation="exact"),) * 3)
-    own = InHost.from_gains(host, export_fmu(model, tmp_path / "F.fmu"), tmp_path)
+    own = InHost.of(host, export_fmu(model, tmp_path / "F.fmu"), tmp_path)
     hand = replace(own, library=by_hand(model, tmp_path, gcc), tau=3)
     mine = replace(own, library=compiled(gcc, tmp_path / "sources" / "all.c", tmp_path / "own.so"))
     assert mine.torques() == own.torques()

@@ -27,9 +27,7 @@ def test_three_joints_take_as_long_as_in_the_fmu(
     model = FrictionModel.read(model_file("uf850-table1"))
     laws = tuple(replace(law, discretisation=discretisation) for law in model.laws)
     own = replace(model, laws=laws)
-    fmu = InHost.from_gains(
-        build_host("host.c", tmp_path), export_fmu(own, tmp_path / "F.fmu"), tmp_path
-    )
+    fmu = InHost.of(build_host("host.c", tmp_path), export_fmu(own, tmp_path / "F.fmu"), tmp_path)
     plugin = export_mujoco_plugin(own, tmp_path / "speed.so")
     bodies = "".join(JOINT.format(name) for name in own.joints) + "</body>" * 3
     scene = tmp_path / "scene.xml"

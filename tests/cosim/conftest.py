@@ -31,7 +31,7 @@ def lag_fmu(shared: Shared) -> Path:
 @pytest.fixture(scope="session")
 def bench(shared: Shared, table1: FrictionModel) -> Bench:
     """The closed loop of the UF850 with the friction of Table I."""
-    return Bench.from_gains(shared("loop", lambda folder: write_fmus(folder, table1)), table1)
+    return Bench.of(shared("loop", lambda folder: write_fmus(folder, table1)), table1)
 
 
 @pytest.fixture(scope="session")
@@ -39,10 +39,10 @@ def study_run(shared: Shared) -> Run:
     """A run of the small study with all tables, in one process; its output goes to a pipe."""
 
     def make(folder: Path) -> None:
-        Run.make(folder, "-o", Run.from_gains(folder).results, "--verbose", program=ALONE)
-        Run.from_gains(folder).require_success()
+        Run.make(folder, "-o", Run.of(folder).results, "--verbose", program=ALONE)
+        Run.of(folder).require_success()
 
-    return Run.from_gains(shared("study", make))
+    return Run.of(shared("study", make))
 
 
 @pytest.fixture(scope="session")
@@ -52,9 +52,9 @@ def study_run_for_programs(shared: Shared) -> Run:
 
     def make(folder: Path) -> None:
         Run.make(folder, *options)
-        Run.from_gains(folder).require_success()
+        Run.of(folder).require_success()
 
-    return Run.from_gains(shared("study for programs", make))
+    return Run.of(shared("study for programs", make))
 
 
 @pytest.fixture

@@ -245,7 +245,7 @@ def test_a_log_is_inspected_without_a_finding_and_fitted(
     log, _ = inspect(name, tmp_path, hesr)
     law = api.fit(log, robot=tmp_path / "bench" / "robot.toml", law="stribeck")
     t = np.arange(100) * 0.005
-    assert CASES[name].truth.find_worst_runs(lambda dq: law.predict(t=t, dq=dq)) < 0.03
+    assert CASES[name].truth.worst(lambda dq: law.predict(t=t, dq=dq)) < 0.03
 
 
 @pytest.mark.ci
@@ -258,7 +258,7 @@ def test_three_commands_lead_to_an_fmu(tmp_path: Path, hesr: Hesr, name: str) ->
     advised = re.search(r"Recommended: (\S+\.fmu)", answer.out)
     assert advised, answer.out
     t = np.arange(100) * 0.005
-    assert CASES[name].truth.find_worst_runs(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
+    assert CASES[name].truth.worst(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
 
 
 def test_the_command_line_and_python_create_the_same_bench(tmp_path: Path, hesr: Hesr) -> None:
@@ -484,4 +484,4 @@ def test_the_commands_of_the_documentation_lead_to_an_fmu(
     advised = re.search(r"Recommended: (\S+\.fmu)", answers[-1].out)
     assert advised, answers[-1].out
     t = np.arange(100) * 0.005
-    assert SPIN.find_worst_runs(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03
+    assert SPIN.worst(lambda dq: replay(Path(advised[1]), t, dq)) < 0.03

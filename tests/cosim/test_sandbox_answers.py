@@ -43,14 +43,14 @@ class AnsweringSandbox(Sandbox):
     def progress(self) -> tuple[int, int, int]:
         return 0, 0, 0
 
-    def ask(self, request: Any, most: int = 0, *, stepping: bool = False) -> Any:
+    def ask(self, request: Any, limit: int = 0, *, stepping: bool = False) -> Any:
         self.requests.append(request)
-        self.most = most
+        self.limit = limit
         return self.answer
 
-    def end_process(self, how: str) -> DiedError:
+    def end_process(self, reason: str) -> DiedError:
         self.ended += 1
-        return DiedError(how)
+        return DiedError(reason)
 
 
 def instance(sandbox: Sandbox, told: list[tuple[int, str]] | None = None) -> SandboxedInstance:

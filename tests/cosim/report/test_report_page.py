@@ -57,20 +57,20 @@ class Page(HTMLParser):
 
     @property
     def sections(self) -> list[str | None]:
-        return [a["id"] for a in self.from_gains("section") if "aria-labelledby" in a]
+        return [a["id"] for a in self.of("section") if "aria-labelledby" in a]
 
     @property
     def parts(self) -> list[str | None]:
-        return [a["id"] for a in self.from_gains("h3") if "id" in a]
+        return [a["id"] for a in self.of("h3") if "id" in a]
 
     @property
     def files(self) -> list[str]:
         """Links to files next to the page."""
-        return [str(a["href"]) for a in self.from_gains("a") if not str(a["href"]).startswith("#")]
+        return [str(a["href"]) for a in self.of("a") if not str(a["href"]).startswith("#")]
 
     @property
     def figures(self) -> list[str]:
-        ids = [str(a["id"]) for a in self.from_gains("figure") if "id" in a]
+        ids = [str(a["id"]) for a in self.of("figure") if "id" in a]
         return [name.removeprefix("figure-") for name in ids if name.startswith("figure-")]
 
     def table(self, caption: str) -> list[list[float]]:
@@ -136,8 +136,8 @@ def test_the_page_runs_its_own_scripts_only(results: Path) -> None:
 def test_the_page_is_small_and_has_few_tables(results: Path) -> None:
     page = Page(results / "report.html")
     assert len(page.text.encode()) < MOST_BYTES
-    assert len(page.from_gains("table")) <= MOST_TABLES
-    assert len(page.from_gains("details")) > len(page.sections) - 1
+    assert len(page.of("table")) <= MOST_TABLES
+    assert len(page.of("details")) > len(page.sections) - 1
 
 
 def test_the_first_layer_names_the_law_and_links_to_its_fmu(results: Path) -> None:
@@ -212,7 +212,7 @@ def test_the_page_is_self_contained(results: Path) -> None:
         # Links to files next to the page are allowed; the page loads none of them.
         beside = tag == "a" and ".." not in to and (results / to).is_file()
         assert to.startswith("#") or beside, attrs
-    targets = [str(a["href"]) for a in page.from_gains("a") if str(a["href"]).startswith("#")]
+    targets = [str(a["href"]) for a in page.of("a") if str(a["href"]).startswith("#")]
     ids = [a["id"] for _, a in page.tags if "id" in a]
     assert len(ids) == len(set(ids))
     assert {t.removeprefix("#") for t in targets} <= set(ids)
@@ -225,7 +225,7 @@ def test_headings_are_in_order_and_parts_have_names(results: Path) -> None:
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(b - a <= 1 for a, b in pairwise(levels))
-    drawings = [a for a in page.from_gains("div") if str(a.get("class")).startswith("drawing")]
+    drawings = [a for a in page.of("div") if str(a.get("class")).startswith("drawing")]
     assert len(drawings) == len(page.figures)
     assert all(len(str(a["aria-label"])) > 40 for a in drawings)
     captions = re.findall(r"<caption>([^<]+)</caption>", page.text)
