@@ -224,7 +224,7 @@ class Job:
             [Subject(name=name, model=model) for name, model in run.models.items()],
             body=(run.robot, run.rigid_body),
             progress=partial(self.progress, "testing the laws"),
-            kept=self.checkpoints and self.checkpoints / "properties",
+            checkpoints=self.checkpoints and self.checkpoints / "properties",
         )
         properties_by_law = dict(zip(run.models, property_list, strict=True))
         write_properties(folder / "properties.json", properties_by_law)

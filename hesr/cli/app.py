@@ -58,8 +58,8 @@ def find_workflow(verb: str) -> Function:
     if verb in _VERBS:
         function: Function = getattr(import_module(f"cosim.workflow.{verb}"), verb)
         return function
-    plugin: Function = plugins.load("hesr.commands")[verb].load()
-    return plugin
+    workflow: Function = plugins.load("hesr.commands")[verb].load()
+    return workflow
 
 
 def help_sections(function: Function) -> "Sequence[HelpSection]":

@@ -44,8 +44,8 @@ _REFUSED_EXIT_CODE = 2
 _CLOSED_OUTPUT_EXIT_CODE = 1  # exit code after the reader of the output has closed it, as Click's
 _MAX_SENTENCE_LENGTH = 4000  # characters of a sentence: file names may be of any length
 
-_MIN_MEMORY = 1 << 30
-_MIN_OPEN_FILES = 64  # limits that libraries need [bytes, open at a time]
+_MIN_MEMORY = 1 << 30  # [bytes] that libraries need
+_MIN_OPEN_FILES = 64  # open at a time, that libraries need
 _MAX_SOURCE_DATE = 253402300799  # [s] of SOURCE_DATE_EPOCH
 
 _ASCII_REPLACEMENTS = str.maketrans("✓✗–—‘’“”→·×µμ", "+x--''\"\">.xuu")
@@ -87,11 +87,11 @@ def require_environment() -> None:
     with suppress(ImportError):  # Windows has no such limits
         import resource
 
-        for kind, minimum, name, unit, option in (
+        for resource_limit, minimum, name, unit, option in (
             (resource.RLIMIT_AS, _MIN_MEMORY, "memory", " MB", "v"),
             (resource.RLIMIT_NOFILE, _MIN_OPEN_FILES, "open files", "", "n"),
         ):
-            limit = resource.getrlimit(kind)[0]
+            limit = resource.getrlimit(resource_limit)[0]
             if limit != resource.RLIM_INFINITY and limit < minimum:
                 scale = 10**6 if unit else 1
                 raise ConfigError(
@@ -128,9 +128,9 @@ def accept_any_text() -> None:
     """Let standard output and error accept any text; outputs without UTF-8 get ASCII."""
     codecs.register_error("hesr.plain", _replace_unencodable)
     for stream in (sys.stdout, sys.stderr):
-        reconfigure = getattr(stream, "reconfigure", None)
-        if reconfigure:
-            reconfigure(errors="hesr.plain")
+        reconfigure_stream = getattr(stream, "reconfigure", None)
+        if reconfigure_stream:
+            reconfigure_stream(errors="hesr.plain")
 
 
 def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
@@ -163,13 +163,13 @@ def direct_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iter
     if quiet and verbose:
         raise ConfigError("--quiet and --verbose are contradictory; give one of them.")
     with ExitStack() as cleanup:
-        answer = None if quiet else sys.stdout
+        answer_stream = None if quiet else sys.stdout
         cleanup.enter_context(_configure_logging(quiet=quiet, verbose=verbose))
         if quiet or json_file == _STANDARD_OUTPUT:
             nowhere = cleanup.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
             cleanup.enter_context(redirect_stdout(nowhere))
         try:
-            yield answer
+            yield answer_stream
         except HesrError:
             _log.debug("Origin of the error:", exc_info=True)
             raise
@@ -222,38 +222,38 @@ def interrupt_on_signals() -> Iterator[None]:
     signal_numbers = [signal.SIGINT, signal.SIGTERM]
     if threading.current_thread() is not threading.main_thread():
         signal_numbers = []
-    last = -_MIN_INTERRUPT_INTERVAL
+    last_time = -_MIN_INTERRUPT_INTERVAL
 
-    def end(number: int, _frame: object) -> None:
-        nonlocal last
+    def interrupt(number: int, _frame: object) -> None:
+        nonlocal last_time
         now = time.monotonic()
-        if now - last >= _MIN_INTERRUPT_INTERVAL:
-            last = now
+        if now - last_time >= _MIN_INTERRUPT_INTERVAL:
+            last_time = now
             raise KeyboardInterrupt if number == signal.SIGINT else _Ended
 
     def repeat_interrupt(unraisable: "sys.UnraisableHookArgs") -> None:
         # Python drops an exception raised during a deallocation: raise it once more.
-        nonlocal last
+        nonlocal last_time
         if not isinstance(unraisable.exc_value, KeyboardInterrupt):
-            show(unraisable)
+            previous_hook(unraisable)
             return
-        last = -_MIN_INTERRUPT_INTERVAL
+        last_time = -_MIN_INTERRUPT_INTERVAL
         number = signal.SIGTERM if isinstance(unraisable.exc_value, _Ended) else signal.SIGINT
         timers.append(threading.Timer(_REPEAT_DELAY, _raise_in_main_thread, (number,)))
         timers[-1].start()
 
     # A script that starts a command in the background may make it ignore Ctrl-C.
     heeded_signals = [s for s in signal_numbers if signal.getsignal(s) is not signal.SIG_IGN]
-    previous_handlers = {s: signal.signal(s, end) for s in heeded_signals}
+    previous_handlers = {s: signal.signal(s, interrupt) for s in heeded_signals}
     timers: list[threading.Timer] = []
-    show = sys.unraisablehook
+    previous_hook = sys.unraisablehook
     if heeded_signals:
         sys.unraisablehook = repeat_interrupt
     try:
         yield
     finally:
         if heeded_signals:
-            sys.unraisablehook = show
+            sys.unraisablehook = previous_hook
         for timer in timers:
             timer.cancel()
         for number, handler in previous_handlers.items():
@@ -274,14 +274,14 @@ def show_progress(*, is_hidden: bool) -> Iterator[Stages]:
     with ExitStack() as cleanup:
         bars: list[Stages] = []
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int) -> None:
             _log.info("%s: %d of %d", stage, done, total)
             if not (is_hidden or bars):
                 bars.append(cleanup.enter_context(_progress_bar()))
             for bar in bars:
                 bar(stage, done, total)
 
-        yield tell
+        yield report
 
 
 @contextmanager
@@ -315,14 +315,14 @@ def _progress_bar() -> Iterator[Stages]:
     )
     with listed_in(names), block as bar:
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
                 for task in bar.tasks:
                     bar.update(task.id, visible=not task.finished)
                 tasks[stage] = bar.add_task(stage, total=total)
             bar.update(tasks[stage], completed=done)
 
-        yield tell
+        yield report
 
 
 @contextmanager
@@ -332,10 +332,10 @@ def provide_answer_file(json_file: Path | None, output: TextIO | None) -> Iterat
         yield None
     elif json_file == _STANDARD_OUTPUT:
         with scratch_folder() as folder:
-            file = Path(folder) / "answer.json"
-            yield file
+            answer_path = Path(folder) / "answer.json"
+            yield answer_path
             if output:
-                click.echo(file.read_text(encoding="utf-8"), nl=False, file=output)
+                click.echo(answer_path.read_text(encoding="utf-8"), nl=False, file=output)
     else:
         with written_whole(json_file) as temporary:
             yield temporary

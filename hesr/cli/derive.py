@@ -35,9 +35,8 @@ _ITEMS = {
 }
 """Annotations of one item, by those of several (`cosim.workflow.arguments`)."""
 
-_EXAMPLE_WIDTH = (
-    75  # width of an example in the help, which is indented by 2 and may end with a backslash
-)
+# Width of an example in the help, which is indented by 2 and may end with a backslash.
+_EXAMPLE_WIDTH = 75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +46,7 @@ class Form:
     names: tuple[str, ...] = ()
     metavar: str | None = None
     option: bool = False  # although the parameter is positional
-    least: int | None = None  # smallest integer
+    minimum: int | None = None  # smallest integer
     complete: str = ""  # source of the completion: a group of plug-ins, or "platforms"
 
 
@@ -63,10 +62,10 @@ _FORMS = {
     "reversed_logs": Form(names=("--reversed",), metavar="LOG"),
     "options": Form(names=("--option",), metavar="KEY=VALUE"),
     "accept": Form(metavar="CHECK"),
-    "seed": Form(metavar="N", least=0),
-    "only": Form(metavar="N", least=0),
-    "seeds": Form(metavar="N", least=1),
-    "workers": Form(metavar="N", least=1),
+    "seed": Form(metavar="N", minimum=0),
+    "only": Form(metavar="N", minimum=0),
+    "seeds": Form(metavar="N", minimum=1),
+    "workers": Form(metavar="N", minimum=1),
     "excite.purpose": Form(names=("--for",)),
     "excite.after": Form(metavar="RESULTS"),
     "excite.format": Form(metavar="NAME", complete="hesr.setpoints"),
@@ -122,7 +121,9 @@ class Docstring:
         text = inspect.getdoc(function) or ""
         head, *titles_and_texts = re.split(r"(?m)\n*^(\w[\w ]*)\n-{3,}\n", text)
         sections = dict(zip(titles_and_texts[::2], titles_and_texts[1::2], strict=True))
-        parameter_text = "\n".join(sections.get(s, "") for s in ("Parameters", "Other Parameters"))
+        parameter_text = "\n".join(
+            sections.get(section, "") for section in ("Parameters", "Other Parameters")
+        )
         entries = re.findall(
             r"^(\w+)(?: :.*)?\n((?: {4}.*\n?|\n)+)", f"{parameter_text}\n", re.MULTILINE
         )
@@ -130,7 +131,10 @@ class Docstring:
         return cls(
             summary=head.partition("\n")[0],
             text=_replace_backticks(head),
-            parameters={name: _replace_backticks(" ".join(text.split())) for name, text in entries},
+            parameters={
+                name: _replace_backticks(" ".join(description.split()))
+                for name, description in entries
+            },
             examples=re.findall(r"^ *\$ (hesr .*)$", examples, re.MULTILINE),
         )
 
@@ -168,7 +172,7 @@ def command(
         name,
         sections=sections,
         section_options=section_options,
-        callback=lambda **arguments: invoke(function, _clean(arguments)),
+        callback=lambda **arguments: invoke(function, _select_arguments(arguments)),
         params=[*parameters, *distinct.values(), *_common_options()],
         help=docstring.text,
         short_help=docstring.summary,
@@ -238,7 +242,7 @@ def _write_section(
         formatter.write_dl(records)
 
 
-def _clean(arguments: dict[str, Any]) -> dict[str, Any]:
+def _select_arguments(arguments: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments that are set; several tables become one."""
     return {
         name: _merge_tables(value) if _is_tables(value) else value
@@ -257,7 +261,7 @@ def _merge_tables(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
     for key, value in (pair for table in tables for pair in table.items()):
         entries = [merged.get(key), value]
         merged[key] = (
-            _merge_tables(entries) if all(isinstance(part, dict) for part in entries) else value
+            _merge_tables(entries) if all(isinstance(entry, dict) for entry in entries) else value
         )
     return merged
 
@@ -268,31 +272,31 @@ def _build_parameter(
     form = _FORMS.get(f"{verb}.{parameter.name}") or _FORMS.get(parameter.name) or Form()
     annotation = str(parameter.annotation).removesuffix(" | None")
     item_match = re.fullmatch(r"Sequence\[(.*)\]|.* \| Iterable\[(.*)\]", annotation)
-    inner = _ITEMS.get(annotation, annotation)
+    item_annotation = _ITEMS.get(annotation, annotation)
     if item_match:
-        inner = item_match[1] or item_match[2]
-    is_repeated = inner != annotation
-    required = parameter.default is parameter.empty
+        item_annotation = item_match[1] or item_match[2]
+    is_repeated = item_annotation != annotation
+    is_required = parameter.default is parameter.empty
     if parameter.kind is parameter.POSITIONAL_OR_KEYWORD and not form.option:
         metavar = form.metavar or parameter.name.upper()
         return click.Argument(
             [parameter.name],
             nargs=-1 if is_repeated else 1,
-            required=required,
-            metavar=(metavar if required else f"[{metavar}]") + "..." * is_repeated,
+            required=is_required,
+            metavar=(metavar if is_required else f"[{metavar}]") + "..." * is_repeated,
             help=text,
         )
-    if inner == "bool":
+    if item_annotation == "bool":
         return click.Option(
             [f"--{parameter.name.replace('_', '-')}", parameter.name], is_flag=True, help=text
         )
-    kind = _choose_kind(inner, function, form)
+    kind = _choose_kind(item_annotation, function, form)
     return click.Option(
         [*(form.names or (f"--{parameter.name.replace('_', '-')}",)), parameter.name],
         type=kind,
         multiple=is_repeated or isinstance(kind, _Pair),
-        required=required,
-        metavar=form.metavar or _choose_metavar(inner, kind),
+        required=is_required,
+        metavar=form.metavar or _choose_metavar(item_annotation, kind),
         help=text,
         shell_complete=_build_completion(form.complete) if form.complete else None,
     )
@@ -307,7 +311,7 @@ def _choose_kind(annotation: str, function: Function, form: Form) -> Kind:
     if annotation.startswith("Mapping"):
         return _Pair()
     kinds: dict[str, Kind] = {
-        "int": click.IntRange(min=form.least),
+        "int": click.IntRange(min=form.minimum),
         "float": click.FLOAT,
         "PerJoint": _Numbers(),
         "Iterable[float]": _Numbers(),
@@ -327,10 +331,10 @@ def _build_completion(source: str) -> Callable[[Any, Any, str], list[str]]:
         if source == "platforms":
             from fmu_src.export.toolchain import TARGETS
 
-            names: Sequence[str] = (*TARGETS, "all")
+            choices: Sequence[str] = (*TARGETS, "all")
         else:
-            names = plugins.names(source)
-        return [name for name in names if name.startswith(prefix)]
+            choices = plugins.names(source)
+        return [name for name in choices if name.startswith(prefix)]
 
     return complete
 

@@ -175,7 +175,7 @@ def _servo_plant(model: FrictionModel, folder: Path, fmi: Version) -> Path:
 
 def _observer(model: FrictionModel, folder: Path, fmi: Version) -> Path:
     body = PlantBody.from_robot(arm_of(model, folder))
-    return export_observer(model, folder / "Observer.fmu", body=body, fmi=fmi)
+    return export_observer(model, folder / "Observer.fmu", plant_body=body, fmi=fmi)
 
 
 FMUS: Mapping[str, Export] = {

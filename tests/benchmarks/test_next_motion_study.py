@@ -57,7 +57,7 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
                     laws={law: fits["first"][law].laws[j] for law in LAWS},
                     logs=[{"t": r.t, "dq": r.dq, "q": r.q, "tau_load": r.tau_load}],
                     torques=[r.tau],
-                    speed=float(guard.stated.velocity[j]),
+                    speed=float(guard.stated_limits.velocity[j]),
                 )
                 for j, r in enumerate(logs[0])
             ]
@@ -90,8 +90,8 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
             gains.append((before - after) / max(before - again, 1e-3 * before))
             widths.append(float(np.median(found)))
             print(  # noqa: T201  # the study's table
-                f"{truth} seed {seed}: {', '.join(mix.why for mix in best)}; error {before:.3f}, "
-                f"again {again:.3f}, planned {after:.3f} N.m; widths {widths[-1]:.2f}",
+                f"{truth} seed {seed}: {', '.join(mix.reason for mix in best)}; "
+                f"error {before:.3f}, again {again:.3f}, planned {after:.3f} N.m; widths {widths[-1]:.2f}",
                 flush=True,
             )
     print(f"gain {np.median(gains):.2f}, widths {np.median(widths):.2f}")  # noqa: T201  # its summary

@@ -95,7 +95,7 @@ def export_servo_plant(path: Path, fmi: Version) -> Path:
 
 
 def export_contact(path: Path, fmi: Version) -> Path:
-    return export_observer(banded(), path, body=PlantBody.from_robot(robot()), fmi=fmi)
+    return export_observer(banded(), path, plant_body=PlantBody.from_robot(robot()), fmi=fmi)
 
 
 SIX_JOINTS = (
@@ -113,7 +113,7 @@ def export_wrench(path: Path, fmi: Version) -> Path:
     names = tuple(f"j{k}" for k in range(1, 7))
     chain = Robot(RobotDescription(name="six", model=file, joints=names))
     laws = replace(model(*(replace(lugre(), band=BAND),) * 6), joints=names)
-    return export_observer(laws, path, body=PlantBody.from_robot(chain), fmi=fmi)
+    return export_observer(laws, path, plant_body=PlantBody.from_robot(chain), fmi=fmi)
 
 
 def export_block(block: Callable[[], Content], path: Path, fmi: Version) -> Path:

@@ -30,7 +30,7 @@ from fmu_src import export_fmu, model_file
 from fmu_src.arm.native import export_mjcf
 from fmu_src.arm.plant import Plant
 from fmu_src.arm.truth import true_friction
-from hesr.extras.view.report import RATE, drawing, write_video
+from hesr.extras.view.report import RATE, open_renderer, write_video
 from hesr.extras.view.stage import HEIGHT, WIDTH, Paint, Stage, ViewOptions, build_arm, choose
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.model import FrictionModel
@@ -231,17 +231,17 @@ def test_ghost_and_arm_have_the_poses_of_the_run(result: Path, magnify: float) -
         for k, run in enumerate(shown.runs.values()):
             row = round(t / 0.005)
             q_d, q = run.q_d[row], run.q[row]
-            spot = stage.data.body(f"actual{k}/link_base").xpos
+            spot = stage.mj_data.body(f"actual{k}/link_base").xpos
             for prefix, pose in ((f"commanded{k}", q_d), (f"actual{k}", q_d + magnify * (q - q_d))):
                 data.qpos[:] = pose
                 mujoco.mj_kinematics(model, data)
                 for body in ("link3", "link6", "payload"):
                     np.testing.assert_allclose(
-                        stage.data.body(f"{prefix}/{body}").xpos - spot,
+                        stage.mj_data.body(f"{prefix}/{body}").xpos - spot,
                         data.body(body).xpos,
                         atol=1e-12,
                     )
-            ways.append(stage.data.body(f"actual{k}/payload").xpos.copy())
+            ways.append(stage.mj_data.body(f"actual{k}/payload").xpos.copy())
     assert np.ptp(ways, axis=0).max() > 0.1  # the arm moves, and ghost and arm differ
 
 
@@ -291,9 +291,9 @@ def test_unsuitable_models_are_refused() -> None:
 def test_the_picture_shows_both_poses_and_changes(result: Path) -> None:
     choice = ViewOptions(laws=[StandIn.BODY_ONLY], magnify=10.0)
     stage = Stage(choose(result, choice), choice)
-    model = stage.model
+    model = stage.mj_model
     names = [model.body(body).name for body in model.geom_bodyid]
-    with drawing(stage) as draw:
+    with open_renderer(stage) as draw:
         first, last = (draw(t).astype(float) for t in (0.0, 0.6))
         assert first.shape == (HEIGHT, WIDTH, 3)
         assert first[:40].mean() > 150.0  # a bright sky above
@@ -332,7 +332,7 @@ def test_a_video_is_as_long_as_the_motion(result: Path, tmp_path: Path, hesr: He
     images = np.frombuffer(decoded.stdout, dtype=np.uint8).reshape(-1, HEIGHT, WIDTH, 3)
     assert len(images) == RATE // 2
     choice = ViewOptions(laws=["parfam_h"], speed=2.0)
-    with drawing(Stage(choose(result, choice), choice)) as draw:
+    with open_renderer(Stage(choose(result, choice), choice)) as draw:
         for k in (0, 7, 14):
             assert np.abs(images[k].astype(float) - draw(2.0 * k / RATE)).mean() < 3.0
     assert np.abs(images[0].astype(float) - images[14]).mean() > 0.1

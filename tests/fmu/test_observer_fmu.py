@@ -276,11 +276,11 @@ def test_limits_without_calibration_are_those_of_the_law(tmp_path: Path) -> None
     assert own.numbers[:2] == ((1.0,) * 3, (2.0,) * 3)
     # ln(1 / (900000 * 3)) / ln(0.05) = 4.94
     assert own.factor == pytest.approx(4.943**0.65, rel=1e-3)
-    path = export_observer(banded, tmp_path / "Own.fmu", body=PlantBody.from_robot(robot))
+    path = export_observer(banded, tmp_path / "Own.fmu", plant_body=PlantBody.from_robot(robot))
     with zipfile.ZipFile(path) as archive:
         page = archive.read("documentation/index.html").decode()
     assert "rate of false alarms is unknown" in page
-    header = export_observer(banded, tmp_path / "own.h", body=PlantBody.from_robot(robot))
+    header = export_observer(banded, tmp_path / "own.h", plant_body=PlantBody.from_robot(robot))
     assert "own_step(" in header.read_text(encoding="utf-8")
 
 
@@ -289,17 +289,19 @@ def test_bad_requests_are_refused(table1: FrictionModel, tmp_path: Path) -> None
     with pytest.raises(ExportError, match="'bandwidth' is 0 Hz"):
         content(table1, body, limits(3), bandwidth=0.0)
     with pytest.raises(ExportError, match="'2b' is not a valid C name"):
-        export_observer(table1, tmp_path / "2b.h", body=body)
+        export_observer(table1, tmp_path / "2b.h", plant_body=body)
     turned = Robot(coupled(tmp_path))
     with pytest.raises(ExportError, match="bands are those of coupled motors"):
-        export_observer(viscous(turned), tmp_path / "O.fmu", body=PlantBody.from_robot(turned))
+        export_observer(
+            viscous(turned), tmp_path / "O.fmu", plant_body=PlantBody.from_robot(turned)
+        )
     heated = thermal(measured=False)
     with pytest.raises(ExportError, match="takes the temperature from the heat"):
         content(heated, body, limits(3))
     with pytest.raises(
         ExportError, match="temperature, which the C header of an observer does not"
     ):
-        export_observer(thermal(), tmp_path / "own.h", body=body)
+        export_observer(thermal(), tmp_path / "own.h", plant_body=body)
     with pytest.raises(LogError, match="log 'made': has no temperatures"):
         observe_logs(thermal(), body, limits(3), [motion()])
     short = motion(500)

@@ -221,10 +221,10 @@ def _write_runs(path: Path) -> None:
     from hesr.extras.sweep.work import RunOutputs, Store
 
     store = Store(path.parent, INPUTS, OUTPUTS)
-    store.file(0).parent.mkdir()
+    store.find_file(0).parent.mkdir()
     failures = ("", *("arm: it broke",) * 19)
     store.write(0, RUNS, RunOutputs(outputs=RUNS[:, :1], failures=failures))
-    store.file(0).rename(path)
+    store.find_file(0).rename(path)
 
 
 def _runs(folder: Path) -> object:

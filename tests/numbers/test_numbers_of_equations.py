@@ -50,7 +50,7 @@ def test_steps_of_an_adaptive_law(
     """The joint rests, is switched off, saturates, meets outliers and NaN, and friction rises."""
     of = law()
     component = adaptive_component(
-        of, tuning, noise=0.8, speed=SPEED, viscosity_least=0.85, thermal=thermal
+        of, tuning, noise=0.8, speed=SPEED, min_viscosity=0.85, thermal=thermal
     )
     values = {p.name: p.start for p in component.parameters if p.name not in of.values}
     start = (0.0, *of.start) if thermal else of.start

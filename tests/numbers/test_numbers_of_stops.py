@@ -204,7 +204,7 @@ def test_trained_networks(exact: HysteresisFeatures, unchanged: Unchanged) -> No
             "mean": inputs.mean, "spread": inputs.spread, "z": inputs.z,
             "networks": networks,
             "cells": [[i.cell.alpha, i.cell.beta, i.cell.cost] for i in best],
-            "law": mlp.MlpH()._law(inputs, networks[0], 2.0, 3.0).values,
+            "law": mlp.MlpH()._build_network_law(inputs, networks[0], 2.0, 3.0).values,
         },
         rtol=1e-4, atol=1e-7,
     )  # fmt: skip

@@ -275,7 +275,7 @@ def test_a_trained_network_becomes_an_equal_law(
         theta=np.random.default_rng(0).normal(size=(4, 3)),
         cost=0.0,
     )
-    law = MlpH()._law(inputs, network, 1.5, 4.0)
+    law = MlpH()._build_network_law(inputs, network, 1.5, 4.0)
     gains = [law.values[f"c_g{k}"] for k in (1, 2, 3)]
     assert gains == [8.0, 4.0, 2.0]
     expected = 1.5 + 4.0 * network.output(inputs.z)

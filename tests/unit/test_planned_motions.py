@@ -122,7 +122,7 @@ def checked(seed: int, folder: Path) -> str:
         text = str(error)
         assert any(f"'{joint}'" in text for joint in robot.joints) or " too " in text, text
         return "refused"
-    stated = guard.stated
+    stated = guard.stated_limits
     count = DENSE * (len(motion.rows) - 1) + 1
     assert motion.duration == pytest.approx(time, abs=0.51 / motion.rate)
     q, dq, ddq = motion.sample(np.linspace(0.0, motion.duration, count))
@@ -209,7 +209,7 @@ def test_strokes_reach_every_speed_in_both_directions_in_two_poses(arm_model: Ro
         rows = (t >= low) & (t < high)
         for joint in range(3):
             for sign in (1.0, -1.0):
-                speeds = sign * dq[rows, joint] / planner.guard.stated.velocity[joint]
+                speeds = sign * dq[rows, joint] / planner.guard.stated_limits.velocity[joint]
                 found = {int(k) for k in np.floor(np.log2(speeds[speeds > 0.05] / 0.05))}
                 assert {0, 1, 2} <= found
             assert np.mean(dq[rows, joint] == 0.0) < 0.4

@@ -53,7 +53,7 @@ def log(
             correlation=0.001,
             noise=WHITE,
         )
-        clean = Factored(law).torque(record, level, viscosity)
+        clean = Factored(law).compute_torque(record, level, viscosity)
         power = np.abs(clean * dq)
     return replace(record, log=f"log {seed}", temperature=temperature)
 
@@ -76,12 +76,12 @@ def test_held_factors_equal_the_stepped_equations(law) -> None:
     record = truth(
         law(), t, dq, q, load, noise=0.0, level=lambda _: level, viscosity=lambda _: viscosity
     )
-    torque = Factored(law()).torque(record, level, viscosity)
+    torque = Factored(law()).compute_torque(record, level, viscosity)
     # The first row begins in a different steady state.
     late = t > 1.0
     np.testing.assert_allclose(torque[late], record.tau[late], atol=1e-9)
     one = np.ones_like(t)
-    torque = Factored(law()).torque(record, one, one)
+    torque = Factored(law()).compute_torque(record, one, one)
     np.testing.assert_allclose(torque, predict_record(law(), record), rtol=1e-12, atol=1e-12)
 
 
@@ -214,9 +214,7 @@ def test_no_thermometer_reading_generates_energy(ripple: tuple[int, ...], adapts
     law = stops(ripple=ripple)
     least = find_min_viscous_scale(law)
     own = (
-        adaptive_component(
-            law, TUNING, noise=NOISE, speed=SPEED, viscosity_least=least, thermal=TRUE
-        )
+        adaptive_component(law, TUNING, noise=NOISE, speed=SPEED, min_viscosity=least, thermal=TRUE)
         if adapts
         else thermal_component(law, TRUE)
     )

@@ -88,9 +88,8 @@ HEALTH = (
 )
 """Values of `health`: the factors adapt, or the reason why they do not."""
 _MAX_REGRESSOR = sympy.Float(1e6)  # limit of regressors, in standard deviations of the noise
-_CORRELATION_LOSS = sympy.Float(
-    1e-7
-)  # share of correlations lost per sample, which keeps round-off harmless
+# Share of correlations lost per sample, which keeps round-off harmless.
+_CORRELATION_LOSS = sympy.Float(1e-7)
 _MIN_NOISE = sympy.Float(1e-9)  # [N.m]: densities divide by it
 _DIVISION_GUARD = sympy.Float(1e-200)
 
@@ -107,7 +106,10 @@ def build_joint_parameters(tuning: Tuning, noise: float, speed: float) -> tuple[
         ("viscosity_start", "1", "initial viscous factor", 1.0),
         ("offset_start", "N.m", "initial offset", 0.0),
     )
-    return tuple(Parameter(name=n, unit=u, description=d, start=x) for n, u, d, x in rows)
+    return tuple(
+        Parameter(name=name, unit=unit, description=description, start=start)
+        for name, unit, description, start in rows
+    )
 
 
 def adaptive_component(
@@ -116,12 +118,12 @@ def adaptive_component(
     *,
     noise: float,
     speed: float,
-    viscosity_least: float = 0.0,
+    min_viscosity: float = 0.0,
     thermal: Thermal | None = None,
 ) -> Component:
     """Return the equations of a joint with an adaptive law.
 
-    `noise` of the unexplained torque [N.m], largest `speed` [rad/s]; `viscosity_least` keeps the
+    `noise` of the unexplained torque [N.m], largest `speed` [rad/s]; `min_viscosity` keeps the
     passivity certificate of the ripple.
     """
     joint_parameters = build_joint_parameters(tuning, noise, speed)
@@ -132,26 +134,26 @@ def adaptive_component(
     viscosity = previous("viscosity")
     if warm:  # the factor after temperature still covers the ripple
         viscous *= warm.viscous
-        viscosity = larger(viscosity * warm.viscous, viscosity_least)
+        viscosity = larger(viscosity * warm.viscous, min_viscosity)
     limits = {
         "level": tuning.level,
-        "viscosity": (max(tuning.viscosity[0], viscosity_least), tuning.viscosity[1]),
+        "viscosity": (max(tuning.viscosity[0], min_viscosity), tuning.viscosity[1]),
     }
     deviations = (tuning.level_sd, tuning.viscosity_sd, tuning.offset_sd * sigma)
     torque = law_parts.hysteresis + viscosity * law_parts.viscous + law_parts.unscaled
     torque += previous("offset")
     torque_start = sympy.S.Zero if warm else None
     is_moving = exceeds(absolute(DQ), joint_parameters[1].symbol)
-    saturates = exceeds(absolute(MEASURED.symbol), joint_parameters[2].symbol) * exceeds(
+    is_saturated = exceeds(absolute(MEASURED.symbol), joint_parameters[2].symbol) * exceeds(
         joint_parameters[2].symbol, 0
     )
     alarms, sums = _build_alarms(tuning, sigma)
-    base = law.form.component
+    base_component = law.form.component
     return replace(
-        base,
-        inputs=(*base.inputs, *INPUTS, *((TEMPERATURE,) if warm else ())),
+        base_component,
+        inputs=(*base_component.inputs, *INPUTS, *((TEMPERATURE,) if warm else ())),
         parameters=(
-            *base.parameters,
+            *base_component.parameters,
             *joint_parameters,
             *(thermal_parameters(thermal) if thermal else ()),
         ),
@@ -160,7 +162,7 @@ def adaptive_component(
             _output_equation(TORQUE, "N.m", "friction {effort} of {joint}", torque, torque_start),
             *_build_factors(tuning, sigma, joint_parameters, limits),
             *alarms,
-            _build_health(limits, is_moving, saturates),
+            _build_health(limits, is_moving, is_saturated),
             *law_parts.sensitivities,
             _hidden_equation("raw", MEASURED.symbol - RIGID.symbol - _make_symbol(TORQUE)),
             # NaN counts as 0; large values are clipped to the usual tail of the noise.
@@ -177,7 +179,7 @@ def adaptive_component(
                 )
                 for name, expression in (("level", law_parts.level_slope), ("viscosity", viscous))
             ),
-            *_build_gains(tuning, sigma, is_moving, saturates),
+            *_build_gains(tuning, sigma, is_moving, is_saturated),
             *_build_covariance(deviations),
             *sums,
         ),
@@ -213,11 +215,10 @@ def _hidden_equation(
 def _build_factors(
     tuning: Tuning, sigma: sympy.Expr, joint_parameters: tuple[Parameter, ...], limits: _Limits
 ) -> list[Equation]:
-
-    def limit_factor(name: str, x: sympy.Expr) -> sympy.Expr:
+    def limit_factor(name: str, step: sympy.Expr) -> sympy.Expr:
         if name not in limits:
-            return clip(x, tuning.offset * sigma)
-        return larger(_minimum(x, limits[name][1]), limits[name][0])
+            return clip(step, tuning.offset * sigma)
+        return larger(_minimum(step, limits[name][1]), limits[name][0])
 
     steps = [g * _make_symbol("gain") * _make_symbol("innovation") for g in _G]
     steps[2] = clip(steps[2], tuning.offset_rate * sigma * DT)
@@ -226,10 +227,12 @@ def _build_factors(
             name,
             unit,
             text,
-            limit_factor(name, previous(name) + x),
-            limit_factor(name, first.symbol),
+            limit_factor(name, previous(name) + step),
+            limit_factor(name, start_parameter.symbol),
         )
-        for (name, unit, text), x, first in zip(_FACTORS, steps, joint_parameters[3:], strict=True)
+        for (name, unit, text), step, start_parameter in zip(
+            _FACTORS, steps, joint_parameters[3:], strict=True
+        )
     ]
     for i, (name, unit, _) in enumerate(_FACTORS):
         text = f"standard deviation of {name}[{{number}}]"
@@ -260,14 +263,20 @@ def _build_alarms(tuning: Tuning, sigma: sympy.Expr) -> tuple[list[Equation], li
             name=name, description=text, output=True, expression=rises - falls, values=values
         )
         alarms.append(alarm)
-        for sum_name, d in ((f"{sum_prefix}_up", change), (f"{sum_prefix}_down", -change)):
-            gain = d * regressor * weight * error - (d * regressor) ** 2 * weight / 2
+        for sum_name, signed_change in (
+            (f"{sum_prefix}_up", change),
+            (f"{sum_prefix}_down", -change),
+        ):
+            gain = (
+                signed_change * regressor * weight * error
+                - (signed_change * regressor) ** 2 * weight / 2
+            )
             total = _minimum(positive(previous(sum_name) + gain), 1.5 * tuning.alarm)
             sums.append(_hidden_equation(sum_name, total, sympy.S.Zero))
     return alarms, sums
 
 
-def _build_health(limits: _Limits, is_moving: sympy.Expr, saturates: sympy.Expr) -> Equation:
+def _build_health(limits: _Limits, is_moving: sympy.Expr, is_saturated: sympy.Expr) -> Equation:
     at_limit = sum(
         exceeds(_make_symbol(name), upper - 1e-9) + exceeds(lower + 1e-9, _make_symbol(name))
         for name, (lower, upper) in limits.items()
@@ -275,14 +284,14 @@ def _build_health(limits: _Limits, is_moving: sympy.Expr, saturates: sympy.Expr)
     reasons = {
         "at_limit": exceeds(at_limit, 0.5),
         "outlier": 1 - _make_symbol("settled"),  # also shortly after one
-        "saturated": saturates,
+        "saturated": is_saturated,
         "slow": 1 - is_moving,
         "switched_off": 1 - exceeds(ADAPT.symbol, 0.5),
     }
     numbers = {reason: number for number, reason in HEALTH}
     health = sympy.Integer(0)
-    for reason, holds in reasons.items():  # the last true one wins
-        health = holds * numbers[reason] + (1 - holds) * health
+    for reason, condition in reasons.items():  # the last true one wins
+        health = condition * numbers[reason] + (1 - condition) * health
     return Equation(
         name="health",
         description="adaptation of {joint}",
@@ -297,13 +306,13 @@ def _expected_deviation(sigma: sympy.Expr) -> sympy.Expr:
 
 
 def _build_gains(
-    tuning: Tuning, sigma: sympy.Expr, is_moving: sympy.Expr, saturates: sympy.Expr
+    tuning: Tuning, sigma: sympy.Expr, is_moving: sympy.Expr, is_saturated: sympy.Expr
 ) -> tuple[Equation, ...]:
     spread, learns, settled, weight, gain = map(
         _make_symbol, ("spread", "learns", "settled", "weight", "gain")
     )
     hold = tuning.hold
-    looks = exceeds(ADAPT.symbol, 0.5) * is_moving * (1 - saturates)
+    is_observing = exceeds(ADAPT.symbol, 0.5) * is_moving * (1 - is_saturated)
     fits = exceeds(tuning.outlier * _expected_deviation(sigma), absolute(_make_symbol("raw")))
     density = 2 * tuning.correlation_time * sigma**2
     forgets = learns * DT / ((tuning.forgetting_time + DT) * (spread + _DIVISION_GUARD))
@@ -317,27 +326,29 @@ def _build_gains(
         _hidden_equation("spread", positive(sum(x * g for x, g in zip(_PHI, _G, strict=True)))),
         _hidden_equation("calm", fits * _minimum(previous("calm") + DT, hold), sympy.Float(hold)),
         _hidden_equation("settled", 1 - exceeds(hold, _make_symbol("calm"))),
-        _hidden_equation("learns", looks * settled),
-        _hidden_equation("weight", looks * DT / (density + spread * DT)),
+        _hidden_equation("learns", is_observing * settled),
+        _hidden_equation("weight", is_observing * DT / (density + spread * DT)),
         _hidden_equation("gain", weight * settled),
         _hidden_equation("net", gain - forgets),
     )
 
 
 def _build_covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
-    cut = [_make_symbol(f"cut_{i}") for i in _FACTOR_INDICES]
+    factors = [_make_symbol(f"cut_{i}") for i in _FACTOR_INDICES]
     updated = {
         (i, j): previous(_covariance_name(i, j)) - _G[i] * _G[j] * _make_symbol("net")
         for i in _FACTOR_INDICES
         for j in _FACTOR_INDICES[i:]
     }
     equations = [
-        _hidden_equation(x.name, d / larger(d, sympy.sqrt(positive(updated[i, i]))))
-        for i, (x, d) in enumerate(zip(cut, deviations, strict=True))
+        _hidden_equation(
+            factor.name, deviation / larger(deviation, sympy.sqrt(positive(updated[i, i])))
+        )
+        for i, (factor, deviation) in enumerate(zip(factors, deviations, strict=True))
     ]
-    for (i, j), e in updated.items():
+    for (i, j), expression in updated.items():
         if i == j:
-            variance = larger(e * cut[i] ** 2, (1e-6 * deviations[i]) ** 2)
+            variance = larger(expression * factors[i] ** 2, (1e-6 * deviations[i]) ** 2)
             equations.append(
                 _hidden_equation(
                     _covariance_name(i, j), variance, sympy.S.Zero + deviations[i] ** 2
@@ -345,7 +356,10 @@ def _build_covariance(deviations: tuple[sympy.Expr, ...]) -> list[Equation]:
             )
         else:
             cross_covariance = (
-                e * cut[i] * cut[j] * (1 - _CORRELATION_LOSS * _make_symbol("learns"))
+                expression
+                * factors[i]
+                * factors[j]
+                * (1 - _CORRELATION_LOSS * _make_symbol("learns"))
             )
             equations.append(
                 _hidden_equation(_covariance_name(i, j), cross_covariance, sympy.S.Zero)

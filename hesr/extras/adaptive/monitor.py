@@ -27,7 +27,7 @@ from hesr_model.support.progress import Progress, silent
 
 def export_adaptive(
     model: FrictionModel,
-    path: Path,
+    output: Path,
     *,
     platforms: Sequence[str] = HOST,
     progress: Progress = silent,
@@ -38,9 +38,9 @@ def export_adaptive(
 
     With `no_documentation` it has neither page nor reference results.
     """
-    check_request(path, platforms)
+    check_request(output, platforms)
     content = adaptive_content(model, bare=no_documentation)
-    return write_fmu(content, path, platforms=platforms, progress=progress, fmi=fmi)
+    return write_fmu(content, output, platforms=platforms, progress=progress, fmi=fmi)
 
 
 def adaptive_content(model: FrictionModel, *, bare: bool = False) -> Content:
@@ -74,15 +74,15 @@ def adaptive_components(model: FrictionModel, tuning: Tuning = TUNING) -> tuple[
         raise SimulationError(
             f"friction model '{model.law}': training ranges and errors are missing; fit it again."
         )
-    thermal = model.thermal or (None,) * len(model.laws)
-    rows = zip(model.laws, model.training_rmse, model.trained, thermal, strict=True)
+    thermal_models = model.thermal or (None,) * len(model.laws)
+    rows = zip(model.laws, model.training_rmse, model.trained, thermal_models, strict=True)
     return tuple(
         adaptive_component(
             law,
             tuning,
             noise=noise,
             speed=trained_range.speed,
-            viscosity_least=find_min_viscous_scale(law),
+            min_viscosity=find_min_viscous_scale(law),
             thermal=thermal,
         )
         for law, noise, trained_range, thermal in rows
@@ -107,15 +107,17 @@ class Follower:
             for law, component in zip(model.laws, components, strict=True)
         ]
 
-    def follow(self, records: Sequence[FrictionRecord], *, adapt: bool = True) -> list[Followed]:
+    def follow(
+        self, log_records: Sequence[FrictionRecord], *, adapt: bool = True
+    ) -> list[Followed]:
         """Follow the records of all joints in one log; `tau` may hold NaN."""
-        joints = tuple(r.joint for r in records)
+        joints = tuple(record.joint for record in log_records)
         if joints != self._model.joints:
             raise SimulationError(
                 f"friction model '{self._model.law}': the records are of the joints "
                 f"{', '.join(joints) or 'none'}, not {', '.join(self._model.joints)}."
             )
-        return [self._follow_joint(j, record, adapt) for j, record in enumerate(records)]
+        return [self._follow_joint(j, record, adapt) for j, record in enumerate(log_records)]
 
     def _follow_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
         law = self._model.laws[j]
@@ -201,10 +203,10 @@ class FollowedLogs:
     alarms: tuple[Alarm, ...]
 
 
-def watch(model: FrictionModel, logs: Sequence[Sequence[FrictionRecord]]) -> FollowedLogs:
-    """Follow friction over logs [log][joint] in order of time."""
+def watch(model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]) -> FollowedLogs:
+    """Follow friction over records [log][joint] in order of time."""
     follower = Follower(model, TUNING)
-    followed = tuple(tuple(follower.follow(records)) for records in logs)
+    followed = tuple(tuple(follower.follow(log_records)) for log_records in records)
     return FollowedLogs(
         model=model,
         followed=followed,
@@ -244,9 +246,14 @@ def _find_alarms(log_estimates: Sequence[Followed]) -> Iterator[Alarm]:
         for row in np.flatnonzero((alarm != 0.0) & (np.diff(alarm, prepend=0.0) != 0.0))
     ]
     shared_drift_signs = find_shared_signs(
-        ((a.joint, a.sign) for a in alarms if a.kind == "drift"), len(log_estimates)
+        (
+            (drift_alarm.joint, drift_alarm.sign)
+            for drift_alarm in alarms
+            if drift_alarm.kind == "drift"
+        ),
+        len(log_estimates),
     )
-    for alarm in sorted(alarms, key=lambda a: a.time):
+    for alarm in sorted(alarms, key=lambda drift_alarm: drift_alarm.time):
         kind = (
             "shared drift"
             if alarm.kind == "drift" and alarm.sign in shared_drift_signs
@@ -255,10 +262,10 @@ def _find_alarms(log_estimates: Sequence[Followed]) -> Iterator[Alarm]:
         yield replace(alarm, kind=kind)
 
 
-def find_shared_signs(drifts: Iterable[tuple[str, int]], joints: int) -> list[int]:
+def find_shared_signs(drifts: Iterable[tuple[str, int]], joint_count: int) -> list[int]:
     """Return the signs of drifts (joint, sign) that most joints share."""
     joint_signs = set(drifts)
-    threshold = max(1.0, _MIN_SHARED_SHARE * joints)
+    threshold = max(1.0, _MIN_SHARED_SHARE * joint_count)
     return [
         sign
         for sign in (1, -1)

@@ -42,15 +42,17 @@ class Monitoring(Answer, FollowedLogs):
         alarm_count = len(self.alarms)
         lines = [f"{count_noun(alarm_count, 'change')} of friction found."]
         lines += [
-            f"{row.log}, {row.joint}, {row.time:.1f} s: {row.change} than known ({row.kind}); "
-            f"likely cause: {row.points_to}"
-            for row in self.alarms[:_MAX_LISTED_ALARMS]
+            f"{alarm.log}, {alarm.joint}, {alarm.time:.1f} s: {alarm.change} than known "
+            f"({alarm.kind}); likely cause: {alarm.points_to}"
+            for alarm in self.alarms[:_MAX_LISTED_ALARMS]
         ]
         if alarm_count > _MAX_LISTED_ALARMS:
             lines.append(f"{alarm_count - _MAX_LISTED_ALARMS} more alarms: --verbose lists them.")
-        for row in self.states[-len(self.model.joints) :]:
-            level, viscosity, offset = row.intervals()
-            lines.append(f"{row.joint}: level {level}, viscous factor {viscosity}, offset {offset}")
+        for state in self.states[-len(self.model.joints) :]:
+            level, viscosity, offset = state.intervals()
+            lines.append(
+                f"{state.joint}: level {level}, viscous factor {viscosity}, offset {offset}"
+            )
         return shorten_lines(lines, self.files)
 
     def tables(self) -> Sequence[ResultTable | str]:
@@ -64,8 +66,8 @@ class Monitoring(Answer, FollowedLogs):
     def result(self) -> Any:
         """Return states and alarms."""
         return {
-            "states": [to_json(row) for row in self.states],
-            "alarms": [to_json(row) | {"points_to": row.points_to} for row in self.alarms],
+            "states": [to_json(state) for state in self.states],
+            "alarms": [to_json(alarm) | {"points_to": alarm.points_to} for alarm in self.alarms],
         }
 
 
@@ -76,31 +78,41 @@ _TRENDS = {"level": "level", "viscosity": "viscous factor", "offset": "offset [N
 def alarm_table(followed_logs: FollowedLogs) -> ResultTable:
     """Return the alarms."""
     rows = [
-        make_row(f"{a.log}: {a.joint}", f"{a.time:.1f}", a.kind, a.change, a.points_to)
-        for a in followed_logs.alarms
+        make_row(
+            f"{alarm.log}: {alarm.joint}",
+            f"{alarm.time:.1f}",
+            alarm.kind,
+            alarm.change,
+            alarm.points_to,
+        )
+        for alarm in followed_logs.alarms
     ]
     head = ("log: joint", "time in s", "alarm", "torque", "points to")
     return ResultTable(caption="Changes of friction", head=head, rows=rows, section="Alarms")
 
 
-def draw_trends(watched: FollowedLogs) -> list[ResultFigure]:
+def draw_trends(followed_logs: FollowedLogs) -> list[ResultFigure]:
     """Draw level, viscous factor and offset over all logs, a figure for each joint."""
-    durations = [float(np.ptp(log[0].record.t)) for log in watched.followed]
+    durations = [
+        float(np.ptp(log_estimates[0].record.t)) for log_estimates in followed_logs.followed
+    ]
     starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
-    names = [log[0].record.log for log in watched.followed]
+    names = [log_estimates[0].record.log for log_estimates in followed_logs.followed]
     marks = tuple(zip(starts.tolist(), names, strict=True))
     figures = []
-    for j, joint in enumerate(watched.model.joints):
-        joint_logs = [log[j] for log in watched.followed]
+    for j, joint in enumerate(followed_logs.model.joints):
+        joint_estimates = [log_estimates[j] for log_estimates in followed_logs.followed]
         times = []
-        for start, followed in zip(starts, joint_logs, strict=True):
-            times.append(start + followed.record.t - followed.record.t[0])
+        for start, estimates in zip(starts, joint_estimates, strict=True):
+            times.append(start + estimates.record.t - estimates.record.t[0])
         t = np.concatenate(times)
         panels: list[Panel] = []
         for name, title in _TRENDS.items():
-            value = np.concatenate([followed.outputs[name] for followed in joint_logs])
-            deviation = np.concatenate([followed.outputs[f"{name}_sd"] for followed in joint_logs])
-            lines = _trend_lines(t, value, 2.0 * deviation)
+            values = np.concatenate([estimates.outputs[name] for estimates in joint_estimates])
+            deviation = np.concatenate(
+                [estimates.outputs[f"{name}_sd"] for estimates in joint_estimates]
+            )
+            lines = _trend_lines(t, values, 2.0 * deviation)
             panels.append(Panel(title=title, y="", lines=lines, marks=() if panels else marks))
         rows = tuple((panel,) for panel in panels)
         chart = Chart(x="t [s] over all logs", rows=rows, height=1.2)
@@ -117,13 +129,13 @@ def draw_trends(watched: FollowedLogs) -> list[ResultFigure]:
     return figures
 
 
-def _trend_lines(t: Array, value: Array, half_width: Array) -> tuple[Line, ...]:
-    """Return a followed value (N,) and both edges of its band."""
+def _trend_lines(t: Array, values: Array, half_width: Array) -> tuple[Line, ...]:
+    """Return followed values (N,) and both edges of its band."""
     edge = Stroke(colour=SERIES[1], width=0.7, dash=(3.0, 2.0))
     return (
-        Line(name="followed", x=t, y=value, stroke=Stroke(colour=SERIES[0])),
-        Line(name="two standard deviations", x=t, y=value - half_width, stroke=edge),
-        Line(name="two standard deviations", x=t, y=value + half_width, stroke=edge),
+        Line(name="followed", x=t, y=values, stroke=Stroke(colour=SERIES[0])),
+        Line(name="two standard deviations", x=t, y=values - half_width, stroke=edge),
+        Line(name="two standard deviations", x=t, y=values + half_width, stroke=edge),
     )
 
 
@@ -131,13 +143,13 @@ def state_table(followed_logs: FollowedLogs) -> ResultTable:
     """Return the states after each log."""
     rows = [
         make_row(
-            f"{s.log}: {s.joint}",
-            *s.intervals(),
-            f"{s.rmse_fixed:.3g}",
-            f"{s.rmse:.3g}",
-            f"{100 * s.learning:.0f}",
+            f"{state.log}: {state.joint}",
+            *state.intervals(),
+            f"{state.rmse_fixed:.3g}",
+            f"{state.rmse:.3g}",
+            f"{100 * state.learning:.0f}",
         )
-        for s in followed_logs.states
+        for state in followed_logs.states
     ]
     factors = ("level", "viscous factor", "offset")
     head = ("log: joint", *factors, "error of the law", "followed", "learning in %")

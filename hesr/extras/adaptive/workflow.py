@@ -86,21 +86,23 @@ def monitor(
     accepted = list_names("accept", accept)
     page_path = to_optional_path("output", output)
     require_items("logs", sources)
-    first = sources[0]
-    job = find_job(first, "monitor") if isinstance(first, Path) else None
+    first_source = sources[0]
+    job = find_job(first_source, "monitor") if isinstance(first_source, Path) else None
     if job is not None:
         if len(sources) > 1 or law or robot or rigid_body or accepted:
-            raise ArgumentError(f"{first}: a fleet file names its own logs; give it alone.")
-        return job.run(first, output=page_path, workers=workers, progress=progress)
+            raise ArgumentError(f"{first_source}: a fleet file names its own logs; give it alone.")
+        return job.run(first_source, output=page_path, workers=workers, progress=progress)
     if law is None:
         raise ArgumentError("'law' is missing; give a friction model of other logs.")
     if workers is not None:
         raise ArgumentError("'workers' is for a fleet file.")
     model = read_model(law)
-    checked = read_checked_logs(sources, robot, accepted, progress)
-    records = checked.compute_records(find_body(rigid_body, checked.logs, checked.robot))
+    checked_logs = read_checked_logs(sources, robot, accepted, progress)
+    records = checked_logs.compute_records(
+        find_body(rigid_body, checked_logs.logs, checked_logs.robot)
+    )
     progress("following friction", 0, 1)
-    answer = Monitoring(**vars(watch(model, records)), findings=checked.findings)
+    answer = Monitoring(**vars(watch(model, records)), findings=checked_logs.findings)
     if page_path is None:
         return answer
     write_answer(answer, page_path)

@@ -50,7 +50,7 @@ _REQUIREMENTS: dict[str, tuple[str, str, float, Callable[[float], bool]]] = {
 
 
 def build_motors(
-    joints: int,
+    joint_count: int,
     *,
     inertia: Sequence[float],
     stiffness: Sequence[float] | None = None,
@@ -63,10 +63,11 @@ def build_motors(
     for numbers, (name, (unit, text, default, is_valid)) in zip(
         arguments, _REQUIREMENTS.items(), strict=True
     ):
-        values = (default,) * joints if numbers is None else tuple(map(float, numbers))
-        if len(values) != joints:
+        values = (default,) * joint_count if numbers is None else tuple(map(float, numbers))
+        if len(values) != joint_count:
             raise ExportError(
-                f"drive: '{name}' has {len(values)} values; {joints} are needed, one per joint."
+                f"drive: '{name}' has {len(values)} values; {joint_count} are needed, one per "
+                "joint."
             )
         for number, value in enumerate(values, start=1):
             if not (isfinite(value) and is_valid(value)):
@@ -103,15 +104,13 @@ _OUTPUTS = (
 )
 
 
-def _build_interface(
-    model: FrictionModel, laws: Sequence[Joint], joint_motors: Motors
-) -> Interface:
+def _build_interface(model: FrictionModel, joints: Sequence[Joint], motors: Motors) -> Interface:
     zeros = (0.0,) * len(model.laws)
     torque = sympy.Symbol(TORQUE, real=True)
-    friction: list[Variable] = []
+    friction_variables: list[Variable] = []
     law_variables: list[Variable] = []
-    for number, (name, law, joint_equations) in enumerate(
-        zip(model.joints, model.laws, laws, strict=True), start=1
+    for number, (joint_name, law, joint_equations) in enumerate(
+        zip(model.joints, model.laws, joints, strict=True), start=1
     ):
         sources = {
             "dq": (f"dq_start[{number}]", f"ratio[{number}]"),
@@ -119,29 +118,31 @@ def _build_interface(
             "tau_load": friction_component.find_joint_signals("tau_load", number, model.coupling),
         }
         dependencies = friction_component.dependencies(joint_equations, torque, sources)
-        text = f"friction torque of {name} over the last inner step, on its side of the gear"
-        friction.append(
+        text = f"friction torque of {joint_name} over the last inner step, on its side of the gear"
+        friction_variables.append(
             Variable(f"tau_f[{number}]", "output", text, unit="N.m", dependencies=dependencies)
         )
         law_variables += friction_component.law_variables(law, number, joint_equations, sources)
-    choice = friction_component.discretisation(
+    discretisation_variable = friction_component.discretisation(
         model, "how the states of the friction are relaxed over an inner step"
     )
     rotary_variables = [
-        variable for n, unit, text in _INPUTS for variable in vector(n, "input", unit, text, zeros)
+        variable
+        for name, unit, text in _INPUTS
+        for variable in vector(name, "input", unit, text, zeros)
     ]
-    for n, unit, text, dependency_patterns in _OUTPUTS:
+    for name, unit, text, dependency_patterns in _OUTPUTS:
         rotary_variables += _couple_dependencies(
-            model.coupling, list(vector(n, "output", unit, text, zeros, dependency_patterns))
+            model.coupling, list(vector(name, "output", unit, text, zeros, dependency_patterns))
         )
-    rotary_variables += friction
-    for n, unit, text in _PARAMETERS:
-        rotary_variables += vector(n, "fixed", unit, text, getattr(joint_motors, n, zeros))
+    rotary_variables += friction_variables
+    for name, unit, text in _PARAMETERS:
+        rotary_variables += vector(name, "fixed", unit, text, getattr(motors, name, zeros))
     rotary_variables.append(
         Variable("substep", "fixed", "longest inner step", unit="s", start=SUBSTEP)
     )
     rotary_variables += [
-        choice,
+        discretisation_variable,
         friction_component.start_mode(),
         *friction_component.scales(model),
         *law_variables,
@@ -157,13 +158,13 @@ def _build_interface(
         directional_derivatives=False,
         inner_steps=True,
         # FMPy requires inputs of one shape; flange inputs are scalars, so all inputs are.
-        connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
+        connected=frozenset({*(joint_name for joint_name, _, _ in _INPUTS), "tau_link"}),
     )
 
 
 def _adapt_to_joint(variable: Variable, slides: Sequence[bool]) -> Variable:
-    joint = re.search(r"\[(\d+)\]", variable.name)
-    if joint is None or not slides[int(joint[1]) - 1]:
+    index_match = re.search(r"\[(\d+)\]", variable.name)
+    if index_match is None or not slides[int(index_match[1]) - 1]:
         return variable
     return friction_component.to_sliding(variable, _PRISMATIC_WORDS)
 
@@ -179,16 +180,18 @@ _PRISMATIC_WORDS = {
 def _couple_dependencies(
     coupling: Coupling | None, outputs: Sequence[Variable]
 ) -> Iterator[Variable]:
-    for link, variable in enumerate(outputs, start=1):
+    for link_number, variable in enumerate(outputs, start=1):
         if coupling is None or not variable.name.startswith("tau_link["):
             yield variable
             continue
         dependencies = [
             name
-            for motor in friction_component.find_added_coordinates(link, coupling)
-            for dependency in outputs[motor - 1].dependencies
+            for motor_number in friction_component.find_added_coordinates(link_number, coupling)
+            for dependency in outputs[motor_number - 1].dependencies
             for name in (
-                friction_component.find_joint_signals(dependency.partition("[")[0], motor, coupling)
+                friction_component.find_joint_signals(
+                    dependency.partition("[")[0], motor_number, coupling
+                )
                 if dependency.startswith(("q_link[", "dq_link["))
                 else (dependency,)
             )
@@ -231,17 +234,17 @@ def export_drive(
     """
     check_request(path, platforms)
     require_exportable(model, "a drive")
-    joint_motors = build_motors(
+    motors = build_motors(
         len(model.laws), inertia=inertia, stiffness=stiffness, damping=damping, ratio=ratio
     )
-    fmu_content = content(model, joint_motors, bare=bare)
+    fmu_content = content(model, motors, bare=bare)
     return write_fmu(fmu_content, path, platforms=platforms, progress=progress, fmi=fmi)
 
 
-def content(model: FrictionModel, joint_motors: Motors, *, bare: bool = False) -> Content:
+def content(model: FrictionModel, motors: Motors, *, bare: bool = False) -> Content:
     """Return the FMU of a drive before compilation."""
     joints = friction_component.build_joints(model, names={TORQUE: "tau_f"})
-    interface = _build_interface(model, joints, joint_motors)
+    interface = _build_interface(model, joints, motors)
     header = equations_header(
         joints, interface, _MACRO_VARIABLES, calls=SOLVER, coupling=model.coupling
     )
@@ -253,8 +256,8 @@ def content(model: FrictionModel, joint_motors: Motors, *, bare: bool = False) -
         "out.",
         step=SUBSTEP,
     )
-    names = ("balance.h", "coupling.h", "drive.c", "drive_step.h", "law_math.h", "root.h")
-    sources = {name: read_c_source(name) for name in names}
+    source_names = ("balance.h", "coupling.h", "drive.c", "drive_step.h", "law_math.h", "root.h")
+    sources = {name: read_c_source(name) for name in source_names}
     members = {}
     if not bare:
         page = drive_html(model, interface, about).encode()
@@ -264,22 +267,22 @@ def content(model: FrictionModel, joint_motors: Motors, *, bare: bool = False) -
         about=about,
         sources=sources | {"equations.h": header},
         members=members,
-        stimuli=_build_stimuli(model, joint_motors),
+        stimuli=_build_stimuli(model, motors),
         terminals=(FLANGE,),
     )
 
 
-def _build_stimuli(model: FrictionModel, joint_motors: Motors) -> Stimuli:
+def _build_stimuli(model: FrictionModel, motors: Motors) -> Stimuli:
     trained_ranges = model.trained or (None,) * len(model.joints)
-    sizes = {}
+    amplitudes = {}
     loads = {}
     for number, (trained_range, ratio) in enumerate(
-        zip(trained_ranges, joint_motors.ratio, strict=True), start=1
+        zip(trained_ranges, motors.ratio, strict=True), start=1
     ):
-        friction = max(map(abs, trained_range.tau)) if trained_range else _DEFAULT_FRICTION
-        sizes[f"tau_motor[{number}]"] = float(
-            f"{3.0 * (friction or _DEFAULT_FRICTION) / abs(ratio):.2g}"
+        largest_friction = max(map(abs, trained_range.tau)) if trained_range else _DEFAULT_FRICTION
+        amplitudes[f"tau_motor[{number}]"] = float(
+            f"{3.0 * (largest_friction or _DEFAULT_FRICTION) / abs(ratio):.2g}"
         )
         tau_load = sum(trained_range.tau_load) / 2.0 if trained_range else 0.0
         loads[f"tau_load[{number}]"] = np.full(ROWS + 1, float(f"{tau_load:.3g}"))
-    return Stimuli(step=SUBSTEP, inputs={**waves(sizes), **loads})
+    return Stimuli(step=SUBSTEP, inputs={**waves(amplitudes), **loads})

@@ -31,11 +31,11 @@ def _read_gears(rigid_body: RigidBody) -> dict[str, list[float]]:
             "'rigid_body' has no elastic gears, which need link encoders; give 'inertia' instead."
         )
     rotors = [rigid_body.names.index(f"{joint}.Ir") for joint in rigid_body.joints]
-    numbers = {"inertia": rigid_body.parameters[rotors].tolist()}
+    properties = {"inertia": rigid_body.parameters[rotors].tolist()}
     for name in ("stiffness", "damping"):
         # An estimate near zero may be negative, which a drive refuses.
-        numbers[name] = [max(gear.parameters[name][0], 0.0) for gear in rigid_body.gears]
-    return numbers
+        properties[name] = [max(gear.parameters[name][0], 0.0) for gear in rigid_body.gears]
+    return properties
 
 
 def write(model: FrictionModel, output: Path, **options: Any) -> None:

@@ -36,9 +36,9 @@ def _run(
     if option_names:
         raise ArgumentError(f"'{option_names[0]}' is for a sweep; {path} is a twin.")
     twin_file = TwinFile.read(path)
-    logs = output or path.parent / "logs"
+    logs_folder = output or path.parent / "logs"
     motions = sorted(path.parent.glob(twin_file.plays))
-    unrecorded = [motion for motion in motions if not (logs / f"{motion.stem}.csv").exists()]
+    unrecorded = [motion for motion in motions if not (logs_folder / f"{motion.stem}.csv").exists()]
     if not unrecorded:
         raise ConfigError(
             f"{path}: each of the {len(motions)} motions '{twin_file.plays}' has a log."
@@ -54,11 +54,11 @@ def _run(
                 unrecorded, lambda *counts: progress("running the arm", *counts)
             ):
                 table = read_table(motion)
-                names = ["t", *(f"q{k + 1}" for k in range(len(plant.joints)))]
+                names = ["t", *(f"q{j + 1}" for j in range(len(plant.joints)))]
                 t, *q = table.numbers(names).T
                 rate = float(1.0 / np.median(np.diff(t)))
                 planned_motion = PlannedMotion(rate=rate, rows=np.column_stack(q))
-                files.append(logs / f"{motion.stem}.csv")
+                files.append(logs_folder / f"{motion.stem}.csv")
                 record(arm, planned_motion, twin_file.seed, name=motion.stem).log.write(files[-1])
                 plan = motion.with_suffix(SUFFIX)
                 if plan.is_file():

@@ -12,12 +12,12 @@ from hesr_model.motions.limits import Limits
 from hesr_model.motions.trajectories import Trajectory
 from hesr_model.support.arrays import Array
 
-_PEAK_SPEED = 1.875
+_PEAK_SPEED = 1.875  # of the quintic blend, for unit way and time
 _PEAK_ACCELERATION = 5.7736  # of the quintic blend, for unit way and time
 _TIME_MARGIN = 1.05  # factor on the time of a move
 _FADE_SHARE = 0.1  # share of a chirp that fades in, and out
-_FIRST_FREQUENCY = 0.1
-_LAST_FREQUENCY = 1.0  # frequencies of a chirp [Hz]
+_FIRST_FREQUENCY = 0.1  # of a chirp [Hz]
+_LAST_FREQUENCY = 1.0  # of a chirp [Hz]
 
 Pulse = tuple[float, float, float, float]  # speed [rad/s], its ramps, hold and rest after it [s]
 
@@ -32,7 +32,7 @@ class PlannedMotion(Trajectory):
 
     @cached_property
     def _spline(self) -> Any:
-        rest_conditions = [(k, np.zeros(self.rows.shape[1])) for k in (1, 2)]
+        rest_conditions = [(order, np.zeros(self.rows.shape[1])) for order in (1, 2)]
         t = np.arange(len(self.rows)) / self.rate
         return make_interp_spline(t, self.rows, k=5, bc_type=(rest_conditions, rest_conditions))
 
@@ -74,14 +74,16 @@ def compute_pulses(program: Sequence[Pulse], t: Array) -> Array:
     return displacement
 
 
-def plan_move(start: Array, end: Array, limits: Limits, rate: float) -> Array:
+def plan_move(start_pose: Array, end_pose: Array, limits: Limits, rate: float) -> Array:
     """Return rows (N, n) from rest to rest, without the first, within speeds and accelerations."""
-    distance = np.abs(end - start)
+    distance = np.abs(end_pose - start_pose)
     durations = [_PEAK_SPEED * distance / limits.velocity]
     durations.append(np.sqrt(_PEAK_ACCELERATION * distance / limits.acceleration))
     row_count = max(1, int(np.ceil(_TIME_MARGIN * rate * np.max(durations))))
-    rows = start + (end - start) * _blend(np.arange(1, row_count + 1)[:, None] / row_count)
-    rows[-1] = end
+    rows = start_pose + (end_pose - start_pose) * _blend(
+        np.arange(1, row_count + 1)[:, None] / row_count
+    )
+    rows[-1] = end_pose
     return np.asarray(rows)
 
 
@@ -96,9 +98,13 @@ def compute_chirp(start: Array, limits: Limits, t: Array) -> Array:
     but for its envelope.
     """
     growth = np.log(_LAST_FREQUENCY / _FIRST_FREQUENCY) / t[-1]
-    rate = 2.0 * np.pi * _FIRST_FREQUENCY * np.exp(growth * t)[:, None]
-    room = np.maximum(0.9 * np.minimum(start - limits.lower, limits.upper - start), 1e-9)
-    size = 1.0 / (1.0 / room + rate / limits.velocity + rate**2 / limits.acceleration)
+    angular_frequency = 2.0 * np.pi * _FIRST_FREQUENCY * np.exp(growth * t)[:, None]
+    reach = np.maximum(0.9 * np.minimum(start - limits.lower, limits.upper - start), 1e-9)
+    amplitude = 1.0 / (
+        1.0 / reach
+        + angular_frequency / limits.velocity
+        + angular_frequency**2 / limits.acceleration
+    )
     fade = _blend(np.clip(np.minimum(t, t[-1] - t) / (_FADE_SHARE * t[-1]), 0.0, 1.0))[:, None]
-    angle = (rate - rate[0]) / growth + np.arange(len(start))
-    return np.asarray(start + fade * size * np.sin(angle))
+    angle = (angular_frequency - angular_frequency[0]) / growth + np.arange(len(start))
+    return np.asarray(start + fade * amplitude * np.sin(angle))

@@ -40,7 +40,9 @@ def write_csv(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
 def write_columns(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> None:
     """Write t, q1.., dq1.., ddq1.. as a table."""
     t, *values = motion.setpoints()
-    names = [f"{name}{k}" for name in ("q", "dq", "ddq") for k in range(1, len(joints) + 1)]
+    names = [
+        f"{name}{number}" for name in ("q", "dq", "ddq") for number in range(1, len(joints) + 1)
+    ]
     write_table(path, {"t": t} | dict(zip(names, np.hstack(values).T, strict=True)))
 
 
@@ -49,8 +51,8 @@ def write_urscript(path: Path, motion: PlannedMotion, joints: Sequence[str]) -> 
     if len(joints) != _UR_JOINTS:
         raise ConfigError(f"URScript is for {_UR_JOINTS} joints; this robot has {len(joints)}.")
     q = motion.rows
-    end = f", t={1.0 / motion.rate!r}, lookahead_time=0.1, gain=300)"
-    moves = "\n".join(f"  servoj({_format_row(row)}{end}" for row in q)
+    move_options = f", t={1.0 / motion.rate!r}, lookahead_time=0.1, gain=300)"
+    moves = "\n".join(f"  servoj({_format_row(row)}{move_options}" for row in q)
     header_fields = {"head": HEAD, "count": len(q), "rate": motion.rate, "start": _format_row(q[0])}
     _fill_template("urscript.txt", path, **header_fields, moves=moves)
 
@@ -99,12 +101,12 @@ _PURPOSES = {
     "test": "scores: motions that no law is trained on",
 }
 _UR_RATE = 500.0  # [Hz] of the controllers that need a position per period
-_MIN_DURATION = 10.0
+_MIN_DURATION = 10.0  # [s] of a motion
 _MAX_DURATION = 1e4  # [s] of a motion
 
 
 def plan_motions(
-    robot: Path,
+    robot_path: Path,
     output: Path,
     *,
     purpose: str,
@@ -115,7 +117,7 @@ def plan_motions(
     progress: Stages = silent,
 ) -> Written:
     """Plan motions of a purpose and write them with a page; see `hesr.excite`."""
-    loaded_robot = Robot(robot)
+    robot = Robot(robot_path)
     motion_settings = MotionSettings.read(settings) if settings else MotionSettings()
     if after:  # new poses and tests
         motion_settings = motion_settings.model_copy(update={"seed": motion_settings.seed + 1000})
@@ -128,37 +130,39 @@ def plan_motions(
         if not _MIN_DURATION <= factor * duration <= _MAX_DURATION:
             raise ConfigError(
                 f"'time' gives the motion for {name} {factor * duration:.3g} s; it needs "
-                f"{_MIN_DURATION:g} to "
-                f"{_MAX_DURATION:g} s."
+                f"{_MIN_DURATION:g} to {_MAX_DURATION:g} s."
             )
     lines: list[str] = []
     stages = partial(progress, "planning the motion")
     try:
-        planner = Planner(guard := Guard(loaded_robot, motion_settings), motion_settings)
+        planner = Planner(guard := Guard(robot, motion_settings), motion_settings)
         if after:
             motions, forecast, lines = plan_sequel(planner, after, sum(times.values()) * factor)
         else:
-            motions = {n: planner.plan(n, factor * t, progress=stages) for n, t in times.items()}
+            motions = {
+                name: planner.plan(name, factor * duration, progress=stages)
+                for name, duration in times.items()
+            }
     except HesrError as error:
-        raise type(error)(f"{settings or robot}: {error}") from error
+        raise type(error)(f"{settings or robot_path}: {error}") from error
     lines += [
         f"{name}, {part}: {first:.1f} to {last:.1f} s, for {_PURPOSES[name]}."
         for name, motion in motions.items()
         for part, first, last in motion.parts
     ]
-    kind = format or output.suffix.lower().lstrip(".")
-    page = output.with_suffix(".html")
+    format_name = format or output.suffix.lower().lstrip(".")
+    page_path = output.with_suffix(".html")
     files = []
     figures = []
     for name, motion in motions.items():
         path = output if len(motions) == 1 else output.with_stem(f"{output.stem}_{name}")
-        files.append(write_motion(path, motion, loaded_robot.joints, kind))
+        files.append(write_motion(path, motion, robot.joints, format_name))
         if after and name == "friction":
             files.append(files[-1].with_suffix(SUFFIX))
             write_json(files[-1], {"format": FORMAT, **to_json(forecast)})
         with apply_style():
             t, q, dq, _ = motion.setpoints()
-            figure = draw_limited_motion(t, q, dq, guard.stated, loaded_robot.joints, speeds=True)
+            figure = draw_limited_motion(t, q, dq, guard.stated_limits, robot.joints, speeds=True)
         figures.append(
             ResultFigure(
                 section=f"Motion for {name}",
@@ -173,11 +177,14 @@ def plan_motions(
     )
     answer = Written(
         format="hesr-motions-1",
-        title=f"Motions for {loaded_robot.name}",
+        title=f"Motions for {robot.name}",
         origin=f"Contacts were checked with {contact_shapes}.",
         lines=[*lines, HEAD],
         drawn=figures,
-        data={"start": planner.start.tolist(), "parts": {n: m.parts for n, m in motions.items()}},
+        data={
+            "start": planner.start.tolist(),
+            "parts": {name: motion.parts for name, motion in motions.items()},
+        },
     )
-    write_answer(answer, page)
-    return replace(answer, files=[*files, page])
+    write_answer(answer, page_path)
+    return replace(answer, files=[*files, page_path])

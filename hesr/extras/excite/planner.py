@@ -36,25 +36,27 @@ class Clearance:
     def __init__(
         self, robot: Robot, *, planes: Sequence[Plane], margin: float, radius: float | None
     ) -> None:
-        self._pin, self._model, self._data, self._configurations = robot.kinematics
+        self._pin, self._pin_model, self._pin_data, self._configurations = robot.kinematics
         self.exact = robot.geometry is not None
         self._geometry: Any = robot.geometry or self._build_capsules(robot, radius)
         pin = self._pin
-        links = self._geometry.ngeoms
-        for k, (*normal, offset) in enumerate(planes, start=1):
+        link_object_count = self._geometry.ngeoms
+        for number, (*normal, offset) in enumerate(planes, start=1):
             wall = pin.coal.Halfspace(np.array(normal), offset)
             placement = pin.SE3.Identity()
-            self._geometry.addGeometryObject(pin.GeometryObject(f"plane {k}", 0, placement, wall))
-        parents = list(self._model.parents)
+            self._geometry.addGeometryObject(
+                pin.GeometryObject(f"plane {number}", 0, placement, wall)
+            )
+        parents = list(self._pin_model.parents)
         geometry_objects = self._geometry.geometryObjects
-        parent_joints = [int(body.parentJoint) for body in geometry_objects]
+        parent_joints = [int(geometry_object.parentJoint) for geometry_object in geometry_objects]
         pairs = [
             (a, b)
             for b in range(len(parent_joints))
-            for a in range(min(b, links))
+            for a in range(min(b, link_object_count))
             if parent_joints[a] != parent_joints[b]
             and (
-                b >= links
+                b >= link_object_count
                 or (
                     parent_joints[b] != parents[parent_joints[a]]
                     and parent_joints[a] != parents[parent_joints[b]]
@@ -67,10 +69,12 @@ class Clearance:
         shares = (
             sum(np.array(self._test_contacts(q)) for q in self._configurations(poses)) / _POSE_COUNT
         )
-        is_fixed = np.array([b < links or parent_joints[a] <= 1 for a, b in pairs], dtype=bool)
-        is_checked = ~((shares > _ALWAYS_TOUCHING_SHARE) & is_fixed)
+        may_touch = np.array(
+            [b < link_object_count or parent_joints[a] <= 1 for a, b in pairs], dtype=bool
+        )
+        is_checked = ~((shares > _ALWAYS_TOUCHING_SHARE) & may_touch)
         self._set_pairs(
-            [pair for pair, keep in zip(pairs, is_checked, strict=True) if keep], margin
+            [pair for pair, is_kept in zip(pairs, is_checked, strict=True) if is_kept], margin
         )
 
     def contact(self, q: Array) -> tuple[int, str, str] | None:
@@ -84,18 +88,17 @@ class Clearance:
         return None
 
     def _test_contacts(self, state: Array, *, first: bool = False) -> list[bool]:
-        collision_data = self._found
         self._pin.computeCollisions(
-            self._model, self._data, self._geometry, collision_data, state, first
+            self._pin_model, self._pin_data, self._geometry, self._collision_data, state, first
         )
-        return [bool(result.isCollision()) for result in collision_data.collisionResults]
+        return [bool(result.isCollision()) for result in self._collision_data.collisionResults]
 
     def _set_pairs(self, pairs: Sequence[tuple[int, int]], margin: float) -> None:
         self._geometry.removeAllCollisionPairs()
         for pair in pairs:
             self._geometry.addCollisionPair(self._pin.CollisionPair(*pair))
-        self._found: Any = self._geometry.createData()
-        for request in self._found.collisionRequests:
+        self._collision_data: Any = self._geometry.createData()
+        for request in self._collision_data.collisionRequests:
             request.security_margin = margin
 
     def _build_capsules(self, robot: Robot, radius: float | None) -> Any:
@@ -107,10 +110,10 @@ class Clearance:
         ends += [(k + 1, f"{tree[k].name} (end)", 2.0 * robot.bodies[k][1]) for k in tips]
         lengths = [float(np.linalg.norm(end)) for _, _, end in ends]
         capsule_radius = radius or max(_CAPSULE_RADIUS_RATIO * sum(lengths), 1e-3)
-        for (joint, name, end), size in zip(ends, lengths, strict=True):
+        for (joint, name, end), length in zip(ends, lengths, strict=True):
             rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end)
-            placement = pin.SE3(rotation.matrix() if size else np.eye(3), 0.5 * end)
-            shape = pin.coal.Capsule(capsule_radius, size)
+            placement = pin.SE3(rotation.matrix() if length else np.eye(3), 0.5 * end)
+            shape = pin.coal.Capsule(capsule_radius, length)
             geometry.addGeometryObject(
                 pin.GeometryObject(f"link to {name}", joint, placement, shape)
             )
@@ -135,7 +138,7 @@ class MotionSettings(ExcitationSettings):
 
 
 class Guard:
-    """Limits of a robot's motions: `stated`, and less margins and friction; contacts.
+    """Limits of a robot's motions: `stated_limits`, and less margins and friction; contacts.
 
     Raises RobotError if a list of the settings has not one entry per joint.
     """
@@ -149,17 +152,17 @@ class Guard:
                     f"'{robot.name}' need one each."
                 )
         self.robot = robot
-        self.stated = Limits.from_settings(robot, settings.limits)
+        self.stated_limits = Limits.from_settings(robot, settings.limits)
         default_friction = np.where(
-            np.isfinite(self.stated.torque), _FRICTION_SHARE * self.stated.torque, 0.0
+            np.isfinite(self.stated_limits.torque), _FRICTION_SHARE * self.stated_limits.torque, 0.0
         )
         self.friction = np.array(settings.friction or default_friction)
         usable_share = 1.0 - settings.margin
         self.limits = replace(
-            self.stated,
-            velocity=usable_share * self.stated.velocity,
-            acceleration=usable_share * self.stated.acceleration,
-            torque=usable_share * self.stated.torque - self.friction,
+            self.stated_limits,
+            velocity=usable_share * self.stated_limits.velocity,
+            acceleration=usable_share * self.stated_limits.acceleration,
+            torque=usable_share * self.stated_limits.torque - self.friction,
         )
         self.clearance = Clearance(
             robot, planes=settings.planes, margin=settings.clearance, radius=settings.radius
@@ -184,8 +187,8 @@ class Guard:
             ("torque", tau, -limits.torque, limits.torque),
         ):
             excess = np.maximum(lower - samples.min(axis=0), samples.max(axis=0) - upper)
-            if np.any(exceeds := excess > _ROUNDING_TOLERANCE * np.maximum(1.0, np.abs(upper))):
-                j = int(np.argmax(exceeds))
+            if np.any(is_exceeded := excess > _ROUNDING_TOLERANCE * np.maximum(1.0, np.abs(upper))):
+                j = int(np.argmax(is_exceeded))
                 friction_note = f" with {self.friction[j]:.3g} for friction" * (
                     quantity == "torque"
                 )
@@ -203,18 +206,18 @@ class Guard:
 
 
 _USUAL_RATE = 200.0
-_PAIRS = 12
+_PAIR_COUNT = 12
 _MAX_SHRINKS = 12
 _SHRINK_FACTOR = 0.75
 _NEIGHBOUR_RANGE = 0.05  # free surroundings of the start pose over the ranges
 _MAX_STROKE_SHARE = 0.3  # largest stroke over the range of a joint
-_PAUSE = 0.2
-_MIN_HOLD = 0.4  # [s] at rest before a part; least time at a constant speed
+_PAUSE = 0.2  # [s] at rest before a part
+_MIN_HOLD = 0.4  # [s] at a constant speed
 _MAX_SPEEDS = 10
 _MAX_REVERSALS = 8
-_MAX_RESTS = 4  # largest numbers of speeds, reversals and rests
-_SET_DURATION = 6.0
-_MIN_RAMP = 0.1  # [s] of a set of reversals; shortest ramp of a velocity
+_MAX_RESTS = 4
+_SET_DURATION = 6.0  # [s] of a set of reversals
+_MIN_RAMP = 0.1  # [s] of a velocity
 _MIN_AMPLITUDE_RATIO = 1.0 / 300.0  # smallest of the nested amplitudes over the largest
 _BREAK_AWAY_SPEED_RATIO = 0.03  # speed after a slow break-away over the limit
 _NO_LIMIT = 1e12  # [N.m] of a motion without torque limits
@@ -233,7 +236,7 @@ class Mix:
     rests: float = 0.05
     low: float = 0.1
     high: float = 1.0
-    why: str = "all speeds, reversals and rests"
+    reason: str = "all speeds, reversals and rests"
 
 
 class Planner:
@@ -250,10 +253,14 @@ class Planner:
         lower = guard.limits.lower
         upper = guard.limits.upper
         rng = np.random.default_rng(settings.seed)
-        self._drawn = rng.uniform(lower, upper, (_POSE_COUNT, robot.n))
-        distances = np.abs((self._drawn - 0.5 * (lower + upper)) / (upper - lower)).max(axis=1)
-        candidates = [0.5 * (lower + upper), *self._drawn[np.argsort(distances)]]
-        neighbours = _NEIGHBOUR_RANGE * (upper - lower) * rng.uniform(-1.0, 1.0, (_PAIRS, robot.n))
+        self._random_poses = rng.uniform(lower, upper, (_POSE_COUNT, robot.n))
+        distances = np.abs((self._random_poses - 0.5 * (lower + upper)) / (upper - lower)).max(
+            axis=1
+        )
+        candidates = [0.5 * (lower + upper), *self._random_poses[np.argsort(distances)]]
+        neighbours = (
+            _NEIGHBOUR_RANGE * (upper - lower) * rng.uniform(-1.0, 1.0, (_PAIR_COUNT, robot.n))
+        )
         fault = ""
         for pose in [np.array(settings.start)] if settings.start else candidates:
             pose_fault = guard.find_fault(self._build_motion(np.tile(pose, (8, 1))), self.rate)
@@ -266,7 +273,9 @@ class Planner:
         raise FitError(f"robot '{robot.name}': no start pose is free: {fault}; state 'start'.")
 
     def _build_motion(self, rows: Array, *parts: tuple[str, int, int]) -> PlannedMotion:
-        timed_parts = tuple((name, a / self.rate, b / self.rate) for name, a, b in parts)
+        timed_parts = tuple(
+            (name, first / self.rate, last / self.rate) for name, first, last in parts
+        )
         return PlannedMotion(rate=self.rate, rows=rows, parts=timed_parts)
 
     def plan(self, purpose: str, time: float, *, progress: Progress = silent) -> PlannedMotion:
@@ -281,8 +290,8 @@ class Planner:
         random_seed = None if purpose == "body" else self.settings.seed + 1
         fourier = self._plan_fourier(row_count - len(chirp), random_seed, progress)
         pieces = [
-            self._choose_safe_motion([self._build_motion(x)]).rows if len(x) > 1 else x
-            for x in (chirp, fourier)
+            self._choose_safe_motion([self._build_motion(part)]).rows if len(part) > 1 else part
+            for part in (chirp, fourier)
         ]
         rows = np.concatenate(pieces)
         rows[[0, -1]] = self.start
@@ -326,12 +335,12 @@ class Planner:
                     f"poses; they need at least {time - 2.0 * (budget - _MIN_STROKE_TIME):.0f} s."
                 )
             t = np.arange(pose_rows) / self.rate - _PAUSE
-            room = longest_strokes * _SHRINK_FACTOR ** (number // 3)
+            stroke = longest_strokes * _SHRINK_FACTOR ** (number // 3)
             pieces = [
                 pose
                 + np.column_stack(
                     [
-                        compute_pulses(self._plan_program(mix, budget, room[j], j, k), t)
+                        compute_pulses(self._plan_program(mix, budget, stroke[j], j, k), t)
                         for j, mix in enumerate(mixes)
                     ]
                 )
@@ -348,7 +357,7 @@ class Planner:
         """Yield free pairs of poses, far apart in gravity and near in position first."""
         guard = self.guard
         limits = self.guard.limits
-        poses = np.clip([self.start, *self._drawn], limits.lower + room, limits.upper - room)
+        poses = np.clip([self.start, *self._random_poses], limits.lower + room, limits.upper - room)
         standstill = np.zeros_like(poses)
         gravity = guard.torque(poses, standstill, standstill)
         is_held = np.all(np.abs(gravity) <= limits.torque, axis=1)
@@ -370,25 +379,25 @@ class Planner:
             - start_distance[:, None]
             - start_distance
         )
-        for k in np.argsort(-pair_score, axis=None)[:_PAIRS]:
+        for k in np.argsort(-pair_score, axis=None)[:_PAIR_COUNT]:
             a, b = np.unravel_index(k, pair_score.shape)
             yield poses[a], poses[b]
 
     def _plan_program(self, mix: Mix, budget: float, room: float, j: int, pose: int) -> list[Pulse]:
         """Return the strokes of a joint; joints and poses differ in order and direction."""
         limits = self.guard.limits
-        reach = room, 0.98 * float(limits.velocity[j]), 0.98 * float(limits.acceleration[j])
+        joint_limits = room, 0.98 * float(limits.velocity[j]), 0.98 * float(limits.acceleration[j])
         order = np.random.default_rng([self.settings.seed, j, pose])
         placed_groups = []
         # Every stretch of time has something of each kind, so that blocks of time can be compared.
         for groups in (
-            _plan_steady_strokes(mix, mix.steady * budget, *reach),
-            _nest_strokes(mix.nested * budget, *reach),
-            _plan_rests(mix.rests * budget, *reach),
+            _plan_steady_strokes(mix, mix.steady * budget, *joint_limits),
+            _nest_strokes(mix.nested * budget, *joint_limits),
+            _plan_rests(mix.rests * budget, *joint_limits),
         ):
             order.shuffle(groups)
-            shift = order.uniform()
-            placed_groups += [((k + shift) / len(groups), group) for k, group in enumerate(groups)]
+            phase = order.uniform()
+            placed_groups += [((k + phase) / len(groups), group) for k, group in enumerate(groups)]
         sign = -1.0 if (j + pose) % 2 else 1.0
         ordered_strokes = chain.from_iterable(
             group for _, group in sorted(placed_groups, key=lambda placed_group: placed_group[0])
@@ -428,25 +437,25 @@ def _plan_steady_strokes(
     """Return strokes there and back at speeds that rise by equal factors."""
     top_speed = min(mix.high * speed, float(np.sqrt(room * acceleration / 1.5)))
     while top_speed > 1e-3 * speed:
-        for levels in range(_MAX_SPEEDS, 1, -1):
-            speeds = np.geomspace(min(mix.low * speed, 0.5 * top_speed), top_speed, levels)
+        for speed_count in range(_MAX_SPEEDS, 1, -1):
+            speeds = np.geomspace(min(mix.low * speed, 0.5 * top_speed), top_speed, speed_count)
             ramps = np.maximum(1.5 * speeds / acceleration, _MIN_RAMP)
-            hold = (time - 4.0 * ramps.sum()) / (2.0 * levels)
+            hold = (time - 4.0 * ramps.sum()) / (2.0 * speed_count)
             if hold < _MIN_HOLD:
                 continue
             hold_times = np.clip(room / speeds - ramps, 0.0, hold)
             rows = np.column_stack([speeds, ramps, hold_times, hold - hold_times])
             rows[1::2, 0] *= -1.0
-            return [[(v, *times), (-v, *times)] for v, *times in rows.tolist()]
+            return [[(velocity, *times), (-velocity, *times)] for velocity, *times in rows.tolist()]
         top_speed *= 0.7
     return []
 
 
 def _nest_strokes(time: float, room: float, speed: float, acceleration: float) -> Groups:
     """Return sets of strokes with decreasing way, each within the one before, and one back."""
-    sets = max(1, round(time / _SET_DURATION))
-    stroke_count = int(np.clip(time / sets / 0.6, 3, _MAX_REVERSALS))
-    ramp = 0.5 * time / sets / (stroke_count + 1)
+    set_count = max(1, round(time / _SET_DURATION))
+    stroke_count = int(np.clip(time / set_count / 0.6, 3, _MAX_REVERSALS))
+    ramp = 0.5 * time / set_count / (stroke_count + 1)
     largest = min(0.5 * room, acceleration * ramp**2 / 1.5, speed * ramp)
     amplitudes = (
         largest
@@ -458,7 +467,7 @@ def _nest_strokes(time: float, room: float, speed: float, acceleration: float) -
             (amplitude / ramp, ramp, 0.0, 0.0)
             for amplitude in [*amplitudes.tolist(), -float(amplitudes.sum())]
         ]
-    ] * sets
+    ] * set_count
 
 
 def _plan_rests(time: float, room: float, speed: float, acceleration: float) -> Groups:
@@ -467,6 +476,9 @@ def _plan_rests(time: float, room: float, speed: float, acceleration: float) -> 
     ramp = min(1.0, time / (8.0 * rest_count))
     lengths = np.geomspace(0.1, 1.0, 2 * rest_count)
     waits = ((time - 4.0 * ramp * rest_count) * lengths / lengths.sum()).tolist()
-    v = min(_BREAK_AWAY_SPEED_RATIO * speed, acceleration * ramp / 1.5, room / ramp)
+    speed_of_rests = min(_BREAK_AWAY_SPEED_RATIO * speed, acceleration * ramp / 1.5, room / ramp)
     pairs = zip(waits[::2], waits[1::2], strict=True)
-    return [[(v, ramp, 0.0, short), (-v, ramp, 0.0, long)] for short, long in pairs]
+    return [
+        [(speed_of_rests, ramp, 0.0, short_wait), (-speed_of_rests, ramp, 0.0, long_wait)]
+        for short_wait, long_wait in pairs
+    ]

@@ -21,15 +21,15 @@ from hesr_model.support.arrays import Array
 
 MIXES = (
     Mix(),
-    Mix(steady=0.94, nested=0.05, rests=0.01, low=0.3, why="fast motion"),
-    Mix(low=0.03, why="slow and fast motion"),
-    Mix(steady=0.7, nested=0.25, why="reversals within reversals"),
-    Mix(steady=0.8, nested=0.08, rests=0.12, why="rests and slow break-away"),
+    Mix(steady=0.94, nested=0.05, rests=0.01, low=0.3, reason="fast motion"),
+    Mix(low=0.03, reason="slow and fast motion"),
+    Mix(steady=0.7, nested=0.25, reason="reversals within reversals"),
+    Mix(steady=0.8, nested=0.08, rests=0.12, reason="rests and slow break-away"),
 )
 _MAX_LAWS = 3  # recommended, and tied with it
 _RELATIVE_STEP = 1e-4  # relative step of a coefficient
-_SPEED_BINS = np.geomspace(0.003, 1.0, 9)
-_MIN_SEEN_TIME = 0.3  # speeds over the limit; [s] that show one
+_SPEED_BINS = np.geomspace(0.003, 1.0, 9)  # speeds over the limit
+_MIN_SEEN_TIME = 0.3  # [s] at a speed that show it
 
 Rows = Mapping[str, Any]  # t [s], dq [rad/s], q [rad], tau_load [N.m] of a log, (N,) each
 
@@ -53,23 +53,25 @@ class Knowledge:
         """Mean square error [N^2.m^2] of the first law."""
         return float(np.mean(self.residual(next(iter(self.laws.values()))) ** 2))
 
-    def score(self, new: Rows) -> float:
+    def score(self, new_rows: Rows) -> float:
         """Return what rows would resolve: log widths, difference of laws, and unseen speeds."""
         ratios = [
-            r for law in self.laws.values() for r in self.predict_shrinkage(law, new).values()
+            ratio
+            for law in self.laws.values()
+            for ratio in self.predict_shrinkage(law, new_rows).values()
         ]
         gain = -np.mean(np.log(ratios or [1.0]))
-        torques = [predict(law, **new) for law in self.laws.values()]
+        torques = [predict(law, **new_rows) for law in self.laws.values()]
         law_difference = np.mean(
             [np.mean((tau_predicted - torques[0]) ** 2) for tau_predicted in torques]
         )
         law_difference /= self._variance
         newly_seen = (self._measure_times(self.logs) < _MIN_SEEN_TIME) & (
-            self._measure_times([new]) >= _MIN_SEEN_TIME
+            self._measure_times([new_rows]) >= _MIN_SEEN_TIME
         )
         return float(gain + 0.25 * np.log1p(law_difference) + np.mean(newly_seen))
 
-    def predict_shrinkage(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
+    def predict_shrinkage(self, law: FrictionLaw, new_rows: Rows) -> dict[str, float]:
         """Return the standard error of each coefficient with further rows, over today's.
 
         Noise and misfit per row remain those of the covariance.
@@ -77,29 +79,31 @@ class Knowledge:
         if law.covariance is None:
             return {}
         slopes = self._compute_slopes(law)
-        new_slopes = _compute_slopes(law, new)
+        new_slopes = _compute_slopes(law, new_rows)
         information = slopes.T @ slopes
-        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
+        scale = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
         normal_matrices = [
-            x / np.outer(size, size) for x in (information, information + new_slopes.T @ new_slopes)
+            matrix / np.outer(scale, scale)
+            for matrix in (information, information + new_slopes.T @ new_slopes)
         ]
         present_variance, expected_variance = (
-            np.diag(np.linalg.pinv(x, rcond=1e-10, hermitian=True)) for x in normal_matrices
+            np.diag(np.linalg.pinv(matrix, rcond=1e-10, hermitian=True))
+            for matrix in normal_matrices
         )
         ratios = np.sqrt(
             np.clip(expected_variance / np.maximum(present_variance, 1e-300), 1e-12, 1.0)
         )
         return dict(zip(law.covariance.names, ratios.tolist(), strict=True))
 
-    def predict_ratios(self, law: FrictionLaw, new: Rows) -> dict[str, float]:
-        """Return the expected ratios of `shrinking` as a fit with further rows would state them.
+    def predict_ratios(self, law: FrictionLaw, new_rows: Rows) -> dict[str, float]:
+        """Return the ratios of `predict_shrinkage` as a fit with further rows would state them.
 
         The law misses the new motion at least as it misses the logs, and at most also by its
         difference from the best law. The result is the geometric mean of both cases.
         """
-        pairs = [(self.residual(candidate), candidate) for candidate in self.laws.values()]
+        pairs = [(self.residual(known_law), known_law) for known_law in self.laws.values()]
         best_residual, best_law = min(pairs, key=lambda pair: np.linalg.norm(pair[0]))
-        ratios = self.predict_shrinkage(law, new)
+        ratios = self.predict_shrinkage(law, new_rows)
         if not ratios or best_law is law:
             return ratios
         residual = self.residual(law)
@@ -107,7 +111,7 @@ class Knowledge:
         names = list(ratios)
         blocks = blocks_of_time(np.zeros(len(residual), dtype=int))
         present_errors = covariance_of_fit(names, slopes, residual, blocks).standard_errors
-        law_difference = predict(best_law, **new) - predict(law, **new)
+        law_difference = predict(best_law, **new_rows) - predict(law, **new_rows)
         residuals = np.concatenate(
             [
                 residual,
@@ -115,17 +119,17 @@ class Knowledge:
                 + law_difference,
             ]
         )
-        all_slopes = np.concatenate([slopes, _compute_slopes(law, new)])
-        size = np.maximum(np.linalg.norm(all_slopes, axis=0), 1e-150)
+        all_slopes = np.concatenate([slopes, _compute_slopes(law, new_rows)])
+        scale = np.maximum(np.linalg.norm(all_slopes, axis=0), 1e-150)
         residuals -= all_slopes @ (
-            np.linalg.lstsq(all_slopes / size, residuals, rcond=1e-6)[0] / size
+            np.linalg.lstsq(all_slopes / scale, residuals, rcond=1e-6)[0] / scale
         )
         labels = np.repeat([0, 1], [len(residual), len(law_difference)])
         expected_errors = covariance_of_fit(names, all_slopes, residuals, labels).standard_errors
         largest_ratios = expected_errors / np.maximum(present_errors, 1e-300)
         return {
-            name: float(np.sqrt(ratio * max(ratio, top)))
-            for (name, ratio), top in zip(ratios.items(), largest_ratios, strict=True)
+            name: float(np.sqrt(ratio * max(ratio, largest_ratio)))
+            for (name, ratio), largest_ratio in zip(ratios.items(), largest_ratios, strict=True)
         }
 
     def _compute_slopes(self, law: FrictionLaw) -> Array:
@@ -147,11 +151,11 @@ def _compute_slopes(law: FrictionLaw, rows: Rows) -> Array:
     for name in law.covariance.names if law.covariance else ():
         coefficient = law.values[name]
         step = _RELATIVE_STEP * max(abs(law.values[name]), 1e-6)
-        up, down = (
-            predict(replace(law, values={**law.values, name: x}), **rows)
-            for x in (coefficient + step, coefficient - step)
+        upper_torque, lower_torque = (
+            predict(replace(law, values={**law.values, name: value}), **rows)
+            for value in (coefficient + step, coefficient - step)
         )
-        columns.append((up - down) / (2.0 * step))
+        columns.append((upper_torque - lower_torque) / (2.0 * step))
     return np.stack(columns, axis=1)
 
 
@@ -165,8 +169,8 @@ def gather_knowledge(results: Results, guard: Guard) -> list[Knowledge]:
         raise ConfigError(f"{folder}: these are not results of this version for this robot.")
     if any(model.coupling for model in models.values()):
         raise ConfigError(f"{folder}: motions after results need joints without coupling.")
-    traces = [{n: x.astype(float) for n, x in results.torques(log).items()} for log in logs]
-    known_joints = []
+    traces = [{name: x.astype(float) for name, x in results.torques(log).items()} for log in logs]
+    joint_knowledge = []
     for number, (law_name, joint_verdict) in enumerate(
         zip(results.recommended, verdict.joints, strict=True), 1
     ):
@@ -174,17 +178,21 @@ def gather_knowledge(results: Results, guard: Guard) -> list[Knowledge]:
         columns = {"t": "t", "dq": f"dq{number}", "q": f"q{number}", "tau_load": f"tau_rb{number}"}
         if f"tau_load{number}" in traces[0]:
             columns["tau_load"] = f"tau_load{number}"
-        known_joints.append(
+        joint_knowledge.append(
             Knowledge(
                 laws={
-                    n: models[n].laws[number - 1] for n in list(names)[:_MAX_LAWS] if n in models
+                    name: models[name].laws[number - 1]
+                    for name in list(names)[:_MAX_LAWS]
+                    if name in models
                 },
-                logs=[{n: trace[c] for n, c in columns.items()} for trace in traces],
+                logs=[
+                    {name: trace[column] for name, column in columns.items()} for trace in traces
+                ],
                 torques=[trace[f"tau{number}"] - trace[f"tau_rb{number}"] for trace in traces],
-                speed=float(guard.stated.velocity[number - 1]),
+                speed=float(guard.stated_limits.velocity[number - 1]),
             )
         )
-    return known_joints
+    return joint_knowledge
 
 
 def build_joint_rows(motion: PlannedMotion, guard: Guard) -> list[Rows]:
@@ -206,18 +214,18 @@ def plan_sequel(
     """
     results = Results.read(folder)
     guard = planner.guard
-    known_joints = gather_knowledge(results, guard)
+    joint_knowledge = gather_knowledge(results, guard)
     joints = guard.robot.joints
     assert results.verdict is not None
-    open_ = any(known_joint.tied for known_joint in results.verdict.joints)
-    test_time = 0.4 * time if open_ and 0.4 * time >= comparison.MIN_SECONDS else 0.0
+    has_ties = any(joint_verdict.tied for joint_verdict in results.verdict.joints)
+    test_time = 0.4 * time if has_ties and 0.4 * time >= comparison.MIN_SECONDS else 0.0
     candidates = []
     for mix in MIXES:
         motion = next(planner.strokes(time - test_time, [mix] * len(joints)))
         candidates.append((mix, build_joint_rows(motion, guard)))
     scores = [
-        [known_joint.score(rows[j]) for _, rows in candidates]
-        for j, known_joint in enumerate(known_joints)
+        [knowledge.score(rows[j]) for _, rows in candidates]
+        for j, knowledge in enumerate(joint_knowledge)
     ]
     best_mixes = [MIXES[int(np.argmax(joint_scores))] for joint_scores in scores]
     motions = {"friction": planner.friction(time - test_time, best_mixes)}
@@ -226,18 +234,18 @@ def plan_sequel(
     widths: dict[str, dict[str, dict[str, float]]] = {}
     detectable = {}
     lines = []
-    for j, (known_joint, rows) in enumerate(
-        zip(known_joints, build_joint_rows(motions["friction"], guard), strict=True)
+    for j, (knowledge, rows) in enumerate(
+        zip(joint_knowledge, build_joint_rows(motions["friction"], guard), strict=True)
     ):
-        line = f"{joints[j]}: {best_mixes[j].why}"
-        for law_name, law in known_joint.laws.items():
+        line = f"{joints[j]}: {best_mixes[j].reason}"
+        for law_name, law in knowledge.laws.items():
             present_errors = law.standard_errors
-            ratios = known_joint.predict_ratios(law, rows)
+            ratios = knowledge.predict_ratios(law, rows)
             expected_errors = {
                 n: error * ratios[n] for n, error in present_errors.items() if n in ratios
             }
             widths.setdefault(law_name, {})[joints[j]] = expected_errors
-            if expected_errors and law_name == next(iter(known_joint.laws)):
+            if expected_errors and law_name == next(iter(knowledge.laws)):
                 n = max(
                     expected_errors,
                     key=lambda n: present_errors[n] / max(abs(law.values[n]), 1e-300),
@@ -253,16 +261,20 @@ def plan_sequel(
     return motions, Forecast(widths=widths, detectable=detectable), lines
 
 
-def _predict_detectable(results: Results, j: int, ratio: float, seconds: float) -> float:
+def _predict_detectable(results: Results, j: int, present_ratio: float, seconds: float) -> float:
     """Return the smallest ratio of errors that a test of the same kind of `seconds` would show."""
     assert results.verdict is not None
     test = results.verdict.test
     tested_seconds = sum(log.duration for log in results.run.logs if test in log.roles)
-    count = max(1, len(results.comparisons[test].detectable[j]))
+    comparison_count = max(1, len(results.comparisons[test].detectable[j]))
 
-    def error(time: float) -> float:
+    def detectable_error(time: float) -> float:
         degrees = time / comparison.SECONDS_PER_DEGREE
-        level = comparison.SIGNIFICANCE / comparison.calibration(count, degrees) / count
+        level = (
+            comparison.SIGNIFICANCE
+            / comparison.calibration(comparison_count, degrees)
+            / comparison_count
+        )
         return float(comparison.detection_factor(degrees, level) / np.sqrt(time))
 
-    return float(ratio ** (error(seconds) / error(tested_seconds)))
+    return float(present_ratio ** (detectable_error(seconds) / detectable_error(tested_seconds)))

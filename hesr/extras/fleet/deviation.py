@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
-MIN_SAMPLE_SIZE = 5  # minimum sample size
+MIN_SAMPLE_SIZE = 5  # fewer values are neither compared nor fitted
 _MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its MAD
 _EFFICIENCY = 0.37  # statistical efficiency of the MAD
 _OUTLIER_TOLERANCE = 1e-3  # values within this fraction of the median are never outliers
@@ -29,7 +29,7 @@ class Deviation:
 
 
 def compute_deviations(values: Sequence[float], errors: Sequence[float | None]) -> list[Deviation]:
-    """Return the distance of each of at least `ENOUGH` values from the median of all.
+    """Return the distance of each of at least `MIN_SAMPLE_SIZE` values from the median of all.
 
     Standard `errors`, None if unknown, limit the distance.
     """

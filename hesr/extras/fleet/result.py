@@ -186,19 +186,26 @@ def all_tables(fleet: FleetResult) -> Iterator[ResultTable]:
 def types(fleet: FleetResult) -> ResultTable:
     """Return the counts by type."""
     type_of = {robot.robot: robot.type for robot in fleet.robots}
-    columns = [
+    robot_sets = [
         {robot.robot for robot in fleet.robots},
-        {d.robot for d in fleet.deviants},
-        {c.robot for c in fleet.changes if c.worse},
+        {deviant.robot for deviant in fleet.deviants},
+        {change.robot for change in fleet.changes if change.worse},
         {robot.robot for robot in fleet.robots if robot.findings},
         {robot.robot for robot in fleet.broken},
     ]
-    counts = [Counter(type_of[name] for name in names) for names in columns]
-    small_types = [t for t in sorted(counts[0]) if counts[0][t] < MIN_SAMPLE_SIZE]
+    robot_counts = [Counter(type_of[name] for name in names) for names in robot_sets]
+    small_types = [
+        type_name
+        for type_name in sorted(robot_counts[0])
+        if robot_counts[0][type_name] < MIN_SAMPLE_SIZE
+    ]
     return ResultTable(
         caption=f"Fleet {fleet.name}",
         head=("type", "robots", "deviate", "got worse", "with findings", "not all used"),
-        rows=[make_row(t, *(fixed_cell(c[t], 0) for c in counts)) for t in sorted(counts[0])],
+        rows=[
+            make_row(type_name, *(fixed_cell(counts[type_name], 0) for counts in robot_counts))
+            for type_name in sorted(robot_counts[0])
+        ],
         note=f"Fewer than {MIN_SAMPLE_SIZE} robots are not compared: {', '.join(small_types)}."
         if small_types
         else "",
@@ -208,16 +215,21 @@ def types(fleet: FleetResult) -> ResultTable:
 def deviants(fleet: FleetResult) -> ResultTable:
     """Return the deviating numbers."""
     rows = []
-    for d in fleet.deviants[:_MAX_TABLE_ROWS]:
-        law_name = "rigid body" if d.law == BODY else d.law
-        numbers = (number(d.value, 4), number(d.median, 4), fixed_cell(d.z, 1), _p_cell(d.p))
-        rows.append(make_row(d.robot, law_name, d.joint or "–", d.name, *numbers))
+    for deviant in fleet.deviants[:_MAX_TABLE_ROWS]:
+        law_name = "rigid body" if deviant.law == BODY else deviant.law
+        cells = (
+            number(deviant.value, 4),
+            number(deviant.median, 4),
+            fixed_cell(deviant.z, 1),
+            _p_cell(deviant.p),
+        )
+        rows.append(make_row(deviant.robot, law_name, deviant.joint or "–", deviant.name, *cells))
     return ResultTable(
         caption="Robots that deviate from their type",
         head=("robot", "law", "joint", "number", "value", "median", "z", "p"),
         rows=rows,
         words=(1, 2, 3),
-        note=f"z in robust standard deviations, p adjusted for all numbers compared."
+        note="z in robust standard deviations, p adjusted for all numbers compared."
         f"{_describe_omission(len(fleet.deviants))}",
     )
 
@@ -225,17 +237,21 @@ def deviants(fleet: FleetResult) -> ResultTable:
 def changes(fleet: FleetResult) -> ResultTable:
     """Return the changes, worse ones first."""
     rows = []
-    for c in fleet.changes[:_MAX_TABLE_ROWS]:
-        numbers = (_share_cell(c.change, 1), _share_cell(c.per_day, 2), _p_cell(c.p))
-        worse = "yes" if c.worse else "no"
-        rows.append(make_row(c.robot, c.law, c.joint, c.kind, *numbers, worse, c.points_to))
+    for change in fleet.changes[:_MAX_TABLE_ROWS]:
+        cells = (_share_cell(change.change, 1), _share_cell(change.per_day, 2), _p_cell(change.p))
+        worse = "yes" if change.worse else "no"
+        rows.append(
+            make_row(
+                change.robot, change.law, change.joint, change.kind, *cells, worse, change.points_to
+            )
+        )
     return ResultTable(
         caption="Robots that have changed",
         head=("robot", "law", "joint", "what", "change", "per day", "p", "worse", "points to"),
         rows=rows,
         words=(1, 2, 3, 7, 8),
-        note="Shares of friction; p adjusted for all "
-        f"trends.{_describe_omission(len(fleet.changes))}",
+        note="Shares of friction; p adjusted for all trends."
+        f"{_describe_omission(len(fleet.changes))}",
     )
 
 
@@ -271,24 +287,24 @@ _TRENDS = ("level", "offset", "error")
 def write_table(path: Path, fleet: FleetResult) -> None:
     """Write the file; a rigid body has no joint, a failed robot no law."""
     pa = import_arrow()
-    text = pa.string()
-    number = pa.float64()
-    by_name = pa.map_(text, number)
-    texts = pa.list_(text)
+    text_type = pa.string()
+    number_type = pa.float64()
+    map_type = pa.map_(text_type, number_type)
+    list_type = pa.list_(text_type)
     schema = pa.schema(
         [
-            *((name, text) for name in ("type", "robot", "law", "joint", "structure", "fmu")),
+            *((name, text_type) for name in ("type", "robot", "law", "joint", "structure", "fmu")),
             *((name, pa.int64()) for name in _COUNT_COLUMNS),
-            *((name, number) for name in ("rmse", "tau_std")),
-            *((name, by_name) for name in ("coefficients", "standard_errors", "z")),
+            *((name, number_type) for name in ("rmse", "tau_std")),
+            *((name, map_type) for name in ("coefficients", "standard_errors", "z")),
             *(
-                (f"{name}_{measure}", number)
+                (f"{name}_{measure}", number_type)
                 for name in _TRENDS
                 for measure in ("change", "per_day")
             ),
             *((name, pa.bool_()) for name in ("deviates", "worse")),
-            *((name, texts) for name in ("changes", "findings", "refused")),
-            ("failure", text),
+            *((name, list_type) for name in ("changes", "findings", "refused")),
+            ("failure", text_type),
         ]
     )
     table = pa.Table.from_pylist(list(_build_rows(fleet)), schema=schema)
@@ -296,11 +312,15 @@ def write_table(path: Path, fleet: FleetResult) -> None:
 
 
 def _build_rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
-    deviating = {(d.robot, d.law, d.joint) for d in fleet.deviants}
+    deviant_keys = {(deviant.robot, deviant.law, deviant.joint) for deviant in fleet.deviants}
     changes: dict[tuple[str, str, str], list[str]] = {}
     for change in fleet.changes:
         changes.setdefault((change.robot, change.law, change.joint), []).append(change.kind)
-    worse = {(c.robot, c.law, c.joint) for c in fleet.changes if c.worse}
+    worse_keys = {
+        (worse_change.robot, worse_change.law, worse_change.joint)
+        for worse_change in fleet.changes
+        if worse_change.worse
+    }
     for robot in fleet.robots:
         robot_row: dict[str, Any] = {
             "type": robot.type,
@@ -324,8 +344,8 @@ def _build_rows(fleet: FleetResult) -> Iterator[dict[str, Any]]:
                 "standard_errors": list(joint_result.errors.items()),
                 "z": list(fleet.z.get(key, {}).items()),
                 "fmu": fmu.relative_to(fleet.folder).as_posix() if fmu else None,
-                "deviates": key in deviating,
-                "worse": key in worse,
+                "deviates": key in deviant_keys,
+                "worse": key in worse_keys,
                 "changes": changes.get(key, []),
             }
             if joint_result.law != BODY:

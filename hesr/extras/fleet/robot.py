@@ -45,7 +45,7 @@ _VERSIONED_PACKAGES = ("hesr", "numpy", "scipy", "sympy", "pin")
 def process_robot(member: Member, study: FleetStudy, folder: Path) -> bool:
     """Process one robot into its folder; return whether it was complete before."""
     key = _compute_key(member, study)
-    file = folder / RESULT
+    result_path = folder / RESULT
     with suppress(ArtifactError):  # missing or incomplete
         if read_result(folder).key == key:
             return True
@@ -57,23 +57,25 @@ def process_robot(member: Member, study: FleetStudy, folder: Path) -> bool:
     except HesrError as error:
         result = RobotResult(key=key, robot=member.name, type=member.type, failure=str(error))
     # Written last: a killed process repeats this robot.
-    write_json(file, {"format": RESULT_FORMAT, **to_json(result)})
+    write_json(result_path, {"format": RESULT_FORMAT, **to_json(result)})
     return False
 
 
 def read_result(folder: Path) -> RobotResult:
     """Read the result of a robot; raises ArtifactError if missing or damaged."""
-    file = folder / RESULT
-    return from_json(RobotResult, read_json(file, RESULT_FORMAT), file, "a robot of a fleet")
+    result_path = folder / RESULT
+    return from_json(
+        RobotResult, read_json(result_path, RESULT_FORMAT), result_path, "a robot of a fleet"
+    )
 
 
 def _compute_key(member: Member, study: FleetStudy) -> str:
-    kind = member.kind
-    files = [kind.robot, *(path for _, path in member.logs)]
-    if kind.robot.is_file():
-        files.insert(1, RobotDescription.read(kind.robot).model)
+    robot_type = member.robot_type
+    files = [robot_type.robot, *(path for _, path in member.logs)]
+    if robot_type.robot.is_file():
+        files.insert(1, RobotDescription.read(robot_type.robot).model)
     hashed_inputs = {
-        "robot": (member.name, member.type, kind.accept),
+        "robot": (member.name, member.type, robot_type.accept),
         "names": [name for name, _ in member.logs],
         "files": [_compute_hash(file) for file in files],
         "study": study.model_dump(mode="json", include={"seed", "laws", "options", "rows"}),
@@ -93,8 +95,8 @@ def _compute_hash(file: Path) -> str | None:
 class _Day:
     rows: int
     rmse: float
-    total: float
-    squares: float
+    tau_sum: float  # [N.m; N]
+    tau_square_sum: float
     level: float
     offset: float
 
@@ -104,8 +106,8 @@ class _Robot:
         self._member = member
         self._study = study
         self._key = key
-        self._model = Robot(RobotDescription.read(member.kind.robot))
-        self._where = f"robot '{member.name}'"
+        self._robot = Robot(RobotDescription.read(member.robot_type.robot))
+        self._label = f"robot '{member.name}'"
         self._refused: dict[str, str] = {}
         self._findings: list[Finding] = []
 
@@ -113,19 +115,19 @@ class _Robot:
         member = self._member
         study = self._study
         if not member.logs:
-            raise LogError(f"{self._where}: its folders contain no log.")
+            raise LogError(f"{self._label}: its folders contain no log.")
         stream, sample = self._collect(None)
         if not stream.fits:  # a joint that is always slow
             stream, sample = self._collect(stream.slow)
-        body = stream.body(sample, self._where)
+        body = stream.body(sample, self._label)
         records = transpose_records(
-            [motion_records(motion, self._model, body) for motion in sample]
+            [motion_records(motion, self._robot, body) for motion in sample]
         )
         provenance = {
             "robot": member.name,
             "fleet": study.name,
             "sample": sum(len(motion.t) for motion in sample),
-            **self._model.description.constants,
+            **self._robot.description.constants,
         }
         failures: dict[str, FitError] = {}
         models = fit_models(
@@ -138,7 +140,7 @@ class _Robot:
             workers=1,
             report_left_out=failures.__setitem__,
         )
-        findings = [*check_body(body, self._model), *check_laws(models, records)]
+        findings = [*check_body(body, self._robot), *check_laws(models, records)]
         for law_name, model in models.items():
             model.write(folder / f"{law_name}.json")
             if all(map(is_exposed, model.laws)):
@@ -156,24 +158,26 @@ class _Robot:
         )
 
     def _collect(self, slow: Any) -> tuple[Streamed, list[Motion]]:
-        stream = Streamed(self._model, slow)
+        stream = Streamed(self._robot, slow)
         sample = Sample(self._study.rows, self._study.seed)
         for parts in self._read_motions(check=slow is None):
             for part in parts:
                 stream.add(part)
                 sample.add(part)
         if not stream.rows:
-            first = next(iter(self._refused.values()))
-            raise LogError(f"none of its {len(self._refused)} logs can be used, the first: {first}")
+            first_refusal = next(iter(self._refused.values()))
+            raise LogError(
+                f"none of its {len(self._refused)} logs can be used, the first: {first_refusal}"
+            )
         return stream, sample.motions()
 
     def _read_motions(self, *, check: bool = False) -> Iterator[list[Motion]]:
-        cutoff = self._model.description.log.filter_cutoff
+        cutoff = self._robot.description.log.filter_cutoff
         for name, path in self._member.logs:
             if name in self._refused:
                 continue
             try:
-                log = replace(Log.read(path, self._model.description), name=name)
+                log = replace(Log.read(path, self._robot.description), name=name)
                 if check:
                     self._check(log)
                 parts = [smooth(part, cutoff) for part in log.parts()]
@@ -185,8 +189,8 @@ class _Robot:
             yield parts
 
     def _check(self, log: Log) -> None:
-        accept = self._member.kind.accept
-        findings = examine([log], self._model.description, self._model).findings
+        accept = self._member.robot_type.accept
+        findings = examine([log], self._robot.description, self._robot).findings
         errors = [
             finding
             for finding in findings
@@ -207,7 +211,7 @@ class _Robot:
         days_by_law: dict[tuple[str, int], dict[str, _Day]] = {}
         for parts in self._read_motions():
             records = [
-                transform_records(motion_records(part, self._model, bare_body)) for part in parts
+                transform_records(motion_records(part, self._robot, bare_body)) for part in parts
             ]
             for law_name, model in models.items():
                 for j, law in enumerate(model.laws):
@@ -218,9 +222,11 @@ class _Robot:
                     days_by_law.setdefault((law_name, j), {})[parts[0].name] = _evaluate_day(
                         tau_predicted, tau
                     )
-        days = self._member.days
+        day_numbers = self._member.days
         return [
-            _summarise_joint(models[law_name], j, log_days, [days[log] for log in log_days])
+            _summarise_joint(
+                models[law_name], j, log_days, [day_numbers[name] for name in log_days]
+            )
             for (law_name, j), log_days in days_by_law.items()
         ]
 
@@ -230,38 +236,40 @@ def _evaluate_day(tau_predicted: Array, tau: Array) -> _Day:
     return _Day(
         rows=len(tau),
         rmse=rmse(tau_predicted - tau),
-        total=float(tau.sum()),
-        squares=float(tau @ tau),
+        tau_sum=float(tau.sum()),
+        tau_square_sum=float(tau @ tau),
         level=nuisances.level,
         offset=nuisances.offset,
     )
 
 
 def _summarise_joint(
-    model: FrictionModel, j: int, logs: Mapping[str, _Day], days: Sequence[float]
+    model: FrictionModel, j: int, days_by_log: Mapping[str, _Day], day_numbers: Sequence[float]
 ) -> JointResult:
     law = model.laws[j]
-    log_days = list(logs.values())
+    log_days = list(days_by_log.values())
     rows = sum(day.rows for day in log_days)
-    error = float(np.sqrt(sum(day.rows * day.rmse**2 for day in log_days) / rows))
-    mean = sum(day.total for day in log_days) / rows
-    tau_std = float(np.sqrt(max(sum(day.squares for day in log_days) / rows - mean**2, 0.0)))
+    mean_rmse = float(np.sqrt(sum(day.rows * day.rmse**2 for day in log_days) / rows))
+    mean_tau = sum(day.tau_sum for day in log_days) / rows
+    tau_std = float(
+        np.sqrt(max(sum(day.tau_square_sum for day in log_days) / rows - mean_tau**2, 0.0))
+    )
     scale = tau_std or 1.0
     courses = {
         "level": [day.level for day in log_days],
         "offset": [day.offset / scale for day in log_days],
         "error": [day.rmse / scale for day in log_days],
     }
-    trends = ((name, fit_trend(days, values)) for name, values in courses.items())
+    trends = ((name, fit_trend(day_numbers, values)) for name, values in courses.items())
     return JointResult(
         law=model.law,
         joint=model.joints[j],
         structure=json.dumps(law.structure, sort_keys=True),
         values=law.values,
         errors=law.standard_errors,
-        rmse=error,
+        rmse=mean_rmse,
         tau_std=tau_std,
-        trends={name: course_trend for name, course_trend in trends if course_trend is not None},
+        trends={name: trend for name, trend in trends if trend is not None},
     )
 
 

@@ -46,45 +46,51 @@ _POINTS_TO = POINTS_TO | {"error": "play, damage, or a sensor: no friction law e
 def compare_robots(
     robots: Sequence[RobotResult], level: float
 ) -> tuple[dict[tuple[str, str, str], dict[str, float]], list[Deviant]]:
-    """Compare numbers of a type and law structure with at least `ENOUGH` robots.
+    """Compare numbers of a type and law structure with at least `MIN_SAMPLE_SIZE` robots.
 
     Returns z by (robot, law, joint), then by name, and deviants at significance `level` (Holm).
     """
     groups: dict[tuple[str, ...], list[tuple[RobotResult, float, float | None]]] = {}
     for robot in robots:
         for joint_result in robot.joints:
-            for robot_name, value in _list_numbers(joint_result):
+            for number_name, value in _list_numbers(joint_result):
                 group = (
                     robot.type,
                     joint_result.law,
                     joint_result.joint,
                     joint_result.structure,
-                    robot_name,
+                    number_name,
                 )
                 groups.setdefault(group, []).append(
-                    (robot, value, joint_result.errors.get(robot_name))
+                    (robot, value, joint_result.errors.get(number_name))
                 )
     typed_deviations: dict[Key, tuple[str, Deviation]] = {}
-    for (type_, law_name, joint, _, robot_name), entries in groups.items():
+    for (type_name, law_name, joint, _, number_name), entries in groups.items():
         if len(entries) >= MIN_SAMPLE_SIZE:
             group_deviations = compute_deviations(
                 [value for _, value, _ in entries], [error for *_, error in entries]
             )
             for (robot, *_), deviation in zip(entries, group_deviations, strict=True):
-                typed_deviations[robot.robot, law_name, joint, robot_name] = type_, deviation
+                typed_deviations[robot.robot, law_name, joint, number_name] = (
+                    type_name,
+                    deviation,
+                )
     adjusted_p = adjust_by_holm(
         {key: deviation.p for key, (_, deviation) in typed_deviations.items()}
     )
     deviants = []
     z: dict[tuple[str, str, str], dict[str, float]] = {}
-    for (robot_name, law_name, joint, number_name), (type_, deviation) in typed_deviations.items():
+    for (robot_name, law_name, joint, number_name), (
+        type_name,
+        deviation,
+    ) in typed_deviations.items():
         z.setdefault((robot_name, law_name, joint), {})[number_name] = deviation.z
         numbers = vars(deviation) | {"p": adjusted_p[robot_name, law_name, joint, number_name]}
         if numbers["p"] < level:
             deviants.append(
                 Deviant(
                     robot=robot_name,
-                    type=type_,
+                    type=type_name,
                     law=law_name,
                     joint=joint,
                     name=number_name,
@@ -95,9 +101,8 @@ def compare_robots(
 
 
 def _list_numbers(joint_result: JointResult) -> Iterator[tuple[str, float]]:
-    if (
-        len(joint_result.values) <= MAX_COEFFICIENTS or joint_result.law == BODY
-    ):  # except coefficients of networks
+    # The coefficients of networks mean nothing one by one.
+    if len(joint_result.values) <= MAX_COEFFICIENTS or joint_result.law == BODY:
         yield from joint_result.values.items()
     if joint_result.law != BODY:
         yield "rmse", joint_result.rmse
@@ -108,10 +113,10 @@ def find_changes(
 ) -> list[Change]:
     """Return changes of at least `smallest_share` of friction at significance `level` (Holm)."""
     trends = {
-        (robot.robot, joint_result.law, joint_result.joint, robot_name): (robot, trend)
+        (robot.robot, joint_result.law, joint_result.joint, number_name): (robot, trend)
         for robot in robots
         for joint_result in robot.joints
-        for robot_name, trend in joint_result.trends.items()
+        for number_name, trend in joint_result.trends.items()
     }
     adjusted_p = adjust_by_holm({key: trend.p for key, (_, trend) in trends.items()})
     significant = {
@@ -158,8 +163,8 @@ def _sign(number: float) -> int:
 ABOUT = "fleet.json"
 TABLE = "fleet.parquet"
 PAGE = "fleet.html"
-ROBOTS = "robots"
-TYPES = "types"  # folders of the robots, one each, and of the FMUs
+ROBOTS = "robots"  # folder with a folder of each robot
+TYPES = "types"  # folder of the FMUs
 
 
 def run_fleet(
@@ -169,22 +174,23 @@ def run_fleet(
     study = FleetStudy.read(path)
     for law_name in study.laws:
         estimator(law_name)
-    for robot in dict.fromkeys(kind.robot for kind in study.types.values()):
-        Robot(RobotDescription.read(robot))
-    for kind in study.types.values():
-        require_known(kind.accept, CHECKS)
-    robots = find_members(study, path)
+    for robot_path in dict.fromkeys(robot_type.robot for robot_type in study.types.values()):
+        Robot(RobotDescription.read(robot_path))
+    for robot_type in study.types.values():
+        require_known(robot_type.accept, CHECKS)
+    members = find_members(study, path)
     import_arrow()  # before the work
     with lock_folder(output, ROBOTS, ABOUT, {"key": study.name}):
         jobs = [
-            partial(process_robot, robot, study, output / ROBOTS / robot.name) for robot in robots
+            partial(process_robot, member, study, output / ROBOTS / member.name)
+            for member in members
         ]
-        names = [robot.name for robot in robots]
-        with parallel.results_of(jobs, workers, names=names) as done_before:
+        names = [member.name for member in members]
+        with parallel.results_of(jobs, workers, names=names) as is_reused:
             reused = sum(
-                next(done_before) for _ in report_progress(jobs, partial(progress, study.name))
+                next(is_reused) for _ in report_progress(jobs, partial(progress, study.name))
             )
-        results = tuple(read_result(output / ROBOTS / robot.name) for robot in robots)
+        results = tuple(read_result(output / ROBOTS / member.name) for member in members)
         z, deviants = compare_robots(results, study.level)
         fleet = FleetResult(
             name=study.name,
@@ -208,7 +214,7 @@ def run_fleet(
     return replace(fleet, reused=reused, files=(output / PAGE, output / TABLE))
 
 
-class _Kind(NamedTuple):
+class _StructureKey(NamedTuple):
     type: str
     law: str
     structure: str
@@ -218,37 +224,39 @@ def write_types(
     study: FleetStudy, robots: Sequence[RobotResult], output: Path, progress: Stages
 ) -> dict[tuple[str, str, str], Path]:
     """Write FMUs with median coefficients by (type, law, structure), rarer structures numbered."""
-    groups: dict[_Kind, list[RobotResult]] = {}
+    groups: dict[_StructureKey, list[RobotResult]] = {}
     for robot in robots:
         for law_name in robot.laws:
-            groups.setdefault(_Kind(robot.type, law_name, robot.structure(law_name)), []).append(
-                robot
-            )
+            groups.setdefault(
+                _StructureKey(robot.type, law_name, robot.structure(law_name)), []
+            ).append(robot)
     numbers: Counter[tuple[str, str]] = Counter()
     fmus: dict[tuple[str, str, str], Path] = {}
-    for done, kind in enumerate(sorted(groups, key=lambda k: (-len(groups[k]), k))):
+    for done, kind in enumerate(sorted(groups, key=lambda kind: (-len(groups[kind]), kind))):
         progress("FMUs of the types", done, len(groups))
-        typical = _build_typical(kind, groups[kind], output)
-        if not all(map(is_exposed, typical.laws)):
+        model = _build_typical_model(kind, groups[kind], output)
+        if not all(map(is_exposed, model.laws)):
             continue
         numbers[kind.type, kind.law] += 1
-        count = numbers[kind.type, kind.law]
-        name = kind.law if count == 1 else f"{kind.law}-{count}"
+        number = numbers[kind.type, kind.law]
+        name = kind.law if number == 1 else f"{kind.law}-{number}"
         fmus[kind] = export_fmu(
-            typical, output / TYPES / kind.type / f"{name}.fmu", platforms=study.platforms
+            model, output / TYPES / kind.type / f"{name}.fmu", platforms=study.platforms
         )
     return fmus
 
 
-def _build_typical(kind: _Kind, robots: Sequence[RobotResult], output: Path) -> FrictionModel:
-    first = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{kind.law}.json")
+def _build_typical_model(
+    group: _StructureKey, robots: Sequence[RobotResult], output: Path
+) -> FrictionModel:
+    first_model = FrictionModel.read(output / ROBOTS / robots[0].robot / f"{group.law}.json")
     laws = []
-    for j, law in enumerate(first.laws):
-        values_by_robot = [robot.select_law(kind.law)[j].values for robot in robots]
+    for j, law in enumerate(first_model.laws):
+        values_by_robot = [robot.select_law(group.law)[j].values for robot in robots]
         values = {
             name: float(np.median([robot_values[name] for robot_values in values_by_robot]))
             for name in law.values
         }
         laws.append(replace(law, values=values, standard_errors={}, covariance=None))
-    provenance = {"type": kind.type, "robots": len(robots)}
-    return replace(first, robot=kind.type, laws=tuple(laws), provenance=provenance)
+    provenance = {"type": group.type, "robots": len(robots)}
+    return replace(first_model, robot=group.type, laws=tuple(laws), provenance=provenance)

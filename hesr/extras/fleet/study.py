@@ -53,7 +53,7 @@ class Member:
 
     name: str
     type: str
-    kind: RobotType
+    robot_type: RobotType
     logs: tuple[tuple[str, Path], ...]
 
     @property
@@ -61,51 +61,64 @@ class Member:
         """Days since the first log; indices unless all names hold a date."""
         log_days = [_find_day(name) for name, _ in self.logs]
         dated_days = [day for day in log_days if day is not None]
-        first = min(dated_days, default=0)
-        places = (
+        first_day = min(dated_days, default=0)
+        positions = (
             range(len(log_days))
             if len(dated_days) < len(log_days)
-            else (day - first for day in dated_days)
+            else (day - first_day for day in dated_days)
         )
-        return {name: float(place) for (name, _), place in zip(self.logs, places, strict=True)}
+        return {
+            name: float(position) for (name, _), position in zip(self.logs, positions, strict=True)
+        }
 
 
 def find_members(study: FleetStudy, path: Path) -> list[Member]:
     """Find the robots of a fleet and their logs."""
     members_by_name: dict[str, Member] = {}
-    for type_, kind in study.types.items():
+    for type_name, robot_type in study.types.items():
         logs: dict[str, dict[str, Path]] = {}
-        for root, folder in _match_folders(path, type_, kind.logs):
+        for root, folder in _match_folders(path, type_name, robot_type.logs):
             files = logs.setdefault(folder.name.rpartition("=")[2], {})
-            files |= {f.relative_to(root).with_suffix("").as_posix(): f for f in _find_logs(folder)}
+            files |= {
+                file.relative_to(root).with_suffix("").as_posix(): file
+                for file in _find_logs(folder)
+            }
         if not logs:
             raise ConfigError(
-                f"{path}: type '{type_}': no folder matches '{kind.logs}'.",
+                f"{path}: type '{type_name}': no folder matches '{robot_type.logs}'.",
                 code="fleet.no_folder",
                 where=path,
-                key=f"types.{type_}.logs",
+                key=f"types.{type_name}.logs",
             )
-        for name, files in logs.items():
-            if name in members_by_name:
+        for robot_name, files in logs.items():
+            if robot_name in members_by_name:
                 raise ConfigError(
-                    f"{path}: robot '{name}' has the types '{members_by_name[name].type}' and "
-                    f"'{type_}'; "
-                    "give each robot one type.",
+                    f"{path}: robot '{robot_name}' has the types "
+                    f"'{members_by_name[robot_name].type}' and '{type_name}'; give each robot one "
+                    "type.",
                     code="fleet.two_types",
                     where=path,
-                    key=f"types.{type_}.logs",
+                    key=f"types.{type_name}.logs",
                 )
             sorted_logs = tuple(sorted(files.items()))
-            members_by_name[name] = Member(name=name, type=type_, kind=kind, logs=sorted_logs)
-    return [members_by_name[name] for name in sorted(members_by_name)]
+            members_by_name[robot_name] = Member(
+                name=robot_name, type=type_name, robot_type=robot_type, logs=sorted_logs
+            )
+    return [members_by_name[robot_name] for robot_name in sorted(members_by_name)]
 
 
 def _match_folders(path: Path, type_: str, pattern: str) -> list[tuple[Path, Path]]:
     parts = Path(pattern).parts
-    wild = next((k for k, part in enumerate(parts) if _WILDCARD.search(part)), len(parts) - 1)
-    root = path.parent.joinpath(*parts[:wild])
+    first_wild = next(
+        (index for index, part in enumerate(parts) if _WILDCARD.search(part)), len(parts) - 1
+    )
+    root = path.parent.joinpath(*parts[:first_wild])
     try:
-        return [(root, f) for f in sorted(root.glob("/".join(parts[wild:]))) if f.is_dir()]
+        return [
+            (root, folder)
+            for folder in sorted(root.glob("/".join(parts[first_wild:])))
+            if folder.is_dir()
+        ]
     except (OSError, ValueError, NotImplementedError) as error:  # names that no folder can have
         raise ConfigError(
             f"{path}: type '{type_}': {quote(pattern)} is not a valid pattern of folders.",
@@ -118,9 +131,8 @@ def _match_folders(path: Path, type_: str, pattern: str) -> list[tuple[Path, Pat
 def _find_logs(folder: Path, parent_folders: tuple[Path, ...] = ()) -> list[Path]:
     logs: list[Path] = []
     real_folder = Path(os.path.realpath(folder))
-    if any(
-        parent_folder.is_relative_to(real_folder) for parent_folder in parent_folders
-    ):  # its logs would count repeatedly
+    # The logs of a folder that contains itself would count repeatedly.
+    if any(parent_folder.is_relative_to(real_folder) for parent_folder in parent_folders):
         raise ConfigError(
             f"{folder}: links to a folder that contains it; remove the link.",
             code="fleet.link",

@@ -90,7 +90,7 @@ def problems(
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(file.read_bytes())
     master = _Master(model_description, kinds, folder)
-    return list(label_problems("hostile", master.findings())), master.skipped
+    return list(label_problems("hostile", master.find_problems())), master.skipped
 
 
 class _Master:
@@ -145,7 +145,7 @@ class _Master:
             scenarios += ["exchange", "late", "sizes"]
         return scenarios
 
-    def findings(self) -> Iterator[str]:
+    def find_problems(self) -> Iterator[str]:
         runs = self._run_scenarios(self._choose_scenarios())
         for name, run in runs.items():
             if run.refused:
@@ -163,7 +163,7 @@ class _Master:
                     "solvers that need one state add it."
                 )
         if self._outputs:
-            yield from self._jumps(runs)
+            yield from self._find_jumps(runs)
 
     def _run_scenarios(self, scenarios: Sequence[str]) -> dict[str, _Run]:
         runs = dict[str, _Run]()
@@ -187,26 +187,28 @@ class _Master:
                 sandbox.kill()
         return runs
 
-    def _jumps(self, runs: Mapping[str, _Run]) -> Iterator[str]:
+    def _find_jumps(self, runs: Mapping[str, _Run]) -> Iterator[str]:
         nominal = runs.get("nominal")
         if nominal is None or nominal.refused:
             return
-        complete = {name: run for name, run in runs.items() if not run.refused}
-        fine_runs = [complete[name] for name in ("dense", "held") if name in complete]
-        reference = fine_runs or [nominal]
-        scale = _measure_scale(np.concatenate([reference_run.rows for reference_run in reference]))
+        complete_runs = {name: run for name, run in runs.items() if not run.refused}
+        fine_runs = [complete_runs[name] for name in ("dense", "held") if name in complete_runs]
+        references = fine_runs or [nominal]
+        scale = _measure_scale(np.concatenate([reference_run.rows for reference_run in references]))
         step_errors = np.zeros(len(self._outputs))
-        fresh = [
+        fresh_runs = [
             replace(run, times=run.times[:-1], steps=run.steps[1:], rows=run.fresh)
-            for name, run in complete.items()
+            for name, run in complete_runs.items()
             if name == "refreshed"
         ]
-        for checked_run in (nominal, *fresh, *fine_runs[:-1]):
+        for checked_run in (nominal, *fresh_runs, *fine_runs[:-1]):
             # Small steps differ from each other if outputs are fast.
             other_references = [
-                reference_run for reference_run in reference if reference_run is not checked_run
+                reference_run for reference_run in references if reference_run is not checked_run
             ]
-            extremes = _find_extremes_around(checked_run, other_references or reference, self._step)
+            extremes = _find_extremes_around(
+                checked_run, other_references or references, self._step
+            )
             step_errors = np.maximum(
                 step_errors, _measure_excess(checked_run, extremes).max(axis=0)
             )
@@ -217,7 +219,7 @@ class _Master:
         for name in ("summed", *_FREE_STEP_SCENARIOS):
             if name in runs:
                 step_ratio = max(1.0, float(runs[name].steps.max(initial=0.0)) / self._step)
-                extremes = _find_extremes_around(runs[name], reference, self._step)
+                extremes = _find_extremes_around(runs[name], references, self._step)
                 threshold = (
                     _JUMP_THRESHOLD * step_ratio * step_errors
                     + _MIN_RELATIVE_JUMP * scale
@@ -239,12 +241,12 @@ class _Master:
     def _describe_worst_jump(
         self, name: str, run: _Run, excess: Array, extremes: tuple[Array, Array]
     ) -> Iterator[str]:
-        bad = ~(excess <= 0.0)  # NaN is bad
-        if not bad.any():
+        is_outside = ~(excess <= 0.0)  # NaN is bad
+        if not is_outside.any():
             return
         sizes = np.where(np.isnan(excess), np.inf, excess)
         index = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        other_count = int(bad.any(axis=0).sum()) - 1
+        other_count = int(is_outside.any(axis=0).sum()) - 1
         others_text = (
             f" (and {other_count} more output{'s' if other_count > 1 else ''})"
             if other_count
@@ -257,16 +259,15 @@ class _Master:
         )
         yield (
             f"{_SCENARIO_NAMES[name]}: {quote(self._outputs[index[1]].name)}{others_text} is "
-            f"{run.rows[index]:.9g} at "
-            f"{run.times[index[0]]:.6g} s after a step of {run.steps[index[0]]:.6g} s, where "
-            "steps of "
-            f"{self._step:g} s and less give {expected_text}."
+            f"{run.rows[index]:.9g} at {run.times[index[0]]:.6g} s after a step of "
+            f"{run.steps[index[0]]:.6g} s, where steps of {self._step:g} s and less give "
+            f"{expected_text}."
         )
 
 
 def _choose_excitation(variable: ParsedVariable) -> dict[str, Any]:
-    start, lower, upper = (real(variable.get(name)) for name in ("start", "min", "max"))
-    centre = start if start is not None and math.isfinite(start) else 0.0
+    start_value, lower, upper = (real(variable.get(name)) for name in ("start", "min", "max"))
+    centre = start_value if start_value is not None and math.isfinite(start_value) else 0.0
     amplitude = 0.5 * (real(variable.get("nominal")) or 1.0)
     if lower is not None and upper is not None and math.isfinite(upper - lower):
         centre, amplitude = 0.5 * (lower + upper), min(amplitude, 0.4 * (upper - lower))
@@ -279,7 +280,7 @@ def _choose_excitation(variable: ParsedVariable) -> dict[str, Any]:
 
 def _read_run(outcome: Any, output_count: int) -> _Run:
     times = np.array(outcome.get("times", []), dtype=float)
-    fresh = outcome.get("fresh", [])
+    fresh_rows = outcome.get("fresh", [])
     refusal = outcome.get("refused", "")
     if not isinstance(refusal, str):
         raise TypeError(refusal)
@@ -287,7 +288,7 @@ def _read_run(outcome: Any, output_count: int) -> _Run:
         times=times,
         steps=np.array(outcome.get("steps", []), dtype=float).reshape(times.shape),
         rows=np.array(outcome.get("rows", []), dtype=float).reshape(times.size, output_count),
-        fresh=np.array(fresh, dtype=float).reshape(len(fresh), output_count),
+        fresh=np.array(fresh_rows, dtype=float).reshape(len(fresh_rows), output_count),
         refused=refusal,
         taken=outcome.get("taken"),
     )
@@ -310,8 +311,8 @@ def _find_extremes_around(
     for k, (time, last_step) in enumerate(zip(run.times, run.steps, strict=True)):
         reach = 1.01 * (step + max(step, float(last_step)))
         for reference in references:
-            first, end = np.searchsorted(reference.times, (time - reach, time + reach))
-            rows = reference.rows[min(first, len(reference.rows) - 1) : max(end, first + 1)]
+            first, last = np.searchsorted(reference.times, (time - reach, time + reach))
+            rows = reference.rows[min(first, len(reference.rows) - 1) : max(last, first + 1)]
             lowest[k] = np.minimum(lowest[k], rows.min(axis=0))
             highest[k] = np.maximum(highest[k], rows.max(axis=0))
     return lowest, highest

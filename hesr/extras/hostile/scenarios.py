@@ -30,22 +30,23 @@ def outcome(plan: Mapping[str, Any], scenario: str) -> dict[str, Any]:
         run = _Run(plan, exchange=scenario in _EXCHANGES)
         run.begin()
         (_EXCHANGES | _SIMULATIONS).get(scenario, _take_steps)(run, scenario)
-        if run.found.get("taken", True):
-            run.fmu.call("fmi2Terminate")
-            run.fmu.close(stepping=False)
+        if run.recorded.get("taken", True):
+            run.instance.call("fmi2Terminate")
+            run.instance.close(stepping=False)
     except LoadError as error:
         return {"refused": f"its binary cannot be loaded ({error})"}
     except RefusedError as error:
-        return (run.found if run else {}) | {"refused": str(error)}
-    return run.found
+        return (run.recorded if run else {}) | {"refused": str(error)}
+    return run.recorded
 
 
 class _Run:
     def __init__(self, plan: Mapping[str, Any], *, exchange: bool) -> None:
         self.plan = plan
         self.step = float(plan["step"])
-        self.found: dict[str, Any] = {"times": [], "rows": [], "steps": []}
-        self.time = self.reached = 0.0  # of the instance, and size of its last step [s]
+        self.recorded: dict[str, Any] = {"times": [], "rows": [], "steps": []}
+        self.time = 0.0  # of the instance [s]
+        self.last_step = 0.0  # [s]
         self._exchange = exchange
         self._messages: list[str] = []
         fmu = UnpackedFmu(
@@ -55,15 +56,17 @@ class _Run:
             name="hostile",
             exchange=exchange,
         )
-        self.fmu = Instance(fmu, self._hear, self.refusal)
-        self._inputs = self.fmu.buffer([excitation["reference"] for excitation in plan["inputs"]])
-        self._outputs = self.fmu.buffer(plan["outputs"])
+        self.instance = Instance(fmu, self._record_message, self.build_refusal)
+        self._inputs = self.instance.buffer(
+            [excitation["reference"] for excitation in plan["inputs"]]
+        )
+        self._outputs = self.instance.buffer(plan["outputs"])
 
-    def _hear(self, status: int, text: str) -> None:
+    def _record_message(self, status: int, text: str) -> None:
         if status > WARNING:
             self._messages.append(text)
 
-    def refusal(self, error: Exception) -> RefusedError:
+    def build_refusal(self, error: Exception) -> RefusedError:
         function = str(error)
         status = None
         if isinstance(error, CallError) and error.status is not None:
@@ -76,46 +79,46 @@ class _Run:
         return RefusedError(function, status)
 
     def begin(self) -> None:
-        self.fmu.setup(0.0, None)
+        self.instance.setup(0.0, None)
         self.set_inputs(0.0)
-        self.fmu.enter_initialisation()
+        self.instance.enter_initialisation()
         self.set_inputs(0.0)
-        self.fmu.exit_initialisation()
+        self.instance.exit_initialisation()
         if not self._exchange:
             self.record()
 
     def set_inputs(self, time: float) -> None:
         """Set the inputs of a time [s]: smooth, with two periods over the experiment."""
-        cycle = 4.0 * math.pi * time / (self.step * self.plan["steps"])
+        angle = 4.0 * math.pi * time / (self.step * self.plan["steps"])
         for k, excitation in enumerate(self.plan["inputs"]):
-            swing = excitation["amplitude"] * math.sin(cycle + 2.4 * k)
-            self._inputs.values[k] = excitation["centre"] + swing
+            deviation = excitation["amplitude"] * math.sin(angle + 2.4 * k)
+            self._inputs.values[k] = excitation["centre"] + deviation
         if self.plan["inputs"]:
             self._inputs.write()
 
-    def outputs(self) -> list[float]:
+    def read_outputs(self) -> list[float]:
         return self._outputs.read().tolist() if self.plan["outputs"] else []
 
     def record(self) -> None:
-        self.found["rows"].append(self.outputs())
-        self.found["times"].append(self.time)
-        self.found["steps"].append(self.reached)
+        self.recorded["rows"].append(self.read_outputs())
+        self.recorded["times"].append(self.time)
+        self.recorded["steps"].append(self.last_step)
 
     def do_step(self, step: float) -> None:
         """Step with the present inputs; repeat the step if it is discarded."""
         for repeat in range(1, MAX_REPEATS + 1):
             try:
-                self.fmu.step(self.time, step)
+                self.instance.step(self.time, step)
             except RefusedError as error:
                 if error.status == _DISCARD_STATUS and repeat < MAX_REPEATS:
                     continue
-                which = f"fmi2DoStep of {step:.9g} s at {self.time:.9g} s"
-                often = f" each of {repeat} times" if error.status == _DISCARD_STATUS else ""
-                text = str(error).replace("fmi2DoStep", which, 1)
-                raise RefusedError(f"{text}{often}") from error
+                call = f"fmi2DoStep of {step:.9g} s at {self.time:.9g} s"
+                repetition = f" each of {repeat} times" if error.status == _DISCARD_STATUS else ""
+                text = str(error).replace("fmi2DoStep", call, 1)
+                raise RefusedError(f"{text}{repetition}") from error
             break
         self.time += step
-        self.reached = step
+        self.last_step = step
 
     def advance(self, step: float) -> None:
         self.set_inputs(self.time)
@@ -124,25 +127,25 @@ class _Run:
 
 
 def _take_steps(run: _Run, scenario: str) -> None:
-    for step in _steps(scenario, run.step, run.plan["steps"]):
+    for step in _choose_steps(scenario, run.step, run.plan["steps"]):
         run.advance(step)
 
 
-def _steps(scenario: str, step: float, count: int) -> Iterator[float]:
+def _choose_steps(scenario: str, step: float, step_count: int) -> Iterator[float]:
     """Yield the steps [s] of a scenario."""
     if scenario in ("nominal", "dense", "fifth", "double"):
         share = {"nominal": 1.0, "dense": 0.125, "fifth": 0.2, "double": 2.0}[scenario]
         # References run longer: the last inputs of others count at their end.
-        end = count + 2 if scenario in ("nominal", "dense") else count
-        yield from [share * step] * round(end / share)
+        reference_count = step_count + 2 if scenario in ("nominal", "dense") else step_count
+        yield from [share * step] * round(reference_count / share)
     elif scenario == "irrational":
         shares = [math.sqrt(0.5), math.pi / 3.0, math.e - 2.0, math.sqrt(2.0) - 1.0, math.pi / 7.0]
-        yield from [share * step for share in shares] * round(count / math.fsum(shares))
+        yield from [share * step for share in shares] * round(step_count / math.fsum(shares))
     elif scenario == "summed":  # as if the stop time were one round-off further
-        yield from [step] * count
+        yield from [step] * step_count
         yield ROUNDING_STEP
     elif scenario == "tiny":
-        for _ in range(count):
+        for _ in range(step_count):
             yield ROUNDING_STEP
             yield step - ROUNDING_STEP
 
@@ -156,29 +159,29 @@ def _hold_inputs(run: _Run, _scenario: str) -> None:
 
 
 def _refresh_outputs(run: _Run, _scenario: str) -> None:
-    run.found["fresh"] = []
+    run.recorded["fresh"] = []
     for _ in range(run.plan["steps"]):
         run.set_inputs(run.time)
-        run.outputs()
-        run.found["fresh"].append(run.outputs())
+        run.read_outputs()
+        run.recorded["fresh"].append(run.read_outputs())
         run.do_step(run.step)
         run.record()
 
 
 def _repeat_steps(run: _Run, _scenario: str) -> None:
     """Take steps back, as masters with iteration or step control do."""
-    longer = run.step * (2.0 if run.plan["variable"] else 1.0)
+    long_step = run.step * (2.0 if run.plan["variable"] else 1.0)
     for k in range(run.plan["steps"]):
         if k % 5 == 0:
-            state = run.fmu.ask("getFMUstate")
+            state = run.instance.ask("getFMUstate")
             time = run.time
             for _ in range(3):
                 run.set_inputs(run.time + run.step)
-                run.do_step(longer)
-                run.outputs()
-                run.fmu.ask("setFMUstate", state)
+                run.do_step(long_step)
+                run.read_outputs()
+                run.instance.ask("setFMUstate", state)
                 run.time = time
-            run.fmu.ask("freeFMUstate", state)
+            run.instance.ask("freeFMUstate", state)
         run.advance(run.step)
 
 
@@ -189,17 +192,17 @@ def _solve(run: _Run, scenario: str) -> None:
     """Hold inputs over each step of a solver; "late" sets them only after events."""
     from fmpy.sundials import CVodeSolver
 
-    fmu = run.fmu.slave
+    slave = run.instance.slave
     _handle_events(run)
     solver = CVodeSolver(
         nx=run.plan["states"],
         nz=run.plan["indicators"],
-        get_x=fmu.getContinuousStates,
-        set_x=fmu.setContinuousStates,
-        get_dx=fmu.getDerivatives,
-        get_z=fmu.getEventIndicators,
-        get_nominals=fmu.getNominalsOfContinuousStates,
-        set_time=fmu.setTime,
+        get_x=slave.getContinuousStates,
+        set_x=slave.setContinuousStates,
+        get_dx=slave.getDerivatives,
+        get_z=slave.getEventIndicators,
+        get_nominals=slave.getNominalsOfContinuousStates,
+        set_time=slave.setTime,
         input=SimpleNamespace(apply=lambda _: None),  # inputs are never set
         startTime=0.0,
         maxStep=run.step,
@@ -207,26 +210,26 @@ def _solve(run: _Run, scenario: str) -> None:
     )
     time = 0.0
     for k in range(run.plan["steps"]):
-        end = (k + 1) * run.step
+        end_time = (k + 1) * run.step
         run.set_inputs(time)
-        events = 0
+        event_count = 0
         event_time = time
-        while time < end:
-            has_event, _, time = _advance_solver(run, solver, time, end)
-            run.fmu.ask("setTime", time)
-            requests_event, stop = run.fmu.ask("completedIntegratorStep")
-            if stop:
+        while time < end_time:
+            has_event, _, time = _advance_solver(run, solver, time, end_time)
+            run.instance.ask("setTime", time)
+            requests_event, ends_run = run.instance.ask("completedIntegratorStep")
+            if ends_run:
                 raise RefusedError(f"fmi2CompletedIntegratorStep ends the run at {time:.9g} s")
             if not has_event and not requests_event:
                 continue
-            events = events + 1 if time - event_time < 1e-6 * run.step else 1
+            event_count = event_count + 1 if time - event_time < 1e-6 * run.step else 1
             event_time = time
-            if events > MAX_REPEATS:
+            if event_count > MAX_REPEATS:
                 raise RefusedError(
                     f"more than {MAX_REPEATS} events follow one another at {time:.9g} s, where "
                     "the inputs are held over the solver's step"
                 )
-            run.fmu.ask("enterEventMode")
+            run.instance.ask("enterEventMode")
             if scenario != "late":
                 run.set_inputs(time)
             _handle_events(run)
@@ -236,40 +239,42 @@ def _solve(run: _Run, scenario: str) -> None:
         run.record()
 
 
-def _advance_solver(run: _Run, solver: Any, time: float, end: float) -> tuple[bool, Any, float]:
-    size = run.plan["states"]
-    saved_states = (ctypes.c_double * size)()
-    if size:
-        run.fmu.ask("getContinuousStates", saved_states, size)
+def _advance_solver(
+    run: _Run, solver: Any, time: float, end_time: float
+) -> tuple[bool, Any, float]:
+    state_count = run.plan["states"]
+    saved_states = (ctypes.c_double * state_count)()
+    if state_count:
+        run.instance.ask("getContinuousStates", saved_states, state_count)
     with suppress(Exception):  # FMPy raises bare exceptions
-        return cast("tuple[bool, Any, float]", solver.step(time, end))
+        return cast("tuple[bool, Any, float]", solver.step(time, end_time))
     # Held inputs jump, so CVODE may give up; only a second failure is the FMU's.
-    run.fmu.ask("setTime", time)
-    if size:
-        run.fmu.ask("setContinuousStates", saved_states, size)
+    run.instance.ask("setTime", time)
+    if state_count:
+        run.instance.ask("setContinuousStates", saved_states, state_count)
     solver.reset(time)
     try:
-        return cast("tuple[bool, Any, float]", solver.step(time, end))
+        return cast("tuple[bool, Any, float]", solver.step(time, end_time))
     except Exception as error:  # FMPy raises bare exceptions
         raise RefusedError(f"CVODE fails ({error})") from error
 
 
 def _handle_events(run: _Run) -> None:
     for _ in range(MAX_REPEATS):
-        if not run.fmu.ask("newDiscreteStates")[0]:
+        if not run.instance.ask("newDiscreteStates")[0]:
             break
     else:
         raise RefusedError("fmi2NewDiscreteStates requests iterations endlessly")
-    run.fmu.ask("enterContinuousTimeMode")
+    run.instance.ask("enterContinuousTimeMode")
 
 
 def _set_excess_state(run: _Run, _scenario: str) -> None:
     _handle_events(run)
-    size = run.plan["states"] + 1
-    run.found["taken"] = False
+    state_count = run.plan["states"] + 1
+    run.recorded["taken"] = False
     with suppress(RefusedError):
-        run.fmu.ask("setContinuousStates", (ctypes.c_double * size)(), size)
-        run.found["taken"] = True
+        run.instance.ask("setContinuousStates", (ctypes.c_double * state_count)(), state_count)
+        run.recorded["taken"] = True
 
 
 _EXCHANGES = {"exchange": _solve, "late": _solve, "sizes": _set_excess_state}

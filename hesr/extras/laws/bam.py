@@ -34,29 +34,31 @@ from hesr_model.laws.stribeck import F_C, SIGMA_2, TAU_0, V_S, VELOCITY_BOUNDS
 from hesr_model.rigid_body.residual import FrictionRecord
 
 ALPHAS = (1, 2, 3)  # candidate exponents of the Stribeck curve
-_AT_REST = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
+_STRIBECK_FACTOR = sympy.Symbol("e", real=True)  # stands for exp(-|v/v_s|^alpha)
 _AHEAD, _BACK = (positive(side * sgn(DQ) * TAU_LOAD) for side in (1, -1))
 _LOAD_SIZE = absolute(TAU_LOAD)
 
 
-def _term(name: str, unit: str, description: str, factor: sympy.Expr) -> tuple[Any, sympy.Expr]:
-    return Coefficient(name=name, unit=unit, description=description), factor
+def _term(name: str, unit: str, description: str, expression: sympy.Expr) -> tuple[Any, sympy.Expr]:
+    return Coefficient(name=name, unit=unit, description=description), expression
 
 
 _LEVEL = _term("F_c", F_C.unit, F_C.description, sympy.Integer(1))
-_RISE = _term("F_e", "N.m", "rise of friction at rest", _AT_REST)
+_RISE = _term("F_e", "N.m", "rise of friction at rest", _STRIBECK_FACTOR)
 _LOAD = _term("mu", "1", "friction per load", _LOAD_SIZE)
-_LOAD_RISE = _term("mu_e", "1", "its rise at rest", _AT_REST * _LOAD_SIZE)
+_LOAD_RISE = _term("mu_e", "1", "its rise at rest", _STRIBECK_FACTOR * _LOAD_SIZE)
 _DRIVING = tuple(
     _term(name + side, unit, f"{text}, {when}", factor * load**power)
     for side, when, load in (("_d", "driving motor", _AHEAD), ("_b", "driven motor", _BACK))
     for name, unit, text, factor, power in (
         ("mu", "1", "friction per load", sympy.Integer(1), 1),
-        ("mu_e", "1", "its rise at rest", _AT_REST, 1),
+        ("mu_e", "1", "its rise at rest", _STRIBECK_FACTOR, 1),
     )
 )
 _SQUARES = tuple(
-    _term(name, "1/(N.m)", f"rise at rest per square of the load, {when}", _AT_REST * load**2)
+    _term(
+        name, "1/(N.m)", f"rise at rest per square of the load, {when}", _STRIBECK_FACTOR * load**2
+    )
     for name, when, load in (("nu_d", "driving motor", _AHEAD), ("nu_b", "driven motor", _BACK))
 )
 
@@ -71,19 +73,19 @@ class _Bam(OneForm):
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         alpha = structure.get("alpha", 2)
-        falls = cls._falls()
+        falls = cls._has_rise()
         if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
             choices = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
             raise ArtifactError(
                 f"law '{cls.name}' has {choices} to choose, found {dict(structure)}."
             )
-        at_rest = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
-        level = sum(quantity.symbol * factor for quantity, factor in cls.terms).xreplace(
-            {_AT_REST: at_rest}
+        stribeck_factor = sympy.exp(-((absolute(DQ) / V_S.symbol) ** alpha))
+        level = sum(coefficient.symbol * factor for coefficient, factor in cls.terms).xreplace(
+            {_STRIBECK_FACTOR: stribeck_factor}
         )
         return LawForm(
             coefficients=(
-                *(quantity for quantity, _ in cls.terms),
+                *(coefficient for coefficient, _ in cls.terms),
                 SIGMA_2,
                 TAU_0,
                 *((V_S,) if falls else ()),
@@ -92,16 +94,16 @@ class _Bam(OneForm):
         )
 
     def space(self) -> SearchSpace:
-        names = (*(quantity.name for quantity, _ in self.terms), SIGMA_2.name)
+        names = (*(coefficient.name for coefficient, _ in self.terms), SIGMA_2.name)
         return SearchSpace(
-            bounds=((V_S.name, VELOCITY_BOUNDS),) if self._falls() else (),
+            bounds=((V_S.name, VELOCITY_BOUNDS),) if self._has_rise() else (),
             linear=(*names, TAU_0.name),
             non_negative=len(names),
         )
 
     def fit(self, records: Sequence[FrictionRecord], rng: np.random.Generator) -> FrictionLaw:
         """Fit with each exponent and keep the least squares."""
-        if not self._falls():
+        if not self._has_rise():
             return super().fit(records, rng)
         rows = JointRows.from_records(records, coefficients=len(self.core({}).coefficients))
         space = self.space().scale_to_joint(is_prismatic=rows.sliding)
@@ -114,8 +116,8 @@ class _Bam(OneForm):
         return self.finish({"alpha": alpha}, problem, point)
 
     @classmethod
-    def _falls(cls) -> bool:
-        return any(factor.has(_AT_REST) for _, factor in cls.terms)
+    def _has_rise(cls) -> bool:
+        return any(factor.has(_STRIBECK_FACTOR) for _, factor in cls.terms)
 
 
 def _register(number: int, *level: tuple[Coefficient, sympy.Expr]) -> None:

@@ -68,7 +68,7 @@ class Gms(OneForm):
 
     def space(self) -> SearchSpace:
         """Search F_s / F_c, v_s and C; all others are linear."""
-        forces = (*(quantity.name for quantity in _FORCES), SIGMA_2.name)
+        forces = (*(coefficient.name for coefficient in _FORCES), SIGMA_2.name)
         return SearchSpace(
             bounds=(
                 (RATIO.name, RATIO_TEXTBOOK),

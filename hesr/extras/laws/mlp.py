@@ -33,7 +33,7 @@ class Network:
         return np.asarray(np.tanh(z @ self.theta[1:] + self.theta[0]) @ self.gains + self.bias)
 
 
-def path(z: Array, y: Array, theta: Array, decays: Sequence[float]) -> list[Network]:
+def train_path(z: Array, y: Array, theta: Array, decays: Sequence[float]) -> list[Network]:
     """Return the network of each decreasing weight decay, started from the previous one.
 
     `z` (N, 3) and `y` (N,) are standardised, `theta` (4, H) are initial hidden weights.
@@ -58,8 +58,8 @@ class _Problem:
 
     def split(self, point: Array) -> tuple[float, Array, Array]:
         """Return offset, (H,) gains and (4, H) theta of a point."""
-        ends = 1 + self.hidden
-        return float(point[0]), point[1:ends], point[ends:].reshape(4, self.hidden)
+        theta_start = 1 + self.hidden
+        return float(point[0]), point[1:theta_start], point[theta_start:].reshape(4, self.hidden)
 
     def start(self, theta: Array, decay: float) -> Array:
         """Return the point with the best output layer for given hidden weights."""
@@ -153,24 +153,30 @@ class MlpH(NetworkEstimator):
     def _search(
         self, rows: JointRows, rng: np.random.Generator
     ) -> tuple[Costs, Callable[..., FrictionLaw]]:
-        level = float(rows.tau.mean())
+        mean_torque = float(rows.tau.mean())
         scale = max(float(rows.tau.std()), _MIN_SCALE)
-        y = (rows.tau - level) / scale
+        y = (rows.tau - mean_torque) / scale
         folds = rows.folds
-        starts = {
+        initial_layers = {
             hidden: [evolve.starting_points(rng, hidden, 4).T for _ in range(self.starts)]
             for hidden in self.tried_sizes
         }
 
-        def law(inputs: NetworkInputs, hidden: int, decay: int) -> FrictionLaw:
+        def build_law(inputs: NetworkInputs, hidden: int, decay: int) -> FrictionLaw:
             decays = DECAYS[: decay + 1]
-            networks = [path(inputs.z, y, theta, decays)[-1] for theta in starts[hidden]]
-            return self._law(inputs, min(networks, key=lambda network: network.cost), level, scale)
+            networks = [
+                train_path(inputs.z, y, theta, decays)[-1] for theta in initial_layers[hidden]
+            ]
+            return self._build_network_law(
+                inputs, min(networks, key=lambda network: network.cost), mean_torque, scale
+            )
 
-        return lambda inputs, hidden: cross_validate(inputs.z, y, folds, starts[hidden]), law
+        return lambda inputs, hidden: cross_validate(
+            inputs.z, y, folds, initial_layers[hidden]
+        ), build_law
 
-    def _law(
-        self, inputs: NetworkInputs, network: Network, level: float, scale: float
+    def _build_network_law(
+        self, inputs: NetworkInputs, network: Network, mean_torque: float, scale: float
     ) -> FrictionLaw:
         gains = network.gains
         theta = network.theta
@@ -181,7 +187,7 @@ class MlpH(NetworkEstimator):
         slopes = theta[1:] / inputs.spread[:, None]
         arguments = np.vstack([theta[0] - inputs.mean @ slopes, slopes])
         values = {
-            family.linear_name("1"): level + scale * network.bias,
+            family.linear_name("1"): mean_torque + scale * network.bias,
             "alpha": inputs.cell.alpha,
             "beta": inputs.cell.beta,
         }
@@ -192,7 +198,9 @@ class MlpH(NetworkEstimator):
         return self._build_law(len(gains), values)
 
 
-def cross_validate(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[Array]) -> Array:
+def cross_validate(
+    z: Array, y: Array, folds: Sequence[Mask], initial_layers: Sequence[Array]
+) -> Array:
     """Return (decays,) mean squares on left-out rows, relative to the variance of the torque.
 
     Standardised `z` (N, 3), `y` (N,); masks (N,) of left-out rows; hidden layers (4, H).
@@ -201,7 +209,9 @@ def cross_validate(z: Array, y: Array, folds: Sequence[Mask], starts: Sequence[A
     total = np.zeros(len(DECAYS))
     for fold in folds:
         training_rows = np.flatnonzero(~fold)[::stride]
-        for theta in starts:
-            for i, network in enumerate(path(z[training_rows], y[training_rows], theta, DECAYS)):
-                total[i] += np.sum((network.output(z[fold]) - y[fold]) ** 2)
-    return total / (len(y) * len(starts))
+        for theta in initial_layers:
+            for decay_index, network in enumerate(
+                train_path(z[training_rows], y[training_rows], theta, DECAYS)
+            ):
+                total[decay_index] += np.sum((network.output(z[fold]) - y[fold]) ** 2)
+    return total / (len(y) * len(initial_layers))

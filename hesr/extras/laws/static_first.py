@@ -43,29 +43,29 @@ class LuGreStaticFirst(LuGre):
         form = self.core({})
         rows = JointRows.from_records(records, coefficients=len(form.coefficients))
         space = self.space().scale_to_joint(is_prismatic=rows.sliding)
-        stiff = replace(
+        stiff_space = replace(
             bristle_space(
                 ("F_c", "sigma_2", "tau_0"), 2, ratio=self.ratio, deflection=_STIFF_DEFLECTIONS
             ),
             values=(*space.values, ("sigma_1", sympy.Integer(0))),
         )
-        curve = Separable(form, stiff, rows)
+        curve_problem = Separable(form, stiff_space, rows)
         problem = Separable(form, space, rows)
-        static = curve.polish(curve.search(rng))
-        (f_c, *other_unknowns), _ = curve.solve(static)
+        static_point = curve_problem.polish(curve_problem.search(rng))
+        (coulomb, *other_unknowns), _ = curve_problem.solve(static_point)
 
         def fit_bristle(coordinate: float) -> tuple[float, Array, Array]:
-            point = np.array([coordinate, *static[1:]])
+            point = np.array([coordinate, *static_point[1:]])
             columns = problem.columns(point)
-            unknowns = np.array([f_c, 0.0, *other_unknowns])
+            unknowns = np.array([coulomb, 0.0, *other_unknowns])
             residual = rows.tau - columns @ unknowns
             slope = columns[:, 1]
             unknowns[1] = max(0.0, float(slope @ residual) / max(float(slope @ slope), 1e-300))
             return float(np.sum((residual - unknowns[1] * slope) ** 2)), point, unknowns
 
         coordinates = np.linspace(problem.bounds[0, 0], problem.bounds[0, 1], 25)
-        best = int(np.argmin([fit_bristle(float(coordinate))[0] for coordinate in coordinates]))
-        bracket = (coordinates[max(best - 1, 0)], coordinates[min(best + 1, 24)])
+        best_row = int(np.argmin([fit_bristle(float(coordinate))[0] for coordinate in coordinates]))
+        bracket = (coordinates[max(best_row - 1, 0)], coordinates[min(best_row + 1, 24)])
         optimum = minimize_scalar(
             lambda coordinate: fit_bristle(coordinate)[0], bounds=bracket, method="bounded"
         )

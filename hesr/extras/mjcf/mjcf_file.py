@@ -86,12 +86,12 @@ def simulate_records(
 ) -> list[FrictionRecord]:
     """Return records for the fit and the test of a projection."""
     peak = np.array([trained_speed(trained_range)])
-    middle = np.zeros(1)
+    zero_offset = np.zeros(1)
     lowest, highest = trained_range.tau_load if trained_range else (0.0, 0.0)
     joint_records = []
     for seed, period in ((2, 40.0), (1, 20.0)):
         trajectory = random_fourier(
-            seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=middle
+            seed=seed, harmonics=10, period=period, peak_velocity=peak, offset=zero_offset
         )
         t = sample_time * np.arange(round(period / sample_time), dtype=np.float64)
         q, dq, _ = (column[:, 0] for column in trajectory.sample(t))
@@ -117,15 +117,17 @@ def compute_misfit(law: FrictionLaw, record: FrictionRecord) -> Misfit:
     """Return the error of a law on a record."""
     tau_predicted = predict(law, t=record.t, dq=record.dq, q=record.q, tau_load=record.tau_load)
     difference = tau_predicted - record.tau
-    largest = float(np.max(np.abs(record.tau)))
+    largest_torque = float(np.max(np.abs(record.tau)))
     return Misfit(
         rmse=rmse(difference),
-        relative=float(np.max(np.abs(difference))) / largest if largest else 0.0,
+        relative=float(np.max(np.abs(difference))) / largest_torque if largest_torque else 0.0,
     )
 
 
 def _find_poles(law: FrictionLaw) -> list[float]:
-    values = {quantity.symbol: law.values[quantity.name] for quantity in law.form.coefficients}
+    values = {
+        coefficient.symbol: law.values[coefficient.name] for coefficient in law.form.coefficients
+    }
     angles = [wave.args[0] for wave in law.form.output.atoms(sympy.sin, sympy.cos)]
     slopes = (sympy.diff(angle, Q).subs(values) for angle in angles)
     return sorted({abs(float(slope)) for slope in slopes if slope.is_number and slope != 0})
@@ -134,17 +136,22 @@ def _find_poles(law: FrictionLaw) -> list[float]:
 def _build_family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
     level = 1 + (RATIO.symbol - 1) * sympy.exp(-((DQ / V_S.symbol) ** 2))
     bristles = tuple(
-        Relaxation(name=f"z{i}", unit="rad", drive=DQ, rate=absolute(DQ) / (sympy.Float(x) * level))
-        for i, x in enumerate(DEFLECTIONS, start=1)
+        Relaxation(
+            name=f"z{i}",
+            unit="rad",
+            drive=DQ,
+            rate=absolute(DQ) / (sympy.Float(deflection) * level),
+        )
+        for i, deflection in enumerate(DEFLECTIONS, start=1)
     )
     waves = [
-        (Coefficient(name=f"{name}_{i}", unit="N.m", description="ripple"), wave(p * Q))
-        for i, p in enumerate(map(sympy.Float, poles), start=1)
+        (Coefficient(name=f"{name}_{i}", unit="N.m", description="ripple"), wave(pole * Q))
+        for i, pole in enumerate(map(sympy.Float, poles), start=1)
         for name, wave in (("a", sympy.cos), ("b", sympy.sin))
     ]
     torque = sum(
-        quantity.symbol * (z.state + TIME.symbol * z.derivative) / sympy.Float(x)
-        for quantity, z, x in zip(_FORCES, bristles, DEFLECTIONS, strict=True)
+        coefficient.symbol * (z.state + TIME.symbol * z.derivative) / sympy.Float(deflection)
+        for coefficient, z, deflection in zip(_FORCES, bristles, DEFLECTIONS, strict=True)
     )
     torque += (
         SIGMA_2.symbol * DQ
@@ -164,7 +171,7 @@ def _build_family(poles: list[float]) -> tuple[LawForm, SearchSpace]:
     return LawForm(coefficients=(*linear, RATIO, V_S, TIME), memory=bristles, output=torque), space
 
 
-_HEAD = """\
+_MJCF_HEAD = """\
 <!-- Friction of joints as passive actuators of MuJoCo (4.0 or later). Put
        <include file="FILE.xml"/>
      into the model of the robot, whose joints are named as here and which has no other friction
@@ -222,14 +229,14 @@ def export_mjcf_law(
         raise ExportError(f"{path}: the name of an MJCF ends in .xml.")
     require_exportable(model, "an MJCF of one actuator per joint", coupled=False)
     with written_whole(path) as temporary:
-        joints = [
-            _export_joint(model, index, project)
-            for index in report_progress(range(len(model.joints)), progress)
+        exports = [
+            _export_joint(model, j, project)
+            for j in report_progress(range(len(model.joints)), progress)
         ]
-        report = Projection(joints=tuple(projection for _, projection in joints))
-        text = "".join(_document(model, [parts for parts, _ in joints], report))
+        projection = Projection(joints=tuple(joint_projection for _, joint_projection in exports))
+        text = "".join(_compose_mjcf(model, [parts for parts, _ in exports], projection))
         temporary.write_text(text, encoding="utf-8")
-    return report
+    return projection
 
 
 def _export_joint(
@@ -240,51 +247,54 @@ def _export_joint(
     try:
         return find_parts(law), JointProjection(joint=joint)
     except NoCounterpartError as error:
-        slides = model.slides[j]
-        missing = error.format_for_joint(slides=slides)
-        refusal = f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing};"
+        is_prismatic = model.slides[j]
+        missing_term = error.format_for_joint(is_prismatic=is_prismatic)
+        refusal = (
+            f"law '{model.law}' of joint '{joint}' is not expressible in MJCF: {missing_term};"
+        )
         trained_range = model.trained[j] if model.trained else None
         try:
             if project:
-                nearest, fitted_misfit, test_misfit = project_law(
+                nearest_law, fitted_misfit, test_misfit = project_law(
                     law, trained_range, model.sample_time
                 )
             else:
-                simulate_records(
-                    law, trained_range, model.sample_time
-                )  # refuse what --project would also refuse
-        except HesrError as reason:
-            raise ExportError(f"{refusal} nor can it be projected: {reason}") from reason
+                # Refuse what --project would also refuse.
+                simulate_records(law, trained_range, model.sample_time)
+        except HesrError as refusal_error:
+            raise ExportError(
+                f"{refusal} nor can it be projected: {refusal_error}"
+            ) from refusal_error
         if not project:
             raise ExportError(
                 f"{refusal} --project writes the nearest bristles and their errors."
             ) from error
         projection = JointProjection(
             joint=joint,
-            missing=missing,
+            missing=missing_term,
             fitted=fitted_misfit,
             unseen=test_misfit,
-            unit=unit_of_joint("N.m", is_prismatic=slides),
+            unit=unit_of_joint("N.m", is_prismatic=is_prismatic),
         )
-        return find_parts(nearest), projection
+        return find_parts(nearest_law), projection
 
 
-def _document(
-    model: FrictionModel, joints: list[JointFriction], report: Projection
+def _compose_mjcf(
+    model: FrictionModel, joint_parts: list[JointFriction], projection: Projection
 ) -> Iterator[str]:
-    yield _HEAD
+    yield _MJCF_HEAD
     texts = {
         "law": f"{model.law} of {model.robot}, made at {model.sample_time:g} s, by HESR "
         f"{version('hesr')}",
         "provenance": json.dumps(dict(model.provenance), sort_keys=True),
-        "error": "; ".join(report.lines()),
+        "error": "; ".join(projection.lines()),
     }
     for name, text in texts.items():
         name = quoteattr(f"{model.robot}_friction_{name}")
         yield f"    <text name={name} data={quoteattr(text)}/>\n"
     yield "  </custom>\n  <actuator>\n"
-    for joint, parts in zip(model.joints, joints, strict=True):
-        for number, attributes in enumerate(_actuators(parts), start=1):
+    for joint, friction in zip(model.joints, joint_parts, strict=True):
+        for number, attributes in enumerate(_list_actuators(friction), start=1):
             name = quoteattr(f"{joint}_{model.law}{number}")
             yield (
                 f"    <dcmotor name={name} joint={quoteattr(joint)}"
@@ -294,7 +304,7 @@ def _document(
     yield "  </actuator>\n</mujoco>\n"
 
 
-def _actuators(parts: JointFriction) -> Iterator[str]:
+def _list_actuators(parts: JointFriction) -> Iterator[str]:
     pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
     for k, (bristle, wave) in enumerate(pairs):
         numbers = {

@@ -37,9 +37,9 @@ class NoCounterpartError(ExportError):
         self._text = text
         self._unit = unit
 
-    def format_for_joint(self, *, slides: bool) -> str:
+    def format_for_joint(self, *, is_prismatic: bool) -> str:
         """Return the text in the unit of the joint."""
-        return self._text.replace("{unit}", unit_of_joint(self._unit, is_prismatic=slides))
+        return self._text.replace("{unit}", unit_of_joint(self._unit, is_prismatic=is_prismatic))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,7 @@ def find_parts(law: FrictionLaw) -> JointFriction:
             raise NoCounterpartError(
                 f"its state '{relaxation.name}' starts at {start:g}, MuJoCo's at 0"
             )
-    values = {quantity.symbol: law.values[quantity.name] for quantity in form.coefficients}
+    values = {coefficient.symbol: law.values[coefficient.name] for coefficient in form.coefficients}
     zeros = {symbol: 0 for symbol, value in values.items() if value == 0.0}
     motions = [_Motion.from_relaxation(r, zeros, values) for r in form.relaxations]
     if form.relaxations and law.discretisation != "exact":
@@ -116,15 +116,16 @@ def find_parts(law: FrictionLaw) -> JointFriction:
         else:
             raise NoCounterpartError(
                 f"its torque has the term {to_text(term)}, which is neither a bristle's nor "
-                "viscous "
-                "nor a ripple in the joint's angle alone"
+                "viscous nor a ripple in the joint's angle alone"
             )
     bristles = [
         _build_bristle(r, motion, forces[r.state], forces[r.derivative], values)
         for r, motion in zip(form.relaxations, motions, strict=True)
     ]
     return JointFriction(
-        bristles=tuple(b for b in bristles if b is not None), viscous=viscous, waves=tuple(waves)
+        bristles=tuple(bristle for bristle in bristles if bristle is not None),
+        viscous=viscous,
+        waves=tuple(waves),
     )
 
 
@@ -149,8 +150,10 @@ class _Motion:
             raise NoCounterpartError(
                 f"{state_label} is driven by {to_text(drive)}, a bristle by the velocity itself"
             )
-        peaks = [e for e in rate.atoms(sympy.exp) if _uses_inputs(e)]
-        stribeck = _stribeck_velocity(peaks[0], values, state_label) if len(peaks) == 1 else None
+        peaks = [exponential for exponential in rate.atoms(sympy.exp) if _uses_inputs(exponential)]
+        stribeck = (
+            _find_stribeck_velocity(peaks[0], values, state_label) if len(peaks) == 1 else None
+        )
         speed = sympy.Dummy(positive=True)
         slope = sympy.cancel(
             rate.subs(dict.fromkeys(peaks, _PEAK)).subs(absolute(DQ), speed) / speed
@@ -159,8 +162,7 @@ class _Motion:
         if not is_shape_supported or speed in slope.free_symbols or _uses_inputs(slope):
             raise NoCounterpartError(
                 f"{state_label} relaxes at the rate {to_text(rate)}, a bristle in proportion "
-                "to the speed "
-                "with one Stribeck peak at most"
+                "to the speed with one Stribeck peak at most"
             )
         return cls(scale=scale, rate=slope, peak=peaks[0] if peaks else None, stribeck=stribeck)
 
@@ -168,7 +170,7 @@ class _Motion:
 _PEAK = sympy.Symbol("_peak", positive=True)  # exp(-(v / v_s)^2): 1 at rest, 0 at speed
 
 
-def _stribeck_velocity(peak: sympy.Expr, values: Values, state_label: str) -> float | None:
+def _find_stribeck_velocity(peak: sympy.Expr, values: Values, state_label: str) -> float | None:
     square = sympy.cancel(-(DQ**2) / peak.args[0])
     label = f"the Stribeck velocity of {state_label}"
     if _uses_inputs(square) or _evaluate(square, values, label) <= 0.0:
@@ -208,9 +210,8 @@ def _build_bristle(
         return None
     if numeric_stiffness <= 0.0:
         raise NoCounterpartError(
-            f"the torque of {state_label} has the factor {numeric_stiffness:g} {{unit}}, and "
-            "the stiffness of a "
-            "bristle is positive",
+            f"the torque of {state_label} has the factor {numeric_stiffness:g} {{unit}}, and the "
+            "stiffness of a bristle is positive",
             "N.m/rad",
         )
     if motion.rate == 0:
@@ -221,8 +222,8 @@ def _build_bristle(
     if not level.is_polynomial(_PEAK) or sympy.degree(level, _PEAK) > 1:
         raise NoCounterpartError(
             f"the sliding torque of {state_label} is "
-            f"{to_text(level.subs(_PEAK, motion.peak))}, a bristle's "
-            "a constant with a Stribeck peak"
+            f"{to_text(level.subs(_PEAK, motion.peak))}, a bristle's a constant with a Stribeck "
+            "peak"
         )
     coulomb, static = (
         _evaluate(level.subs(_PEAK, peak), values, f"the sliding torque of {state_label}")

@@ -39,20 +39,18 @@ _LIBRARIES = frozenset({"Modelica", "ModelicaServices", "Complex"})
 
 _FREQUENCY = 0.25  # frequency of the motions in the examples and of the reference motion [Hz]
 
-
-_STEADY_START = (
-    "steadyStart"  # parameter that starts states in the steady state of the first inputs
-)
+# Parameter that starts states in the steady state of the first inputs.
+_STEADY_START = "steadyStart"
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
-    """Return the documentation of the law of joint `index`, from 0."""
-    law = model.laws[index]
-    trained_range = model.trained[index] if model.trained else None
+def joint_html(model: FrictionModel, j: int, audit: Audit | None) -> str:
+    """Return the documentation of the law of joint `j`, from 0."""
+    law = model.laws[j]
+    trained_range = model.trained[j] if model.trained else None
     return _render_page(
         "modelica_joint.html.j2",
-        joint=model.joints[index],
+        joint=model.joints[j],
         title=title(law, ""),
         numbers=equations_with_numbers(law) if is_exposed(law) else [],
         intervals=coefficient_lines(law) if law.standard_errors else [],
@@ -61,7 +59,7 @@ def joint_html(model: FrictionModel, index: int, audit: Audit | None) -> str:
             f"{name} {spell_interval(getattr(trained_range, name))} {unit}"
             for name, unit in (INPUT_UNITS if trained_range else {}).items()
         ],
-        rmse=figure(model.training_rmse[index], 3) if model.training_rmse else None,
+        rmse=figure(model.training_rmse[j], 3) if model.training_rmse else None,
         verdict=datasheet.verdict(audit, is_trained=bool(model.trained)) if audit else "",
     )
 
@@ -78,10 +76,10 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     """
     if path.suffix != ".mo":
         raise ExportError(f"{path}: a Modelica package ends in .mo, found '{path.suffix}'.")
-    odd = _find_oddity(path.stem, _RESERVED_WORDS | _LIBRARIES)
-    if odd:
+    oddity = _find_oddity(path.stem, _RESERVED_WORDS | _LIBRARIES)
+    if oddity:
         raise ExportError(
-            f"{path}: the package name '{path.stem}' is {odd}; start with a letter, then use "
+            f"{path}: the package name '{path.stem}' is {oddity}; start with a letter, then use "
             "letters, digits and underscores."
         )
     text = package(model, path.stem)
@@ -90,10 +88,10 @@ def export_modelica(model: FrictionModel, path: Path) -> Path:
     return path
 
 
-def package(model: FrictionModel, name: str) -> str:
+def package(model: FrictionModel, package_name: str) -> str:
     """Return the text of the package."""
-    for joint, slides in zip(model.joints, model.slides, strict=True):
-        if slides:
+    for joint, is_prismatic in zip(model.joints, model.slides, strict=True):
+        if is_prismatic:
             raise ExportError(
                 f"Modelica: joint '{joint}' is prismatic, which the package does not support; "
                 "export a friction FMU (--format fmu)."
@@ -128,7 +126,7 @@ def package(model: FrictionModel, name: str) -> str:
         refused=refusal,  # the reason, without audits
     )
     return environment.get_template("modelica.mo.j2").render(
-        name=name,
+        name=package_name,
         title=f"Friction of {model.robot} by {model_title(model)}",
         forms=forms,
         joints=joints,
@@ -144,59 +142,63 @@ def _find_oddity(name: str, reserved: frozenset[str]) -> str:
 
 
 def _name_forms(laws: Sequence[FrictionLaw]) -> dict[str, FrictionLaw]:
-    first: dict[LawForm, FrictionLaw] = {}
+    first_laws: dict[LawForm, FrictionLaw] = {}
     for law in laws:
-        first.setdefault(law.form, law)
+        first_laws.setdefault(law.form, law)
     stems = [
         "".join(part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", law.name))
-        for law in first.values()
+        for law in first_laws.values()
     ]
     stems = [
-        s if s[:1].isalpha() and s not in _RESERVED_WORDS | _LIBRARIES else f"Law{s}" for s in stems
+        stem if stem[:1].isalpha() and stem not in _RESERVED_WORDS | _LIBRARIES else f"Law{stem}"
+        for stem in stems
     ]
     return {
         stem if stems.count(stem) == 1 else f"{stem}_{stems[:i].count(stem) + 1}": law
-        for i, (stem, law) in enumerate(zip(stems, first.values(), strict=True))
+        for i, (stem, law) in enumerate(zip(stems, first_laws.values(), strict=True))
     }
 
 
 def _describe_form(name: str, law: FrictionLaw) -> dict[str, Any]:
     form = law.form
-    modelica_equations = print_equations(form)
-    _check_names(law, modelica_equations)
+    equations = print_equations(form)
+    _require_names(law, equations)
     coefficients = [
-        (quantity.name, quantity.unit, quantity.description) for quantity in form.coefficients
+        (coefficient.name, coefficient.unit, coefficient.description)
+        for coefficient in form.coefficients
     ]
-    starts = [
+    start_values = [
         (name_start_value(element.name), element.unit, f"Start value of {element.name}")
         for element in form.memory
     ]
     return {
         "name": name,
         "title": f"Equations of {title(law)}",
-        "parameters": [*coefficients, *starts],
+        "parameters": [*coefficients, *start_values],
         "states": [(element.name, element.unit) for element in form.memory],
-        "equations": modelica_equations,
-        "steady": _STEADY_START if modelica_equations.beginning else "",
+        "equations": equations,
+        "steady": _STEADY_START if equations.beginning else "",
         "moving": f"{MOVING:g}",
     }
 
 
-def _check_names(law: FrictionLaw, modelica_equations: Equations) -> None:
-    used_names = {*(u.name for u in INPUTS), "tau", _STEADY_START}
-    names = [*law.values, *modelica_equations.signs]
+def _require_names(law: FrictionLaw, equations: Equations) -> None:
+    used_names = {*(quantity.name for quantity in INPUTS), "tau", _STEADY_START}
+    names = [*law.values, *equations.signs]
     names += [
-        n for element in law.form.memory for n in (element.name, name_start_value(element.name))
+        element_name
+        for element in law.form.memory
+        for element_name in (element.name, name_start_value(element.name))
     ]
     for name in names:
-        odd = (
+        oddity = (
             "used twice"
             if name in used_names
             else _find_oddity(name, _RESERVED_WORDS | set(FUNCTIONS))
         )
-        if odd:
+        if oddity:
             raise ExportError(
-                f"law '{law.name}': the name '{name}' is {odd}; use distinct names of letters, "
+                f"law '{law.name}': the name '{name}' is {oddity}; use distinct names of letters, "
                 "digits and underscores."
             )
         used_names.add(name)
@@ -210,12 +212,12 @@ def _describe_joints(
     for j, law in enumerate(model.laws):
         audit = audits[j] if audits else None
         speed = float(np.abs(motion.dq[:, j]).max())
-        largest = audit.largest if audit else 0.0
-        parts = (
+        largest_torque = audit.largest if audit else 0.0
+        expressions = (
             law.form.output.subs(DT, 0),
             *(part for element in law.form.memory for part in element.parts),
         )
-        jumps = any(part.has(sgn) for part in parts)
+        has_jumps = any(part.has(sgn) for part in expressions)
         joint_entries.append(
             {
                 "name": f"Joint{j + 1}",
@@ -224,13 +226,13 @@ def _describe_joints(
                 "form": names[law.form],
                 "modifications": _list_modifications(law),
                 "info": joint_html(model, j, audit),
-                "jumps": jumps,
+                "jumps": has_jumps,
                 "uses_load": TAU_LOAD in law.form.inputs,
                 "load": f"{motion.tau_load[:, j].mean():.4g}",
                 "speed": f"{speed:.4g}",
                 # Overcomes the friction; the inertia keeps the speed near the trained ones.
-                "torque": "" if jumps or not largest else f"{1.5 * largest:.4g}",
-                "inertia": f"{largest / (2.0 * np.pi * _FREQUENCY * speed):.4g}",
+                "torque": "" if has_jumps or not largest_torque else f"{1.5 * largest_torque:.4g}",
+                "inertia": f"{largest_torque / (2.0 * np.pi * _FREQUENCY * speed):.4g}",
             }
         )
     return joint_entries

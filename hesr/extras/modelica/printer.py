@@ -35,17 +35,17 @@ class _Printer(LanguagePrinter):
     # Magnitudes trigger no event in any tool.
     def _print_positive(self, expr: sympy.Expr) -> str:
         x = expr.args[0]
-        return self._half(x + absolute(x))
+        return self._print_half(x + absolute(x))
 
     def _print_larger(self, expr: sympy.Expr) -> str:
         a, b = expr.args
-        return self._half(a + b + absolute(a - b))
+        return self._print_half(a + b + absolute(a - b))
 
     def _print_clip(self, expr: sympy.Expr) -> str:
         x, b = expr.args
-        return self._half(absolute(x + b) - absolute(x - b))
+        return self._print_half(absolute(x + b) - absolute(x - b))
 
-    def _half(self, expr: sympy.Expr) -> str:
+    def _print_half(self, expr: sympy.Expr) -> str:
         return f"(({self._print(expr)})/2)"  # an atom in any context
 
     def _print_over(self, expr: sympy.Expr) -> str:
@@ -68,16 +68,16 @@ def print_equations(form: LawForm) -> Equations:
     """Return `der(x) = drive - rate*x` of each state, and `tau`."""
     bends = Jumps(form.component, all_magnitudes=True).expressions
     signs = [
-        sympy.Dummy(f"sign_{e.name if e.is_Symbol else i}", real=True)
-        for i, e in enumerate(bends, start=1)
+        sympy.Dummy(f"sign_{bend.name if bend.is_Symbol else i}", real=True)
+        for i, bend in enumerate(bends, start=1)
     ]
-    held_signs = {sgn(e): s for e, s in zip(bends, signs, strict=True)}
-    held_signs |= {absolute(e): s * e for e, s in zip(bends, signs, strict=True)}
+    sign_symbols = {sgn(bend): sign for bend, sign in zip(bends, signs, strict=True)}
+    sign_symbols |= {absolute(bend): sign * bend for bend, sign in zip(bends, signs, strict=True)}
     printer = _Printer({element.derivative: f"der({element.name})" for element in form.memory})
 
-    def print_text(expression: sympy.Expr, level: int = 0, *, begins: bool = False) -> str:
+    def print_text(expression: sympy.Expr, level: int = 0, *, is_initial: bool = False) -> str:
         # No sign is held before the first event.
-        substituted = expression if begins else expression.xreplace(held_signs)
+        substituted = expression if is_initial else expression.xreplace(sign_symbols)
         return printer.text(substituted, level, of=expression)
 
     lines = [
@@ -89,15 +89,15 @@ def print_equations(form: LawForm) -> Equations:
     ]
     return Equations(
         signs={
-            s.name: f"if {x} > 0 then 1 elseif {x} < 0 then -1 else 0"
-            for s, x in zip(signs, map(print_text, bends), strict=True)
+            sign.name: f"if {text} > 0 then 1 elseif {text} < 0 then -1 else 0"
+            for sign, text in zip(signs, map(print_text, bends), strict=True)
         },
         lines=tuple(
             _wrap_line(line) for line in (*lines, f"tau = {print_text(form.output.subs(DT, 0))}")
         ),
         beginning=tuple(
-            (name, _wrap_line(print_text(e, begins=True)))
-            for name, e in _find_initial_equations(form).items()
+            (name, _wrap_line(print_text(expression, is_initial=True)))
+            for name, expression in _find_initial_equations(form).items()
         ),
     )
 

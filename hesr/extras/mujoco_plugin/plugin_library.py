@@ -27,29 +27,36 @@ def export_mujoco_plugin(model: FrictionModel, path: Path) -> Path:
     if path.suffix != ".so" or PLATFORM not in ("linux64", "aarch64-linux"):
         raise ExportError(f"{path}: a plug-in of MuJoCo is a library (.so) for Linux.")
     require_exportable(model, "a plug-in of MuJoCo", coupled=False)
-    table, header = friction_equations(model, steps_together=False)
-    name = f"hesr.{path.stem}"
+    interface, equations_header = friction_equations(model, steps_together=False)
+    plugin_name = f"hesr.{path.stem}"
     templates = code_templates(Path(__file__).parent / "templates")
-    text = templates.get_template("plugin.c.j2").render(
-        name=name,
+    plugin_source = templates.get_template("plugin.c.j2").render(
+        name=plugin_name,
         version=version("mujoco-core"),
         loaded=", ".join(str(int(TAU_LOAD in law.form.inputs)) for law in model.laws),
         euler=float(find_discretisation(model) == "euler"),
     )
-    interface = to_c(table, "", model.sample_time)
-    sources = {"interface.h": interface, "equations.h": header, "plugin.c": text}
-    with scratch_folder() as home:
-        for file, content in add_headers(sources).items():
-            (home / file).write_text(content, encoding="utf-8")
+    interface_header = to_c(interface, "", model.sample_time)
+    sources = {
+        "interface.h": interface_header,
+        "equations.h": equations_header,
+        "plugin.c": plugin_source,
+    }
+    with scratch_folder() as folder:
+        for name, content in add_headers(sources).items():
+            (folder / name).write_text(content, encoding="utf-8")
         flags = (*library(PLATFORM).flags, "-std=c11", "-ldl")  # as MuJoCo's headers
-        binary = build(home / "plugin.c", path.stem, TARGETS[PLATFORM], flags)
+        binary = build(folder / "plugin.c", path.stem, TARGETS[PLATFORM], flags)
     instances = "".join(
-        f'      <instance name="{name}.{number}"><config key="joint" value="{escape(joint)}"/>'
+        f'      <instance name="{plugin_name}.{number}">'
+        f'<config key="joint" value="{escape(joint)}"/>'
         f'<config key="law" value="{number}"/></instance>\n'
         for number, joint in enumerate(model.joints, start=1)
     )
-    mjcf = f'<mujoco>\n  <extension>\n    <plugin plugin="{name}">\n{instances}'
-    with written_whole(path) as library_file, written_whole(path.with_suffix(".xml")) as scene:
+    mjcf_head = f'<mujoco>\n  <extension>\n    <plugin plugin="{plugin_name}">\n{instances}'
+    with written_whole(path) as library_file, written_whole(path.with_suffix(".xml")) as mjcf_path:
         library_file.write_bytes(binary)
-        scene.write_text(mjcf + "    </plugin>\n  </extension>\n</mujoco>\n", encoding="utf-8")
+        mjcf_path.write_text(
+            mjcf_head + "    </plugin>\n  </extension>\n</mujoco>\n", encoding="utf-8"
+        )
     return path

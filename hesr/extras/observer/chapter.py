@@ -16,8 +16,8 @@ from hesr_model.friction.band import shapes
 from hesr_model.friction.model import FrictionModel, mix_models
 from hesr_model.support.arrays import Array
 
-_MAX_PAUSE = 0.3  # shorter pauses within an event [s]
-_MAX_TABLE_ROWS = 30  # rows of the table
+_MAX_PAUSE = 0.3  # [s] within an event
+_MAX_TABLE_ROWS = 30
 
 
 def _estimate_external(
@@ -26,12 +26,16 @@ def _estimate_external(
     """Return time, unexplained torques behind the observer's low pass, and thresholds, (N, n)."""
     t = trace["t"].astype(float)
     numbers = range(1, len(model.joints) + 1)
-    columns = ("tau", "q", "dq", "tau_rb")
-    tau, q, dq, tau_load = (np.stack([trace[f"{c}{k}"] for k in numbers], axis=1) for c in columns)
+    names = ("tau", "q", "dq", "tau_rb")
+    tau, q, dq, tau_load = (
+        np.stack([trace[f"{column}{number}"] for number in numbers], axis=1) for column in names
+    )
     unexplained = tau_load + model.predict(t=t, dq=dq, q=q, tau_load=tau_load) - tau
     squares = []
-    for j, (floor, slow, speed, *other_sizes) in enumerate(zip(*limits.numbers, strict=True)):
-        sizes = np.array([floor, slow, *other_sizes])
+    for j, (floor_size, slow_size, speed, *other_sizes) in enumerate(
+        zip(*limits.numbers, strict=True)
+    ):
+        sizes = np.array([floor_size, slow_size, *other_sizes])
         squares.append(np.stack(shapes(dq[:, j], tau_load[:, j], speed), axis=1) @ sizes**2)
     half_widths = np.sqrt(low_pass_signals(t, np.stack(squares, axis=1), BANDWIDTH))
     return t, low_pass_signals(t, unexplained, BANDWIDTH), limits.factor * half_widths
@@ -44,13 +48,15 @@ def find_events(t: Array, external: Array, threshold: Array) -> list[tuple[int, 
     """
     events = []
     excess = np.abs(external) / threshold
-    for j, size in enumerate(excess.T):
-        exceeding_rows = np.flatnonzero(size > 1.0)
+    for j, relative_excess in enumerate(excess.T):
+        exceeding_rows = np.flatnonzero(relative_excess > 1.0)
         groups = np.split(
             exceeding_rows, np.flatnonzero(np.diff(t[exceeding_rows]) > _MAX_PAUSE) + 1
         )
         events += [
-            (rows[0], rows[-1], j, rows[np.argmax(size[rows])]) for rows in groups if len(rows)
+            (rows[0], rows[-1], j, rows[np.argmax(relative_excess[rows])])
+            for rows in groups
+            if len(rows)
         ]
     return sorted(events)
 
@@ -63,16 +69,16 @@ def external_torque(results: Results) -> dict[str, Any] | None:
     except ExportError:
         return None
     rows = []
-    largest = 0.0
+    largest_excess = 0.0
     worst_log = None
     for log in filter(lambda log: log.trace, results.run.logs):
         t, external, threshold = _estimate_external(results.torques(log), model, limits)
         for first, last, j, peak in find_events(t, external, threshold):
             values = (t[first], t[last] - t[first], external[peak, j], threshold[peak, j])
             rows.append(make_row(log.name, results.joints[j], *(number(x, 3) for x in values)))
-            size = abs(values[2]) / values[3]
-            if size > largest:
-                largest = size
+            relative_excess = abs(values[2]) / values[3]
+            if relative_excess > largest_excess:
+                largest_excess = relative_excess
                 worst_log = (log.name, t, external, threshold)
     if worst_log is None:
         return None
@@ -99,12 +105,13 @@ def _build_chart(results: Results, t: Array, external: Array, threshold: Array) 
     panels = [
         Panel(
             title=f"{short_name}: {name}",
-            y=f"torque [{results.unit('N.m', k - 1)}]",
+            y=f"torque [{results.unit('N.m', number - 1)}]",
             lines=tuple(
-                Line(name=label, x=t, y=y[:, k - 1], stroke=stroke) for label, y, stroke in lines
+                Line(name=label, x=t, y=y[:, number - 1], stroke=stroke)
+                for label, y, stroke in lines
             ),
         )
-        for k, short_name, name in results.numbered
+        for number, short_name, name in results.numbered
     ]
     return Chart(x="t [s]", rows=tuple((panel,) for panel in panels), height=1.35)
 

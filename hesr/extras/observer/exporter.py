@@ -17,7 +17,8 @@ def prepare(request: ExportRequest) -> Mapping[str, Any]:
     from fmu_src.plant.plant_fmu import PlantBody
 
     options = dict(request.options)
-    options["body"] = PlantBody.from_robot(options.pop("robot"), options.pop("rigid_body", None))
+    robot = options.pop("robot")
+    options["plant_body"] = PlantBody.from_robot(robot, options.pop("rigid_body", None))
     return options
 
 

@@ -49,7 +49,7 @@ def export_observer(
     model: FrictionModel,
     path: Path,
     *,
-    body: PlantBody,
+    plant_body: PlantBody,
     calibration: Logs = (),
     bandwidth: float = BANDWIDTH,
     torque_constants: Sequence[float] | None = None,
@@ -70,9 +70,9 @@ def export_observer(
         raise ExportError(f"{path}: '{path.stem}' is not a valid C name.")
     require_exportable(model, "the C header of an observer", thermal=not is_header)
     sources = arguments.list_logs("calibration", calibration)
-    limits = compute_limits(model, body, sources, bandwidth)
+    limits = compute_limits(model, plant_body, sources, bandwidth)
     fmu_content = content(
-        model, body, limits, bandwidth=bandwidth, constants=torque_constants, bare=is_header
+        model, plant_body, limits, bandwidth=bandwidth, constants=torque_constants, bare=is_header
     )
     if not is_header:
         return package.write_fmu(fmu_content, path, platforms=platforms, progress=progress, fmi=fmi)
@@ -84,11 +84,11 @@ def export_observer(
 def build_header(fmu_content: package.Content, name: str) -> str:
     """Return an observer as one C header, with functions of the prefix `name`."""
     _, sources = package.translation_unit(fmu_content)
-    missing = dict(sources)
+    remaining_sources = dict(sources)
 
     def inline_includes(file: str) -> str:
-        text = missing.pop(file, "")
-        return re.sub(r'#include "([^"]+)"\n', lambda m: inline_includes(m[1]), text)
+        text = remaining_sources.pop(file, "")
+        return re.sub(r'#include "([^"]+)"\n', lambda match: inline_includes(match[1]), text)
 
     template = code_templates(HERE / "templates").get_template("observer.h.j2")
     outputs = [
@@ -96,7 +96,9 @@ def build_header(fmu_content: package.Content, name: str) -> str:
     ]
     observer_text = inline_includes("observer.c")
     return str(
-        template.render(name=name, text=fmu_content.about.text, own=observer_text, outputs=outputs)
+        template.render(
+            name=name, text=fmu_content.about.text, observer=observer_text, outputs=outputs
+        )
     )
 
 
@@ -104,7 +106,7 @@ _INITIAL_DURATION = 0.1  # [s] whose mean speed is that of the first sample, if 
 _BLOCK_DURATION = 1.0  # duration of the blocks whose maxima give the rate of false alarms [s]
 _TAIL_SHARE = 0.2  # share of the largest maxima that determine their tail
 _MAX_SHARE_ROWS = 20_000  # rows for the shares; quantiles use all
-_MIN_BLOCKS = 60  # blocks
+_MIN_BLOCK_COUNT = 60
 _REST_COLUMN = 2  # column of rest in `band.shapes`
 
 
@@ -120,8 +122,8 @@ class ObservedLog:
     @property
     def contact(self) -> Mask:
         """Whether the external torque of a joint is beyond its threshold (N,)."""
-        size = np.abs(self.outputs["tau_ext"])
-        return np.asarray((size > self.outputs["contact_threshold"]).any(axis=1))
+        external = np.abs(self.outputs["tau_ext"])
+        return np.asarray((external > self.outputs["contact_threshold"]).any(axis=1))
 
 
 def observe_logs(
@@ -134,39 +136,45 @@ def observe_logs(
     """Run the observer over parts of logs, with logged speeds or else those behind the low pass."""
     bare_content = content(model, plant_body, limits, bandwidth=bandwidth, bare=True)
     arrays = list_outputs(bare_content.table)
-    observed = []
-    names = [variable.name for variable in bare_content.table.variables if variable.role == "input"]
+    observed_logs = []
+    input_names = [
+        variable.name for variable in bare_content.table.variables if variable.role == "input"
+    ]
     with (
         scratch_folder() as folder,
-        FmuInstance(package.write_fmu(bare_content, folder / "own.fmu")) as instance,
+        FmuInstance(package.write_fmu(bare_content, folder / "observer.fmu")) as instance,
     ):
-        inputs = instance.buffer(names)
+        inputs = instance.buffer(input_names)
         outputs = instance.buffer(
             [variable.name for array in arrays for variable in array.elements]
         )
         for part in collect_parts(logs):
             dq = _find_speed(part, plant_body)
-            rows = np.hstack([part.q, dq, part.tau])
+            input_rows = np.hstack([part.q, dq, part.tau])
             if model.thermal:
                 if part.temperature is None:
                     raise LogError(f"log '{part.name}': has no temperatures, which the law needs.")
-                rows = np.hstack([rows, part.temperature])
+                input_rows = np.hstack([input_rows, part.temperature])
             if instance.used:
                 instance.reset()
-            inputs.values[:] = rows[0]
+            inputs.values[:] = input_rows[0]
             instance.initialise(time=float(part.t[0]), inputs=inputs)
             first_outputs = outputs.read().copy()
             later_outputs = step_rows(
-                instance, inputs, outputs, part.t[:-1], np.diff(part.t), rows[1:]
+                instance, inputs, outputs, part.t[:-1], np.diff(part.t), input_rows[1:]
             )
             output_ends = np.cumsum([len(array.elements) for array in arrays])[:-1]
-            parts = np.split(np.vstack([first_outputs, later_outputs]), output_ends, axis=1)
+            output_columns = np.split(
+                np.vstack([first_outputs, later_outputs]), output_ends, axis=1
+            )
             outputs_by_name = {
-                array.name: x.reshape(-1, *array.shape)
-                for array, x in zip(arrays, parts, strict=True)
+                array.name: values.reshape(-1, *array.shape)
+                for array, values in zip(arrays, output_columns, strict=True)
             }
-            observed.append(ObservedLog(name=part.name, t=part.t, dq=dq, outputs=outputs_by_name))
-    return observed
+            observed_logs.append(
+                ObservedLog(name=part.name, t=part.t, dq=dq, outputs=outputs_by_name)
+            )
+    return observed_logs
 
 
 def _find_speed(log: Log, plant_body: PlantBody) -> Array:
@@ -193,19 +201,22 @@ def compute_limits(
     """
     if not calibration:
         return law_limits(model)
-    joints = range(plant_body.robot.n)
+    joint_indices = range(plant_body.robot.n)
     logs = read_calibration_logs(calibration, plant_body.robot)
-    no_limits = ObserverLimits(numbers=((0.0,) * len(joints),) * len(NAMES), factor=1.0)
+    no_limits = ObserverLimits(numbers=((0.0,) * len(joint_indices),) * len(NAMES), factor=1.0)
     runs = observe_logs(model, plant_body, no_limits, logs, bandwidth)
-    blocks = [(k, second) for k, run in enumerate(runs) for second in run.t // _BLOCK_DURATION]
+    blocks = [
+        (run_index, second)
+        for run_index, run in enumerate(runs)
+        for second in run.t // _BLOCK_DURATION
+    ]
     _, starts = np.unique(blocks, axis=0, return_index=True)
-    if len(starts) < _MIN_BLOCKS:
+    if len(starts) < _MIN_BLOCK_COUNT:
         raise LogError(
-            f"'calibration': the logs without contact last {len(starts) * _BLOCK_DURATION:g} "
-            "s; at least "
-            f"{_MIN_BLOCKS * _BLOCK_DURATION:g} s are needed."
+            f"'calibration': the logs without contact last {len(starts) * _BLOCK_DURATION:g} s; "
+            f"at least {_MIN_BLOCK_COUNT * _BLOCK_DURATION:g} s are needed."
         )
-    joint_limits = [_calibrate_joint(runs, j, bandwidth) for j in joints]
+    joint_limits = [_calibrate_joint(runs, j, bandwidth) for j in joint_indices]
     largest_errors = np.max([errors for _, errors in joint_limits], axis=0)
     maxima = np.sort(np.maximum.reduceat(largest_errors, starts))
     tail = maxima[-max(10, int(_TAIL_SHARE * len(maxima))) :]
@@ -222,13 +233,13 @@ def compute_limits(
 def read_calibration_logs(sources: Sequence[LogSource], robot: Robot) -> list[Log]:
     """Return logs, reading those that are paths; a folder of results is read as its test logs."""
     logs: list[Log] = []
-    for source in sources:
-        if isinstance(source, Log):
-            logs.append(source)
-        elif (source / RUN).is_file():
-            logs += [Log.read(file, robot) for file in _find_unfitted_logs(source)]
+    for calibration in sources:
+        if isinstance(calibration, Log):
+            logs.append(calibration)
+        elif (calibration / RUN).is_file():
+            logs += [Log.read(file, robot) for file in _find_unfitted_logs(calibration)]
         else:
-            logs.append(Log.read(source, robot))
+            logs.append(Log.read(calibration, robot))
     return logs
 
 
@@ -238,17 +249,19 @@ def _find_unfitted_logs(folder: Path) -> list[Path]:
     trained_hashes = {
         log.sha256 for log in run.logs if {"identification", "training"} & {*log.roles}
     }
-    study = next((Path(w).parent for w in run.command.split() if w.endswith(".toml")), Path())
+    study_folder = next(
+        (Path(word).parent for word in run.command.split() if word.endswith(".toml")), Path()
+    )
     ancestors = [
-        base_folder / subfolder
-        for base_folder in folder.resolve().parents
-        for subfolder in (study, Path())
+        ancestor / subfolder
+        for ancestor in folder.resolve().parents
+        for subfolder in (study_folder, Path())
     ]
     files_by_hash: dict[str, Path] = {}
     for log in run.logs:
         if log.sha256 in trained_hashes:
             continue
-        candidates = [base_folder / log.file for base_folder in (folder / "logs", *ancestors)]
+        candidates = [ancestor / log.file for ancestor in (folder / "logs", *ancestors)]
         matches = (file for file in candidates if file.exists() and sha256(file) == log.sha256)
         file = next(matches, None)
         if file is None:
@@ -270,11 +283,11 @@ def _calibrate_joint(
     best_fit: tuple[float, tuple[float, ...], Array] = (np.inf, (0.0,) * len(NAMES), errors)
     thinning = slice(None, None, -(-len(errors) // _MAX_SHARE_ROWS))
     for speed in SLOW_SPEEDS:
-        parts = []
+        run_columns = []
         for run in runs:
             shape_columns = shapes(run.dq[:, j], run.outputs["tau_load"][:, j], speed)
-            parts.append(low_pass_signals(run.t, np.stack(shape_columns, axis=1), bandwidth))
-        columns = np.concatenate(parts)
+            run_columns.append(low_pass_signals(run.t, np.stack(shape_columns, axis=1), bandwidth))
+        columns = np.concatenate(run_columns)
         shares = fit_variance_shares(
             columns[thinning], errors[thinning] ** 2, np.zeros_like(errors[thinning])
         )
@@ -282,8 +295,12 @@ def _calibrate_joint(
         loss = float(np.mean(np.log(variance) + errors**2 / variance))
         if loss < best_fit[0]:
             shares, squares = _scale_band(columns, shares, errors**2)
-            floor, slow, *other_sizes = np.sqrt(shares).tolist()
-            best_fit = (loss, (floor, slow, speed, *other_sizes), np.sqrt(errors**2 / squares))
+            floor_size, slow_size, *other_sizes = np.sqrt(shares).tolist()
+            best_fit = (
+                loss,
+                (floor_size, slow_size, speed, *other_sizes),
+                np.sqrt(errors**2 / squares),
+            )
     return best_fit[1], best_fit[2]
 
 
@@ -296,13 +313,15 @@ def _scale_band(columns: Array, shares: Array, squares: Array) -> tuple[Array, A
     is_moving = columns[:, _REST_COLUMN] < 0.5
     is_moving |= not is_moving.any()
     variance = columns @ shares + 1e-30
-    scaled = shares * float(np.quantile(squares[is_moving] / variance[is_moving], LEVEL))
-    scaled[_REST_COLUMN] = 0.0
-    rest_shares = (squares - columns @ scaled)[~is_moving] / columns[~is_moving, _REST_COLUMN]
-    scaled[_REST_COLUMN] = (
+    scaled_shares = shares * float(np.quantile(squares[is_moving] / variance[is_moving], LEVEL))
+    scaled_shares[_REST_COLUMN] = 0.0
+    rest_shares = (squares - columns @ scaled_shares)[~is_moving] / columns[
+        ~is_moving, _REST_COLUMN
+    ]
+    scaled_shares[_REST_COLUMN] = (
         max(0.0, float(np.quantile(rest_shares, LEVEL))) if len(rest_shares) else 0.0
     )
-    return scaled, columns @ scaled + 1e-30
+    return scaled_shares, columns @ scaled_shares + 1e-30
 
 
 def observe(
@@ -348,14 +367,14 @@ def observe(
     Examples
     --------
     >>> import hesr
-    >>> [found] = hesr.observe("pushed.csv", law="law.json", robot="robot.toml",
-    ...                        rigid_body="rigid_body.json", calibration=["free.csv"])
+    >>> [observed_log] = hesr.observe("pushed.csv", law="law.json", robot="robot.toml",
+    ...                               rigid_body="rigid_body.json", calibration=["free.csv"])
     """
     sources = arguments.list_logs("logs", logs)
     calibration_sources = arguments.list_logs("calibration", calibration)
     accepted = arguments.list_names("accept", accept)
     model = arguments.read_model(law)
-    checked = arguments.read_checked_logs(sources, robot, accepted)
-    plant_body = arguments.build_plant_body(checked.robot, rigid_body)
+    checked_logs = arguments.read_checked_logs(sources, robot, accepted)
+    plant_body = arguments.build_plant_body(checked_logs.robot, rigid_body)
     limits = compute_limits(model, plant_body, calibration_sources, bandwidth)
-    return observe_logs(model, plant_body, limits, checked.logs, bandwidth)
+    return observe_logs(model, plant_body, limits, checked_logs.logs, bandwidth)

@@ -70,9 +70,9 @@ class ObserverLimits:
 
 def law_limits(model: FrictionModel) -> ObserverLimits:
     """Return the limits that follow from the bands of a law; ExportError if it has none."""
-    rows = []
+    half_width_numbers = []
     factors = []
-    tries = HOUR / model.sample_time * len(model.laws)
+    sample_count = HOUR / model.sample_time * len(model.laws)
     for law in model.laws:
         if model.coupling:
             raise ExportError(
@@ -84,12 +84,14 @@ def law_limits(model: FrictionModel) -> ObserverLimits:
         band_numbers = list(astuple(law.band)[: len(NAMES)])
         if law.band.envelope:  # without measured rests friction is anywhere between both directions
             band_numbers[3] = max(band_numbers[3], 2.0 * holding_torque(law))
-        rows.append(band_numbers)
-        factors.append((-np.log(tries) / np.log(1.0 - LEVEL)) ** law.band.tail)
-    return ObserverLimits(numbers=tuple(zip(*rows, strict=True)), factor=float(max(factors)))
+        half_width_numbers.append(band_numbers)
+        factors.append((-np.log(sample_count) / np.log(1.0 - LEVEL)) ** law.band.tail)
+    return ObserverLimits(
+        numbers=tuple(zip(*half_width_numbers, strict=True)), factor=float(max(factors))
+    )
 
 
-_LEAST_SPEED = 1e-9  # [rad/s] divisor that a host may set to 0
+_MIN_SPEED = 1e-9  # [rad/s] divisor that a host may set to 0
 _THERMAL_COUNT = 5  # parameters of a thermal model with measured temperatures, the leading ones
 BANDWIDTH = 15.0  # default cut-off of the observer [Hz]
 HERE = Path(__file__).parent
@@ -128,17 +130,17 @@ def _build_parameters(
     constants: Sequence[float] | None,
 ) -> Iterator[Variable]:
     text = "cut-off of the observer; limits and threshold hold for its start value"
-    cutoff = Variable("bandwidth", "tunable", text, unit="1/s", start=bandwidth)
-    yield replace(cutoff, least=1e-3, limited=True)
+    bandwidth_variable = Variable("bandwidth", "tunable", text, unit="1/s", start=bandwidth)
+    yield replace(bandwidth_variable, least=1e-3, limited=True)
     text = "contact threshold over the half-width of the limits"
     yield Variable("contact_factor", "tunable", text, unit="1", start=limits.factor, least=0.0)
     unit, text = ("N.m/A", "torque per current") if constants else ("1", "factor on tau_motor")
     torque_constants = constants or np.ones(len(model.joints))
     yield from vector("torque_constant", "tunable", unit, text, torque_constants)
-    for quantity, row in zip(NAMES, limits.numbers, strict=True):
-        for number, x in enumerate(row, start=1):
+    for quantity, values in zip(NAMES, limits.numbers, strict=True):
+        for number, value in enumerate(values, start=1):
             yield friction_component.build_joint_variable(
-                model, quantity, number, "tunable", start=x, least=0.0
+                model, quantity, number, "tunable", start=value, least=0.0
             )
     for thermal_quantities in zip(
         *(thermal_parameters(thermal)[:_THERMAL_COUNT] for thermal in model.thermal), strict=True
@@ -153,24 +155,27 @@ def _build_interface(
     model: FrictionModel,
     plant_body: PlantBody,
     observer_parameters: Sequence[Variable],
-    current: bool,
+    is_current: bool,
 ) -> Interface:
-    laws = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
-    zeros = (0.0,) * len(laws)
-    rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if current else _INPUTS[2]]
+    joints = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
+    zeros = (0.0,) * len(joints)
+    rows = [*_INPUTS[:2], ("tau_motor", "A", "current of the motor") if is_current else _INPUTS[2]]
     variables = [
-        variable for n, unit, text in rows for variable in vector(n, "input", unit, text, zeros)
+        variable
+        for name, unit, text in rows
+        for variable in vector(name, "input", unit, text, zeros)
     ]
     for number, thermal in enumerate(model.thermal, start=1):
-        temperature_input = friction_component.build_joint_variable(
+        temperature_variable = friction_component.build_joint_variable(
             model, TEMPERATURE, number, "input"
         )
-        variables.append(replace(temperature_input, start=thermal.reference))
+        variables.append(replace(temperature_variable, start=thermal.reference))
     inputs = tuple(variable.name for variable in variables)
 
     def mixed_inputs(number: int) -> dict[str, tuple[str, ...]]:
         motion_inputs = {
-            n: friction_component.find_joint_signals(n, number, model.coupling) for n in ("dq", "q")
+            name: friction_component.find_joint_signals(name, number, model.coupling)
+            for name in ("dq", "q")
         }
         return {**motion_inputs, TAU_LOAD.name: ()}
 
@@ -181,7 +186,7 @@ def _build_interface(
     ]
     law_variables = [
         variable
-        for number, (law, joint) in enumerate(zip(model.laws, laws, strict=True), start=1)
+        for number, (law, joint) in enumerate(zip(model.laws, joints, strict=True), start=1)
         for variable in friction_component.law_variables(law, number, joint, mixed_inputs(number))
     ]
     states = (variable.name for variable in law_variables if not variable.derivative_of)
@@ -193,20 +198,25 @@ def _build_interface(
     for name, unit, shape, text in _WRENCH if has_wrench(plant_body.robot) else ():
         for element in np.ndindex(*shape):
             index = ",".join(str(k + 1) for k in element)
-            joint = Variable(
+            component = Variable(
                 f"{name}[{index}]", "output", text, unit=unit, dependencies=dependencies
             )
-            variables.append(joint)
-    discretisation = friction_component.discretisation(
+            variables.append(component)
+    discretisation_variable = friction_component.discretisation(
         model, "how the states of friction are relaxed"
     )
-    variables += [*parameters, discretisation, friction_component.start_mode(), *law_variables]
+    variables += [
+        *parameters,
+        discretisation_variable,
+        friction_component.start_mode(),
+        *law_variables,
+    ]
     joint_variables = (adapt_to_joint(variable, model.slides) for variable in variables)
     return Interface(
         variables=tuple(
             friction_component.make_inputs_initial(variable, inputs) for variable in joint_variables
         ),
-        own=1 + len(laws) * (len(laws) + 4) + 10 * plant_body.robot.links,
+        own=1 + len(joints) * (len(joints) + 4) + 10 * plant_body.robot.links,
         model_exchange=False,
         directional_derivatives=False,
     )
@@ -221,15 +231,15 @@ def list_outputs(interface: Interface) -> list[ArrayVariable]:
     ]
 
 
-def _places(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, tuple[str, str]]:
+def _place_symbols(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, tuple[str, str]]:
     """Return names and C expressions of variables of joint i."""
-    return {s: (s.name, f"v[{s.name.upper()} + i]") for s in symbols}
+    return {symbol: (symbol.name, f"v[{symbol.name.upper()} + i]") for symbol in symbols}
 
 
 def band_header() -> str:
     """Return band.h, with the square of the half-width at 95 % of a torque."""
-    steps = variance_steps(larger(SLOW_SPEED, _LEAST_SPEED))
-    places = _places([DQ, TAU_LOAD, *(number.symbol for number in NAMES)])
+    steps = variance_steps(larger(SLOW_SPEED, _MIN_SPEED))
+    places = _place_symbols([DQ, TAU_LOAD, *(number.symbol for number in NAMES)])
     places[REST_SPEED] = (REST_SPEED.name, literal(REST))
     text = function(
         "find_half_squared(IN(v), int i, OUT(half_squared))",
@@ -237,7 +247,7 @@ def band_header() -> str:
         {"*half_squared": VARIANCE},
         places,
     )
-    return _file("BAND", "Square of the half-width at 95 % of a torque of joint i.", text)
+    return _compose_header("BAND", "Square of the half-width at 95 % of a torque of joint i.", text)
 
 
 def warmth_header() -> str:
@@ -252,13 +262,13 @@ def warmth_header() -> str:
         "find_warmth(IN(v), int i, OUT(factors))",
         steps,
         {"factors[0]": coulomb, "factors[1]": viscous},
-        _places(sorted(inputs, key=str)),
+        _place_symbols(sorted(inputs, key=str)),
         library=True,
     )
-    return _file("WARMTH", "Factors on Coulomb and viscous friction of joint i.", text)
+    return _compose_header("WARMTH", "Factors on Coulomb and viscous friction of joint i.", text)
 
 
-def _file(name: str, purpose: str, text: str) -> str:
+def _compose_header(name: str, purpose: str, text: str) -> str:
     return (
         f"/* Generated. */\n#ifndef {name}_H\n#define {name}_H\n\n/* {purpose} */\n{text}\n#endif\n"
     )
@@ -285,9 +295,12 @@ def content(
         raise ExportError(f"observer: 'bandwidth' is {bandwidth:g} Hz; it must be positive.")
     observer_parameters = list(_build_parameters(model, limits, bandwidth, constants))
     interface = _build_interface(model, plant_body, observer_parameters, bool(constants))
-    thermal = (f"thermal_{f.name}" for f in fields(Thermal)[:_THERMAL_COUNT])
-    absent = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
-    macro_variables = {name.upper(): "contact" for name in absent}  # of an observer without these
+    thermal = (
+        f"thermal_{thermal_field.name}" for thermal_field in fields(Thermal)[:_THERMAL_COUNT]
+    )
+    absent_names = (*(name for name, *_ in _WRENCH), TEMPERATURE.name, *thermal)
+    # An observer without these still has to compile.
+    macro_variables = {name.upper(): "contact" for name in absent_names}
     named_arrays = [
         array
         for array in interface.arrays
@@ -297,7 +310,7 @@ def content(
     macro_variables |= {"PARAMETERS": "link[1].m", "ROTORS": "rotor[1]", "PAYLOAD_M": "payload.m"}
     macro_variables |= {"PAYLOAD_COM": "payload.com[1]", "PAYLOAD_INERTIA": "payload.Ixx"}
     macro_variables["SPRINGS"] = next(
-        (n for n in interface.places if n.startswith("spring[")), "gravity[1]"
+        (name for name in interface.places if name.startswith("spring[")), "gravity[1]"
     )
     laws = friction_component.build_joints(model, names={TORQUE: "tau_friction"})
     names = ("coupling.h", "law_math.h", "regroup.h")
@@ -322,11 +335,22 @@ def content(
         return package.Content(table=interface, about=about, sources=sources, members={})
     joints, refusal = law_entries(model)
     titles = list(dict.fromkeys(map(title, model.laws)))
-    sheet = {"about": about, "model": model, "titles": titles, "joints": joints, "limits": limits}
-    sheet |= {"refused": refusal, "bandwidth": bandwidth, "constants": constants}
-    sheet |= {"names": [number.name for number in NAMES], "wrench": has_wrench(plant_body.robot)}
-    sheet |= {"groups": variable_groups(interface)}
-    page = render_template("observer.html.j2", folders=(HERE / "templates", TEMPLATES), **sheet)
+    page_values = {
+        "about": about,
+        "model": model,
+        "titles": titles,
+        "joints": joints,
+        "limits": limits,
+    }
+    page_values |= {"refused": refusal, "bandwidth": bandwidth, "constants": constants}
+    page_values |= {
+        "names": [number.name for number in NAMES],
+        "wrench": has_wrench(plant_body.robot),
+    }
+    page_values |= {"groups": variable_groups(interface)}
+    page = render_template(
+        "observer.html.j2", folders=(HERE / "templates", TEMPLATES), **page_values
+    )
     inputs = waves(
         {variable.name: 1.0 for variable in interface.variables if variable.role == "input"}
     )

@@ -30,10 +30,10 @@ _MAX_HALVINGS = 12
 
 def write_code_and_data(path: Path, text: str, model: FrictionModel) -> Path:
     """Write a code file and its test data (.csv); both or none."""
-    rows = reference_rows(model)
-    with written_together(path) as file:
-        for file_path, content in ((path, text), (path.with_suffix(".csv"), rows)):
-            file(file_path).write_text(content, encoding="utf-8", newline="\n")
+    data = reference_rows(model)
+    with written_together(path) as provide_file:
+        for file_path, content in ((path, text), (path.with_suffix(".csv"), data)):
+            provide_file(file_path).write_text(content, encoding="utf-8", newline="\n")
     return path
 
 
@@ -44,10 +44,10 @@ def reference_rows(model: FrictionModel) -> str:
     are exact in single precision.
     """
     motion, tau = _find_motion(model)
-    joints = range(1, len(model.joints) + 1)
+    numbers = range(1, len(model.joints) + 1)
     names = [
         "t",
-        *(f"{name}[{number}]" for name in ("dq", "q", "tau_load", "tau") for number in joints),
+        *(f"{name}[{number}]" for name in ("dq", "q", "tau_load", "tau") for number in numbers),
     ]
     columns = np.column_stack([motion.t, motion.dq, motion.q, motion.tau_load, tau])
     # Adding zero turns a negative zero into a positive one.
@@ -106,19 +106,20 @@ def header(model: FrictionModel, name: str) -> str:
     """Return the text of the header with the prefix `name`."""
     require_exportable(model, "one C header", coupled=False)
     joints = build_joints(model)
-    distinct = list(dict.fromkeys(j.component for j in joints))
+    components = list(dict.fromkeys(joint.component for joint in joints))
     functions = [
-        Functions(component, f"{name}_law_{i}") for i, component in enumerate(distinct, start=1)
+        Functions(component, f"{name}_law_{number}")
+        for number, component in enumerate(components, start=1)
     ]
-    euler = any(law.discretisation == "euler" for law in model.laws)
+    is_euler = any(law.discretisation == "euler" for law in model.laws)
     texts = []
     for law_functions in functions:
         memory = law_functions.component.memory
         texts += [law_functions.read(), law_functions.invariants(), law_functions.step()]
-        texts += [] if euler else [law_functions.lanes()]
+        texts += [] if is_euler else [law_functions.lanes()]
         texts += [law_functions.begin()] if memory else []
         texts += [law_functions.switches()] if law_functions.jumps.expressions else []
-        texts += [law_functions.rates()] if euler and memory else []
+        texts += [law_functions.rates()] if is_euler and memory else []
     text = (
         code_templates(TEMPLATES)
         .get_template("law.h.j2")
@@ -129,7 +130,12 @@ def header(model: FrictionModel, name: str) -> str:
             sample_time=literal(model.sample_time),
             law_math=read_c_source("law_math.h"),
             functions=[text.replace("QUICK ", "static ", 1) for text in texts],
-            joints=_build_rows(model, joints, {f.component: f for f in functions}, euler=euler),
+            joints=_build_rows(
+                model,
+                joints,
+                {law_functions.component: law_functions for law_functions in functions},
+                is_euler=is_euler,
+            ),
             slides=model.slides,
             lanes=_LANES,
             shared=max(len(joint.component.shared) for joint in joints),
@@ -142,16 +148,20 @@ def header(model: FrictionModel, name: str) -> str:
 
 
 def _build_rows(
-    model: FrictionModel, joints: Sequence[Joint], functions: dict[Any, Functions], *, euler: bool
+    model: FrictionModel,
+    joints: Sequence[Joint],
+    functions: dict[Any, Functions],
+    *,
+    is_euler: bool,
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    states = 0
-    coefficients = 0
+    state_count = 0
+    coefficient_count = 0
     for label, law, joint in zip(model.joints, model.laws, joints, strict=True):
         law_functions = functions[joint.component]
         numbers = [
-            (literal(value), quantity.name, quantity.unit)
-            for quantity, value in zip(law.form.coefficients, law.values.values(), strict=True)
+            (literal(value), coefficient.name, coefficient.unit)
+            for coefficient, value in zip(law.form.coefficients, law.values.values(), strict=True)
         ]
         rows.append(
             {
@@ -162,16 +172,16 @@ def _build_rows(
                 "shared": len(joint.component.shared),
                 "starts": [literal(start) for start in law.start],
                 "states": len(law.form.memory),
-                "first_state": states,
-                "first_coefficient": coefficients,
+                "first_state": state_count,
+                "first_coefficient": coefficient_count,
                 "switches": len(law_functions.jumps.expressions),
                 "invariants": max(len(law_functions.invariant), 1),
                 "names": [element.name for element in law.form.memory],
-                "euler": euler and bool(law.form.relaxations),
+                "euler": is_euler and bool(law.form.relaxations),
             }
         )
-        states += len(law.form.memory)
-        coefficients += len(numbers)
+        state_count += len(law.form.memory)
+        coefficient_count += len(numbers)
     return rows
 
 

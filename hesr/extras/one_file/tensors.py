@@ -98,24 +98,28 @@ def _write_function(
     program: Assignments,
     extra_symbols: Sequence[sympy.Symbol],
     output_symbols: Sequence[sympy.Symbol],
-    ends: Sequence[sympy.Symbol],
+    end_symbols: Sequence[sympy.Symbol],
 ) -> str:
     """Return the text of `name(c, dq, q, tau_load, *more, x_0, ..)`: outputs and ends of states."""
     program = {symbol: _wrap_angles(expression) for symbol, expression in program.items()}
-    lines, names = build_straight_line(program, (*output_symbols, *ends))
+    lines, names = build_straight_line(program, (*output_symbols, *end_symbols))
     states = [f"x_{i}" for i, _ in enumerate(form.memory)]
-    printed_names = {quantity.symbol: f'c["{quantity.name}"]' for quantity in form.coefficients}
-    printed_names |= {element.state: x for element, x in zip(form.memory, states, strict=True)}
+    printed_names = {
+        coefficient.symbol: f'c["{coefficient.name}"]' for coefficient in form.coefficients
+    }
+    printed_names |= {
+        element.state: state_name for element, state_name in zip(form.memory, states, strict=True)
+    }
     printed_names |= {symbol: symbol.name for symbol in (*INPUTS, DT, EULER)}
     printer = _Printer(printed_names | names)
     body = [
         f"{names.get(symbol, str(symbol))} = {printer.text(expression)}"
         for symbol, expression in lines.items()
     ]
-    end_names = "".join(f"{names[symbol]}, " for symbol in ends)
+    end_names = "".join(f"{names[symbol]}, " for symbol in end_symbols)
     arguments = ", ".join(("c", *(symbol.name for symbol in (*INPUTS, *extra_symbols)), *states))
-    first = "".join(f"{names[symbol]}, " for symbol in output_symbols)
-    return_line = f"return {first}({end_names.rstrip(' ')})"
+    outputs = "".join(f"{names[symbol]}, " for symbol in output_symbols)
+    return_line = f"return {outputs}({end_names.rstrip(' ')})"
     return "\n".join(
         [f"def {name}({arguments}):", *(f"    {line}" for line in (*body, return_line))]
     )
@@ -160,8 +164,8 @@ def tensor_code(model: FrictionModel, library: Library) -> str:
     for j, law in enumerate(model.laws):
         groups.setdefault(law.form, []).append(j)
     laws = [
-        _describe_law(f"_law_{n}", form, joints, [model.laws[j] for j in joints])
-        for n, (form, joints) in enumerate(groups.items(), start=1)
+        _describe_law(f"_law_{number}", form, joints, [model.laws[j] for j in joints])
+        for number, (form, joints) in enumerate(groups.items(), start=1)
     ]
     template = code_templates(TEMPLATES).get_template(f"law_{library}.py.j2")
     title = f"Friction of {model.robot} by {model_title(model)}"
@@ -182,19 +186,21 @@ def _describe_law(
     name: str, form: LawForm, joints: list[int], laws: list[FrictionLaw]
 ) -> dict[str, Any]:
     torque = form.component.outputs[0].symbol
-    ends = [moved_symbol(element) for element in form.memory]
-    start = initial_state(form.memory, form.component.settling)
-    first = [initial_symbol(element) for element in form.memory]
+    end_symbols = [moved_symbol(element) for element in form.memory]
+    initial_states = initial_state(form.memory, form.component.settling)
+    initial_symbols = [initial_symbol(element) for element in form.memory]
     return {
         "name": name,
-        "function": _write_function(form, name, build_step(form.component), (DT,), (torque,), ends),
-        "begin": _write_function(form, f"{name}_begin", start, (), (), first),
+        "function": _write_function(
+            form, name, build_step(form.component), (DT,), (torque,), end_symbols
+        ),
+        "begin": _write_function(form, f"{name}_begin", initial_states, (), (), initial_symbols),
         "joints": tuple(joints),
         "values": {
-            quantity.name: tuple(law.values[quantity.name] for law in laws)
-            for quantity in form.coefficients
+            coefficient.name: tuple(law.values[coefficient.name] for law in laws)
+            for coefficient in form.coefficients
         },
-        "units": {quantity.name: quantity.unit for quantity in form.coefficients},
+        "units": {coefficient.name: coefficient.unit for coefficient in form.coefficients},
         "starts": {
             element.name: tuple(law.start[i] for law in laws)
             for i, element in enumerate(form.memory)

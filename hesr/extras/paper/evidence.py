@@ -61,9 +61,9 @@ class PaperStudy(Study):
 
 
 TWIN = "twin"
-LUGRE = "LuGre"  # true frictions
+LUGRE = "LuGre"  # these two are true frictions
 SINE = "sine"
-SWEEP = "sweep"  # training motions
+SWEEP = "sweep"  # these two are training motions
 Records = Sequence[Sequence[FrictionRecord]]  # [joint][log]
 
 
@@ -81,7 +81,7 @@ class Case:
     """Laws of one training motion and true friction, and their torques on test sets and bands."""
 
     models: Mapping[str, FrictionModel]
-    training: Records
+    training_records: Records
     tests: Mapping[str, Records]
     torques: Mapping[str, Mapping[str, list[list[Array]]]]  # [joint][log] by test and law
 
@@ -91,7 +91,7 @@ class Case:
         return [tau_predicted - record.tau for tau_predicted, record in pairs]
 
     def ratio(
-        self, examined_law: str, rivals: Sequence[str], test: str, joint: int, *, reversals: bool
+        self, law_name: str, rivals: Sequence[str], test: str, joint: int, *, reversals: bool
     ) -> Number:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
         joint_records = self.tests[test][joint]
@@ -100,17 +100,17 @@ class Case:
             near_reversals(record.t, record.dq) if reversals else np.ones(len(record.t))
             for record in joint_records
         ]
-        for law_name in (examined_law, *rivals):
-            law_residuals = self.errors(law_name, test, joint)
-            errors[law_name] = [
+        for name in (law_name, *rivals):
+            law_residuals = self.errors(name, test, joint)
+            errors[name] = [
                 weights * error for weights, error in zip(row_weights, law_residuals, strict=True)
             ]
-        law_comparison = law_errors(
+        comparison = law_errors(
             errors, [float(np.median(np.diff(record.t))) for record in joint_records]
         )
-        ratio = law_comparison.ratios(
-            min(rivals, key=lambda rival: law_comparison.log_rmse[law_comparison.laws.index(rival)])
-        )[examined_law]
+        ratio = comparison.ratios(
+            min(rivals, key=lambda rival: comparison.log_rmse[comparison.laws.index(rival)])
+        )[law_name]
         return Number(value=ratio.value, low=ratio.low, high=ratio.high)
 
 
@@ -130,21 +130,23 @@ class Evidence:
 def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stages) -> Evidence:
     """Run the twin, fit all laws and run the closed loop, with files in `folder`."""
     job = Job(study=study, path=path, progress=progress)
-    logs = study.logs
+    log_names = study.logs
     plant, signals = twin_plant(study.twin, path, folder)
     assert signals is not None  # `Study` requires them with `tracking`
     arm = export_twin(plant, folder, signals)
-    recorded = {
+    recordings = {
         recording.log.name: recording
         for recording in record_motions(Motions.read(study.twin.motions), plant, fmu=arm)
     }
     robot = Robot(job.robot)
-    forward, backward = (
-        [recorded[name].log for name in names] for names in (logs.identification, logs.reversed)
+    logs, reversed_logs = (
+        [recordings[name].log for name in names]
+        for names in (log_names.identification, log_names.reversed)
     )
-    body = identify(forward, robot, reversed_logs=backward, method="paper")
+    body = identify(logs, robot, reversed_logs=reversed_logs, method="paper")
     records = {
-        name: [friction_records(recording.log, robot, body)] for name, recording in recorded.items()
+        name: [friction_records(recording.log, robot, body)]
+        for name, recording in recordings.items()
     }
     cases = {TWIN: dict(_evaluate_cases(job, study, records, job.laws))}
     models = cases[TWIN][SWEEP].models
@@ -154,13 +156,13 @@ def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stage
         if "lugre" in law_name or law_name in ("stribeck", study.literal)
     ]
     cases[LUGRE] = dict(
-        _evaluate_cases(job, study, _replace_truth(models["lugre"], records, recorded), laws)
+        _evaluate_cases(job, study, _replace_truth(models["lugre"], records, recordings), laws)
     )
     require_reachable(study.tracking, robot)
-    truth = true_friction(
+    true_model = true_friction(
         plant.model, plant.joints, sample_time=1.0 / plant.sample_rate, losses=signals.losses
     )
-    build(folder, robot, body, plant, true_model=truth)
+    build(folder, robot, body, plant, true_model=true_model)
     tracking = study.tracking
     tracked = {}
     fmus = {
@@ -185,17 +187,21 @@ def gather_evidence(study: PaperStudy, path: Path, folder: Path, progress: Stage
             traced=True,
         )
         tracked[name] = {row.law: row for row in tracked_rows}
-    return Evidence(study, robot, body, recorded, records, cases, tracked)
+    return Evidence(study, robot, body, recordings, records, cases, tracked)
 
 
 def _replace_truth(
-    truth: FrictionModel, records: LogRecords, recorded: Mapping[str, Recording]
+    true_model: FrictionModel, records: LogRecords, recordings: Mapping[str, Recording]
 ) -> LogRecords:
     records_by_log = {}
     for name, [joint_records] in records.items():
-        true_signals = recorded[name].truth
+        true_signals = recordings[name].truth
         inputs = zip(
-            truth.laws, joint_records, true_signals.dq.T, true_signals.tau_f_true.T, strict=True
+            true_model.laws,
+            joint_records,
+            true_signals.dq.T,
+            true_signals.tau_f_true.T,
+            strict=True,
         )
         records_by_log[name] = [
             [
@@ -207,15 +213,18 @@ def _replace_truth(
 
 
 def _evaluate_cases(
-    job: Job, study: PaperStudy, records: LogRecords, laws: Sequence[str]
+    job: Job, study: PaperStudy, log_records: LogRecords, laws: Sequence[str]
 ) -> Iterator[tuple[str, Case]]:
     variants = {name: variant for name, variant in study.variants.items() if name in laws}
-    tests = {test: select_records(names, records) for test, names in study.logs.test.items()}
-    sines = [[records[name][0][j]] for j, name in enumerate(study.sine)]
-    for name, rows in {SINE: sines, SWEEP: select_records(study.logs.training, records)}.items():
+    tests = {test: select_records(names, log_records) for test, names in study.logs.test.items()}
+    sine_records = [[log_records[name][0][j]] for j, name in enumerate(study.sine)]
+    for name, records in {
+        SINE: sine_records,
+        SWEEP: select_records(study.logs.training, log_records),
+    }.items():
         models = fit_models(
             laws,
-            rows,
+            records,
             robot=job.robot.name,
             seed=study.seed,
             options={
@@ -230,10 +239,13 @@ def _evaluate_cases(
         }
         for band in study.bands:
             law_torques = torques[band.test].items()
-            parts = {
+            windows = {
                 law_name: select_window(tests[band.test], test_torques, band.start, band.stop)
                 for law_name, test_torques in law_torques
             }
-            torques[band.name] = {law_name: part for law_name, (_, part) in parts.items()}
-            tests[band.name] = next(iter(parts.values()))[0]
-        yield name, Case(models=models, training=rows, tests=tests, torques=torques)
+            torques[band.name] = {
+                law_name: predictions_in_band
+                for law_name, (_, predictions_in_band) in windows.items()
+            }
+            tests[band.name] = next(iter(windows.values()))[0]
+        yield name, Case(models=models, training_records=records, tests=tests, torques=torques)

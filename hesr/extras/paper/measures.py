@@ -36,10 +36,10 @@ def _as_number(value: float | Number) -> Number:
 
 def _measure_joints(measure_joint: Callable[..., float | Number]) -> Callable[..., Values]:
     @wraps(measure_joint)
-    def measure(*about: Any, **options: Any) -> Values:
-        numbered_joints = enumerate(joints(about[0].robot.n))
+    def measure(*evidence_and_case: Any, **options: Any) -> Values:
+        numbered_joints = enumerate(joints(evidence_and_case[0].robot.n))
         return {
-            name: _as_number(measure_joint(*about, joint, **options))
+            name: _as_number(measure_joint(*evidence_and_case, joint, **options))
             for joint, name in numbered_joints
         }
 
@@ -54,9 +54,9 @@ def _measure_cases(measure_case: Callable[..., float | Number]) -> Callable[...,
             for motion, case in evidence.cases[truth].items()
         }
         return {
-            f"{motion} {name}": v
+            f"{motion} {name}": value
             for motion, joint_values in values_by_case.items()
-            for name, v in joint_values.items()
+            for name, value in joint_values.items()
         }
 
     return measure
@@ -92,8 +92,10 @@ def rise(
     evidence: Evidence, case: Case, joint: int, *, low: str, high: str, law: str = ""
 ) -> float:
     """Return the RMSE of a law on a band over that on a lower band."""
-    errors = (case.errors(law or evidence.study.literal, band, joint) for band in (low, high))
-    lower_rmse, upper_rmse = (rmse(np.concatenate(band_errors)) for band_errors in errors)
+    band_residuals = (
+        case.errors(law or evidence.study.literal, band, joint) for band in (low, high)
+    )
+    lower_rmse, upper_rmse = (rmse(np.concatenate(band_errors)) for band_errors in band_residuals)
     return upper_rmse / lower_rmse
 
 
@@ -130,7 +132,10 @@ def tracking(
             ).T.tolist()
             label = f"{controller}, to {title(reference)}," if len(pairs) > 1 else f"{controller},"
             numbers = zip(joints(len(joint_intervals)), joint_intervals, strict=True)
-            ratios |= {f"{label} {j}": Number(value=v, low=a, high=b) for j, (v, a, b) in numbers}
+            ratios |= {
+                f"{label} {joint_name}": Number(value=value, low=lowest, high=highest)
+                for joint_name, (value, lowest, highest) in numbers
+            }
     return ratios
 
 
@@ -145,15 +150,17 @@ def conditioning(evidence: Evidence, *, motion: str, seeds: int) -> Values:
     """Return the condition number of a Fourier motion over the median of random ones."""
     twin_motions = Motions.read(evidence.study.twin.motions).motions
     [fourier_motion] = [
-        m for m in twin_motions if m.name == motion and isinstance(m, FourierMotion)
+        twin_motion
+        for twin_motion in twin_motions
+        if twin_motion.name == motion and isinstance(twin_motion, FourierMotion)
     ]
     seeded_motions = [
-        fourier_motion.model_copy(update={"seed": s})
-        for s in (fourier_motion.seed, *range(1, seeds + 1))
+        fourier_motion.model_copy(update={"seed": seed})
+        for seed in (fourier_motion.seed, *range(1, seeds + 1))
     ]
-    motions = (cast(Fourier, m.trajectory()) for m in seeded_motions)
+    motions = (cast(Fourier, seeded_motion.trajectory()) for seeded_motion in seeded_motions)
     condition_number, *random_conditions = (
-        condition(evidence.robot, evidence.body.base, m) for m in motions
+        condition(evidence.robot, evidence.body.base, fourier) for fourier in motions
     )
     return {"": _as_number(condition_number / float(np.median(random_conditions)))}
 
@@ -224,7 +231,7 @@ def published(evidence: Evidence, joint: int) -> float:
 @_measure_cases
 def moved(evidence: Evidence, case: Case, joint: int) -> float:
     """Return alpha after stage 3 over that of stage 1."""
-    rows = JointRows.from_records(case.training[joint], coefficients=COEFFICIENTS)
+    rows = JointRows.from_records(case.training_records[joint], coefficients=COEFFICIENTS)
     features = HysteresisFeatures(rows=rows, discretisation="euler")
     return (
         _literal_law(evidence, case, joint).values["alpha"]
@@ -244,25 +251,29 @@ def kept(evidence: Evidence, case: Case, joint: int, *, feature: str = "") -> in
 @_measure_cases
 def recovery(evidence: Evidence, case: Case, joint: int, *, noise: Sequence[float]) -> float:
     """Return the RMSE of the law found on torques of Table I, over their standard deviation."""
-    record = case.training[joint][0]
+    record = case.training_records[joint][0]
     law = FrictionModel.read(model_file("uf850-table1")).laws[joint]
-    clean = predict(law, t=record.t, dq=record.dq)
-    tau = clean + noise[joint] * np.random.default_rng(evidence.study.seed).normal(size=len(clean))
+    true_torque = predict(law, t=record.t, dq=record.dq)
+    tau = true_torque + noise[joint] * np.random.default_rng(evidence.study.seed).normal(
+        size=len(true_torque)
+    )
     variant = evidence.study.variants[evidence.study.literal]
     fitted_law = fit_joint(
         variant.law, [replace(record, tau=tau)], seed=evidence.study.seed, options=variant.options
     )
-    return rmse(predict(fitted_law, t=record.t, dq=record.dq) - clean) / float(np.std(clean))
+    return rmse(predict(fitted_law, t=record.t, dq=record.dq) - true_torque) / float(
+        np.std(true_torque)
+    )
 
 
 @_measure_cases
 def starts(evidence: Evidence, case: Case, joint: int, *, count: int, within: float) -> float:
     """Return the share of random starts whose local search finds the best fit of LuGre."""
-    rows = JointRows.from_records(case.training[joint], coefficients=COEFFICIENTS)
+    rows = JointRows.from_records(case.training_records[joint], coefficients=COEFFICIENTS)
     problem = Separable(LuGre.core({}), LuGre().space(), rows)
     lower, upper = problem.bounds.T
     points = np.random.default_rng(evidence.study.seed).uniform(lower, upper, (count, len(lower)))
     final_costs = (problem.solve(problem.polish(point, evaluations=60))[1] for point in points)
     final_errors = np.sqrt(np.array([*final_costs]) / len(rows.tau))
-    best = min(case.models["lugre"].training_rmse[joint], float(final_errors.min()))
-    return float(np.mean(final_errors <= within * best))
+    best_error = min(case.models["lugre"].training_rmse[joint], float(final_errors.min()))
+    return float(np.mean(final_errors <= within * best_error))

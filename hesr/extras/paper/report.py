@@ -67,23 +67,27 @@ class PaperResult:
     @classmethod
     def from_evidence(cls, evidence: Evidence, command: str) -> "PaperResult":
         """Judge claims by the evidence."""
-        laws = {
-            truth: next(iter(models.values())).models for truth, models in evidence.cases.items()
+        models_by_truth = {
+            truth: next(iter(motion_cases.values())).models
+            for truth, motion_cases in evidence.cases.items()
         }
         return cls(
             command=command,
             claims=tuple(judge_claim(claim, evidence) for claim in evidence.study.claims),
             rmse={
-                t: {k: measures.level(evidence, truth=t, law=k) for k in models}
-                for t, models in laws.items()
+                truth: {
+                    law_name: measures.level(evidence, truth=truth, law=law_name)
+                    for law_name in models
+                }
+                for truth, models in models_by_truth.items()
             },
             ratios={
-                t: {
-                    k: measures.errors(evidence, truth=t, others=[k])
-                    for k in models
-                    if k != evidence.study.literal
+                truth: {
+                    law_name: measures.errors(evidence, truth=truth, others=[law_name])
+                    for law_name in models
+                    if law_name != evidence.study.literal
                 }
-                for t, models in laws.items()
+                for truth, models in models_by_truth.items()
             },
             tracking={
                 controller: {law_name: tuple(row.mean.tolist()) for law_name, row in rows.items()}
@@ -97,8 +101,8 @@ def judge_values(values: Sequence[Number], at_least: Limit | None, at_most: Limi
 
     A claim is reproduced if all are within, not reproduced if one is outside, else not testable.
     """
-    lower_ends = np.array([v.value if v.low is None else v.low for v in values])
-    upper_ends = np.array([v.value if v.high is None else v.high for v in values])
+    lower_ends = np.array([value.value if value.low is None else value.low for value in values])
+    upper_ends = np.array([value.value if value.high is None else value.high for value in values])
     lower_limit = -np.inf if at_least is None else np.array(at_least)
     upper_limit = np.inf if at_most is None else np.array(at_most)
     if np.any((upper_ends < lower_limit) | (lower_ends > upper_limit)):
@@ -111,7 +115,7 @@ def judge_claim(claim: Claim, evidence: Evidence) -> Judged:
     if not claim.measure:
         return Judged(claim=claim, values={}, verdict=OPEN)
     measured = getattr(measures, claim.measure)(evidence, **claim.options)
-    values = {label: v for label, v in measured.items() if label.endswith(claim.joint)}
+    values = {label: value for label, value in measured.items() if label.endswith(claim.joint)}
     decision = judge_values([*values.values()], claim.at_least, claim.at_most)
     return Judged(claim=claim, values=values, verdict=decision)
 
@@ -134,14 +138,14 @@ def _build_claim_table(claims: Sequence[Judged]) -> ResultTable:
             claim.printed,
             claim.test,
             "; ".join(
-                f"{label} {_format_number(v)}".strip() for label, v in judged_claim.values.items()
+                f"{label} {_format_number(value)}".strip() for label, value in judged.values.items()
             )
             or "–",
             _format_limits(claim),
-            judged_claim.verdict,
+            judged.verdict,
         )
-        for judged_claim in claims
-        for claim in [judged_claim.claim]
+        for judged in claims
+        for claim in [judged.claim]
     ]
     return ResultTable(
         caption="Claims of the paper and the twin; in brackets 95\u00a0% intervals",
@@ -194,8 +198,11 @@ def _build_tracking_table(errors: Mapping[str, Mapping[str, tuple[float, ...]]])
     for controller, errors_by_law in errors.items():
         rows.append(make_row(controller))
         rows += [
-            make_row(_TITLES.get(law_name, title(law_name)), *(fixed_cell(1e3 * v, 1) for v in row))
-            for law_name, row in errors_by_law.items()
+            make_row(
+                _TITLES.get(law_name, title(law_name)),
+                *(fixed_cell(1e3 * error, 1) for error in joint_errors),
+            )
+            for law_name, joint_errors in errors_by_law.items()
         ]
     return ResultTable(
         caption="RMSE of tracking [mrad], mean over the motions",
@@ -213,24 +220,28 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
         raise ArgumentError(f"{path}: reports of a study of claims are .html and .md.")
     is_markdown = path.suffix == ".md"
     result_tables = tables(result)
-    with written_together(path) as file:
-        files = Tables(path.parent / (f"{path.stem}_tables" if is_markdown else TABLES), file)
+    with written_together(path) as provide_file:
+        files = Tables(
+            path.parent / (f"{path.stem}_tables" if is_markdown else TABLES), provide_file
+        )
         for heading, result_table in result_tables.items():
             files.csv(result_table, heading.lower().replace(" ", "_"))
         if is_markdown:
-            bodies = [rows[StandIn.BODY_ONLY] for rows in result.tracking.values()]
+            body_errors = [rows[StandIn.BODY_ONLY] for rows in result.tracking.values()]
             text = _TEMPLATES.get_template("paper.md.j2").render(
                 command=result.command,
                 opening=compose_opening(result),
-                bodies=[[f"{1e3 * error:.0f}" for error in body] for body in bodies],
+                bodies=[
+                    [f"{1e3 * error:.0f}" for error in joint_errors] for joint_errors in body_errors
+                ],
                 controllers=[*result.tracking],
                 parts={
                     heading: markdown(result_table)
                     for heading, result_table in result_tables.items()
                 },
-                files=[f"{files.folder.name}/{file}" for file in files.written],
+                files=[f"{files.folder.name}/{provide_file}" for provide_file in files.written],
             )
-            file(path).write_text(text, encoding="utf-8")
+            provide_file(path).write_text(text, encoding="utf-8")
         else:
             answer = Written(
                 title="Claims of the paper on the digital twin",
@@ -240,7 +251,7 @@ def write_page(folder: Path, output: Path | None = None, **_: Any) -> None:
                     for heading, result_table in result_tables.items()
                 ],
             )
-            write_answer(answer, file(path))
+            write_answer(answer, provide_file(path))
 
 
 def compose_opening(result: PaperResult) -> list[str]:
@@ -250,6 +261,6 @@ def compose_opening(result: PaperResult) -> list[str]:
         static=ratios["lugre_static_first"],
         bounded=ratios["lugre_static_first_textbook"],
         fair=ratios["lugre"],
-        verdicts=[judged_claim.verdict for judged_claim in result.claims],
+        verdicts=[judged.verdict for judged in result.claims],
     )
     return [line for line in text.splitlines() if line]

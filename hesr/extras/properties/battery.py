@@ -57,25 +57,30 @@ def run_battery(
     body: tuple[Robot, RigidBody] | None = None,
     workers: int | None = None,
     progress: Progress = silent,
-    kept: Path | None = None,
+    checkpoints: Path | None = None,
 ) -> list[Properties]:
     """Examine models or FMUs in parallel under a constant load [N.m] of every joint.
 
-    The inertia of models is that of a given body. `kept` is a folder of finished results. Raises
-    ConfigError if an inertia is not valid.
+    The inertia of models is that of a given body. `checkpoints` is a folder of finished results.
+    Raises ConfigError if an inertia is not valid.
     """
     if body is not None:
         subjects = [
-            replace(examined, inertia=compute_standing_inertia(*body, examined.model))
-            if examined.model
-            else examined
-            for examined in subjects
+            replace(subject, inertia=compute_standing_inertia(*body, subject.model))
+            if subject.model
+            else subject
+            for subject in subjects
         ]
     for subject in subjects:
         _require_inertia(subject)
-    jobs = [partial(_measure_or_read, subject, load=load, checkpoints=kept) for subject in subjects]
+    jobs = [
+        partial(_measure_or_read, subject, load=load, checkpoints=checkpoints)
+        for subject in subjects
+    ]
     costs = [subject.model.size if subject.model else 0 for subject in subjects]
-    with parallel.results_of(jobs, workers, costs, [s.name for s in subjects]) as results:
+    with parallel.results_of(
+        jobs, workers, costs, [subject.name for subject in subjects]
+    ) as results:
         return [next(results) for _ in report_progress(jobs, progress)]
 
 
@@ -111,7 +116,7 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             joints = bench.joints
             inertia = _require_inertia(subject, joints)
             trained_ranges = _find_ranges(model, joints)
-            bench.places = np.array([trained_range.middle for trained_range in trained_ranges])
+            bench.positions = np.array([trained_range.middle for trained_range in trained_ranges])
             speed = np.array([trained_range.speed for trained_range in trained_ranges])
             scale = None
             try:
@@ -126,22 +131,26 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
             # Prismatic joints obey the same equations, with a mass as inertia.
             rotary_model = replace(model, sliding=())
             motor_inertia = inertia.tolist()
-            drive = export_drive(
+            drive_fmu = export_drive(
                 rotary_model, Path(folder, "drive.fmu"), inertia=motor_inertia, bare=True
             )
-            with FmuInstance(drive) as instance:
-                drive_bench = DriveBench(instance, bench.places)
+            with FmuInstance(drive_fmu) as instance:
+                drive_bench = DriveBench(instance, bench.positions)
                 is_loaded = np.array([TAU_LOAD in law.form.inputs for law in rotary_model.laws])
                 runs = {
                     experiment.__name__: partial(experiment, drive_bench, scale)
                     for experiment in _DRIVE_EXPERIMENTS
                 }
                 runs[_DRIVE_KEY] = partial(
-                    dissipation, drive_bench, scale, _peak_loads(trained_ranges, scale), is_loaded
+                    dissipation,
+                    drive_bench,
+                    scale,
+                    _find_peak_loads(trained_ranges, scale),
+                    is_loaded,
                 )
                 results_by_key |= {key: _run_experiment(run, joints) for key, run in runs.items()}
-    names = model.joints if model else [f"joint {k}" for k in range(1, joints + 1)]
-    sliding = model.slides if model else (False,) * joints
+    joint_names = model.joints if model else [f"joint {number}" for number in range(1, joints + 1)]
+    is_prismatic = model.slides if model else (False,) * joints
     return Properties(
         law=model.law if model else subject.name,
         robot=model.robot if model else "",
@@ -155,12 +164,12 @@ def measure(subject: Subject, *, load: float = 0.0) -> Properties:
                 inertia=None if inertia is None else float(inertia[j]),
                 findings={
                     key: _drop_infinite_figures(results_by_key[key][j]).to_joint_units(
-                        is_prismatic=sliding[j]
+                        is_prismatic=is_prismatic[j]
                     )
                     for key in EXPECTATIONS
                 },
             )
-            for j, name in enumerate(names)
+            for j, name in enumerate(joint_names)
         ),
     )
 
@@ -172,17 +181,19 @@ def _run_motion_experiments(
     trained_ranges: list[TrainedRange],
     inertia: Array | None,
 ) -> dict[str, list[PropertyResult]]:
-    n = bench.joints
-    laws = model.laws if model else (None,) * n
-    states = [None if law is None else len(law.form.memory) for law in laws]
+    joint_count = bench.joints
+    laws = model.laws if model else (None,) * joint_count
+    state_counts = [None if law is None else len(law.form.memory) for law in laws]
     loads = [
         (scale.load,) if law is None else choose_loads(law, trained_range)
         for law, trained_range in zip(laws, trained_ranges, strict=True)
     ]
     experiments: dict[str, Callable[[], list[PropertyResult]]] = {
         "presliding": partial(presliding, bench, scale),
-        "memory": partial(memory, bench, scale, states),
-        "nested": partial(memory, bench, scale, states, _peak_loads(trained_ranges, scale)),
+        "memory": partial(memory, bench, scale, state_counts),
+        "nested": partial(
+            memory, bench, scale, state_counts, _find_peak_loads(trained_ranges, scale)
+        ),
         "start": partial(start, bench, scale),
         "lag": partial(lag, bench, scale),
         "chatter": partial(chatter, bench, scale, trained_ranges),
@@ -195,15 +206,15 @@ def _run_motion_experiments(
     else:
         experiments["coupling"] = partial(coupling, bench, scale, inertia)
     skipped_results = {
-        key: [PropertyResult(verdict="not run", reason=reason)] * n
+        key: [PropertyResult(verdict="not run", reason=reason)] * joint_count
         for key, reason in reasons.items()
     }
     return skipped_results | {
-        key: _run_experiment(experiment, n) for key, experiment in experiments.items()
+        key: _run_experiment(experiment, joint_count) for key, experiment in experiments.items()
     }
 
 
-def _peak_loads(trained_ranges: list[TrainedRange], scale: Scale) -> Array:
+def _find_peak_loads(trained_ranges: list[TrainedRange], scale: Scale) -> Array:
     """Return the largest trained load (n,) [N.m], or load plus friction level."""
     trained_loads = np.array(
         [max(trained_range.tau_load, key=abs) for trained_range in trained_ranges]
@@ -212,12 +223,12 @@ def _peak_loads(trained_ranges: list[TrainedRange], scale: Scale) -> Array:
 
 
 def _run_experiment(
-    experiment: Callable[[], list[PropertyResult]], joints: int
+    experiment: Callable[[], list[PropertyResult]], joint_count: int
 ) -> list[PropertyResult]:
     try:
         return experiment()
     except SimulationError as error:
-        return [_fail_property(error)] * joints
+        return [_fail_property(error)] * joint_count
 
 
 def _fail_property(error: SimulationError) -> PropertyResult:
@@ -226,8 +237,10 @@ def _fail_property(error: SimulationError) -> PropertyResult:
 
 def _drop_infinite_figures(property_result: PropertyResult) -> PropertyResult:
     figures = (
-        f if f.value is None or isfinite(f.value) else Figure(name=f.name, value=None, unit=f.unit)
-        for f in property_result.figures
+        figure
+        if figure.value is None or isfinite(figure.value)
+        else Figure(name=figure.name, value=None, unit=figure.unit)
+        for figure in property_result.figures
     )
     return replace(property_result, figures=tuple(figures))
 
@@ -235,13 +248,13 @@ def _drop_infinite_figures(property_result: PropertyResult) -> PropertyResult:
 def _find_ranges(model: FrictionModel | None, joints: int) -> list[TrainedRange]:
     sample_time = model.sample_time if model else _SAMPLE_TIME
     if model and model.trained:
-        return [replace(trained_range, sample_time=sample_time) for trained_range in model.trained]
+        return [replace(known_range, sample_time=sample_time) for known_range in model.trained]
     zero_range = (0.0, 0.0)
     dq = (-UNKNOWN_SPEED, UNKNOWN_SPEED)
-    unknown = TrainedRange(
+    trained_range = TrainedRange(
         sample_time=sample_time, dq=dq, q=zero_range, tau_load=zero_range, tau=zero_range
     )
-    return [unknown] * joints
+    return [trained_range] * joints
 
 
 def _require_inertia(subject: Subject, joints: int | None = None) -> Array | None:
@@ -256,8 +269,7 @@ def _require_inertia(subject: Subject, joints: int | None = None) -> Array | Non
     if joint_count is not None and len(inertia) not in (1, joint_count):
         raise ConfigError(
             f"{subject.name}: {len(inertia)} inertias; expected one, or one for each of the "
-            f"{joint_count} "
-            "joints."
+            f"{joint_count} joints."
         )
     for number, value in enumerate(inertia, start=1):
         if not (isfinite(value) and value > 0.0):

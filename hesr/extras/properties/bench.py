@@ -15,66 +15,71 @@ from hesr_model.support.arrays import Array
 DISCRETISATION = "discretisation"
 _EXACT = 1.0
 _MAX_SUBSTEP = 5e-3  # [s] without exact integration
-_EXACT_SLIDING_TIME = 1e4
-_SLIDING_TIME = 60.0  # [s] of steady sliding, with exact integration and without
+_EXACT_SLIDING_TIME = 1e4  # [s] of steady sliding with exact integration
+_SLIDING_TIME = 60.0  # [s] of steady sliding without
 
 
 class _Bench:
     """An FMU with vectors of inputs and outputs, stepped from its own time zero."""
 
     def __init__(
-        self, component: FmuInstance, joints: int, inputs: Sequence[str], outputs: Sequence[str]
+        self, instance: FmuInstance, joints: int, inputs: Sequence[str], outputs: Sequence[str]
     ) -> None:
         self.joints = joints
-        self._component = component
+        self._instance = instance
         self._inputs, self._outputs = (
-            component.buffer([f"{name}[{i}]" for name in names for i in range(1, joints + 1)])
-            for names in (inputs, outputs)
+            instance.buffer(
+                [f"{name}[{number}]" for name in vector_names for number in range(1, joints + 1)]
+            )
+            for vector_names in (inputs, outputs)
         )
         self._rows = self._inputs.values.reshape(len(inputs), joints)
         self._time = 0.0
 
     def _start(self, start: Mapping[str, float | str]) -> None:
-        if self._component.used:
-            self._component.reset()
-        self._component.initialise(start=start, inputs=self._inputs)
+        if self._instance.used:
+            self._instance.reset()
+        self._instance.initialise(start=start, inputs=self._inputs)
         self._time = 0.0
 
     def _step(self, dt: float) -> Array:
         self._inputs.write()
-        self._component.step(self._time, dt)
+        self._instance.step(self._time, dt)
         self._time += dt
         return self._outputs.read()
 
     def _hold_rows(self, dt: Array, rows: Array) -> Array:
         """Hold each row of inputs for its time (K,) [s]; return the outputs at the ends."""
         times = np.cumsum(np.concatenate([[self._time], dt]))
-        outputs = step_rows(self._component, self._inputs, self._outputs, times[:-1], dt, rows)
+        outputs = step_rows(self._instance, self._inputs, self._outputs, times[:-1], dt, rows)
         self._inputs.values[:] = rows[-1]
         self._time = float(times[-1])
         return outputs
 
 
 class FrictionBench(_Bench):
-    """A friction FMU whose joints move independently from `places` (n,) [rad]."""
+    """A friction FMU whose joints move independently from `positions` (n,) [rad]."""
 
-    def __init__(self, component: FmuInstance) -> None:
-        names: set[str] = {v.name for v in component.description.modelVariables}
-        joints = sum(name.startswith("tau[") for name in names)
-        input_names = [f"{u.name}[{i}]" for u in INPUTS for i in range(1, max(joints, 1) + 1)]
+    def __init__(self, instance: FmuInstance) -> None:
+        names: set[str] = {variable.name for variable in instance.description.modelVariables}
+        joint_count = sum(name.startswith("tau[") for name in names)
+        input_names = [
+            f"{quantity.name}[{number}]"
+            for quantity in INPUTS
+            for number in range(1, max(joint_count, 1) + 1)
+        ]
         for name in ("tau[1]", *input_names):
             if name not in names:
                 raise SimulationError(
-                    f"{component.fmu}: not a friction FMU: '{name}' is missing; it needs the "
+                    f"{instance.fmu}: not a friction FMU: '{name}' is missing; it needs the "
                     "inputs dq[i], q[i], tau_load[i] and the outputs tau[i]."
                 )
-        super().__init__(component, joints, [u.name for u in INPUTS], ["tau"])
-        self.places = np.zeros(joints)
+        super().__init__(instance, joint_count, [quantity.name for quantity in INPUTS], ["tau"])
+        self.positions = np.zeros(joint_count)
         self.exact = DISCRETISATION in names  # integrates exactly over any step
-        self._settles = START_MODE in names
-        self.forever = (
-            _EXACT_SLIDING_TIME if self.exact else _SLIDING_TIME
-        )  # time of steady sliding [s]
+        self._has_start_mode = START_MODE in names
+        # Time of steady sliding [s].
+        self.sliding_time = _EXACT_SLIDING_TIME if self.exact else _SLIDING_TIME
 
     def start(
         self,
@@ -90,10 +95,10 @@ class FrictionBench(_Bench):
         `exact` overrides the discretisation of the law.
         """
         start_values = {DISCRETISATION: _EXACT} if exact and self.exact else {}
-        if unmoved and self._settles:
+        if unmoved and self._has_start_mode:
             start_values[START_MODE] = GIVEN
         self._rows[0] = 0.0 if dq is None else dq
-        self._rows[1] = self.places
+        self._rows[1] = self.positions
         self._rows[2] = load
         self._start(start_values)
         return self._outputs.read().copy()
@@ -110,7 +115,7 @@ class FrictionBench(_Bench):
 
         The position `q` (K, n) [rad] is constant by default.
         """
-        q = np.broadcast_to(self.places, dq.shape) if q is None else q
+        q = np.broadcast_to(self.positions, dq.shape) if q is None else q
         load_rows = np.broadcast_to(self._rows[2], dq.shape) if load is None else load
         substeps = np.ones(len(dt), dtype=int)
         if not self.exact:
@@ -124,10 +129,10 @@ class FrictionBench(_Bench):
 class DriveBench(_Bench):
     """A JointDrive with motor torque, and a link for joints with a spring."""
 
-    def __init__(self, component: FmuInstance, places: Array) -> None:
-        self.places = places
+    def __init__(self, instance: FmuInstance, positions: Array) -> None:
+        self.positions = positions
         inputs = ("tau_motor", "q_link", "dq_link", "tau_load")
-        super().__init__(component, len(places), inputs, ("q", "dq", "tau_f"))
+        super().__init__(instance, len(positions), inputs, ("q", "dq", "tau_f"))
         self.torque = self._rows[0]  # motor torque (n,) [N.m], set in place
 
     def start(
@@ -142,17 +147,17 @@ class DriveBench(_Bench):
 
         `stiffness` (n,) is that of the flexsplines [N.m/rad], `substep` the longest inner step [s].
         """
-        vectors = {"q_start": self.places, "stiffness": stiffness}
-        start: dict[str, Value] = {
-            k: tuple(v.tolist()) for k, v in vectors.items() if v is not None
+        vectors = {"q_start": self.positions, "stiffness": stiffness}
+        start_values: dict[str, Value] = {
+            name: tuple(values.tolist()) for name, values in vectors.items() if values is not None
         }
         if substep is not None:
-            start["substep"] = substep
+            start_values["substep"] = substep
         self._rows[0] = torque
-        self._rows[1] = self.places
+        self._rows[1] = self.positions
         self._rows[2] = 0.0
         self._rows[3] = load
-        self._start(self._component.variables.expand_values(start))
+        self._start(self._instance.variables.expand_values(start_values))
 
     def step(self, dt: float) -> Array:
         """Step; return q, dq and friction torque (3, n), valid for one step."""

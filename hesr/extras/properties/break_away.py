@@ -17,7 +17,7 @@ AMPLITUDES = (0.02, 0.5, 2.0)  # in friction levels: pre-sliding, half the level
 _TORQUE_FREQUENCY = 1.0  # [Hz] of the torque; the load has twice as much
 PHASES = (0.5 * np.pi, 1.5 * np.pi)  # load phase [rad]
 _INNER_STEP = 4e-3  # [s] communication and inner step: rows contain all work
-_ROWS_PER_CYCLE = round(1.0 / (_TORQUE_FREQUENCY * _INNER_STEP))  # per cycle
+_ROWS_PER_CYCLE = round(1.0 / (_TORQUE_FREQUENCY * _INNER_STEP))
 _CYCLE_COUNT = 10
 _MEASURED_CYCLES = 4
 _SPRING_STRETCH = 20.0  # stretch at the friction level, in deflections
@@ -46,14 +46,14 @@ def dissipation(
                 substep=_INNER_STEP,
             )
             q, dq, tau = (
-                part[-_MEASURED_CYCLES * _ROWS_PER_CYCLE :]
-                for part in bench.run(dt, torque=torque, load=load)
+                signal[-_MEASURED_CYCLES * _ROWS_PER_CYCLE :]
+                for signal in bench.run(dt, torque=torque, load=load)
             )
             # An offset does no work over a closed cycle.
             generated = -((tau - scale.offset) * dq).sum(axis=0) * _INNER_STEP / _MEASURED_CYCLES
             generated = np.where(np.isfinite(generated), generated, np.inf)
             for j in np.flatnonzero(generated > [cycle[0] for cycle in worst_cycles]):
-                displacement = q[-_ROWS_PER_CYCLE:, j] - bench.places[j]
+                displacement = q[-_ROWS_PER_CYCLE:, j] - bench.positions[j]
                 worst_cycles[j] = (
                     float(generated[j]),
                     share,
@@ -68,7 +68,7 @@ def _judge_dissipation(generated: float, share: float, q: Array, tau: Array) -> 
     return judge(
         ("most energy given in a cycle", max(0.0, generated), "J"),
         ("amplitude of the torque, of the level", share, "1"),
-        wrong=[sentence] if generated > ENERGY_ROUND_OFF else [],
+        faults=[sentence] if generated > ENERGY_ROUND_OFF else [],
         plot=plot("position", "torque", curve("", 1e3 * q, tau, closed=True)),
     )
 
@@ -78,25 +78,27 @@ _STRETCHING_TIMES = 6.0  # run time in stretching times
 _TIME_STEP = 1e-2  # [s]
 _MAX_SPEED_SHARE = 0.2  # end of the examined curve, in trained speeds
 _MAX_FLAT_FALL = 1e-3  # fall in levels; up to WEAKENING both outcomes are right
-_MAX_STICKING_SPEED = 0.1
-_MIN_SLIPPING_SPEED = 1.5  # shares of the pulling speed
+_MAX_STICKING_SPEED = 0.1  # over the pulling speed
+_MIN_SLIPPING_SPEED = 1.5  # over the pulling speed
 _MIN_AMPLITUDE_RATIO = 0.8  # ratio of the last two quarters' amplitudes
 
 
 def stick_slip(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Pull the joints by springs at the speed where their steady curve falls most."""
-    pulls, falls = zip(*(_find_steepest_fall(scale, j) for j in range(bench.joints)), strict=True)
-    pull = np.array(pulls)
-    seconds = _STRETCHING_TIMES * STRETCH / float(np.min(pull))
+    speeds, falls = zip(*(_find_steepest_fall(scale, j) for j in range(bench.joints)), strict=True)
+    pulling_speeds = np.array(speeds)
+    seconds = _STRETCHING_TIMES * STRETCH / float(np.min(pulling_speeds))
     bench.start(load=scale.load, torque=scale.offset, stiffness=scale.level / STRETCH)
     rows = int(np.ceil(seconds / _TIME_STEP))
     ahead = 0.5 * STRETCH
     t = _TIME_STEP * np.arange(1, rows + 1, dtype=float)
-    link = bench.places + ahead + pull * t[:, None]
-    q, dq, _ = bench.run(np.full(rows, _TIME_STEP), link=link)
-    stretch = link - q
+    link_position = bench.positions + ahead + pulling_speeds * t[:, None]
+    q, dq, _ = bench.run(np.full(rows, _TIME_STEP), link=link_position)
+    stretch = link_position - q
     return [
-        _judge_stick_slip(t, stretch[:, j], dq[:, j], pulls[j], falls[j], bool(scale.drives[j]))
+        _judge_stick_slip(
+            t, stretch[:, j], dq[:, j], speeds[j], falls[j], bool(scale.is_driving[j])
+        )
         for j in range(bench.joints)
     ]
 
@@ -107,51 +109,51 @@ def _find_steepest_fall(scale: Scale, j: int) -> tuple[float, float]:
     tau = np.interp(speeds, scale.speeds[:, j], scale.steady[:, j])
     fall = np.max(np.maximum.accumulate(tau) - tau) / scale.level[j]
     slope = np.gradient(tau, speeds)
-    steepest = int(np.argmin(slope))
-    return float(speeds[steepest if slope[steepest] < 0.0 else 0]), float(fall)
+    steepest_row = int(np.argmin(slope))
+    return float(speeds[steepest_row if slope[steepest_row] < 0.0 else 0]), float(fall)
 
 
 def _judge_stick_slip(
-    t: Array, stretch: Array, dq: Array, pull: float, falls: float, drives: bool
+    t: Array, stretch: Array, dq: Array, pulling_speed: float, fall: float, is_driving: bool
 ) -> PropertyResult:
     half = len(t) // 2
     quarter = 3 * len(t) // 4
     third_swing, last_swing = (
-        float(np.ptp(part)) for part in (stretch[half:quarter], stretch[quarter:])
+        float(np.ptp(swing)) for swing in (stretch[half:quarter], stretch[quarter:])
     )
     slowest = float(np.min(dq[half:]))
     fastest = float(np.max(dq[half:]))
-    cycles = (
-        slowest < _MAX_STICKING_SPEED * pull
-        and fastest > _MIN_SLIPPING_SPEED * pull
+    is_cycling = (
+        slowest < _MAX_STICKING_SPEED * pulling_speed
+        and fastest > _MIN_SLIPPING_SPEED * pulling_speed
         and last_swing >= _MIN_AMPLITUDE_RATIO * third_swing
     )
-    begins = t[half + 1 :][(dq[half:-1] <= pull) & (dq[half + 1 :] > pull)]
-    period = float(np.mean(np.diff(begins))) if cycles and len(begins) > 1 else None
-    weak = falls >= MIN_WEAKENING
-    flat = falls <= _MAX_FLAT_FALL
+    slip_times = t[half + 1 :][(dq[half:-1] <= pulling_speed) & (dq[half + 1 :] > pulling_speed)]
+    period = float(np.mean(np.diff(slip_times))) if is_cycling and len(slip_times) > 1 else None
+    is_weakening = fall >= MIN_WEAKENING
+    is_flat = fall <= _MAX_FLAT_FALL
     outcome = "It ends in steady sliding"
-    if cycles:
+    if is_cycling:
         outcome = (
-            f"It cycles between {slowest / pull:.2g} and {fastest / pull:.2g} times the "
-            "pulling speed"
+            f"It cycles between {slowest / pulling_speed:.2g} and "
+            f"{fastest / pulling_speed:.2g} times the pulling speed"
         )
-    if drives:
+    if is_driving:
         passes = False
         reason = "its steady friction acts in the direction of motion at low speed"
-    elif weak or flat:
-        passes = cycles == weak
-        reason = f"its steady curve falls by {falls:.1%} of the level"
+    elif is_weakening or is_flat:
+        passes = is_cycling == is_weakening
+        reason = f"its steady curve falls by {fall:.1%} of the level"
     else:
         passes = True
-        reason = f"its steady curve falls by only {falls:.1%}, so both are allowed"
+        reason = f"its steady curve falls by only {fall:.1%}, so both are allowed"
     return PropertyResult(
         verdict="pass" if passes else "fail",
         figures=figures(
-            ("amplitude of the limit cycle", 0.5 * last_swing if cycles else 0.0, "rad"),
+            ("amplitude of the limit cycle", 0.5 * last_swing if is_cycling else 0.0, "rad"),
             ("period of the limit cycle", period, "s"),
-            ("pulling speed", pull, "rad/s"),
-            ("fall of the steady curve, of the level", falls, "1"),
+            ("pulling speed", pulling_speed, "rad/s"),
+            ("fall of the steady curve, of the level", fall, "1"),
         ),
         reason=f"{outcome}; {reason}.",
         plot=plot("time", "stretch", curve("", t, 1e3 * stretch, max_points=160)),
@@ -160,23 +162,23 @@ def _judge_stick_slip(
 
 RAMPS = (10.0, 3.0, 1.0, 0.3)  # [s] up to the friction level
 LOAD = 0.5  # held load in friction levels
-DITHER = 0.2
-FREQUENCY = 5.0  # amplitude in friction levels, [Hz]
+DITHER = 0.2  # amplitude in friction levels
+FREQUENCY = 5.0  # of the dither [Hz]
 MINUTE = 60.0
 
 _SLIDING_SPEED = 0.05  # sliding threshold in trained speeds
 _MAX_RAMP_LEVEL = 3.0  # end of a ramp, in friction levels
-_RAMP_STEPS = 1000  # steps up to the friction level
+_RAMP_STEPS = 1000  # up to the friction level
 _MAX_CREEP_RATIO = 2.0  # ratio of displacements on ramps of different rate; pre-sliding has 1
-_LOADING_TIME = 1.0
-_SETTLING_TIME = 1.0  # [s] rise of a load, and rest
-_STEPS_PER_PERIOD = 20  # steps of the dither
+_LOADING_TIME = 1.0  # [s] of the rise of a load
+_SETTLING_TIME = 1.0  # [s] of rest after it
+_STEPS_PER_PERIOD = 20  # of the dither
 
 
 def breakaway(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Raise the torque from rest at several rates until the joints slide."""
     peaks, displacements = np.swapaxes(
-        [_run_ramp(bench, scale, seconds) for seconds in RAMPS], 0, 1
+        [_run_ramp(bench, scale, ramp_time) for ramp_time in RAMPS], 0, 1
     )
     return [
         _judge_break_away(peaks[:, j], displacements[:, j], float(scale.level[j]))
@@ -191,26 +193,26 @@ def _run_ramp(bench: DriveBench, scale: Scale, seconds: float) -> tuple[Array, A
     """
     bench.start(load=scale.load, torque=scale.offset)
     dt = seconds / _RAMP_STEPS
-    slides = _SLIDING_SPEED * scale.speed
+    sliding_speed = _SLIDING_SPEED * scale.speed
     rows: list[Array] = []
     is_sliding = np.zeros(bench.joints, dtype=bool)
-    for k in range(1, int(_MAX_RAMP_LEVEL * _RAMP_STEPS) + 1):
+    for step in range(1, int(_MAX_RAMP_LEVEL * _RAMP_STEPS) + 1):
         # Release sliding joints before they run away.
-        bench.torque[:] = scale.offset + np.where(is_sliding, 0.0, k / _RAMP_STEPS * scale.level)
+        bench.torque[:] = scale.offset + np.where(is_sliding, 0.0, step / _RAMP_STEPS * scale.level)
         outputs = bench.step(dt).copy()
         outputs[:, is_sliding] = np.nan
         rows.append(outputs)
-        is_sliding |= np.abs(outputs[1]) > slides
+        is_sliding |= np.abs(outputs[1]) > sliding_speed
         if is_sliding.all():
             break
-    q, _, tau = (np.array(part) for part in zip(*rows, strict=True))
+    q, _, tau = (np.array(signal) for signal in zip(*rows, strict=True))
     friction = tau - scale.offset
     peak, displacement = np.full((2, bench.joints), np.nan)
     for j in np.flatnonzero(is_sliding):
         is_valid = ~np.isnan(q[:, j])
         peak[j] = friction[is_valid, j].max()
         half_row = int(np.argmax(friction[is_valid, j] >= 0.5 * peak[j]))
-        displacement[j] = abs(q[half_row, j] - bench.places[j])
+        displacement[j] = abs(q[half_row, j] - bench.positions[j])
     return peak, displacement
 
 
@@ -218,7 +220,9 @@ def _judge_break_away(peaks: Array, displacements: Array, level: float) -> Prope
     if np.isnan(peaks).any():
         return judge(
             ("fall of the break-away torque", None, "1"),
-            wrong=[f"The joint does not slide below {_MAX_RAMP_LEVEL:g} times its friction level."],
+            faults=[
+                f"The joint does not slide below {_MAX_RAMP_LEVEL:g} times its friction level."
+            ],
         )
     fall = float((peaks[0] - peaks[-1]) / peaks[0]) if peaks[0] > 0.0 else 0.0
     faults = []
@@ -240,7 +244,7 @@ def _judge_break_away(peaks: Array, displacements: Array, level: float) -> Prope
         ("fall of the break-away torque", fall, "1"),
         ("break-away torque on the slowest ramp", float(peaks[0]), "N.m"),
         ("break-away torque on the fastest ramp", float(peaks[-1]), "N.m"),
-        wrong=faults,
+        faults=faults,
         plot=plot("log10 rate", "break-away", curve("", np.log10(level / np.array(RAMPS)), peaks)),
     )
 
@@ -256,23 +260,25 @@ def hold(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
 
 def dither(bench: DriveBench, scale: Scale) -> list[PropertyResult]:
     """Hold a constant load plus a small oscillating one for a minute."""
-    load = LOAD * scale.bears
+    load = LOAD * scale.holding_torque
     bench.start(load=scale.load, torque=scale.offset)
     _apply_load(bench, scale, load)
-    rows = round((MINUTE + _SETTLING_TIME) * FREQUENCY * _STEPS_PER_PERIOD)
-    dt = np.full(rows, 1.0 / (FREQUENCY * _STEPS_PER_PERIOD))
-    wave = np.sin(2.0 * np.pi / _STEPS_PER_PERIOD * (np.arange(rows) + 0.5))
-    q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.bears)[0]
+    step_count = round((MINUTE + _SETTLING_TIME) * FREQUENCY * _STEPS_PER_PERIOD)
+    dt = np.full(step_count, 1.0 / (FREQUENCY * _STEPS_PER_PERIOD))
+    wave = np.sin(2.0 * np.pi / _STEPS_PER_PERIOD * (np.arange(step_count) + 0.5))
+    q = bench.run(dt, torque=scale.offset + load + DITHER * wave[:, None] * scale.holding_torque)[0]
     # The mean of each period hides the oscillation.
-    middle = q.reshape(-1, _STEPS_PER_PERIOD, bench.joints).mean(axis=1)
-    middle = middle[round(_SETTLING_TIME * FREQUENCY) :]
-    return _judge_drift(np.arange(len(middle)) / FREQUENCY, middle)
+    mean_position = q.reshape(-1, _STEPS_PER_PERIOD, bench.joints).mean(axis=1)
+    mean_position = mean_position[round(_SETTLING_TIME * FREQUENCY) :]
+    return _judge_drift(np.arange(len(mean_position)) / FREQUENCY, mean_position)
 
 
 def _apply_load(bench: DriveBench, scale: Scale, load: Array) -> None:
-    steps = 100
-    rise = 0.5 - 0.5 * np.cos(np.pi / steps * np.arange(1, steps + 1))
-    bench.run(np.full(steps, _LOADING_TIME / steps), torque=scale.offset + rise[:, None] * load)
+    step_count = 100
+    rise = 0.5 - 0.5 * np.cos(np.pi / step_count * np.arange(1, step_count + 1))
+    bench.run(
+        np.full(step_count, _LOADING_TIME / step_count), torque=scale.offset + rise[:, None] * load
+    )
     bench.step(_SETTLING_TIME)
 
 
@@ -280,17 +286,17 @@ def _judge_drift(t: Array, q: Array) -> list[PropertyResult]:
     results = []
     for joint_q in q.T:
         drift = float(joint_q[-1] - joint_q[0])
-        rate = float(np.diff(joint_q[len(joint_q) // 2 :]).sum() / (t[-1] - t[len(t) // 2]))
+        drift_rate = float(np.diff(joint_q[len(joint_q) // 2 :]).sum() / (t[-1] - t[len(t) // 2]))
         if not np.isfinite(drift):
             results.append(
-                judge(("drift in a minute", None, "rad"), wrong=["The joint runs away."])
+                judge(("drift in a minute", None, "rad"), faults=["The joint runs away."])
             )
             continue
         results.append(
             judge(
                 ("drift in a minute", drift, "rad"),
-                ("rate of the second half", rate, "rad/s"),
-                wrong=["It creeps."] if abs(drift) > MAX_DRIFT else [],
+                ("rate of the second half", drift_rate, "rad/s"),
+                faults=["It creeps."] if abs(drift) > MAX_DRIFT else [],
                 plot=plot(
                     "time", "moved", curve("", t, 1e3 * (joint_q - joint_q[0]), max_points=60)
                 ),

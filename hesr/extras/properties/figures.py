@@ -7,17 +7,17 @@ from cosim.report.figures.style import LINE, SERIES, SOFT, apply_style
 from fmu_src.pages.datasheet import figure as format_number
 from hesr_model.audit.properties import Plot
 
-_WIDTH = 236.0
-_HEIGHT = 148.0  # size of a figure [pt]
-_SIDE_MARGIN = 6.0
-_END_MARGIN = 18.0  # margins of the axes [pt]
+_WIDTH = 236.0  # of a figure [pt]
+_HEIGHT = 148.0  # of a figure [pt]
+_SIDE_MARGIN = 6.0  # of the axes [pt]
+_END_MARGIN = 18.0  # of the axes [pt]
 _AXES = (
     _SIDE_MARGIN / _WIDTH,
     _END_MARGIN / _HEIGHT,
     1.0 - 2.0 * _SIDE_MARGIN / _WIDTH,
     1.0 - 2.0 * _END_MARGIN / _HEIGHT,
 )
-_TEXT_SIZE = 9.5
+_TEXT_SIZE = 9.5  # [pt]
 _TEXT_GAP = 3.0  # between the axes and their texts [pt]
 _DIGITS = 3
 

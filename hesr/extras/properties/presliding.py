@@ -16,11 +16,11 @@ from hesr_model.audit.properties import (
 )
 from hesr_model.support.arrays import Array
 
-PERIOD = 4.0
-SLOW_PERIOD = 40.0  # [s] of the loops
+PERIOD = 4.0  # [s] of a loop
+SLOW_PERIOD = 40.0  # [s] of a loop at a tenth of the speed
 _CYCLE_COUNT = 3  # the last one is measured
-_JUMP_SHARE = 5e-4
-_STIFFNESS_SHARE = 0.025  # shares of a branch: end of a jump, and of the stiffness measurement
+_JUMP_SHARE = 5e-4  # share of a branch at the end of a jump
+_STIFFNESS_SHARE = 0.025  # share of a branch at the end of the stiffness measurement
 _BRANCH_SHARES = np.concatenate([[_JUMP_SHARE, 5e-3, _STIFFNESS_SHARE], np.linspace(0.05, 1.0, 39)])
 _TURNING_SHARE = 0.75  # share of the rising branch before an inner loop
 # Return path, in amplitudes of the outer loop.
@@ -43,7 +43,10 @@ def presliding(bench: FrictionBench, scale: Scale) -> list[PropertyResult]:
 
 
 def memory(
-    bench: FrictionBench, scale: Scale, states: Sequence[int | None], peaks: Array | None = None
+    bench: FrictionBench,
+    scale: Scale,
+    state_counts: Sequence[int | None],
+    peaks: Array | None = None,
 ) -> list[PropertyResult]:
     """Reverse on the rising branch of a loop too slow for memory of time, return and continue.
 
@@ -54,20 +57,20 @@ def memory(
     if peaks is not None:
         load_swing = np.ptp(_run_loop(bench, scale, SLOW_PERIOD, peaks), axis=0)
     loop = _run_loop(bench, scale, SLOW_PERIOD, scale.load if peaks is None else 0.5 * peaks)
-    branch = partial(_move_along_branch, bench, scale, SLOW_PERIOD)
-    branch(-1.0, _BRANCH_SHARES)
-    parts = [branch(1.0, _BRANCH_SHARES[: _TURNING_ROW + 1])[-1:]]
-    path = [np.zeros(1)]  # in amplitudes below the turning point
+    move = partial(_move_along_branch, bench, scale, SLOW_PERIOD)
+    move(-1.0, _BRANCH_SHARES)
+    torques = [move(1.0, _BRANCH_SHARES[: _TURNING_ROW + 1])[-1:]]
+    displacements = [np.zeros(1)]  # in amplitudes below the turning point
     for sign, shares in moves:
         rise = 0.5 - 0.5 * np.cos(2.0 * np.pi * shares / shares[-1])
         load = None if peaks is None else (0.5 + 0.5 * rise)[:, None] * peaks
-        parts.append(branch(sign, shares, load))
-        path.append(path[-1][-1] - 2.0 * sign * shares)
-    if len(parts) > 3:
-        innermost = parts[3][-1] - parts[1][-1]
-    continuation = branch(1.0, _BRANCH_SHARES[_TURNING_ROW + 1 :] - _BRANCH_SHARES[_TURNING_ROW])
-    inner = np.concatenate(parts)
-    inner_path = 2.0 * _TURNING_SHARE - 1.0 - np.concatenate(path)
+        torques.append(move(sign, shares, load))
+        displacements.append(displacements[-1][-1] - 2.0 * sign * shares)
+    if len(torques) > 3:
+        innermost = torques[3][-1] - torques[1][-1]
+    continuation = move(1.0, _BRANCH_SHARES[_TURNING_ROW + 1 :] - _BRANCH_SHARES[_TURNING_ROW])
+    inner = np.concatenate(torques)
+    inner_path = 2.0 * _TURNING_SHARE - 1.0 - np.concatenate(displacements)
     results = []
     for j, amplitude in enumerate(scale.deflection.tolist()):
         outer = loop[-len(_BRANCH_SHARES) :, j]
@@ -84,26 +87,25 @@ def memory(
             faults.append(f"The inner loop is as high as the outer one ({depth:.0%}): no memory.")
         if max(closing_error, continuation_error) > MAX_CLOSING_ERROR:
             faults.append(
-                f"The inner loop misses its start by {closing_error:.1%} of the outer height, "
-                "the branch "
-                f"after it by up to {continuation_error:.1%}."
+                f"The inner loop misses its start by {closing_error:.1%} of the outer height, the "
+                f"branch after it by up to {continuation_error:.1%}."
             )
-        if faults and states[j] == 1:
+        if faults and state_counts[j] == 1:
             faults.append("One first-order state cannot have non-local memory.")
-        if faults and states[j] == 0:
+        if faults and state_counts[j] == 0:
             faults.append("A law without a state has no memory.")
         # A loop as high as the outer one has no memory.
-        closes = None if depth > MAX_INNER_HEIGHT else closing_error
+        closing_figure = None if depth > MAX_INNER_HEIGHT else closing_error
         curves = (
             curve("outer", 1e3 * amplitude * (2.0 * _BRANCH_SHARES - 1.0), outer),
             curve("inner", 1e3 * amplitude * inner_path, inner[:, j]),
         )
         results.append(
             judge(
-                ("miss of the closed inner loop, of the height", closes, "1"),
+                ("miss of the closed inner loop, of the height", closing_figure, "1"),
                 ("largest difference after it, of the height", continuation_error, "1"),
                 ("height of the inner loop, of the outer", depth, "1"),
-                wrong=faults,
+                faults=faults,
                 plot=plot("position", "torque", *curves),
             )
         )
@@ -137,42 +139,43 @@ def _run_loop(bench: FrictionBench, scale: Scale, period: float, load: float | A
 def _judge_presliding(fast: Array, slow: Array, amplitude: float) -> PropertyResult:
     half_rows = len(_BRANCH_SHARES)
     height = float(np.ptp(fast))
-    rising = amplitude * (2.0 * _BRANCH_SHARES - 1.0)
-    x = np.concatenate([-rising, rising])
+    rising_positions = amplitude * (2.0 * _BRANCH_SHARES - 1.0)
+    positions = np.concatenate([-rising_positions, rising_positions])
     area, slow_area = (
-        float(np.trapezoid(np.append(tau, tau[0]), np.append(x, x[0]))) for tau in (fast, slow)
+        float(np.trapezoid(np.append(tau, tau[0]), np.append(positions, positions[0])))
+        for tau in (fast, slow)
     )
     jump = float(fast[half_rows - 1] - fast[half_rows])
     stiff_row = int(np.searchsorted(_BRANCH_SHARES, _STIFFNESS_SHARE))
     displacement = 2.0 * amplitude * (_BRANCH_SHARES[stiff_row] - _BRANCH_SHARES[0])
     stiffness = float(fast[half_rows + stiff_row] - fast[half_rows]) / displacement
-    share = abs(jump) / height if height > _MIN_HEIGHT else 0.0
-    ratio = slow_area / area if abs(area) > _MIN_HEIGHT * amplitude else 0.0
+    jump_share = abs(jump) / height if height > _MIN_HEIGHT else 0.0
+    area_ratio = slow_area / area if abs(area) > _MIN_HEIGHT * amplitude else 0.0
     faults = []
     if area <= 0.0:
         faults.append("The loop generates energy.")
-    if share > _MAX_JUMP:
+    if jump_share > _MAX_JUMP:
         faults.append("No pre-sliding: the torque reverses at once.")
-    elif share > MAX_JUMP:
-        faults.append(f"The torque jumps by {share:.0%} of the loop's height at a reversal.")
+    elif jump_share > MAX_JUMP:
+        faults.append(f"The torque jumps by {jump_share:.0%} of the loop's height at a reversal.")
     if stiffness < 0.0:
         faults.append("After a reversal the torque changes in the wrong direction.")
-    if abs(ratio - 1.0) > MAX_RATE_CHANGE:
+    if abs(area_ratio - 1.0) > MAX_RATE_CHANGE:
         faults.append(
-            f"At a tenth of the speed the loop dissipates {ratio:.2g} times the work: it depends "
-            "on velocity, not on position."
+            f"At a tenth of the speed the loop dissipates {area_ratio:.2g} times the work: it "
+            "depends on velocity, not on position."
         )
     return judge(
         ("stiffness after a reversal", stiffness, "N.m/rad"),
         ("area of the loop", area, "J"),
-        ("area at a tenth of the speed, relative", ratio, "1"),
-        ("jump at a reversal, of the height", share, "1"),
+        ("area at a tenth of the speed, relative", area_ratio, "1"),
+        ("jump at a reversal, of the height", jump_share, "1"),
         ("amplitude", amplitude, "rad"),
-        wrong=faults,
+        faults=faults,
         plot=plot(
             "position",
             "torque",
-            curve(f"{PERIOD:g} s", 1e3 * x, fast, closed=True),
-            curve(f"{SLOW_PERIOD:g} s", 1e3 * x, slow, closed=True),
+            curve(f"{PERIOD:g} s", 1e3 * positions, fast, closed=True),
+            curve(f"{SLOW_PERIOD:g} s", 1e3 * positions, slow, closed=True),
         ),
     )

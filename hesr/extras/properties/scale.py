@@ -29,12 +29,15 @@ _UNITS = {
 
 def curve(label: str, x: Array, y: Array, *, closed: bool = False, max_points: int = 80) -> Curve:
     """Return a line of at most `max_points` finite points (N,), rounded to four digits."""
-    finite = np.isfinite(x) & np.isfinite(y)
-    x, y = x[finite], y[finite]
-    keep = np.unique(np.linspace(0, len(x) - 1, min(len(x), max_points)).round().astype(int))
-    if closed and len(keep):
-        keep = np.append(keep, keep[0])
-    rounded_points = [tuple(float(f"{v:.4g}") for v in part[keep]) for part in (x, y)]
+    is_finite = np.isfinite(x) & np.isfinite(y)
+    x, y = x[is_finite], y[is_finite]
+    rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), max_points)).round().astype(int))
+    if closed and len(rows):
+        rows = np.append(rows, rows[0])
+    rounded_points = [
+        tuple(float(f"{coordinate:.4g}") for coordinate in coordinates[rows])
+        for coordinates in (x, y)
+    ]
     return Curve(label=label, x=rounded_points[0], y=rounded_points[1])
 
 
@@ -49,13 +52,13 @@ def figures(*figure_rows: tuple[str, float | None, str]) -> tuple[Figure, ...]:
 
 
 def judge(
-    *figure_rows: tuple[str, float | None, str], wrong: Sequence[str], plot: Plot | None = None
+    *figure_rows: tuple[str, float | None, str], faults: Sequence[str], plot: Plot | None = None
 ) -> PropertyResult:
-    """Return a result that passes if the list of sentences `wrong` is empty."""
+    """Return a result that passes if the list of sentences `faults` is empty."""
     return PropertyResult(
-        verdict="fail" if wrong else "pass",
+        verdict="fail" if faults else "pass",
         figures=figures(*figure_rows),
-        reason=" ".join(wrong),
+        reason=" ".join(faults),
         plot=plot,
     )
 
@@ -86,12 +89,12 @@ class Scale:
     deflection: Array  # amplitude of pre-sliding [rad]
 
     @property
-    def drives(self) -> Array:
+    def is_driving(self) -> Array:
         """Whether slow steady sliding back and forth releases energy, (n,)."""
         return np.asarray((self.steady[_SPEED_SHARES <= SLIDING * 1.001] < 0.0).any(axis=0))
 
     @property
-    def bears(self) -> Array:
+    def holding_torque(self) -> Array:
         """Holding torque at rest (n,) [N.m]: the level, or less if friction rises with speed."""
         slowest = np.abs(self.steady[0])
         return np.where(slowest > _MIN_FRICTION, np.minimum(self.level, slowest), self.level)
@@ -103,29 +106,31 @@ def measure_scale(bench: FrictionBench, speed: Array, load: float) -> Scale:
     torques = []
     for sign in (1.0, -1.0):
         bench.start(load=load)
-        torques.append(bench.move(np.full(len(speeds), bench.forever), sign * speeds))
-    steady = 0.5 * (torques[0] - torques[1])
+        torques.append(bench.move(np.full(len(speeds), bench.sliding_time), sign * speeds))
+    steady_torque = 0.5 * (torques[0] - torques[1])
     offset = 0.5 * (torques[0] + torques[1])
     level_row = int(np.argmin(np.abs(_SPEED_SHARES - SLIDING)))
-    creep = CREEP * speed
+    creep_speed = CREEP * speed
     bench.start(load=load)
-    sliding_torque = bench.move(np.array([bench.forever]), creep[None])[0]
+    sliding_torque = bench.move(np.array([bench.sliding_time]), creep_speed[None])[0]
     # All joints reach the same share of their path at once.
-    times = _RETURN_PATH / np.max(creep)
-    tau = bench.move(np.diff(times, prepend=0.0), np.broadcast_to(-creep, (len(times), len(creep))))
-    # displacement at half of the torque change after the reversal [rad]
+    times = _RETURN_PATH / np.max(creep_speed)
+    tau = bench.move(
+        np.diff(times, prepend=0.0), np.broadcast_to(-creep_speed, (len(times), len(creep_speed)))
+    )
+    # The deflection is the displacement at half of the torque change after the reversal.
     return_share = (sliding_torque - tau) / np.where(
         sliding_torque == tau[-1], 1.0, sliding_torque - tau[-1]
     )
-    deflections = (times[:, None] * creep)[
+    deflections = (times[:, None] * creep_speed)[
         np.argmax(return_share >= 0.5, axis=0), np.arange(bench.joints)
     ]
     is_accepted = (deflections >= _DEFLECTION_RANGE[0]) & (deflections <= _DEFLECTION_RANGE[1])
     return Scale(
         speed=speed,
         speeds=speeds,
-        steady=steady,
-        level=np.maximum(np.abs(steady[level_row]), _MIN_FRICTION),
+        steady=steady_torque,
+        level=np.maximum(np.abs(steady_torque[level_row]), _MIN_FRICTION),
         offset=offset[level_row],
         load=load,
         deflection=np.where(is_accepted, deflections, DEFLECTION),
@@ -141,15 +146,15 @@ def compute_standing_inertia(
     """
     if body.robot in INERTIA:
         return INERTIA[body.robot]
-    n = robot.n
+    joint_count = robot.n
     middle = (
         np.array([trained_range.middle for trained_range in model.trained])
         if model.trained
-        else np.zeros(n)
+        else np.zeros(joint_count)
     )
-    q: Array = np.tile(middle, (n + 1, 1))
+    q: Array = np.tile(middle, (joint_count + 1, 1))
     standstill = np.zeros_like(q)
     # One joint accelerates per row; the last row is gravity.
-    tau = robot.torque(body.parameters, q, standstill, np.eye(n + 1, n))
-    inertia = np.diag(tau[:n] - tau[n])
+    tau = robot.torque(body.parameters, q, standstill, np.eye(joint_count + 1, joint_count))
+    inertia = np.diag(tau[:joint_count] - tau[joint_count])
     return tuple(map(float, inertia)) if np.all(inertia > 0.0) else None

@@ -25,13 +25,17 @@ def properties_section(
         tau_load=f"{format_number(law_properties.tau_load, _DIGITS)} "
         f"{unit_of_joints('N.m', sliding)}",
         sizes=[
-            _list_sizes(joint, s) for joint, s in zip(law_properties.joints, slides, strict=True)
+            _list_sizes(joint, is_prismatic)
+            for joint, is_prismatic in zip(law_properties.joints, slides, strict=True)
         ],
-        properties=[_describe_property(law_properties, e, sliding) for e in EXPECTATIONS.values()],
+        properties=[
+            _describe_property(law_properties, expectation, sliding)
+            for expectation in EXPECTATIONS.values()
+        ],
     )
 
 
-def _list_sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[str, str]]:
+def _list_sizes(joint: properties.JointProperties, is_prismatic: bool) -> list[tuple[str, str]]:
     rows = (
         ("trained speed", joint.speed, "rad/s"),
         ("friction level", joint.level, "N.m"),
@@ -39,7 +43,7 @@ def _list_sizes(joint: properties.JointProperties, slides: bool) -> list[tuple[s
         ("inertia", joint.inertia, "kg.m2"),
     )
     return [
-        (name, _format_size(value, unit_of_joint(unit, is_prismatic=slides)))
+        (name, _format_size(value, unit_of_joint(unit, is_prismatic=is_prismatic)))
         for name, value, unit in rows
     ]
 

@@ -19,25 +19,27 @@ def write_junit(path: Path, reports: Sequence[Report]) -> None:
     """Write a test suite per file and a test case per rule; errors are failures."""
     root = ET.Element("testsuites", name="hesr check")
     for report in reports:
-        by_rule: dict[str, list[Finding]] = {}
+        findings_by_rule: dict[str, list[Finding]] = {}
         for finding in report.problems:
-            by_rule.setdefault(finding.check, []).append(finding)
-        failure_count = sum(_has_error(findings) for findings in by_rule.values())
+            findings_by_rule.setdefault(finding.check, []).append(finding)
+        failure_count = sum(_has_error(findings) for findings in findings_by_rule.values())
         suite_attributes = {
             "name": str(report.path),
-            "tests": str(len(by_rule) or 1),
+            "tests": str(len(findings_by_rule) or 1),
             "errors": "0",
         }
         suite = ET.SubElement(
             root, "testsuite", suite_attributes, failures=str(failure_count), skipped="0"
         )
-        for name, findings in (by_rule or {"check": []}).items():
+        for name, findings in (findings_by_rule or {"check": []}).items():
             case = ET.SubElement(suite, "testcase", name=name, classname=str(report.path))
-            text = "\n".join(f"{finding.severity}: {finding.found}" for finding in findings)
+            case_text = "\n".join(f"{finding.severity}: {finding.found}" for finding in findings)
             if _has_error(findings):
-                ET.SubElement(case, "failure", message=findings[0].found, type=name).text = text
+                ET.SubElement(
+                    case, "failure", message=findings[0].found, type=name
+                ).text = case_text
             elif findings:
-                ET.SubElement(case, "system-out").text = text
+                ET.SubElement(case, "system-out").text = case_text
     ET.indent(root)
     with written_whole(path) as temporary:
         temporary.write_bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n")

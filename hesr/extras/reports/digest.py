@@ -36,21 +36,22 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
     runs = [Results.read(folder) for folder in folders]
     tables_folder = output.with_name(f"{output.stem}_tables")  # not the name of a folder of results
     parts = ["# Results\n", _INTRODUCTION]
-    with written_together(output) as file:
+    with written_together(output) as provide_file:
         if len(runs) > 1:
             robot_table = build_robot_table(runs)
-            Tables(tables_folder, file).csv(robot_table, "robots")
+            Tables(tables_folder, provide_file).csv(robot_table, "robots")
             parts += ["## Robots\n", markdown(robot_table)]
         for results in runs:
-            tables = Tables(tables_folder / results.run.study, file)
+            tables = Tables(tables_folder / results.run.study, provide_file)
             for name, table in _collect_tables(results).items():
                 tables.csv(table, name)
             table_folder = f"{tables_folder.name}/{results.run.study}"
             files = ", ".join(
-                f"[{Path(file).stem}]({table_folder}/{file})" for file in tables.written
+                f"[{Path(provide_file).stem}]({table_folder}/{provide_file})"
+                for provide_file in tables.written
             )
             parts += [*_describe_run(results), f"All laws: {files}.\n"]
-        file(output).write_text("\n".join(parts), encoding="utf-8")
+        provide_file(output).write_text("\n".join(parts), encoding="utf-8")
     return output
 
 
@@ -58,7 +59,7 @@ def build_robot_table(runs: Sequence[Results]) -> ResultTable:
     """Return errors of the recommended law over those of the strongest reference, by joint."""
     rows = []
     for results in runs:
-        pairings = [results.compare_to_reference(k) for k in range(len(results.joints))]
+        pairings = [results.compare_to_reference(j) for j in range(len(results.joints))]
         ratios_by_area = [
             [ratio for *_, ratios in pairings if (ratio := ratios[area])] for area in AREAS
         ]
@@ -125,7 +126,7 @@ def _describe_run(results: Results) -> Iterator[str]:
     if results.truths:
         yield "### Does the order of the laws depend on the true friction?\n"
         leaders_text = ", ".join(
-            f"{title(find_leader(of))} with {plant}" for plant, of in results.truths.items()
+            f"{title(find_leader(errors))} with {plant}" for plant, errors in results.truths.items()
         )
         yield f"{describe_true_friction(results.run.truth)} Lowest error: {leaders_text}.\n"
         table = compare_truths(results.comparisons, results.truths, results.run.truth)
@@ -134,12 +135,14 @@ def _describe_run(results: Results) -> Iterator[str]:
         yield "### Does friction compensation improve tracking?\n"
         shown_laws = {*StandIn, REFERENCE, papers_law(), *results.recommended}
         desired_rows = (row for row in results.loop.tracking if row.scheme.source == "desired")
-        rows = [row for row in desired_rows if row.law in shown_laws]
-        laws = [row for row in rows if row.law not in set(StandIn)]
-        body = [row for row in rows if row.law == StandIn.BODY_ONLY]
-        if laws and body:
-            best_row = min(laws, key=lambda row: float(row.mean.mean()))
-            body_row = next((row for row in body if row.scheme == best_row.scheme), body[0])
+        tracking_rows = [row for row in desired_rows if row.law in shown_laws]
+        law_rows = [row for row in tracking_rows if row.law not in set(StandIn)]
+        body_rows = [row for row in tracking_rows if row.law == StandIn.BODY_ONLY]
+        if law_rows and body_rows:
+            best_row = min(law_rows, key=lambda row: float(row.mean.mean()))
+            body_row = next(
+                (row for row in body_rows if row.scheme == best_row.scheme), body_rows[0]
+            )
             yield (
                 f"Yes: {best_row.scheme.title} with {title(best_row.law)} tracks to "
                 f"{1e3 * best_row.mean.mean():.2f} mrad, averaged over joints; "
@@ -147,7 +150,7 @@ def _describe_run(results: Results) -> Iterator[str]:
                 if best_row.mean.mean() < body_row.mean.mean()
                 else "No.\n"
             )
-        yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", rows))
+        yield markdown(tracking("RMSE of tracking [mrad], mean over the motions", tracking_rows))
     if results.properties:
         yield "### Which laws behave as friction in physics checks?\n"
         yield from _describe_physics(results)
@@ -174,7 +177,7 @@ def build_short_table(results: Results) -> ResultTable:
     best_law = results.best
     comparison = results.comparisons[test]
     references = [
-        comparison.ratios.find_reference(best_law, k) for k in range(len(comparison.joints))
+        comparison.ratios.find_reference(best_law, j) for j in range(len(comparison.joints))
     ]
     return _select_rows(
         errors(test, comparison, sliding=results.sliding), [*references, papers_law(), best_law]

@@ -25,7 +25,7 @@ UnitExponents = tuple[float, ...]  # exponents of `fmu_src.run.variables.SI`
 class SystemContents:
     """A system and the descriptions of its FMUs."""
 
-    spec: SystemSpec
+    system: SystemSpec
     path: Path  # file for messages
     descriptions: Mapping[str, Any]
     variables: Mapping[str, Variables]
@@ -47,16 +47,16 @@ class SystemContents:
         """Return the defined units of variables by name; the first one if definitions differ."""
         units_by_name: dict[str, UnitExponents] = {}
         for name, variable in elements:
-            unit, base = self.variables[name].unit(variable)
-            if unit and base is not None:
-                units_by_name.setdefault(unit, base)
+            unit, exponents = self.variables[name].unit(variable)
+            if unit and exponents is not None:
+                units_by_name.setdefault(unit, exponents)
         return units_by_name
 
     def unit(self, element: Element, defined: Mapping[str, UnitExponents]) -> dict[str, str]:
         """Return the XML attribute of a variable's unit, if defined."""
         name, variable = element
-        unit, base = self.variables[name].unit(variable)
-        is_defined = unit and base is not None and defined.get(unit) == base
+        unit, exponents = self.variables[name].unit(variable)
+        is_defined = unit and exponents is not None and defined.get(unit) == exponents
         return {"unit": str(unit)} if is_defined and self.find_type(element) == "Real" else {}
 
     def find_type(self, element: Element) -> str:
@@ -75,17 +75,19 @@ def read_contents(system: SystemSpec, path: Path) -> SystemContents:
         component.name: Variables(component.fmu, descriptions[component.name])
         for component in system.components
     }
-    for target in (target for target, steps in system.conversions.items() if steps):
+    for target in (target for target, conversions in system.conversions.items() if conversions):
         raise ConfigError(f"{path}: connection of '{target}': a conversion cannot be exported.")
     if system.begin:
         raise ConfigError(f"{path}: starts at {system.begin:g} s; exports start at 0.")
     return SystemContents(
-        spec=system,
+        system=system,
         path=path,
         descriptions=descriptions,
         variables=variables,
         wiring=Wiring(system, variables, path),
-        created=_find_newest_date(d.generationDateAndTime for d in descriptions.values()),
+        created=_find_newest_date(
+            description.generationDateAndTime for description in descriptions.values()
+        ),
     )
 
 
@@ -148,10 +150,10 @@ def add_units(parent: ET.Element, tag: str, units: Mapping[str, UnitExponents]) 
     if not units:
         return
     definitions = ET.SubElement(parent, tag)
-    for name, base in units.items():
+    for name, exponents in units.items():
         attributes = {
             key: repr(float(value)) if key in ("factor", "offset") else str(int(value))
-            for key, value in zip(SI, base, strict=True)
+            for key, value in zip(SI, exponents, strict=True)
             if float(value) != UNIT_DEFAULTS[key]
         }
         unit = ET.SubElement(definitions, "ssc:Unit", name=name)
@@ -179,8 +181,8 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
     units: dict[str, UnitExponents] = {}
     for node in nodes:
         name = node.get("name", "")
-        base = node.find("{*}BaseUnit")
-        attributes = {} if base is None else base.attrib
+        base_node = node.find("{*}BaseUnit")
+        attributes = {} if base_node is None else base_node.attrib
         numbers = dict(UNIT_DEFAULTS)
         for key in (key for key in SI if key in attributes):
             try:
@@ -189,6 +191,6 @@ def read_units(nodes: Iterable[ET.Element], where: str) -> dict[str, UnitExponen
                 raise ConfigError(
                     f"{where}: {key} of unit '{name}' is '{attributes[key]}'; it must be a number."
                 ) from error
-        if base is not None:
+        if base_node is not None:
             units[name] = tuple(numbers.values())
     return units

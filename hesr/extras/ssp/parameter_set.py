@@ -44,17 +44,18 @@ def export_ssv(model: FrictionModel, path: Path) -> Path:
     }
     coefficients = _list_coefficients(model)
     values = (
-        (name, "Real", {"value": repr(float(x)), "unit": unit}) for name, x, unit in coefficients
+        (name, "Real", {"value": repr(float(value)), "unit": unit})
+        for name, value, unit in coefficients
     )
     units = {
         unit: tuple((UNIT_DEFAULTS | si_exponents(unit)).values()) for *_, unit in coefficients
     }
     root = build_parameter_set(values, units, root_attributes)
-    joints = _build_covariances(model)
-    if joints:
+    joint_elements = _build_covariances(model)
+    if joint_elements:
         annotations = ET.SubElement(root, "ssv:Annotations")
         annotation = ET.SubElement(annotations, "ssc:Annotation", type=ANNOTATION)
-        ET.SubElement(annotation, "hesr:Covariance").extend(joints)
+        ET.SubElement(annotation, "hesr:Covariance").extend(joint_elements)
     with written_whole(path) as temporary:
         temporary.write_bytes(to_bytes(root))
     return path
@@ -64,9 +65,12 @@ def _list_coefficients(model: FrictionModel) -> list[tuple[str, float, str]]:
     coefficients = []
     for number, law in enumerate(model.laws, start=1):
         if is_exposed(law):
-            rows = zip(place(law, number).parameters, law.form.coefficients, strict=True)
+            names_and_coefficients = zip(
+                place(law, number).parameters, law.form.coefficients, strict=True
+            )
             coefficients += [
-                (name, law.values[quantity.name], quantity.unit) for name, quantity in rows
+                (name, law.values[coefficient.name], coefficient.unit)
+                for name, coefficient in names_and_coefficients
             ]
     has_exposed = any(is_exposed(law) for law in model.laws)
     return (
@@ -82,10 +86,12 @@ def _build_covariances(model: FrictionModel) -> list[ET.Element]:
         if law.covariance is None or not is_exposed(law):
             continue
         names = dict(zip(law.values, place(law, number).parameters, strict=True))
-        joint = ET.Element(
-            "hesr:Joint", number=str(number), names=" ".join(names[n] for n in law.covariance.names)
+        joint_element = ET.Element(
+            "hesr:Joint",
+            number=str(number),
+            names=" ".join(names[name] for name in law.covariance.names),
         )
         for row in law.covariance.matrix:
-            ET.SubElement(joint, "hesr:Row").text = " ".join(repr(float(x)) for x in row)
-        joint_elements.append(joint)
+            ET.SubElement(joint_element, "hesr:Row").text = " ".join(repr(float(x)) for x in row)
+        joint_elements.append(joint_element)
     return joint_elements

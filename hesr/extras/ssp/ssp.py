@@ -54,10 +54,12 @@ def export_ssp(system: SystemSpec, path: Path, output: Path, *, ssp: Version = "
     write_ssp(contents, output, version=ssp)
     # Engines refuse connectors of unconnected inputs, parameters and local variables.
     used_outputs = set(contents.used_outputs)
-    observed = [".".join(e) for e in contents.wiring.observed if e not in used_outputs]
-    parts = [f"observes outputs only, not {quote_names(observed)}"] if observed else []
-    parts += [f"has no limits of {quote_names(system.limits)}"] if system.limits else []
-    return f"The SSP {', and '.join(parts)}." if parts else None
+    observed = [
+        ".".join(element) for element in contents.wiring.observed if element not in used_outputs
+    ]
+    remarks = [f"observes outputs only, not {quote_names(observed)}"] if observed else []
+    remarks += [f"has no limits of {quote_names(system.limits)}"] if system.limits else []
+    return f"The SSP {', and '.join(remarks)}." if remarks else None
 
 
 def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0") -> Path:
@@ -68,7 +70,7 @@ def write_ssp(contents: SystemContents, path: Path, *, version: Version = "1.0")
     if path.suffix != ".ssp":
         raise ConfigError(f"{path}: the name of a packaged system ends in .ssp.")
     members = {SSD: to_ssd(contents, version)}
-    for component in contents.spec.components:
+    for component in contents.system.components:
         name = component.name
         if contents.wiring.start[name]:
             members[resource(name, ".ssv")] = to_ssv(contents, name, version)
@@ -86,35 +88,35 @@ def resource(component: str, suffix: str) -> str:
 
 def to_ssd(contents: SystemContents, version: Version) -> bytes:
     """Return SystemStructure.ssd."""
-    spec = contents.spec
+    system = contents.system
     root = ET.Element(
         "ssd:SystemStructureDescription",
         NAMESPACES | _ENGINE_NAMESPACES,
         version=version,
-        name=spec.name,
+        name=system.name,
         generationTool=f"HESR {installed('hesr')}",
         generationDateAndTime=contents.created,
     )
     connectors = [*contents.wiring.sources, *contents.used_outputs]
     units = contents.units(connectors)
-    system = ET.SubElement(root, "ssd:System", name=spec.name)
-    elements = ET.SubElement(system, "ssd:Elements")
-    for component in spec.components:
-        elements.append(_build_component(contents, component, connectors, units))
+    system_node = ET.SubElement(root, "ssd:System", name=system.name)
+    elements_node = ET.SubElement(system_node, "ssd:Elements")
+    for component in system.components:
+        elements_node.append(_build_component(contents, component, connectors, units))
     if contents.wiring.sources:
-        connections = ET.SubElement(system, "ssd:Connections")
+        connections_node = ET.SubElement(system_node, "ssd:Connections")
         for (target, input_name), (source, output_name) in contents.wiring.sources.items():
             ET.SubElement(
-                connections,
+                connections_node,
                 "ssd:Connection",
                 startElement=source,
                 startConnector=output_name,
                 endElement=target,
                 endConnector=input_name,
             )
-    annotations = ET.SubElement(system, "ssd:Annotations")
+    annotations = ET.SubElement(system_node, "ssd:Annotations")
     coupling = ET.SubElement(annotations, "ssc:Annotation", type=COUPLING_ANNOTATION)
-    ET.SubElement(coupling, "hesr:Coupling", order=spec.order)
+    ET.SubElement(coupling, "hesr:Coupling", order=system.order)
     master = ET.SubElement(annotations, "ssc:Annotation", type=OMSIMULATOR)
     for tag in ("oms:Annotations", "oms:SimulationInformation"):
         master = ET.SubElement(master, tag)
@@ -122,16 +124,16 @@ def to_ssd(contents: SystemContents, version: Version) -> bytes:
         master,
         "oms:FixedStepMaster",
         description="oms-ma",
-        stepSize=repr(spec.step),
+        stepSize=repr(system.step),
         absoluteTolerance=_TOLERANCE,
         relativeTolerance=_TOLERANCE,
     )
     add_units(root, "ssd:Units", units)
     experiment = ET.SubElement(
-        root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(spec.stop)
+        root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(system.stop)
     )
     algorithm = ET.SubElement(_add_annotation(experiment, OSP), "osp:Algorithm")
-    ET.SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(spec.step))
+    ET.SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(system.step))
     return to_bytes(root)
 
 
@@ -149,19 +151,23 @@ def _build_component(
         source=resource(name, ".fmu"),
         implementation="CoSimulation",
     )
-    component_connectors = [variable for owner, variable in connectors if owner == name]
+    component_connectors = [
+        variable for component_name, variable in connectors if component_name == name
+    ]
     if component_connectors:
-        table = ET.SubElement(node, "ssd:Connectors")
+        connectors_node = ET.SubElement(node, "ssd:Connectors")
         for variable in component_connectors:
             causality = contents.variables[name][variable].causality
-            connector = ET.SubElement(table, "ssd:Connector", name=variable, kind=causality)
+            connector = ET.SubElement(
+                connectors_node, "ssd:Connector", name=variable, kind=causality
+            )
             kind = contents.find_type((name, variable))
             ET.SubElement(connector, f"ssc:{kind}", contents.unit((name, variable), units))
     if contents.wiring.start[name]:
-        bindings = ET.SubElement(node, "ssd:ParameterBindings")
-        ET.SubElement(bindings, "ssd:ParameterBinding", source=resource(name, ".ssv"))
-    if contents.spec.find_step_multiple(component) > 1:
-        step = contents.spec.find_step_multiple(component) * contents.spec.step
+        bindings_node = ET.SubElement(node, "ssd:ParameterBindings")
+        ET.SubElement(bindings_node, "ssd:ParameterBinding", source=resource(name, ".ssv"))
+    if contents.system.find_step_multiple(component) > 1:
+        step = contents.system.find_step_multiple(component) * contents.system.step
         ET.SubElement(_add_annotation(node, OSP), "osp:StepSizeHint", value=repr(step))
     return node
 
@@ -172,8 +178,8 @@ def _add_annotation(parent: ET.Element, kind: str) -> ET.Element:
 
 def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
     """Return the start values of a component as a parameter set."""
-    start = contents.wiring.start[component]
-    units = contents.units((component, variable) for variable in start)
+    start_values = contents.wiring.start[component]
+    units = contents.units((component, variable) for variable in start_values)
     root_attributes = {
         "version": version,
         "name": PARAMETER_SET,
@@ -181,7 +187,7 @@ def to_ssv(contents: SystemContents, component: str, version: Version) -> bytes:
         "generationDateAndTime": contents.created,
     }
     values = []
-    for variable, value in start.items():
+    for variable, value in start_values.items():
         kind = contents.find_type((component, variable))
         attributes = {"value": format_value(kind, value)} | contents.unit(
             (component, variable), units

@@ -34,13 +34,13 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
         platforms: list[tuple[str, ...]] = []  # of each FMU
         for name, file in contents.files.items():
             if name.lower().endswith(".fmu"):
-                inner = check(file, vdmcheck=vdmcheck)
-                platforms.append(inner.platforms or ())
+                report = check(file, vdmcheck=vdmcheck)
+                platforms.append(report.platforms or ())
                 ssp_findings += [
                     replace(inner_finding, found=f"{name}: {inner_finding.found}")
-                    for inner_finding in inner.problems
+                    for inner_finding in report.problems
                 ]
-                skipped |= dict.fromkeys(f"{name}: {reason}" for reason in inner.skipped)
+                skipped |= dict.fromkeys(f"{name}: {reason}" for reason in report.skipped)
     return Report(
         path=path,
         problems=tuple(sort_by_severity(ssp_findings)),
@@ -51,8 +51,10 @@ def check_ssp(path: Path, *, vdmcheck: Path | None = None) -> Report:
 
 def _find_shared_platforms(platforms: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the platforms of all FMUs."""
-    first, *other_platforms = platforms
-    return tuple(name for name in first if all(name in other for other in other_platforms))
+    first_platforms, *other_platforms = platforms
+    return tuple(
+        name for name in first_platforms if all(name in other for other in other_platforms)
+    )
 
 
 def _check_xml_members(contents: Contents, folder: Path) -> Iterator[Problem]:

@@ -30,7 +30,9 @@ def safe_names(names: Iterable[str]) -> dict[str, str]:
         cleaned = cleaned if _is_allowed(cleaned) else f"_{cleaned}"
         numbered_names = (f"{cleaned}_{k}" for k in count(2))
         unique_names[name] = next(
-            n for n in chain([cleaned], numbered_names) if n not in used_names
+            candidate
+            for candidate in chain([cleaned], numbered_names)
+            if candidate not in used_names
         )
         used_names.add(unique_names[name])
     return unique_names
@@ -54,11 +56,9 @@ _RESULT_TYPES = {
     "Linear": ("Real",),
     "Boolean": ("Boolean",),
     "Enumeration": ("Integer", "Enumeration"),
+    "Integer": ("Real", "Integer", "Enumeration"),
 }
-_RESULT_TYPES |= {
-    "Integer": ("Real", "Integer", "Enumeration")
-}  # FMI 3: Enumerations are Integers here
-"""Types that transformations give."""
+"""Types that transformations give; enumerations of FMI 3 are Integers here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,11 +94,11 @@ class Hop:
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterValue:
-    """A value of a parameter set, its unit, and what follows its conversion."""
+    """A value of a parameter set, its unit, and the transformation after its conversion."""
 
     value: Any
     unit: Unit | None = None
-    after: Transformation | None = None
+    transformation: Transformation | None = None
     suppressed: bool = False
 
 
@@ -116,7 +116,10 @@ class ConnectorGraph:
         """Add a connection; raise ConfigError if its target is connected already."""
         if hop.target in self.order:
             connected_sources = (
-                n for n, hops in self.hops.items() for h in hops if h.target == hop.target
+                node
+                for node, hops in self.hops.items()
+                for other_hop in hops
+                if other_hop.target == hop.target
             )
             raise ConfigError(
                 f"'{format_connector(hop.target)}' is connected to "
@@ -126,7 +129,9 @@ class ConnectorGraph:
         self.order[hop.target] = len(self.order)
         self.hops.setdefault(source, []).append(hop)
 
-    def ends(self, node: ConnectorName, path: tuple[Hop, ...] = ()) -> Iterator[tuple[Hop, ...]]:
+    def find_paths(
+        self, node: ConnectorName, path: tuple[Hop, ...] = ()
+    ) -> Iterator[tuple[Hop, ...]]:
         """Yield the ways from a connector to connectors of components."""
         for hop in self.hops.get(node, ()):
             if hop in path:
@@ -135,29 +140,29 @@ class ConnectorGraph:
             if hop.target[0] in self.variables:
                 yield extended_path
             else:
-                yield from self.ends(hop.target, extended_path)
+                yield from self.find_paths(hop.target, extended_path)
 
-    def unit(self, node: ConnectorName) -> Unit | None:
+    def find_unit(self, node: ConnectorName) -> Unit | None:
         """Return the unit of a connector, that of the variable by default."""
         stated_unit = self.units.get(node)
         variables = self.variables.get(node[0])
         if variables is None:
             return stated_unit
         try:
-            name, base = stated_unit or variables.unit(node[1])
-            base = _remove_offset(base) if variables.relative(node[1]) else base
+            name, exponents = stated_unit or variables.unit(node[1])
+            exponents = _remove_offset(exponents) if variables.relative(node[1]) else exponents
         except SimulationError:
             return stated_unit
-        return None if name is None else (name, base)
+        return None if name is None else (name, exponents)
 
-    def conversions(
+    def find_conversions(
         self, source: ConnectorName, path: Sequence[Hop], unit: Unit | None
     ) -> tuple[Conversion, ...]:
         """Return the conversions of a value in a unit along a way."""
         conversions: list[Conversion] = []
         for hop in path:
             where = f"connection '{format_connector(hop.target)}' = '{format_connector(source)}'"
-            target_unit = self.unit(hop.target)
+            target_unit = self.find_unit(hop.target)
             if unit and target_unit and not hop.suppressed:
                 conversions.append(find_conversion(unit, target_unit, where))
             unit = target_unit or unit
@@ -183,7 +188,7 @@ class ConnectorGraph:
         table = dict[float, float]()
         for source_text, target_text in transformation.table.items():
             try:
-                table[self._number(kind, source_text, source)] = self._number(
+                table[self._parse_number(kind, source_text, source)] = self._parse_number(
                     kind, target_text, target
                 )
             except (ValueError, KeyError, AttributeError, SimulationError) as error:
@@ -193,7 +198,7 @@ class ConnectorGraph:
                 ) from error
         return Conversion(table=table)
 
-    def _number(self, kind: str, text: Any, end: ConnectorName) -> float:
+    def _parse_number(self, kind: str, text: Any, end: ConnectorName) -> float:
         if kind == "Boolean":
             return float(str(text) == "True")
         if kind == "Integer":
@@ -202,19 +207,19 @@ class ConnectorGraph:
         return float({item.name: item.value for item in items}[text])
 
 
-def _remove_offset(base: UnitExponents | None) -> UnitExponents | None:
-    return base and (*base[:-1], 0.0)
+def _remove_offset(exponents: UnitExponents | None) -> UnitExponents | None:
+    return exponents and (*exponents[:-1], 0.0)
 
 
 def convert_to_unit(variables: Variables, name: str, value: float, unit: Unit, where: str) -> float:
     """Return a number in the unit of an FMU's variable; unchanged if that has none."""
-    variable_unit, base = variables.unit(name)
+    variable_unit, exponents = variables.unit(name)
     if variables.relative(name):  # FMI: offsets do not apply to differences
-        unit, base = (unit[0], _remove_offset(unit[1])), _remove_offset(base)
+        unit, exponents = (unit[0], _remove_offset(unit[1])), _remove_offset(exponents)
     return (
         value
         if variable_unit is None
-        else find_conversion(unit, (variable_unit, base), where)(value)
+        else find_conversion(unit, (variable_unit, exponents), where)(value)
     )
 
 
@@ -224,7 +229,7 @@ def find_conversion(unit: Unit, target_unit: Unit, where: str) -> Conversion:
         return Conversion()
     source_base = unit[1]
     target_base = target_unit[1]
-    same_base = (
+    have_same_base = (
         source_base
         and target_base
         and source_base[:_EXPONENT_COUNT] == target_base[:_EXPONENT_COUNT]
@@ -232,7 +237,7 @@ def find_conversion(unit: Unit, target_unit: Unit, where: str) -> Conversion:
     if not (
         source_base
         and target_base
-        and same_base
+        and have_same_base
         and target_base[_EXPONENT_COUNT]
         and isfinite(source_base[_EXPONENT_COUNT])
     ):
@@ -286,9 +291,14 @@ def read_transformation(node: ET.Element, where: str) -> Transformation | None:
         kind, marker, _ = child.tag.rpartition("}")[2].partition("Transformation")
         if marker:
             kind = kind.removesuffix("Mapping")
-            table: dict[str, Any] = {e.get("source", ""): e.get("target", "") for e in child}
+            table: dict[str, Any] = {
+                entry.get("source", ""): entry.get("target", "") for entry in child
+            }
             if kind == "Boolean":
-                table = {str(s in TRUE): t in TRUE for s, t in table.items()}
+                table = {
+                    str(source_text in TRUE): target_text in TRUE
+                    for source_text, target_text in table.items()
+                }
             return Transformation(
                 kind=kind,
                 factor=read_number(child, "factor", 1.0, where),

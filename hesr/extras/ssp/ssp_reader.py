@@ -47,8 +47,8 @@ _STEP_ANNOTATIONS = (
     (".//{*}FixedStepMaster", "stepSize"),
 )
 
-_MAX_FILE_NAME = 100  # characters of a file name
-_DEFAULT_ROWS = 500  # by default, if neither the SSP nor its FMUs name a step
+_MAX_FILE_NAME = 100  # characters
+_DEFAULT_ROWS = 500  # if neither the SSP nor its FMUs name a step
 _SOURCE_KINDS = ("output", "local", "calculatedParameter", "constant")
 _SYSTEM_SOURCE_KINDS = ("input", "parameter", "structuralParameter")
 """Kinds of connectors that give values: of elements, and of the enclosing system."""
@@ -66,7 +66,7 @@ def open_ssp(
     with Archive(path, "SSP") as archive, scratch_folder() as folder:
         reader = _Reader(path, archive, Path(folder))
         try:
-            content = reader.system(times, values)
+            content = reader.read_system(times, values)
         except ConfigError as error:
             if str(error).startswith(str(path)):
                 raise
@@ -82,75 +82,76 @@ class _Reader:
     graph: ConnectorGraph = field(default_factory=ConnectorGraph)
     fmus: dict[ElementPath, Path] = field(default_factory=dict)
     steps: dict[ElementPath, str] = field(default_factory=dict)  # [s] of components
-    start: dict[ElementPath, dict[str, Any]] = field(default_factory=dict)
-    places: list[ElementPath] = field(default_factory=list)
+    start_values: dict[ElementPath, dict[str, Any]] = field(default_factory=dict)
+    element_paths: list[ElementPath] = field(default_factory=list)
 
-    def error(self, text: str) -> ConfigError:
+    def build_error(self, text: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}")
 
-    def member(self, name: str, where: str = "", size_limit: int = MAX_ENTRY_BYTES) -> bytes:
+    def read_member(self, name: str, where: str = "", size_limit: int = MAX_ENTRY_BYTES) -> bytes:
         # Sources are URIs, but some tools write plain names.
         names = self.archive.names
-        candidates = (normpath(n) for n in (unquote(name), name))
-        member = next((n for n in candidates if n in names), None)
+        candidates = (normpath(candidate) for candidate in (unquote(name), name))
+        member = next((candidate for candidate in candidates if candidate in names), None)
         if member is None:
-            raise self.error(f"{where}{name} is missing.")
+            raise self.build_error(f"{where}{name} is missing.")
         return self.archive.read(member, size_limit)
 
     def parse_member(self, name: str, where: str = "") -> ET.Element:
         try:
-            return ET.fromstring(self.member(name, where, MAX_TEXT_BYTES))
+            return ET.fromstring(self.read_member(name, where, MAX_TEXT_BYTES))
         except (ET.ParseError, LookupError, ValueError) as error:  # or an unknown encoding
-            raise self.error(f"{where}{name} is not valid XML ({error}).") from error
+            raise self.build_error(f"{where}{name} is not valid XML ({error}).") from error
 
-    def attribute(self, node: ET.Element, name: str, where: str) -> str:
+    def read_attribute(self, node: ET.Element, name: str, where: str) -> str:
         value = node.get(name)
         if value is None:
-            raise self.error(f"{where}: attribute '{name}' is missing.")
+            raise self.build_error(f"{where}: attribute '{name}' is missing.")
         return value
 
-    def refuse(self, subject: str) -> UnsupportedError:
+    def build_refusal(self, subject: str) -> UnsupportedError:
         return UnsupportedError(f"{self.path}: {subject} not supported.")
 
-    def system(
-        self, times: Mapping[str, float | None], values: Mapping[str, Any]
+    def read_system(
+        self, times: Mapping[str, float | None], start_values: Mapping[str, Any]
     ) -> dict[str, Any]:
         root = self.parse_member(SSD)
         system = _find_element(root, "ssd:System")
         if system is None:
-            raise self.error(f"{SSD} contains no system.")
+            raise self.build_error(f"{SSD} contains no system.")
         where = f"{self.path}: {SSD}"
-        self.elements(system, (), read_units(_find_elements(root, "ssd:Units/ssc:Unit"), where))
-        self.parameters(system, ())
-        for name, value in values.items():
+        self.read_elements(
+            system, (), read_units(_find_elements(root, "ssd:Units/ssc:Unit"), where)
+        )
+        self.apply_parameters(system, ())
+        for name, value in start_values.items():
             if not self.assign((), name, ParameterValue(value=value)):
-                raise self.error(f"--set '{name}' is no variable of the system.")
-        names = safe_names(
-            "\0".join(element_path) for element_path in self.fmus
-        )  # names may contain dots
+                raise self.build_error(f"--set '{name}' is no variable of the system.")
+        # Names of elements may contain dots.
+        names = safe_names("\0".join(element_path) for element_path in self.fmus)
         component_names = {
             element_path: names["\0".join(element_path)] for element_path in self.fmus
         }
         connections = {}
         conversions = {}
-        for input_end, output_end, steps in sorted(
-            self.sources(), key=lambda s: self.graph.order[s[0]]
+        for input_end, output_end, conversion_steps in sorted(
+            self.find_sources(), key=lambda connection: self.graph.order[connection[0]]
         ):
             target, source = (
-                self.signal(component_names[element_path], connector)
+                self.name_signal(component_names[element_path], connector)
                 for element_path, connector in (input_end, output_end)
             )
             connections[target] = source
-            conversions[target] = steps
+            conversions[target] = conversion_steps
         return {
             "name": root.get("name", self.path.stem),
-            **self.times(root, times),
-            **self.order(system),
+            **self.choose_times(root, times),
+            **self.read_order(system),
             "components": [
                 {
                     "name": component_names[element_path],
                     "fmu": fmu,
-                    "start": self.start.get(element_path, {}),
+                    "start": self.start_values.get(element_path, {}),
                 }
                 | ({"step": self.steps[element_path]} if element_path in self.steps else {})
                 for element_path, fmu in self.fmus.items()
@@ -159,12 +160,12 @@ class _Reader:
             "conversions": conversions,
             "open_inputs": True,
             "observe": [
-                self.signal(component_names[element_path], connector)
-                for element_path, connector in self.outputs()
+                self.name_signal(component_names[element_path], connector)
+                for element_path, connector in self.list_outputs()
             ],
         }
 
-    def times(self, root: ET.Element, times: Mapping[str, float | None]) -> dict[str, Any]:
+    def choose_times(self, root: ET.Element, times: Mapping[str, float | None]) -> dict[str, Any]:
         experiment = _find_element(root, "ssd:DefaultExperiment")
         experiment_node = ET.Element("none") if experiment is None else experiment
         start_time = times.get("start")
@@ -175,7 +176,7 @@ class _Reader:
             else start_time
         )
         if stop_time is None and experiment_node.get("stopTime") is None:
-            raise self.error("the default experiment has no stopTime; give --stop.")
+            raise self.build_error("the default experiment has no stopTime; give --stop.")
         stop_time = (
             read_number(experiment_node, "stopTime", 0.0, SSD) if stop_time is None else stop_time
         )
@@ -187,64 +188,64 @@ class _Reader:
             if node is not None and (text := node.get(key)):
                 return {"begin": start_time, "stop": stop_time, "step": text}
         steps = [
-            float(about.defaultExperiment.stepSize)
+            float(model_description_.defaultExperiment.stepSize)
             for fmu in self.fmus.values()
-            if (about := model_description(fmu)).defaultExperiment
-            and about.defaultExperiment.stepSize
+            if (model_description_ := model_description(fmu)).defaultExperiment
+            and model_description_.defaultExperiment.stepSize
         ]
-        count = ceil((stop_time - start_time) / min(steps) - 1e-6) if steps else _DEFAULT_ROWS
+        row_count = ceil((stop_time - start_time) / min(steps) - 1e-6) if steps else _DEFAULT_ROWS
         return {
             "begin": start_time,
             "stop": stop_time,
-            "step": (stop_time - start_time) / max(count, 1),
+            "step": (stop_time - start_time) / max(row_count, 1),
         }
 
-    def order(self, system: ET.Element) -> dict[str, str]:
+    def read_order(self, system: ET.Element) -> dict[str, str]:
         """Return the order of the coupling in our annotation; SSPs of other tools have none."""
         coupling = _find_element(system, _COUPLING)
-        return {} if coupling is None else {"order": self.attribute(coupling, "order", SSD)}
+        return {} if coupling is None else {"order": self.read_attribute(coupling, "order", SSD)}
 
-    def elements(
+    def read_elements(
         self, system: ET.Element, parent_path: ElementPath, units: Mapping[str, Any]
     ) -> None:
         """Read connectors and elements of a system, then its connections."""
-        self.places.append(parent_path)
-        self.connectors(system, parent_path, units)
+        self.element_paths.append(parent_path)
+        self.read_connectors(system, parent_path, units)
         for node in _find_elements(system, "ssd:Elements/*"):
-            name = self.attribute(node, "name", "an element")
+            name = self.read_attribute(node, "name", "an element")
             kind = node.tag.rpartition("}")[2]
             element_path = (*parent_path, name)
-            if element_path in self.places:
-                raise self.error(f"two elements are named '{'.'.join(element_path)}'.")
+            if element_path in self.element_paths:
+                raise self.build_error(f"two elements are named '{'.'.join(element_path)}'.")
             if kind == "System":
-                self.elements(node, element_path, units)
-                self.parameters(node, element_path)
+                self.read_elements(node, element_path, units)
+                self.apply_parameters(node, element_path)
             elif kind == "Component":
-                self.component(node, element_path)
-                self.connectors(node, element_path, units)
-                self.parameters(node, element_path)
+                self.read_component(node, element_path)
+                self.read_connectors(node, element_path, units)
+                self.apply_parameters(node, element_path)
             else:
-                raise self.refuse(f"element '{name}' is a {kind}, which is")
+                raise self.build_refusal(f"element '{name}' is a {kind}, which is")
         for node in _find_elements(system, "ssd:Connections/ssd:Connection"):
-            self.connection(node, parent_path)
+            self.read_connection(node, parent_path)
 
-    def component(self, node: ET.Element, element_path: ElementPath) -> None:
+    def read_component(self, node: ET.Element, element_path: ElementPath) -> None:
         where = f"component '{'.'.join(element_path)}'"
-        source = self.attribute(node, "source", where)
+        source = self.read_attribute(node, "source", where)
         if not source.lower().endswith(".fmu"):
-            raise self.refuse(f"{where} is {source}, no FMU, which is")
-        self.places.append(element_path)
+            raise self.build_refusal(f"{where} is {source}, no FMU, which is")
+        self.element_paths.append(element_path)
         # Names may collide on other file systems.
         file = f"{re.sub(r'[^0-9A-Za-z_]', '_', element_path[-1])[:_MAX_FILE_NAME]}.fmu"
         fmu = self.folder / str(len(self.fmus)) / file
         fmu.parent.mkdir(exist_ok=True)
-        fmu.write_bytes(self.member(source, f"{where}: "))
+        fmu.write_bytes(self.read_member(source, f"{where}: "))
         try:
             description = model_description(fmu)
         except SimulationError as error:
             raise SimulationError(f"{self.path}: {where}: {error}") from error
         if description.coSimulation is None or description.fmiVersion not in ("2.0", "3.0"):
-            raise self.refuse(
+            raise self.build_refusal(
                 f"{where} is of FMI {description.fmiVersion} or for model exchange only, which is"
             )
         self.fmus[element_path] = fmu
@@ -253,39 +254,44 @@ class _Reader:
         if hint is not None:
             self.steps[element_path] = hint.get("value", "")
 
-    def connectors(
+    def read_connectors(
         self, node: ET.Element, element_path: ElementPath, units: Mapping[str, Any]
     ) -> None:
         for connector in _find_elements(node, "ssd:Connectors/ssd:Connector"):
-            name = self.attribute(connector, "name", f"a connector of '{node.get('name')}'")
-            kind = next((c for c in connector if c.tag.startswith(f"{{{_PREFIXES['ssc']}}}")), None)
-            if any(connector.find(f"{p}:Dimension", _PREFIXES) is not None for p in ("ssc", "ssd")):
-                raise self.refuse(
+            name = self.read_attribute(connector, "name", f"a connector of '{node.get('name')}'")
+            kind = next(
+                (child for child in connector if child.tag.startswith(f"{{{_PREFIXES['ssc']}}}")),
+                None,
+            )
+            if any(
+                connector.find(f"{prefix}:Dimension", _PREFIXES) is not None
+                for prefix in ("ssc", "ssd")
+            ):
+                raise self.build_refusal(
                     f"connector '{format_connector((element_path, name))}' is an array, which is"
                 )
             unit = None if kind is None else kind.get("unit")
             self.graph.kinds[element_path, name] = connector.get("kind", "")
             self.graph.units[element_path, name] = (unit, units.get(unit)) if unit else None
 
-    def connection(self, node: ET.Element, system_path: ElementPath) -> None:
+    def read_connection(self, node: ET.Element, system_path: ElementPath) -> None:
         ends: list[ConnectorName] = []
         for end in ("start", "end"):
             element = node.get(f"{end}Element")
             element_path = system_path if element is None else (*system_path, element)
-            name = self.attribute(node, f"{end}Connector", "a connection")
-            if element_path not in self.places:
-                raise self.error(
+            name = self.read_attribute(node, f"{end}Connector", "a connection")
+            if element_path not in self.element_paths:
+                raise self.build_error(
                     f"connection of '{format_connector((element_path, name))}': '{element}' is "
-                    "not a component of the "
-                    "system."
+                    "not a component of the system."
                 )
             if element_path not in self.fmus and (element_path, name) not in self.graph.kinds:
-                raise self.error(
+                raise self.build_error(
                     f"connection of '{format_connector((element_path, name))}': the system has "
                     "no such connector."
                 )
             if node.get(f"{end}Indices"):
-                raise self.refuse(
+                raise self.build_refusal(
                     f"connection of '{format_connector((element_path, name))}': an index is"
                 )
             ends.append((element_path, name))
@@ -304,18 +310,18 @@ class _Reader:
         )
         self.graph.add(source, hop)
 
-    def sources(self) -> Iterator[tuple[ConnectorName, ConnectorName, tuple[Conversion, ...]]]:
+    def find_sources(self) -> Iterator[tuple[ConnectorName, ConnectorName, tuple[Conversion, ...]]]:
         """Yield input, output and conversions of connected components."""
         for source in list(self.graph.hops):
-            for path in self.graph.ends(source) if source[0] in self.fmus else ():
+            for path in self.graph.find_paths(source) if source[0] in self.fmus else ():
                 if self.graph.kinds.get(source) in ("calculatedParameter", "constant"):
-                    raise self.refuse(
+                    raise self.build_refusal(
                         f"connection of the parameter '{format_connector(source)}' is"
                     )
-                steps = self.graph.conversions(source, path, self.graph.unit(source))
+                steps = self.graph.find_conversions(source, path, self.graph.find_unit(source))
                 yield path[-1].target, source, steps
 
-    def outputs(self) -> list[ConnectorName]:
+    def list_outputs(self) -> list[ConnectorName]:
         """Return all outputs with a connector, or all outputs."""
         shown_outputs = [
             node
@@ -328,35 +334,35 @@ class _Reader:
             for name in variables.feedthrough
         ]
 
-    def parameters(self, node: ET.Element, element_path: ElementPath) -> None:
+    def apply_parameters(self, node: ET.Element, element_path: ElementPath) -> None:
         """Apply the parameter bindings of an element, which replace those of inner ones."""
         kind = "component" if element_path in self.fmus else "system"
         where = f"{kind} '{'.'.join(element_path) or node.get('name')}'"
         for binding in _find_elements(node, "ssd:ParameterBindings/ssd:ParameterBinding"):
             if binding.get("sourceBase") == "component":
-                raise self.refuse(f"{where}: a parameter source inside an FMU is")
+                raise self.build_refusal(f"{where}: a parameter source inside an FMU is")
             source = binding.get("source")
             prefix = binding.get("prefix", "")
-            sets = (
+            parameter_sets = (
                 _find_elements(binding, "ssd:ParameterValues/ssv:ParameterSet")
                 if source is None
                 else [self.parse_member(source, f"{where}: ")]
             )
-            mapping = self.mapping(binding, where)
-            for values in sets:
+            mapping = self.read_mapping(binding, where)
+            for parameter_set in parameter_sets:
                 units = read_units(
-                    _find_elements(values, "ssv:Units/ssc:Unit"), f"{self.path}: {where}"
+                    _find_elements(parameter_set, "ssv:Units/ssc:Unit"), f"{self.path}: {where}"
                 )
-                for parameter in _find_elements(values, "ssv:Parameters/ssv:Parameter"):
-                    name = self.attribute(parameter, "name", f"{where}: a parameter")
-                    value = self.value(parameter, units, f"{where}: parameter '{name}'")
+                for parameter in _find_elements(parameter_set, "ssv:Parameters/ssv:Parameter"):
+                    name = self.read_attribute(parameter, "name", f"{where}: a parameter")
+                    value = self.read_value(parameter, units, f"{where}: parameter '{name}'")
                     if mapping is None:
                         self.assign(element_path, prefix + name, value)
                         continue
                     for target, conversion_options in mapping.get(prefix + name, ()):
                         self.assign(element_path, target, replace(value, **conversion_options))
 
-    def mapping(
+    def read_mapping(
         self, binding: ET.Element, where: str
     ) -> dict[str, list[tuple[str, dict[str, Any]]]] | None:
         node = _find_element(binding, "ssd:ParameterMapping")
@@ -367,20 +373,23 @@ class _Reader:
         root = node if source is None else self.parse_member(source, f"{where}: ")
         for entry in root.iter(f"{{{_PREFIXES['ssm']}}}MappingEntry"):
             name, target = (
-                self.attribute(entry, key, f"{where}: a mapping") for key in ("source", "target")
+                self.read_attribute(entry, key, f"{where}: a mapping")
+                for key in ("source", "target")
             )
             conversion_options = {
-                "after": read_transformation(entry, f"{where}: mapping of '{name}'"),
+                "transformation": read_transformation(entry, f"{where}: mapping of '{name}'"),
                 "suppressed": entry.get("suppressUnitConversion") in TRUE,
             }
             targets_by_name.setdefault(name, []).append((target, conversion_options))
         return targets_by_name
 
-    def value(self, parameter: ET.Element, units: Mapping[str, Any], where: str) -> ParameterValue:
+    def read_value(
+        self, parameter: ET.Element, units: Mapping[str, Any], where: str
+    ) -> ParameterValue:
         for node in parameter:
             kind = node.tag.rpartition("}")[2]
             if kind in ("Dimension", "Binary") or (text := node.get("value")) is None:
-                raise self.refuse(f"{where} is an array or of type {kind}, which is")
+                raise self.build_refusal(f"{where} is an array or of type {kind}, which is")
             if kind in ("String", "Enumeration"):
                 return ParameterValue(value=text)
             if kind == "Boolean":
@@ -388,30 +397,34 @@ class _Reader:
             try:
                 number = int(text) if "Int" in kind else float(text)
             except ValueError as error:
-                raise self.error(f"{where} is '{text}', which is not of type {kind}.") from error
+                raise self.build_error(
+                    f"{where} is '{text}', which is not of type {kind}."
+                ) from error
             unit_name = node.get("unit")
             return ParameterValue(
                 value=number, unit=(unit_name, units.get(unit_name)) if unit_name else None
             )
-        raise self.error(f"{where} has no value.")
+        raise self.build_error(f"{where} has no value.")
 
     def assign(self, outer_path: ElementPath, name: str, parameter: ParameterValue) -> bool:
         """Set a parameter below an element by its hierarchical name; return whether it exists."""
         exists = False
-        for inner_path in self.places:
-            prefix = "".join(f"{part}." for part in inner_path[len(outer_path) :])
+        for inner_path in self.element_paths:
+            prefix = "".join(f"{name_part}." for name_part in inner_path[len(outer_path) :])
             if inner_path[: len(outer_path)] != outer_path or not name.startswith(prefix):
                 continue
             inner_name = name.removeprefix(prefix)
             if inner_path in self.fmus:
-                exists |= self.set(inner_path, inner_name, parameter)
+                exists |= self.set_start_value(inner_path, inner_name, parameter)
             elif (inner_path, inner_name) in self.graph.kinds:
                 exists = True
-                for path in self.graph.ends((inner_path, inner_name)):
-                    self.set(*path[-1].target, parameter, (inner_path, inner_name), path)
+                for path in self.graph.find_paths((inner_path, inner_name)):
+                    self.set_start_value(
+                        *path[-1].target, parameter, (inner_path, inner_name), path
+                    )
         return exists
 
-    def set(
+    def set_start_value(
         self,
         element_path: ElementPath,
         name: str,
@@ -428,25 +441,27 @@ class _Reader:
         for element in elements:
             value = parameter.value
             unit = None if parameter.suppressed else parameter.unit
-            target_unit = connector and self.graph.unit(connector)
+            target_unit = connector and self.graph.find_unit(connector)
             if unit and not connector:
                 value = convert_to_unit(variables, element, value, unit, where)
             elif unit and target_unit:
                 value = find_conversion(unit, target_unit, where)(value)
-            if parameter.after:
-                value = parameter.after.apply(value, where)
+            if parameter.transformation:
+                value = parameter.transformation.apply(value, where)
             if isinstance(value, str | bool):
                 for transformation in (hop.transformation for hop in path if hop.transformation):
                     value = transformation.apply(value, where)
             elif connector:
-                for step in self.graph.conversions(connector, path, target_unit or unit):
+                for step in self.graph.find_conversions(connector, path, target_unit or unit):
                     value = step(value)
-            self.start.setdefault(element_path, {})[element] = value
+            self.start_values.setdefault(element_path, {})[element] = value
         return True
 
-    def signal(self, component: str, connector: str) -> str:
+    def name_signal(self, component: str, connector: str) -> str:
         if not connector or re.search(r"\s", connector):
-            raise self.refuse(f"connector '{connector}' of '{component}': names with spaces are")
+            raise self.build_refusal(
+                f"connector '{connector}' of '{component}': names with spaces are"
+            )
         return f"{component}.{connector}"
 
 

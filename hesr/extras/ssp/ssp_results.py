@@ -50,22 +50,28 @@ def result_files(contents: SystemContents) -> dict[str, bytes]:
 
     It is empty without outputs, if an FMU is not trusted or has its own step, or a run fails.
     """
-    system = contents.spec
+    system = contents.system
     signals = [f"{component}.{output}" for component, output in contents.used_outputs]
     is_multirate = any(system.find_step_multiple(c) > 1 for c in system.components)
-    if is_multirate or not signals or not all(is_trusted(c.fmu) for c in system.components):
+    if (
+        is_multirate
+        or not signals
+        or not all(is_trusted(component.fmu) for component in system.components)
+    ):
         return {}
     t = np.round(system.step * np.arange(min(ROWS, system.steps) + 1), 12)
     try:
         signals_by_scheme = {name: _run_scheme(system, signals, t, name) for name in _SCHEMES}
     except HesrError:
         return {}
-    ways = "\n".join(f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _SCHEMES.items())
-    files = {"extra/README.txt": _README.format(step=system.step, ways=ways).encode()}
+    scheme_lines = "\n".join(
+        f"    {_STEM}_{name}.csv: {text}" for name, (_, text) in _SCHEMES.items()
+    )
+    files = {"extra/README.txt": _README.format(step=system.step, ways=scheme_lines).encode()}
     files[f"{_STEM}_in.csv"] = table({"time": t}, 12)
     files |= {
-        f"{_STEM}_{name}.csv": table({"time": t, **rows}, 14)
-        for name, rows in signals_by_scheme.items()
+        f"{_STEM}_{name}.csv": table({"time": t, **signal_values}, 14)
+        for name, signal_values in signals_by_scheme.items()
     }
     experiment_files = ExperimentFiles(
         runs=[(name, text, name) for name, (_, text) in _SCHEMES.items()],
@@ -109,9 +115,9 @@ def _judge(system: SystemSpec, experiment: ReferenceExperiment, verified: Verifi
 def _run_scheme(
     system: SystemSpec, signals: list[str], t: np.ndarray, scheme_name: str
 ) -> dict[str, np.ndarray]:
-    update = {"stop": system.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
+    changes = {"stop": system.step * (len(t) - 1), "observe": tuple(signals), "limits": {}}
     scheme = ExchangeScheme(order="jacobi", refreshed=_SCHEMES[scheme_name][0])
-    with Master(system.model_copy(update=update), scheme=scheme) as master:
+    with Master(system.model_copy(update=changes), scheme=scheme) as master:
         signal_values = master.run().require_success().signals
     for signal in signals:
         if signal not in signal_values:

@@ -72,7 +72,7 @@ def _predict_errors(
     export_plant(
         model, fmu, plant_body=plant_body, kv=kv, ki=ki, kp=kp if any(kp) else None, bare=True
     )
-    error = compute_commands(log)[0] - log.q
+    logged_error = compute_commands(log)[0] - log.q
     missing_torque = _estimate_missing_torque(log, robot, body, model)
     generator = np.random.default_rng(0)
     drawn_factors = [servo.factors, *(servo.draw(generator) for _ in range(_DRAW_COUNT))]
@@ -81,33 +81,38 @@ def _predict_errors(
 
         def run(command: str, torque: Array, factors: Array = servo.factors) -> Array:
             return _run_plant(
-                instance, log, commands[command], torque, servo, factors, position=any(kp)
+                instance, log, commands[command], torque, servo, factors, has_position_loop=any(kp)
             )
 
         no_torque = np.zeros_like(missing_torque)
-        bases = [run(AS_LOGGED, no_torque, factors) for factors in drawn_factors]
-        base = run(AS_LOGGED, missing_torque)
+        base_runs = [run(AS_LOGGED, no_torque, factors) for factors in drawn_factors]
+        base_run = run(AS_LOGGED, missing_torque)
         for name in commands:
             drawn_runs = (run(name, no_torque, factors) for factors in drawn_factors)
-            runs = bases if name == AS_LOGGED else list(drawn_runs)
-            free_errors = [error + b - q for b, q in zip(bases, runs, strict=True)]
-            held_error = error + base - run(name, missing_torque)
+            runs = base_runs if name == AS_LOGGED else list(drawn_runs)
+            free_errors = [
+                logged_error + base_q - q for base_q, q in zip(base_runs, runs, strict=True)
+            ]
+            held_error = logged_error + base_run - run(name, missing_torque)
             shifted_error = (
-                error + base - run(name, _shift_missing_torque(log, missing_torque, runs[0]))
+                logged_error
+                + base_run
+                - run(name, _shift_missing_torque(log, missing_torque, runs[0]))
             )
             if log.q_cmd is None:  # a velocity command fixes no position
                 shifted_error, held_error, *free_errors = (
-                    e - e.mean(axis=0) for e in (shifted_error, held_error, *free_errors)
+                    error - error.mean(axis=0)
+                    for error in (shifted_error, held_error, *free_errors)
                 )
-            middle, *drawn_errors = (rms(e) for e in (shifted_error, *free_errors))
-            missing = np.maximum(
+            central_error, *drawn_errors = (rms(error) for error in (shifted_error, *free_errors))
+            missing_share = np.maximum(
                 rms(shifted_error - held_error), rms(shifted_error - free_errors[0])
             )
-            spread = np.hypot(missing, _INTERVAL_DEVIATIONS * np.std(drawn_errors, axis=0))
-            low = np.maximum(middle - spread, 0.0)
-            high = middle + spread
+            spread = np.hypot(missing_share, _INTERVAL_DEVIATIONS * np.std(drawn_errors, axis=0))
+            lower_error = np.maximum(central_error - spread, 0.0)
+            upper_error = central_error + spread
             central_errors, lower_errors, upper_errors = (
-                tuple(map(float, values)) for values in (middle, low, high)
+                tuple(map(float, values)) for values in (central_error, lower_error, upper_error)
             )
             rows.append(
                 FollowingError(
@@ -163,7 +168,9 @@ def _shift_missing_torque(log: Log, missing_torque: Array, q: Array) -> Array:
     speed = np.gradient(log.q, log.t, axis=0)
     lead_times = np.sum((q - log.q) * speed, axis=0) / np.sum(speed**2, axis=0)
     columns = zip(lead_times, missing_torque.T, strict=True)
-    return np.column_stack([np.interp(log.t + s, log.t, column) for s, column in columns])
+    return np.column_stack(
+        [np.interp(log.t + lead_time, log.t, column) for lead_time, column in columns]
+    )
 
 
 def _advance_motion(motion: Motion, lead: float) -> tuple[Array, ...]:
@@ -194,23 +201,29 @@ def _run_plant(
     servo: ServoFit,
     factors: Array,
     *,
-    position: bool,
+    has_position_loop: bool,
 ) -> Array:
     """Return the positions (N, n) of the plant along commands."""
     kv, ki, kp = cascade(factors)
     delay = 0.0 if servo.held else 0.5 * log.period
-    start = {"q_start": log.q[0], "servo_kv": kv, "servo_ki": ki}
-    start |= {"gravity_share": servo.gravity_share} | ({"servo_kp": kp} if position else {})
-    numbers = {name: tuple(map(float, values)) for name, values in start.items()}
+    gains = {"q_start": log.q[0], "servo_kv": kv, "servo_ki": ki}
+    gains |= {"gravity_share": servo.gravity_share} | (
+        {"servo_kp": kp} if has_position_loop else {}
+    )
+    start_values = {name: tuple(map(float, input_rows)) for name, input_rows in gains.items()}
     latency = max(servo.latency - delay, 0.0)
     if instance.used:
         instance.reset()
-    instance.initialise(start=instance.variables.expand_values({**numbers, "latency": latency}))
+    instance.initialise(
+        start=instance.variables.expand_values({**start_values, "latency": latency})
+    )
     joints = range(1, log.q.shape[1] + 1)
-    names = ("q_cmd", "dq_cmd") if position else ("dq_cmd",)
-    values = np.hstack([*(command if position else command[1:]), -missing_torque])
-    inputs = instance.buffer([f"{name}[{i}]" for name in (*names, "tau") for i in joints])
-    outputs = instance.buffer([f"q[{i}]" for i in joints])
+    names = ("q_cmd", "dq_cmd") if has_position_loop else ("dq_cmd",)
+    input_rows = np.hstack([*(command if has_position_loop else command[1:]), -missing_torque])
+    inputs = instance.buffer([f"{name}[{number}]" for name in (*names, "tau") for number in joints])
+    outputs = instance.buffer([f"q[{number}]" for number in joints])
     first_outputs = outputs.read().copy()
-    rows = step_rows(instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), values[:-1])
+    rows = step_rows(
+        instance, inputs, outputs, log.t[:-1] - log.t[0], np.diff(log.t), input_rows[:-1]
+    )
     return np.vstack([first_outputs, rows])

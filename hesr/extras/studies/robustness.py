@@ -50,12 +50,12 @@ def run_sweeps(
         if not tracked_row.failures:
             scheme = replace(tracked_row.scheme, change=_UNCHANGED)
             rmse = tracked_row.rmse
-            last = tracked_row.last
+            last_errors = tracked_row.last
             short_row = replace(
                 tracked_row,
                 scheme=scheme,
                 rmse=rmse[:_MOTION_COUNT],
-                last=last[:_MOTION_COUNT],
+                last=last_errors[:_MOTION_COUNT],
                 trace=None,
             )
             tracked_by_row[scheme, tracked_row.law] = short_row
@@ -88,10 +88,10 @@ def run_overcompensation(loop: StudyLoop) -> list[Overcompensation]:
     ]
     tracked = loop.track(rows, [rest_motion], _REST_DURATION, "over-compensation")
     results = []
-    for k, (law_name, scheme) in enumerate(cases):
+    for case_index, (law_name, scheme) in enumerate(cases):
         errors = [
             tracked_row.rmse[0]
-            for tracked_row in tracked[k * len(FACTORS) : (k + 1) * len(FACTORS)]
+            for tracked_row in tracked[case_index * len(FACTORS) : (case_index + 1) * len(FACTORS)]
         ]
         cycling_factors = (
             factor
@@ -122,11 +122,11 @@ def _vary_setting(
     gains = setting.gains
     fmus = setting.fmus
     yield _UNCHANGED, setting
-    for mass, body in payloads.items():
+    for mass, body_fmu in payloads.items():
         arm = {"payload": mass}
         yield f"payload {mass:g} kg", replace(setting, arm=arm)
         # The servo compensates the gravity of the bare arm.
-        identified_fmus = replace(fmus, body=body, gravity=fmus.body)
+        identified_fmus = replace(fmus, body=body_fmu, gravity=fmus.body)
         yield f"payload {mass:g} kg, identified", replace(setting, arm=arm, fmus=identified_fmus)
     for scale in FRICTION_SCALES:
         yield f"friction x {scale:g}", replace(setting, arm={"friction_scale": scale})
@@ -136,7 +136,7 @@ def _vary_setting(
         yield f"latency {1e3 * latency:g} ms", late_setting
     for error in GAIN_ERRORS:
         wrong_gains = {
-            name: tuple(error * g for g in getattr(gains, name)) for name in ("Kv", "Ki")
+            name: tuple(error * gain for gain in getattr(gains, name)) for name in ("Kv", "Ki")
         }
         yield (
             f"servo gains x {error:g}",
@@ -149,15 +149,15 @@ def _vary_setting(
 def _export_payload_bodies(
     robot: Robot, body: RigidBody, folder: Path, step: float
 ) -> dict[float, Path]:
-    source = robot.description.model
+    model_path = robot.description.model
     paths = {}
     for mass in PAYLOADS:
-        loaded_path = folder / f"payload_{mass:g}.xml"
-        text = source.read_text(encoding="utf-8")
-        loaded_path.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
-        description = robot.description.model_copy(update={"model": loaded_path})
-        change = Robot(description).nominal_parameters - robot.nominal_parameters
-        content = inverse_dynamics(robot, body.parameters + change, step=step)
+        payload_path = folder / f"payload_{mass:g}.xml"
+        text = model_path.read_text(encoding="utf-8")
+        payload_path.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
+        description = robot.description.model_copy(update={"model": payload_path})
+        parameter_change = Robot(description).nominal_parameters - robot.nominal_parameters
+        content = inverse_dynamics(robot, body.parameters + parameter_change, step=step)
         paths[mass] = write_fmu(content, folder / f"InverseDynamics_{mass:g}kg.fmu")
-        loaded_path.unlink()
+        payload_path.unlink()
     return paths

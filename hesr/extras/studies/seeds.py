@@ -33,13 +33,14 @@ from hesr_model.support.arrays import Array
 from hesr_model.support.files import scratch_folder
 from hesr_model.support.progress import Progress, report_progress, silent
 
-MIN_DRAWS = 2  # draws
+MIN_DRAWS = 2
 LEVEL = 0.15
+"""Standard deviation of the logarithm of Coulomb friction."""
 VISCOSITY = 0.3
-"""Standard deviations of the logarithms of Coulomb and viscous friction."""
-_MIN_AMPLITUDE = 0.8  # minimum, of motions other than Fourier series
+"""Standard deviation of the logarithm of viscous friction."""
+_MIN_AMPLITUDE = 0.8  # factor on that of motions other than Fourier series
 _MAX_TRIES = 100  # draws of a Fourier motion within the limits
-_UPPER_QUANTILE = 0.975  # quantile
+_UPPER_QUANTILE = 0.975
 
 
 def run_seeds(
@@ -58,8 +59,13 @@ def run_seeds(
     law_names = tuple(laws or study.laws)
     if not law_names:
         raise ConfigError(f"{path}: --seeds needs the key 'laws', or --quick.")
-    jobs = [partial(simulate_draw, study, study.seed + k, law_names) for k in range(seeds)]
-    with parallel.results_of(jobs, names=[f"draw {k + 1}" for k in range(seeds)]) as results:
+    jobs = [
+        partial(simulate_draw, study, study.seed + draw_index, law_names)
+        for draw_index in range(seeds)
+    ]
+    with parallel.results_of(
+        jobs, names=[f"draw {draw_index + 1}" for draw_index in range(seeds)]
+    ) as results:
         draws = [next(results) for _ in report_progress(jobs, progress)]
     reference = REFERENCE if REFERENCE in law_names else law_names[0]
     return Seeds(
@@ -67,7 +73,8 @@ def run_seeds(
         joints=RobotDescription.read(study.robot).joints,
         reference=reference,
         tests={
-            test: _summarise_scores([d[test] for d in draws], reference) for test in study.logs.test
+            test: _summarise_scores([draw[test] for draw in draws], reference)
+            for test in study.logs.test
         },
     )
 
@@ -78,9 +85,11 @@ def simulate_draw(study: Study, seed: int, laws: Sequence[str]) -> Errors:
     rng = np.random.default_rng(seed)
     plant = Plant.read(study.twin.plant)
     noise_seed = int(rng.integers(2**31))
-    joints = len(plant.joints)
-    levels, rates = (np.exp(rng.normal(0.0, sd, joints)) for sd in (LEVEL, VISCOSITY))
-    with load_arm(plant, signals=servo_signals(plant, levels, rates)) as arm:
+    joint_count = len(plant.joints)
+    levels, viscosities = (
+        np.exp(rng.normal(0.0, deviation, joint_count)) for deviation in (LEVEL, VISCOSITY)
+    )
+    with load_arm(plant, signals=servo_signals(plant, levels, viscosities)) as arm:
         arm_recordings = [
             recording
             for motion in Motions.read(study.twin.motions).motions
@@ -138,9 +147,14 @@ def _draw_motion(motion: MotionSpec, limits: Array, rng: np.random.Generator) ->
     """Draw another motion of the same kind, within the limits (n, 2) [rad]."""
     if not isinstance(motion, FourierMotion):
         factor = float(rng.uniform(_MIN_AMPLITUDE, 1.0))
-        keys = ("amplitude", "swing") if isinstance(motion, SweepMotion) else ("amplitude",)
-        smaller = {key: tuple(factor * a for a in getattr(motion, key)) for key in keys}
-        return motion.model_copy(update=smaller)
+        amplitude_keys = (
+            ("amplitude", "swing") if isinstance(motion, SweepMotion) else ("amplitude",)
+        )
+        scaled_amplitudes = {
+            key: tuple(factor * amplitude for amplitude in getattr(motion, key))
+            for key in amplitude_keys
+        }
+        return motion.model_copy(update=scaled_amplitudes)
     for _ in range(_MAX_TRIES):
         drawn_motion = motion.model_copy(update={"seed": int(rng.integers(2**31))})
         trajectory = drawn_motion.trajectory()
@@ -151,13 +165,15 @@ def _draw_motion(motion: MotionSpec, limits: Array, rng: np.random.Generator) ->
 
 
 def _summarise_scores(draws: Sequence[Mapping[str, Sequence[float]]], reference: str) -> SeedScores:
-    rmse = {law_name: np.array([of[law_name] for of in draws]) for law_name in draws[0]}
-    logarithms = {law_name: np.log(of / rmse[reference]) for law_name, of in rmse.items()}
+    rmse = {law_name: np.array([law_rmse[law_name] for law_rmse in draws]) for law_name in draws[0]}
+    log_ratios = {
+        law_name: np.log(law_rmse / rmse[reference]) for law_name, law_rmse in rmse.items()
+    }
     return SeedScores(
-        rmse={law_name: _compute_spreads(of) for law_name, of in rmse.items()},
+        rmse={law_name: _compute_spreads(law_rmse) for law_name, law_rmse in rmse.items()},
         ratios={
-            law_name: _compute_spreads(of, np.exp)
-            for law_name, of in logarithms.items()
+            law_name: _compute_spreads(law_rmse, np.exp)
+            for law_name, law_rmse in log_ratios.items()
             if law_name != reference
         },
     )
@@ -167,10 +183,12 @@ def _compute_spreads(
     values: Array, transform: Callable[[Array], Array] = np.asarray
 ) -> tuple[Spread, ...]:
     """Return `transform` of mean and Student's 95 % interval of each column (seeds, n)."""
-    count = len(values)
+    seed_count = len(values)
     means = values.mean(axis=0)
-    halves = stdtrit(count - 1, _UPPER_QUANTILE) * values.std(axis=0, ddof=1) / np.sqrt(count)
-    rows = transform(np.column_stack([means, means - halves, means + halves]))
+    half_widths = (
+        stdtrit(seed_count - 1, _UPPER_QUANTILE) * values.std(axis=0, ddof=1) / np.sqrt(seed_count)
+    )
+    rows = transform(np.column_stack([means, means - half_widths, means + half_widths]))
     return tuple(Spread(mean=mean, low=low, high=high) for mean, low, high in rows.tolist())
 
 
@@ -193,9 +211,9 @@ def evaluate_truths(
         errors[truth] = {
             test: {
                 law_name: rmse
-                for law_name, rmse in of_test.items()
+                for law_name, rmse in errors_of_test.items()
                 if not law_name.endswith(MEASURED_START)
             }
-            for test, of_test in compute_errors(study, truth_recordings, laws, fit).items()
+            for test, errors_of_test in compute_errors(study, truth_recordings, laws, fit).items()
         }
     return errors

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 _MAX_ROUNDS = 5
 _ENCRYPTED = ("tls", "wss")
 _LOST_ERRORS = ("KilledWorker", "CancelledError", "FutureCancelledError", "CommClosedError")
-_TIME_LIMIT = 20  # time limit for the scheduler to answer and to have a worker [s]
+_TIME_LIMIT = 20  # [s] for the scheduler to answer and to have a worker
 
 
 @contextmanager
 def run_on_cluster(
-    plan: Plan, firsts: list[int], address: str
+    plan: Plan, open_starts: list[int], address: str
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     """Yield an iterator of finished chunks with their first runs; `address` as tcp://host:8786.
 
@@ -52,7 +52,7 @@ def run_on_cluster(
             client.wait_for_workers(1, timeout=_TIME_LIMIT)
         except TimeoutError as error:
             raise ConfigError(f"--cluster: the scheduler at {address} has no worker.") from error
-        yield _run_chunks(client, plan, firsts)
+        yield _run_chunks(client, plan, open_starts)
 
 
 def require_encryption(address: str, *, insecure: bool) -> None:
@@ -72,12 +72,12 @@ def require_encryption(address: str, *, insecure: bool) -> None:
 
 
 def _run_chunks(
-    client: "Client", plan: Plan, firsts: list[int]
+    client: "Client", plan: Plan, open_starts: list[int]
 ) -> Iterator[tuple[int, RunOutputs]]:
     from distributed import as_completed
 
-    ours = {digest: is_trusted(fmu) for fmu, digest in plan.digests.items()}
-    open_chunks = dict.fromkeys(firsts)
+    trusted = {digest: is_trusted(fmu) for fmu, digest in plan.digests.items()}
+    open_chunks = dict.fromkeys(open_starts)
     for _ in range(_MAX_ROUNDS):
         if not open_chunks:
             return
@@ -85,16 +85,18 @@ def _run_chunks(
             {digest: fmu.read_bytes() for fmu, digest in plan.digests.items()}, broadcast=True
         )
         names = {str(fmu): digest for fmu, digest in plan.digests.items()}
-        fmus = names, ours, contents
+        fmus = names, trusted, contents
         futures = {
-            client.submit(run_on_worker, plan.task, plan.chunk(first), *fmus, pure=False): first
-            for first in open_chunks
+            client.submit(
+                run_on_worker, plan.task, plan.chunk(chunk_start), *fmus, pure=False
+            ): chunk_start
+            for chunk_start in open_chunks
         }
         for future in as_completed(futures, loop=client.loop):
             if future.status == "finished":
-                first = futures[future]
-                del open_chunks[first]
-                yield first, future.result()
+                chunk_start = futures[future]
+                del open_chunks[chunk_start]
+                yield chunk_start, future.result()
             elif future.status == "error":
                 error = future.exception()
                 if type(error).__name__ not in _LOST_ERRORS:
@@ -103,8 +105,7 @@ def _run_chunks(
     if open_chunks:
         raise WorkerError(
             f"workers of the cluster died {_MAX_ROUNDS} times; {len(open_chunks)} chunks of "
-            "runs are left; "
-            "repeat the command to continue."
+            "runs are left; repeat the command to continue."
         )
 
 
@@ -112,22 +113,22 @@ def run_on_worker(
     task: Task,
     values: Array,
     names: Mapping[str, str],
-    ours: Mapping[str, bool],
+    trusted: Mapping[str, bool],
     contents: Mapping[str, bytes],
 ) -> RunOutputs:
-    """Do runs (n, d) on a worker, with FMUs as bytes by hash; `ours` run without a sandbox."""
+    """Do runs (n, d) on a worker, with FMUs as bytes by hash; `trusted` run without a sandbox."""
     folder = cache.folder() / "fmus"
     files = {}
     for name, digest in names.items():
-        file = files[name] = folder / f"{digest}.fmu"
-        if not (file.is_file() and sha256(file) == digest):
-            with written_whole(file) as temporary:
+        fmu_path = files[name] = folder / f"{digest}.fmu"
+        if not (fmu_path.is_file() and sha256(fmu_path) == digest):
+            with written_whole(fmu_path) as temporary:
                 temporary.write_bytes(contents[digest])
-        if ours[digest] and not is_known(digest):
-            remember(file)
+        if trusted[digest] and not is_known(digest):
+            remember(fmu_path)
     components = tuple(
         component.model_copy(update={"fmu": files[str(component.fmu)]})
-        for component in task.spec.components
+        for component in task.system.components
     )
-    system = task.spec.model_copy(update={"components": components})
-    return run_rows(replace(task, spec=system), values)
+    system = task.system.model_copy(update={"components": components})
+    return run_rows(replace(task, system=system), values)

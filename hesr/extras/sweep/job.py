@@ -39,16 +39,18 @@ def run_sweep(
             tuple(sweep_output.name for sweep_output in plan.study.outputs),
         )
         with lock_folder(output, RUNS, ABOUT, plan.describe_results()):
-            open_firsts = [k for k in plan.firsts if not store.has(k, plan.chunk(k))]
+            open_starts = [
+                start for start in plan.chunk_starts if not store.has(start, plan.chunk(start))
+            ]
             run_count = len(plan.values)
-            done_count = reused = run_count - sum(len(plan.chunk(k)) for k in open_firsts)
+            done_count = reused = run_count - sum(len(plan.chunk(start)) for start in open_starts)
             progress(plan.study.name, done_count, run_count)
-            with _run_chunks(plan, open_firsts, workers, cluster) as results:
-                for first, rows in results:
-                    store.write(first, plan.chunk(first), rows)
-                    done_count += len(plan.chunk(first))
+            with _run_chunks(plan, open_starts, workers, cluster) as results:
+                for chunk_start, rows in results:
+                    store.write(chunk_start, plan.chunk(chunk_start), rows)
+                    done_count += len(plan.chunk(chunk_start))
                     progress(plan.study.name, done_count, run_count)
-            table = store.read(plan.firsts)
+            table = store.read(plan.chunk_starts)
             output_sensitivities = compute_sensitivities(table.outputs, plan.study)
             if all(table.failures):
                 raise SimulationError(
@@ -71,17 +73,17 @@ def run_sweep(
 
 @contextmanager
 def _run_chunks(
-    plan: Plan, open_firsts: list[int], workers: int | None, cluster: str | None
+    plan: Plan, open_starts: list[int], workers: int | None, cluster: str | None
 ) -> Iterator[Iterator[tuple[int, RunOutputs]]]:
     if cluster is not None:
         from hesr.extras.sweep.cluster import run_on_cluster
 
-        with run_on_cluster(plan, open_firsts, cluster) as results:
+        with run_on_cluster(plan, open_starts, cluster) as results:
             yield results
         return
-    jobs = [partial(run_rows, plan.task, plan.chunk(first)) for first in open_firsts]
+    jobs = [partial(run_rows, plan.task, plan.chunk(chunk_start)) for chunk_start in open_starts]
     with parallel.results_of(jobs, workers) as finished:
-        yield zip(open_firsts, finished, strict=True)
+        yield zip(open_starts, finished, strict=True)
 
 
 def replay(path: Path, run: int) -> tuple[Plan, Signals]:
@@ -91,7 +93,7 @@ def replay(path: Path, run: int) -> tuple[Plan, Signals]:
         if not 0 <= run < len(plan.values):
             raise ConfigError(f"{path}: run {run} is not one of 0 to {len(plan.values) - 1}.")
         system_signals = SystemSpec.read(plan.study.system).observe
-        system = plan.task.spec
+        system = plan.task.system
         system = system.model_copy(
             update={"observe": tuple(dict.fromkeys((*system.observe, *system_signals)))}
         )
@@ -126,13 +128,14 @@ JOB = PluginJob("simulate", "outputs", _run)
 
 
 def _replay(path: Path, run: int, file: Path) -> Written:
-
     plan, signals = replay(path, run)
     if len(signals.t):
         signals.write(file)
     signals.require_success()
     study = plan.study
-    varied_inputs = {name: float(x) for name, x in zip(study.names, plan.values[run], strict=True)}
+    varied_inputs = {
+        name: float(value) for name, value in zip(study.names, plan.values[run], strict=True)
+    }
     measured_outputs = {
         sweep_output.name: float(x)
         for sweep_output, x in zip(study.outputs, plan.task.measure_outputs(signals), strict=True)

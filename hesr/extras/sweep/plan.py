@@ -38,7 +38,7 @@ def compute_sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity
         return []
     from scipy.stats import bootstrap  # slow to import
 
-    indices = []
+    sensitivities = []
     for output, values in zip(study.outputs, outputs.T, strict=True):
         if not np.isfinite(values).all() or np.ptp(values) == 0.0:
             continue
@@ -47,7 +47,7 @@ def compute_sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity
         # The bootstrap of scipy's `sobol_indices` takes no seed.
         spread = bootstrap(
             [np.arange(study.runs)],
-            lambda chosen, of=blocks: _compute_shares(of[:, chosen]),
+            lambda rows, blocks_of_output=blocks: _compute_shares(blocks_of_output[:, rows]),
             vectorized=False,
             confidence_level=0.95,
             n_resamples=499,
@@ -55,10 +55,10 @@ def compute_sensitivities(outputs: Array, study: SweepStudy) -> list[Sensitivity
         )
         first, total = _compute_shares(blocks)
         intervals = np.stack(spread.confidence_interval, axis=-1)
-        indices.append(
+        sensitivities.append(
             Sensitivity(output=output.name, first=first, total=total, intervals=intervals)
         )
-    return indices
+    return sensitivities
 
 
 def _compute_shares(blocks: Array) -> Array:
@@ -76,15 +76,15 @@ _MIN_QUANTILE = 2.0**-53  # smallest distance to 0 and 1 of the quantiles of a n
 
 def design_inputs(study: SweepStudy) -> Array:
     """Return the values of all inputs, (runs, d)."""
-    unit = _design_unit_points(study)
+    unit_points = _design_unit_points(study)
     columns = [
-        _map_to_values(sweep_input, unit[:, k]) for k, sweep_input in enumerate(study.inputs)
+        _map_to_values(sweep_input, unit_points[:, k]) for k, sweep_input in enumerate(study.inputs)
     ]
     column = len(columns)
     for group in study.correlated:
-        n = len(group.variables)
-        columns += list(_map_to_group(group, unit[:, column : column + n]).T)
-        column += n
+        count = len(group.variables)
+        columns += list(_map_to_group(group, unit_points[:, column : column + count]).T)
+        column += count
     return np.column_stack(columns)
 
 
@@ -112,8 +112,12 @@ def _design_unit_points(study: SweepStudy) -> Array:
 def _build_grid(study: SweepStudy) -> Array:
     levels = []
     for sweep_input in study.inputs:
-        n = len(sweep_input.values)
-        levels.append((np.arange(n) + 0.5) / n if n else np.linspace(0.0, 1.0, sweep_input.levels))
+        value_count = len(sweep_input.values)
+        levels.append(
+            (np.arange(value_count) + 0.5) / value_count
+            if value_count
+            else np.linspace(0.0, 1.0, sweep_input.levels)
+        )
     run_count = prod(map(len, levels))
     if run_count > MAX_RUNS:
         raise ConfigError(
@@ -124,30 +128,32 @@ def _build_grid(study: SweepStudy) -> Array:
     return np.array(list(product(*levels)))
 
 
-def _map_to_values(sweep_input: SweepInput, unit: Array) -> Array:
+def _map_to_values(sweep_input: SweepInput, unit_points: Array) -> Array:
     if sweep_input.values:
         listed_values: Array = np.array(sweep_input.values)
-        return listed_values.take((unit * len(listed_values)).astype(int), mode="clip")
+        return listed_values.take((unit_points * len(listed_values)).astype(int), mode="clip")
     if sweep_input.low is not None and sweep_input.high is not None:
         if sweep_input.integer:
             lower = np.ceil(sweep_input.low)
             upper = np.floor(sweep_input.high)
-            return np.asarray(np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper))
-        return sweep_input.low + unit * (sweep_input.high - sweep_input.low)
+            return np.asarray(
+                np.minimum(lower + np.floor(unit_points * (upper - lower + 1.0)), upper)
+            )
+        return sweep_input.low + unit_points * (sweep_input.high - sweep_input.low)
     normal_values: Array = (sweep_input.mean or 0.0) + (sweep_input.std or 0.0) * _map_to_normal(
-        unit
+        unit_points
     )
     return np.round(normal_values) if sweep_input.integer else normal_values
 
 
-def _map_to_group(group: Correlated, unit: Array) -> Array:
-    sizes, axes = np.linalg.eigh(np.array(group.covariance))
-    root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
-    return np.asarray(np.array(group.mean) + _map_to_normal(unit) @ root)
+def _map_to_group(group: Correlated, unit_points: Array) -> Array:
+    eigenvalues, eigenvectors = np.linalg.eigh(np.array(group.covariance))
+    root = (eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ eigenvectors.T
+    return np.asarray(np.array(group.mean) + _map_to_normal(unit_points) @ root)
 
 
-def _map_to_normal(unit: Array) -> Array:
-    return np.asarray(ndtri(np.clip(unit, _MIN_QUANTILE, 1.0 - _MIN_QUANTILE)))
+def _map_to_normal(unit_points: Array) -> Array:
+    return np.asarray(ndtri(np.clip(unit_points, _MIN_QUANTILE, 1.0 - _MIN_QUANTILE)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,13 +166,13 @@ class Plan:
     digests: dict[Path, str]
 
     @property
-    def firsts(self) -> list[int]:
+    def chunk_starts(self) -> list[int]:
         """First run of each chunk."""
         return list(range(0, len(self.values), self.study.chunk))
 
-    def chunk(self, first: int) -> Array:
+    def chunk(self, chunk_start: int) -> Array:
         """Return the values (n, d) of the chunk from a run."""
-        return self.values[first : first + self.study.chunk]
+        return self.values[chunk_start : chunk_start + self.study.chunk]
 
     def describe_results(self) -> dict[str, Any]:
         """Return the description of the results."""
@@ -178,7 +184,9 @@ def read_plan(path: Path) -> Plan:
     """Read a sweep file and check it against its system."""
     study = SweepStudy.read(path)
     system = SystemSpec.read(study.system)
-    signals = [s for o in study.outputs for s in (o.signal, o.reference) if s is not None]
+    signals = [
+        signal for o in study.outputs for signal in (o.signal, o.reference) if signal is not None
+    ]
     system = system.model_copy(update={"observe": tuple(dict.fromkeys(signals))})
     for output in study.outputs:
         if output.start > system.stop:
@@ -196,7 +204,7 @@ def read_plan(path: Path) -> Plan:
         for fmu in {component.fmu for component in system.components}
         if fmu.is_file()
     }
-    task = Task(key="", spec=system, targets=targets, outputs=study.outputs)
+    task = Task(key="", system=system, targets=targets, outputs=study.outputs)
     with Master(system, study.system, loaded=POOL) as master:
         master.require_start(task.start(values[0]), path)
         for output in study.outputs:
@@ -231,8 +239,10 @@ def _find_targets(study: SweepStudy, system: SystemSpec, path: Path) -> list[Var
 
 
 def _read_start(system: SystemSpec, component: str, variable: str, path: Path) -> tuple[float, ...]:
-    starts = {c.name: c.start for c in system.components}
-    value: Value | None = starts.get(component, {}).get(variable)
+    start_values = {
+        component_spec.name: component_spec.start for component_spec in system.components
+    }
+    value: Value | None = start_values.get(component, {}).get(variable)
     if value is None or isinstance(value, str | bool):
         raise ConfigError(
             f"{path}: '{component}.{variable}' is varied by a factor; give it a numeric start "

@@ -48,8 +48,8 @@ class SweepInput(Config):
     def _require_one_distribution(self) -> Self:
         pairs = ((self.low, self.high), (self.mean, self.std))
         stated_forms = [bool(self.values), *(None not in pair for pair in pairs)]
-        halves = [pair for pair in pairs if (None in pair) and pair != (None, None)]
-        if sum(stated_forms) != 1 or halves:
+        incomplete_pairs = [pair for pair in pairs if (None in pair) and pair != (None, None)]
+        if sum(stated_forms) != 1 or incomplete_pairs:
             raise RuleError(
                 f"'{self.name}' needs one of 'values', 'low' and 'high', or 'mean' and 'std'",
                 code="sweep.distribution",

@@ -58,8 +58,8 @@ class SweepResult(Answer):
         """Return the design and the folder of the runs."""
         plan = self.plan
         return (
-            f"{len(plan.values)} runs of {plan.task.spec.stop:g} s, {_DESIGNS[plan.study.design]} "
-            f"over {len(plan.study.names)} inputs, seed {plan.study.seed}. The Parquet data set "
+            f"{len(plan.values)} runs of {plan.task.system.stop:g} s, "
+            f"{_DESIGNS[plan.study.design]} over {len(plan.study.names)} inputs, seed {plan.study.seed}. The Parquet data set "
             "runs/ has inputs and outputs of each run."
         )
 
@@ -76,13 +76,13 @@ class SweepResult(Answer):
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return distributions, worst runs and sensitivities."""
-        shown: list[ResultTable | str] = [build_output_table(self)]
-        shown.append("Largest magnitude first, failed runs before all others.")
-        shown += [build_worst_table(self, k) for k in range(len(self.plan.study.outputs))]
+        tables: list[ResultTable | str] = [build_output_table(self)]
+        tables.append("Largest magnitude first, failed runs before all others.")
+        tables += [build_worst_table(self, k) for k in range(len(self.plan.study.outputs))]
         if self.sensitivities:
-            shown.append(_SENSITIVITY_TERMS)
-            shown += build_sensitivity_tables(self)
-        return shown
+            tables.append(_SENSITIVITY_TERMS)
+            tables += build_sensitivity_tables(self)
+        return tables
 
     def figures(self) -> Sequence[ResultFigure]:
         """Return histograms of the outputs, and bars of their sensitivities."""
@@ -100,11 +100,16 @@ class SweepResult(Answer):
             ResultFigure(
                 section=_SENSITIVITIES,
                 key=f"shares-{k}",
-                drawing=draw_shares(self.plan.study.names, one.first, one.total, one.intervals),
-                caption=f"Shares of the variance of {one.output}.",
+                drawing=draw_shares(
+                    self.plan.study.names,
+                    sensitivity.first,
+                    sensitivity.total,
+                    sensitivity.intervals,
+                ),
+                caption=f"Shares of the variance of {sensitivity.output}.",
                 alt="Two bars for each input.",
             )
-            for k, one in enumerate(self.sensitivities)
+            for k, sensitivity in enumerate(self.sensitivities)
         ]
         return [histograms, *bars]
 
@@ -115,7 +120,8 @@ class SweepResult(Answer):
             "reused": self.reused,
             "failed": sum(map(bool, self.table.failures)),
             "worst": {
-                o.name: self.find_worst_runs(k) for k, o in enumerate(self.plan.study.outputs)
+                output.name: self.find_worst_runs(k)
+                for k, output in enumerate(self.plan.study.outputs)
             },
             "sensitivities": {
                 sensitivity.output: {
@@ -133,8 +139,13 @@ def build_output_table(sweep_result: SweepResult) -> ResultTable:
     for output, values in zip(
         sweep_result.plan.study.outputs, sweep_result.table.outputs.T, strict=True
     ):
-        finite = values[np.isfinite(values)]
-        numbers = (finite.mean(), finite.std(), *np.quantile(finite, _QUANTILES), finite.max())
+        finite_values = values[np.isfinite(values)]
+        numbers = (
+            finite_values.mean(),
+            finite_values.std(),
+            *np.quantile(finite_values, _QUANTILES),
+            finite_values.max(),
+        )
         rows.append(make_row(output.name, *(_format_cell(value) for value in numbers)))
     failure_count = sum(map(bool, sweep_result.table.failures))
     note = (
@@ -196,7 +207,7 @@ def _format_cell(value: float) -> TableCell:
 
 
 def _interval_cell(value: float, interval: Array) -> TableCell:
-    lower, upper = interval
+    lowest, highest = interval
     return TableCell(
-        text=f"{value:.3f}", value=float(value), notes=(f"{lower:.3f} to {upper:.3f}",)
+        text=f"{value:.3f}", value=float(value), notes=(f"{lowest:.3f} to {highest:.3f}",)
     )

@@ -45,7 +45,7 @@ class VariedVariable:
         """Return the start value in a run."""
         number = float(row[self.column])
         if self.base is not None:
-            scaled = tuple(number * part for part in self.base)
+            scaled = tuple(number * base_value for base_value in self.base)
             return scaled if len(scaled) > 1 else scaled[0]
         return int(number) if self.integer else number
 
@@ -55,7 +55,7 @@ class Task:
     """System, varied variables and outputs of all runs; `key` hashes them all."""
 
     key: str
-    spec: SystemSpec
+    system: SystemSpec
     targets: tuple[VariedVariable, ...]
     outputs: tuple[Measured, ...]
 
@@ -88,7 +88,7 @@ class RunOutputs:
 
 
 _LOCK = Lock()
-_held: tuple[str, Master] | None = None  # system of the last task, loaded
+_loaded: tuple[str, Master] | None = None  # system of the last task, loaded
 
 
 def run_rows(task: Task, values: Array) -> RunOutputs:
@@ -96,24 +96,25 @@ def run_rows(task: Task, values: Array) -> RunOutputs:
     outputs = np.empty((len(values), len(task.outputs)))
     failures = []
     with _LOCK:  # a worker of a cluster may have several threads
-        global _held
-        if _held is None or _held[0] != task.key:
+        global _loaded
+        if _loaded is None or _loaded[0] != task.key:
             release()
-            _held = task.key, Master(task.spec, loaded=POOL).__enter__()
-        master = _held[1]
-        for k, row in enumerate(values):
+            _loaded = task.key, Master(task.system, loaded=POOL).__enter__()
+        master = _loaded[1]
+        for run, row in enumerate(values):
             signals = master.run(start=task.start(row))
-            outputs[k] = task.measure_outputs(signals)
+            outputs[run] = task.measure_outputs(signals)
             failures.append(str(signals.failure or ""))
     return RunOutputs(outputs=outputs, failures=tuple(failures))
 
 
 def release() -> None:
     """Free the FMUs of the last task."""
-    global _held
-    if _held is not None:
-        held, _held = _held, None
-        held[1].__exit__(None, None, None)
+    global _loaded
+    if _loaded is not None:
+        loaded = _loaded
+        _loaded = None
+        loaded[1].__exit__(None, None, None)
     POOL.clear()
 
 
@@ -129,7 +130,7 @@ class RunTable(RunOutputs):
 
 
 class Store:
-    """The folder of a sweep, once it is `taken`."""
+    """The folder of a sweep, once it is locked by `lock_folder`."""
 
     def __init__(self, folder: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
         self._arrow = import_arrow()
@@ -137,49 +138,54 @@ class Store:
         self._inputs = inputs
         self._outputs = outputs
 
-    def file(self, first: int) -> Path:
+    def find_file(self, chunk_start: int) -> Path:
         """Return the file of the chunk from a run."""
-        return self._folder / RUNS / f"part-{first:08d}.parquet"
+        return self._folder / RUNS / f"part-{chunk_start:08d}.parquet"
 
-    def write(self, first: int, values: Array, rows: RunOutputs) -> None:
+    def write(self, chunk_start: int, values: Array, rows: RunOutputs) -> None:
         """Write a chunk; the same runs give the same bytes."""
-        columns: dict[str, Any] = {"run": np.arange(first, first + len(values), dtype=np.int64)}
+        columns: dict[str, Any] = {
+            "run": np.arange(chunk_start, chunk_start + len(values), dtype=np.int64)
+        }
         columns |= dict(zip(self._inputs, values.T, strict=True))
         columns |= dict(zip(self._outputs, rows.outputs.T, strict=True))
         columns["failure"] = self._arrow.array(rows.failures, self._arrow.string())
         table = self._arrow.table(columns)
-        with written_whole(self.file(first)) as temporary:
+        with written_whole(self.find_file(chunk_start)) as temporary:
             self._arrow.parquet.write_table(table, temporary, compression="zstd")
 
-    def has(self, first: int, values: Array) -> bool:
+    def has(self, chunk_start: int, values: Array) -> bool:
         """Whether a chunk exists, is readable and has these inputs."""
         try:
-            return np.array_equal(self.read([first]).inputs, values)
+            return np.array_equal(self.read([chunk_start]).inputs, values)
         except (OSError, ValueError, KeyError, self._arrow.ArrowException):
             return False
 
-    def read(self, firsts: list[int]) -> RunTable:
+    def read(self, chunk_starts: list[int]) -> RunTable:
         """Read chunks in the given order."""
-        parts = [self._arrow.parquet.read_table(self.file(first)) for first in firsts]
-        arrow_table = self._arrow.concat_tables(parts)
+        files = [self.find_file(chunk_start) for chunk_start in chunk_starts]
+        chunks = [self._arrow.parquet.read_table(file) for file in files]
+        arrow_table = self._arrow.concat_tables(chunks)
 
-        def numbers(names: tuple[str, ...]) -> Array:
+        def read_columns(names: tuple[str, ...]) -> Array:
             return np.column_stack([arrow_table.column(name).to_numpy() for name in names])
 
         return RunTable(
-            inputs=numbers(self._inputs),
-            outputs=numbers(self._outputs),
+            inputs=read_columns(self._inputs),
+            outputs=read_columns(self._outputs),
             failures=tuple(arrow_table.column("failure").to_pylist()),
         )
 
 
 @contextmanager
-def lock_folder(folder: Path, within: str, file: str, about: Mapping[str, Any]) -> Iterator[None]:
-    """Lock a folder with the parts in `within` and the description `about` in `file`."""
-    kind = Path(file).stem
+def lock_folder(
+    folder: Path, parts_folder: str, description_file: str, description: Mapping[str, Any]
+) -> Iterator[None]:
+    """Lock a folder with parts in `parts_folder`; `description` is that of its results."""
+    kind = Path(description_file).stem
     with ExitStack() as cleanup:
         try:
-            cleanup.enter_context(folder_made(folder / within))
+            cleanup.enter_context(folder_made(folder / parts_folder))
             lock = FileLock(folder / f".{kind}-lock", timeout=0)
             lock.acquire()
         except Timeout as error:
@@ -190,12 +196,12 @@ def lock_folder(folder: Path, within: str, file: str, about: Mapping[str, Any]) 
             raise ArtifactError(f"{folder}: cannot be written there ({error.strerror}).") from error
         cleanup.callback((folder / f".{kind}-lock").unlink, missing_ok=True)
         cleanup.callback(lock.release)
-        if not (folder / file).is_file():
-            write_json(folder / file, about)
-        elif read_json(folder / file).get("key") != about["key"]:
+        if not (folder / description_file).is_file():
+            write_json(folder / description_file, description)
+        elif read_json(folder / description_file).get("key") != description["key"]:
             raise ConfigError(
                 f"{folder}: holds results of another {kind}; give another folder or remove it."
             )
-        for partial_file in (folder / within).glob(".part-*"):  # left by a killed run
+        for partial_file in (folder / parts_folder).glob(".part-*"):  # left by a killed run
             partial_file.unlink(missing_ok=True)
         yield

@@ -55,7 +55,7 @@ class Factored:
             law_parts.memory, tuple(symbols), inputs, (output,), settling, once=True
         )
 
-    def torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
+    def compute_torque(self, record: FrictionRecord, level: Array, viscosity: Array) -> Array:
         """Return the torque (N,) [N.m] for factors (N,)."""
         law = self._law
         dt = np.diff(record.t, prepend=record.t[0])
@@ -85,18 +85,18 @@ def fit_thermal(
             f"friction model '{model.law}': a thermal model does not support coupled joints."
         )
     fits = tuple(
-        _fit_joint(law, [joint_records[j] for joint_records in records])
+        _fit_joint(law, [log_records[j] for log_records in records])
         for j, law in enumerate(model.laws)
     )
-    return replace(model, thermal=tuple(f.thermal for f in fits)), fits
+    return replace(model, thermal=tuple(thermal_fit.thermal for thermal_fit in fits)), fits
 
 
 def add_temperature(
     model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]
 ) -> tuple[FrictionModel, list[str]]:
     """Return a law with its temperature dependence, and a sentence per joint."""
-    warm, fits = fit_thermal(model, records)
-    return warm, [
+    thermal_model, fits = fit_thermal(model, records)
+    return thermal_model, [
         f"{fit.joint}: Coulomb friction falls by {100 * fit.thermal.coulomb:.2g} ± "
         f"{200 * fit.coulomb_error:.1g} % per {'K' if fit.thermal.measured else 'W of friction'}, "
         f"viscous by {100 * fit.thermal.viscous:.2g} ± {200 * fit.viscous_error:.1g} %; time "
@@ -105,36 +105,39 @@ def add_temperature(
     ]
 
 
-def _fit_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFit:
+def _fit_joint(law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> ThermalFit:
     measured_temperatures = [
-        record.temperature for record in records if record.temperature is not None
+        record.temperature for record in joint_records if record.temperature is not None
     ]
-    if measured_temperatures and len(measured_temperatures) < len(records):
-        log_name = next(record.log for record in records if record.temperature is None)
+    if measured_temperatures and len(measured_temperatures) < len(joint_records):
+        log_name = next(record.log for record in joint_records if record.temperature is None)
         raise FitError(f"log {log_name}: temperatures are missing, but other logs have them.")
-    problem = _Problem(law, records)
+    problem = _Problem(law, joint_records)
     if measured_temperatures:
         temperatures = np.concatenate(measured_temperatures)
         lowest, highest = np.percentile(temperatures, (5.0, 95.0))
         if highest - lowest < MIN_SPREAD:
             raise FitError(
-                f"joint '{records[0].joint}': its temperature varies by {highest - lowest:.2g} "
-                "K over "
-                f"the logs; at least {MIN_SPREAD:g} K are needed."
+                f"joint '{joint_records[0].joint}': its temperature varies by "
+                f"{highest - lowest:.2g} K over the logs; at least {MIN_SPREAD:g} K are needed."
             )
         start = Thermal(coulomb=0.0, viscous=0.0, reference=round(float(np.mean(temperatures)), 1))
         joint_fit = problem.solve(start, lambda _: measured_temperatures)
         return replace(
             joint_fit, thermal=problem.fit_heating(joint_fit.thermal, measured_temperatures)
         )
-    longest = max(float(np.ptp(record.t)) for record in records)
-    if longest < MIN_TIME:
+    longest_duration = max(float(np.ptp(record.t)) for record in joint_records)
+    if longest_duration < MIN_TIME:
         raise FitError(
-            f"joint '{records[0].joint}': the longest log takes {longest:.3g} s; without "
-            f"temperatures it must last {MIN_TIME:g} s from a cold start."
+            f"joint '{joint_records[0].joint}': the longest log takes {longest_duration:.3g} s; "
+            f"without temperatures it must last {MIN_TIME:g} s from a cold start."
         )
     start = Thermal(
-        coulomb=0.0, viscous=0.0, time_constant=longest / 3.0, resistance=1.0, measured=False
+        coulomb=0.0,
+        viscous=0.0,
+        time_constant=longest_duration / 3.0,
+        resistance=1.0,
+        measured=False,
     )
     joint_fit = problem.solve(start, problem.compute_temperatures, searched=True)
     thermal = joint_fit.thermal
@@ -145,8 +148,7 @@ def _fit_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFi
     if all(abs(value) < _INTERVAL_ERRORS * error for value, error in effects):
         raise FitError(
             f"joint '{joint_fit.joint}': friction does not change as the joint warms up; use "
-            "longer "
-            "logs from a cold start."
+            "longer logs from a cold start."
         )
     return joint_fit
 
@@ -154,11 +156,11 @@ def _fit_joint(law: FrictionLaw, records: Sequence[FrictionRecord]) -> ThermalFi
 class _Problem:
     """Least squares of one joint: ln c_0, ln n_0, b_c, b_v, an offset; ln T_th if searched."""
 
-    def __init__(self, law: FrictionLaw, records: Sequence[FrictionRecord]) -> None:
+    def __init__(self, law: FrictionLaw, joint_records: Sequence[FrictionRecord]) -> None:
         self._law = Factored(law)
-        self._records = records
-        self._known = [np.isfinite(record.tau) for record in records]
-        self._steps = [np.diff(record.t, prepend=record.t[0]) for record in records]
+        self._records = joint_records
+        self._is_finite = [np.isfinite(record.tau) for record in joint_records]
+        self._steps = [np.diff(record.t, prepend=record.t[0]) for record in joint_records]
 
     def solve(
         self,
@@ -180,7 +182,7 @@ class _Problem:
 
         def compute_residual(thermal: Thermal, offset: float) -> Array:
             torques = self._compute_torques(thermal, temperatures(thermal))
-            rows = zip(torques, self._records, self._known, strict=True)
+            rows = zip(torques, self._records, self._is_finite, strict=True)
             return np.concatenate(
                 [(tau + offset - record.tau)[is_finite] for tau, record, is_finite in rows]
             )
@@ -195,7 +197,7 @@ class _Problem:
             bounds=(lower, upper),
             x_scale=scale,
         )
-        rows = [int(is_finite.sum()) for is_finite in self._known]
+        rows = [int(is_finite.sum()) for is_finite in self._is_finite]
         labels = blocks_of_time(np.repeat(np.arange(len(rows)), rows))
         names = tuple(_UNKNOWNS)[: len(scale)]
         errors = covariance_of_fit(names, optimum.jac, optimum.fun, labels).standard_errors
@@ -214,8 +216,8 @@ class _Problem:
 
     def _compute_torques(self, thermal: Thermal, temperatures: Sequence[Array]) -> list[Array]:
         return [
-            self._law.torque(record, *thermal.factors(t))
-            for record, t in zip(self._records, temperatures, strict=True)
+            self._law.compute_torque(record, *thermal.factors(temperature))
+            for record, temperature in zip(self._records, temperatures, strict=True)
         ]
 
     def compute_temperatures(self, thermal: Thermal) -> list[Array]:
@@ -239,22 +241,22 @@ class _Problem:
         measured_temperatures = np.concatenate(list(temperatures))
 
         def solve_heating(time: float) -> tuple[Array, float]:
-            rows = []
-            body = replace(thermal, resistance=1.0, time_constant=time)
-            logs = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)
-            for power, dt, record, record_column in logs:
+            log_columns = []
+            unit_thermal = replace(thermal, resistance=1.0, time_constant=time)
+            log_rows = zip(powers, self._steps, self._records, np.eye(len(powers)), strict=True)
+            for power, dt, record, record_column in log_rows:
                 decay = np.exp(-(record.t - record.t[0]) / time)
-                rows.append(
+                log_columns.append(
                     np.column_stack(
-                        [body.rise(power, dt), 1.0 - decay, np.outer(decay, record_column)]
+                        [unit_thermal.rise(power, dt), 1.0 - decay, np.outer(decay, record_column)]
                     )
                 )
-            columns = np.concatenate(rows)
-            x = np.linalg.lstsq(columns, measured_temperatures, rcond=None)[0]
-            return x, float(np.sum((columns @ x - measured_temperatures) ** 2))
+            columns = np.concatenate(log_columns)
+            unknowns = np.linalg.lstsq(columns, measured_temperatures, rcond=None)[0]
+            return unknowns, float(np.sum((columns @ unknowns - measured_temperatures) ** 2))
 
         optimum = minimize_scalar(
-            lambda x: solve_heating(float(np.exp(x)))[1],
+            lambda unknowns: solve_heating(float(np.exp(unknowns)))[1],
             bounds=np.log(_TIME_CONSTANT_BOUNDS),
             method="bounded",
         )

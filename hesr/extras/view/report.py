@@ -41,12 +41,12 @@ def show_arm(
     `output` is a .mp4, a .webp, or None for a window; by default it shows the rigid body alone and
     the best law. `magnify` scales deviations.
     """
-    choice = ViewOptions(laws=law, scheme=scheme, magnify=magnify, speed=speed)
-    shown = choose(results, choice)
+    options = ViewOptions(laws=law, scheme=scheme, magnify=magnify, speed=speed)
+    selection = choose(results, options)
     if output is None:
-        show(shown, choice)
-        return Written(lines=[f"Shown: {', '.join(shown.runs)}."])
-    seconds = write_video(output, shown, choice, progress=partial(progress, "drawing"))
+        show(selection, options)
+        return Written(lines=[f"Shown: {', '.join(selection.runs)}."])
+    seconds = write_video(output, selection, options, progress=partial(progress, "drawing"))
     return Written(lines=[f"{seconds:.1f} s of video"], files=[output])
 
 
@@ -54,7 +54,7 @@ _CLOSING_TIME = 10.0  # [s] for the viewer to close
 _REFRESH_RATE = 60.0  # [Hz], update rate of the viewer
 
 
-def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None:
+def show(selection: Shown, options: ViewOptions, *, turns: int | None = None) -> None:
     """Show the motion until the viewer is closed, or `turns` times."""
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -62,13 +62,13 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
         raise ConfigError("no screen found; write a video (-o FILE.mp4).")
     from mujoco import viewer  # fails without a screen
 
-    stage = Stage(shown, choice)
+    stage = Stage(selection, options)
     previous_threads = set(threading.enumerate())
     with ExitStack() as cleanup:
         with deferred():  # an interrupt while it opens would end Python before its drawing thread
             try:
                 window = viewer.launch_passive(
-                    stage.model, stage.data, show_left_ui=False, show_right_ui=False
+                    stage.mj_model, stage.mj_data, show_left_ui=False, show_right_ui=False
                 )
             except RuntimeError as error:  # macOS needs MuJoCo's own interpreter
                 raise ConfigError(
@@ -86,7 +86,7 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
         camera.elevation = stage.camera.elevation
         start = time.monotonic()
         while window.is_running():
-            turn, t = divmod(choice.speed * (time.monotonic() - start), stage.duration)
+            turn, t = divmod(options.speed * (time.monotonic() - start), stage.duration)
             if turns is not None and turn >= turns:
                 break
             with window.lock():
@@ -102,13 +102,13 @@ def show(shown: Shown, choice: ViewOptions, *, turns: int | None = None) -> None
 Image = NDArray[np.uint8]
 
 RATE = 30  # frames per second
-_ANIMATION_DIVISOR = 2  # divisor of size and rate for an animation
+_ANIMATION_DIVISOR = 2  # of size and rate
 _BACKENDS = {"egl": "EGL", "osmesa": "OSMesa"}
 _MAX_GEOMS = 4000
 
 
 def write_video(
-    path: Path, shown: Shown, choice: ViewOptions, *, progress: Progress = silent
+    path: Path, selection: Shown, options: ViewOptions, *, progress: Progress = silent
 ) -> float:
     """Write a video (.mp4) or an animation (.webp); return its length [s]."""
     kind = path.suffix.lower()
@@ -116,49 +116,49 @@ def write_video(
         raise ConfigError(f"{path}: a video ends in .mp4 or .webp.")
     rate = RATE if kind == ".mp4" else RATE / _ANIMATION_DIVISOR
     encoding = partial(_encode_video, _find_encoder()) if kind == ".mp4" else _write_animation
-    stage = Stage(shown, choice)
-    frame_count = max(round(stage.duration / choice.speed * rate), 1)
+    stage = Stage(selection, options)
+    frame_count = max(round(stage.duration / options.speed * rate), 1)
     with (
         written_whole(path) as temporary,
-        drawing(stage) as draw,
+        open_renderer(stage) as draw,
         encoding(temporary, path) as write,
     ):
         for k in report_progress(range(frame_count), progress):
-            write(draw(k * choice.speed / rate))
+            write(draw(k * options.speed / rate))
     return frame_count / rate
 
 
 @contextmanager
-def drawing(stage: Stage) -> Iterator[Callable[[float], Image]]:
+def open_renderer(stage: Stage) -> Iterator[Callable[[float], Image]]:
     """Yield a function that draws the scene at a time [s], as (HEIGHT, WIDTH, 3)."""
     with ExitStack() as cleanup:
         try:
             context = _load_gl_context()(WIDTH, HEIGHT)
             cleanup.callback(context.free)
             context.make_current()
-            target = mujoco.MjrContext(stage.model, mujoco.mjtFontScale.mjFONTSCALE_150)
+            gl_target = mujoco.MjrContext(stage.mj_model, mujoco.mjtFontScale.mjFONTSCALE_150)
         except Exception as error:  # drivers raise their own types
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(
-                f"OpenGL is not available ({_first_line(error)}); try MUJOCO_GL=osmesa or "
+                f"OpenGL is not available ({_take_first_line(error)}); try MUJOCO_GL=osmesa or "
                 "MUJOCO_GL=egl."
             ) from error
-        cleanup.callback(target.free)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
-        scene = mujoco.MjvScene(stage.model, maxgeom=_MAX_GEOMS)
-        scenery = stage.model, stage.data, mujoco.MjvOption(), None, stage.camera
-        place = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
+        cleanup.callback(gl_target.free)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, gl_target)
+        scene = mujoco.MjvScene(stage.mj_model, maxgeom=_MAX_GEOMS)
+        scene_arguments = stage.mj_model, stage.mj_data, mujoco.MjvOption(), None, stage.camera
+        text_style = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
         view = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         image: Image = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
 
         def draw(t: float) -> Image:
             stage.set(t)
-            mujoco.mjv_updateScene(*scenery, mujoco.mjtCatBit.mjCAT_ALL, scene)
+            mujoco.mjv_updateScene(*scene_arguments, mujoco.mjtCatBit.mjCAT_ALL, scene)
             stage.annotate(scene, t)
-            mujoco.mjr_render(view, scene, target)
-            mujoco.mjr_overlay(*place, view, *stage.legend(t), target)
-            mujoco.mjr_readPixels(image, None, view, target)
+            mujoco.mjr_render(view, scene, gl_target)
+            mujoco.mjr_overlay(*text_style, view, *stage.legend(t), gl_target)
+            mujoco.mjr_readPixels(image, None, view, gl_target)
             return np.ascontiguousarray(image[::-1])
 
         yield draw
@@ -187,7 +187,7 @@ def _find_encoder() -> str:
             "videos need the package imageio-ffmpeg: pip install 'hesr[video]'."
         ) from error
     except RuntimeError as error:
-        raise ConfigError(f"ffmpeg is missing ({_first_line(error)}).") from error
+        raise ConfigError(f"ffmpeg is missing ({_take_first_line(error)}).") from error
 
 
 @contextmanager
@@ -242,9 +242,9 @@ def _encode_video(encoder: str, file: Path, path: Path) -> Iterator[Callable[[Im
         if process.returncode:
             messages.seek(0)
             lines = messages.read().decode(errors="replace").strip().splitlines()
-            full = os.strerror(errno.ENOSPC)
-            if any(full in line for line in lines):  # it may not be the last line
-                raise OSError(errno.ENOSPC, full, str(path))
+            full_disk_text = os.strerror(errno.ENOSPC)
+            if any(full_disk_text in line for line in lines):  # it may not be the last line
+                raise OSError(errno.ENOSPC, full_disk_text, str(path))
             reason = lines[-1].rstrip(".") if lines else f"exit code {process.returncode}"
             raise ArtifactError(f"{path}: the video cannot be encoded ({reason}).")
 
@@ -262,5 +262,5 @@ def _write_animation(file: Path, path: Path) -> Iterator[Callable[[Image], objec
     frames[0].save(file, "WEBP", append_images=frames[1:], **options)
 
 
-def _first_line(error: Exception) -> str:
+def _take_first_line(error: Exception) -> str:
     return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")

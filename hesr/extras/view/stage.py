@@ -50,23 +50,26 @@ class Shown:
     runs: Mapping[str, Trace]
 
 
-def choose(folder: Path, choice: ViewOptions) -> Shown:
+def choose(folder: Path, options: ViewOptions) -> Shown:
     """Read the runs to show."""
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; give a result of 'hesr run'.")
     traces = read_traces(folder / TRACES)
     schemes = list(dict.fromkeys(scheme.name for scheme, _ in traces))
-    scheme = choice.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
+    scheme = options.scheme or (_SCHEME if _SCHEME in schemes else schemes[-1])
     if scheme not in schemes:
         raise ConfigError(f"--scheme is '{scheme}'; there are {_quote_names(schemes)} in {folder}.")
-    scheme_traces = {law_name: trace for (s, law_name), trace in traces.items() if s.name == scheme}
-    laws = list(choice.laws) or _choose_laws(scheme_traces)
+    scheme_traces = {
+        law_name: trace
+        for (trace_scheme, law_name), trace in traces.items()
+        if trace_scheme.name == scheme
+    }
+    laws = list(options.laws) or _choose_laws(scheme_traces)
     for law_name in laws:
         if law_name not in scheme_traces:
             raise ConfigError(
                 f"--law is '{law_name}'; with scheme '{scheme}' there are "
-                f"{_quote_names(scheme_traces)} in "
-                f"{folder}."
+                f"{_quote_names(scheme_traces)} in {folder}."
             )
     if len(laws) > _MAX_ARMS:
         raise ConfigError(
@@ -129,7 +132,7 @@ def build_arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
     """Return an arm as an MjSpec of bodies, joints and shapes, or else capsules between joints."""
     try:
         spec = mujoco.MjSpec.from_string(mjcf)
-        _strip(spec)
+        _strip_spec(spec)
         for name in joints:
             if spec.joint(name) is None:
                 raise RobotError(f"the arm's model has no joint '{name}', so it cannot be shown.")
@@ -142,7 +145,7 @@ def build_arm(mjcf: str, joints: Sequence[str], *, paint: Paint) -> Any:
             geom.rgba = paint.links
             geom.material = ""
     else:
-        _draw(spec, compute_reach(mj_model), paint)
+        _draw_capsules(spec, compute_reach(mj_model), paint)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     return spec
@@ -153,50 +156,58 @@ def compute_reach(mj_model: mujoco.MjModel) -> float:
     return float(np.linalg.norm(mj_model.body_pos, axis=1).sum()) or 1.0
 
 
-def _strip(spec: Any) -> None:
-    files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+def _strip_spec(spec: Any) -> None:
+    file_types = (
+        mujoco.mjtGeom.mjGEOM_MESH,
+        mujoco.mjtGeom.mjGEOM_HFIELD,
+        mujoco.mjtGeom.mjGEOM_SDF,
+    )
     elements = (
         *(spec.sensors, spec.actuators, spec.tendons, spec.equalities, spec.pairs, spec.excludes),
         *(spec.keys, spec.cameras, spec.lights, spec.skins, spec.flexes),
-        *([geom for geom in spec.geoms if geom.type in files], spec.meshes, spec.hfields),
+        *([geom for geom in spec.geoms if geom.type in file_types], spec.meshes, spec.hfields),
     )
     for group in elements:
         for element in list(group):
             spec.delete(element)
     # Nothing is simulated; all options must be those of the scene.
-    usual = mujoco.MjSpec().option
-    for name in (name for name in dir(usual) if not name.startswith("_")):
-        setattr(spec.option, name, getattr(usual, name))
+    default_options = mujoco.MjSpec().option
+    for name in (name for name in dir(default_options) if not name.startswith("_")):
+        setattr(spec.option, name, getattr(default_options, name))
 
 
-def _draw(spec: Any, length: float, paint: Paint) -> None:
-    radius = _LINK_RADIUS_RATIO * length * paint.thick
-    kinds = mujoco.mjtGeom
+def _draw_capsules(spec: Any, reach: float, paint: Paint) -> None:
+    radius = _LINK_RADIUS_RATIO * reach * paint.thick
+    geom_types = mujoco.mjtGeom
     for body in spec.worldbody.find_all("body"):
-        add = partial(body.add_geom, mass=0.0)
-        link = {"size": [radius, 0.0, 0.0], "rgba": paint.links}
+        add_geom = partial(body.add_geom, mass=0.0)
+        link_options = {"size": [radius, 0.0, 0.0], "rgba": paint.links}
         for child in body.bodies:
-            if np.linalg.norm(child.pos) > _MIN_LINK_SHARE * length:
-                add(type=kinds.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *child.pos], **link)
+            if np.linalg.norm(child.pos) > _MIN_LINK_SHARE * reach:
+                add_geom(
+                    type=geom_types.mjGEOM_CAPSULE,
+                    fromto=[0.0, 0.0, 0.0, *child.pos],
+                    **link_options,
+                )
         for joint in body.joints:
-            turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-            half_axis = (1.2 if turns else 2.0) * radius * np.array(joint.axis)
-            add(
-                type=kinds.mjGEOM_CYLINDER if turns else kinds.mjGEOM_BOX,
+            is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+            half_axis = (1.2 if is_hinge else 2.0) * radius * np.array(joint.axis)
+            add_geom(
+                type=geom_types.mjGEOM_CYLINDER if is_hinge else geom_types.mjGEOM_BOX,
                 fromto=[*(joint.pos - half_axis), *(joint.pos + half_axis)],
-                size=[radius * (_JOINT_RADIUS_RATIO if turns else 0.8), radius * 0.8, 0.0],
+                size=[radius * (_JOINT_RADIUS_RATIO if is_hinge else 0.8), radius * 0.8, 0.0],
                 rgba=paint.joints,
             )
         if not body.bodies:
-            add(
-                type=kinds.mjGEOM_SPHERE,
+            add_geom(
+                type=geom_types.mjGEOM_SPHERE,
                 size=[_END_RADIUS_RATIO * radius, 0.0, 0.0],
                 rgba=paint.end,
             )
 
 
-WIDTH = 1280
-HEIGHT = 720  # of a video
+WIDTH = 1280  # [pixels]
+HEIGHT = 720  # [pixels]
 
 _BLUE: Colour = (0.0, 0.45, 0.70, 0.3)
 _ORANGE: Colour = (0.84, 0.37, 0.0, 1.0)
@@ -209,8 +220,8 @@ _GHOST = Paint(
 )
 _TRAIL_DURATION = 2.5  # [s] length of the trail of the arm's end
 _SEGMENT_COUNT = 60  # segments of a trail
-_LINE_SPACING = 0.09
-_TEXT_OFFSET = 0.3  # [m] line spacing of text, and its distance to the left of the arm
+_LINE_SPACING = 0.09  # [m] of text
+_TEXT_OFFSET = 0.3  # [m] of text to the left of the arm
 _FOVY = 40.0  # [degrees]
 _ROOM = f"""<mujoco>
   <statistic extent="3" center="0 0 0.5"/>
@@ -236,7 +247,7 @@ _ROOM = f"""<mujoco>
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Placed:
+class _PlacedArm:
     """An arm with its ghost; positions of joints in qpos."""
 
     label: tuple[str, str]
@@ -246,48 +257,49 @@ class _Placed:
     ghost: NDArray[np.intp]
     solid: NDArray[np.intp]
     ends: tuple[int, int]
-    above: Array
+    label_position: Array
 
 
 class Stage:
     """A MuJoCo model of all arms, and their motion."""
 
-    def __init__(self, shown: Shown, choice: ViewOptions) -> None:
-        self._magnify = choice.magnify
-        self._scheme = shown.scheme
-        self.duration = max(float(run.t[-1]) for run in shown.runs.values())
-        lower, upper = _find_space(shown)
-        gap = (upper[1] - lower[1]) + 0.25 * float(np.linalg.norm(upper - lower))
-        spots = gap * (np.arange(len(shown.runs)) - 0.5 * (len(shown.runs) - 1))
+    def __init__(self, selection: Shown, options: ViewOptions) -> None:
+        self._magnify = options.magnify
+        self._scheme = selection.scheme
+        self.duration = max(float(run.t[-1]) for run in selection.runs.values())
+        lower, upper = _find_space(selection)
+        spacing = (upper[1] - lower[1]) + 0.25 * float(np.linalg.norm(upper - lower))
+        arm_positions = spacing * (np.arange(len(selection.runs)) - 0.5 * (len(selection.runs) - 1))
         spec = mujoco.MjSpec.from_string(_ROOM)
-        for k, spot in enumerate(spots):
-            frame = spec.worldbody.add_frame(pos=[0.0, float(spot), 0.0])
-            solid = build_arm(shown.mjcf, shown.joints, paint=_ARM)
-            ghost = build_arm(shown.mjcf, shown.joints, paint=_GHOST)
+        for k, position in enumerate(arm_positions):
+            frame = spec.worldbody.add_frame(pos=[0.0, float(position), 0.0])
+            solid = build_arm(selection.mjcf, selection.joints, paint=_ARM)
+            ghost = build_arm(selection.mjcf, selection.joints, paint=_GHOST)
             spec.attach(solid, prefix=f"actual{k}/", frame=frame)
             spec.attach(ghost, prefix=f"commanded{k}/", frame=frame)
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
+        self.mj_model = spec.compile()
+        self.mj_data = mujoco.MjData(self.mj_model)
         self._arms = [
-            self._place_arm(k, spots[k], label, run, shown.joints, upper[2])
-            for k, (label, run) in enumerate(shown.runs.items())
+            self._place_arm(k, arm_positions[k], label, run, selection.joints, upper[2])
+            for k, (label, run) in enumerate(selection.runs.items())
         ]
         self._paths = [self._compute_paths(placed) for placed in self._arms]
-        self.camera = _build_camera(lower, upper, spots)
+        self.camera = _build_camera(lower, upper, arm_positions)
 
     def _place_arm(
-        self, k: int, spot: float, label: str, run: Trace, joints: Sequence[str], top: float
-    ) -> _Placed:
+        self, k: int, position: float, label: str, run: Trace, joints: Sequence[str], top: float
+    ) -> _PlacedArm:
         def addresses(prefix: str) -> NDArray[np.intp]:
-            qpos_addresses = [self.model.joint(f"{prefix}/{name}").qposadr[0] for name in joints]
+            qpos_addresses = [self.mj_model.joint(f"{prefix}/{name}").qposadr[0] for name in joints]
             return np.array(qpos_addresses, dtype=np.intp)
 
         deviation = run.q - run.q_d
-        errors = ", ".join(f"{1e3 * e:.2g}" for e in np.sqrt(np.mean(deviation**2, axis=0)))
+        errors = ", ".join(f"{1e3 * error:.2g}" for error in np.sqrt(np.mean(deviation**2, axis=0)))
         ends = [
-            _find_end(self.model, f"{prefix}{k}/", joints[-1]) for prefix in ("commanded", "actual")
+            _find_end(self.mj_model, f"{prefix}{k}/", joints[-1])
+            for prefix in ("commanded", "actual")
         ]
-        return _Placed(
+        return _PlacedArm(
             label=(label, f"{errors} mrad"),
             t=run.t,
             q_d=run.q_d,
@@ -295,48 +307,46 @@ class Stage:
             ghost=addresses(f"commanded{k}"),
             solid=addresses(f"actual{k}"),
             ends=(ends[0], ends[1]),
-            above=np.array([0.0, spot - _TEXT_OFFSET, top + 2 * _LINE_SPACING]),
+            label_position=np.array([0.0, position - _TEXT_OFFSET, top + 2 * _LINE_SPACING]),
         )
 
-    def _compute_paths(self, placed: _Placed) -> Array:
+    def _compute_paths(self, arm: _PlacedArm) -> Array:
         """Return the paths of both ends (N, 2, 3) [m]."""
-        path = np.empty((len(placed.t), 2, 3))
-        for k in range(len(placed.t)):
-            self.data.qpos[placed.ghost], self.data.qpos[placed.solid] = placed.q_d[k], placed.q[k]
-            mujoco.mj_kinematics(self.model, self.data)
-            path[k] = self.data.xpos[list(placed.ends)]
+        path = np.empty((len(arm.t), 2, 3))
+        for k in range(len(arm.t)):
+            self.mj_data.qpos[arm.ghost], self.mj_data.qpos[arm.solid] = arm.q_d[k], arm.q[k]
+            mujoco.mj_kinematics(self.mj_model, self.mj_data)
+            path[k] = self.mj_data.xpos[list(arm.ends)]
         return path
 
     def set(self, t: float) -> None:
         """Set all poses at a time [s]."""
-        for placed in self._arms:
-            k = _find_row(placed.t, t)
-            self.data.qpos[placed.ghost], self.data.qpos[placed.solid] = placed.q_d[k], placed.q[k]
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        for arm in self._arms:
+            k = _find_row(arm.t, t)
+            self.mj_data.qpos[arm.ghost], self.mj_data.qpos[arm.solid] = arm.q_d[k], arm.q[k]
+        mujoco.mj_kinematics(self.mj_model, self.mj_data)
+        mujoco.mj_camlight(self.mj_model, self.mj_data)
 
     def annotate(self, scene: mujoco.MjvScene, t: float) -> None:
         """Add trails and labels to a scene."""
-        for placed, path in zip(self._arms, self._paths, strict=True):
-            ends = _find_row(placed.t, t - _TRAIL_DURATION), _find_row(placed.t, t)
-            rows = np.unique(np.linspace(*ends, _SEGMENT_COUNT).astype(int))
+        for arm, path in zip(self._arms, self._paths, strict=True):
+            end_rows = _find_row(arm.t, t - _TRAIL_DURATION), _find_row(arm.t, t)
+            rows = np.unique(np.linspace(*end_rows, _SEGMENT_COUNT).astype(int))
             for side, pixels, colour in ((0, 9.0, _BLUE), (1, 3.0, _RUST)):
-                for a, b in pairwise(rows):
-                    _add_line(scene, path[a, side], path[b, side], pixels, colour)
-            for line, text in enumerate(placed.label):
-                label_position = placed.above - np.array([0.0, 0.0, _LINE_SPACING * line])
-                geom = _add_to_scene(
-                    scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, label_position, _TEXT
-                )
+                for start_row, end_row in pairwise(rows):
+                    _add_line(scene, path[start_row, side], path[end_row, side], pixels, colour)
+            for line, text in enumerate(arm.label):
+                line_position = arm.label_position - np.array([0.0, 0.0, _LINE_SPACING * line])
+                geom = _add_to_scene(scene, mujoco.mjtGeom.mjGEOM_LABEL, 0.01, line_position, _TEXT)
                 if geom:
                     geom.label = text[:99]  # MuJoCo's limit is 100 characters
 
     def legend(self, t: float) -> tuple[str, str]:
         """Return the two-column legend at time t [s]."""
-        size = "" if self._magnify == 1.0 else f", deviations x {self._magnify:g}"
+        magnification = "" if self._magnify == 1.0 else f", deviations x {self._magnify:g}"
         legend = {
             "blue": "commanded",
-            "orange": f"actual{size}",
+            "orange": f"actual{magnification}",
             "mrad": "RMSE by joint",
             f"{t:4.1f} s": self._scheme,
         }
@@ -348,22 +358,22 @@ def _find_row(t: Array, time: float) -> int:
 
 
 def _find_end(mj_model: mujoco.MjModel, prefix: str, joint: str) -> int:
-    start = int(mj_model.joint(f"{prefix}{joint}").bodyid[0])
-    depth = {start: 0}
-    for body in range(start + 1, mj_model.nbody):  # parents come first
+    joint_body = int(mj_model.joint(f"{prefix}{joint}").bodyid[0])
+    depths = {joint_body: 0}
+    for body in range(joint_body + 1, mj_model.nbody):  # parents come first
         parent = int(mj_model.body_parentid[body])
-        if parent in depth:
-            depth[body] = depth[parent] + 1
-    return max(depth, key=lambda body: depth[body])
+        if parent in depths:
+            depths[body] = depths[parent] + 1
+    return max(depths, key=lambda body: depths[body])
 
 
-def _find_space(shown: Shown) -> tuple[Array, Array]:
-    mj_model = build_arm(shown.mjcf, shown.joints, paint=_ARM).compile()
+def _find_space(selection: Shown) -> tuple[Array, Array]:
+    mj_model = build_arm(selection.mjcf, selection.joints, paint=_ARM).compile()
     mj_data = mujoco.MjData(mj_model)
-    addresses = [mj_model.joint(name).qposadr[0] for name in shown.joints]
+    addresses = [mj_model.joint(name).qposadr[0] for name in selection.joints]
     margin = 0.06 * compute_reach(mj_model)
     points = [np.zeros(3)]
-    for run in shown.runs.values():
+    for run in selection.runs.values():
         for q in run.q_d[:: max(len(run.q_d) // 200, 1)]:
             mj_data.qpos[addresses] = q
             mujoco.mj_kinematics(mj_model, mj_data)
@@ -371,18 +381,18 @@ def _find_space(shown: Shown) -> tuple[Array, Array]:
     return np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
 
 
-def _build_camera(lower: Array, upper: Array, spots: Array) -> mujoco.MjvCamera:
+def _build_camera(lower: Array, upper: Array, arm_positions: Array) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
-    words = 3 * _LINE_SPACING
+    text_height = 3 * _LINE_SPACING
     camera.lookat = [
         0.5 * (lower[0] + upper[0]),
         0.5 * (lower[1] + upper[1]),
-        0.5 * (upper[2] + words),
+        0.5 * (upper[2] + text_height),
     ]
     camera.azimuth = 170.0
     camera.elevation = -10.0
-    width = float(spots[-1] - spots[0] + upper[1] - lower[1])
-    height = upper[2] + words
+    width = float(arm_positions[-1] - arm_positions[0] + upper[1] - lower[1])
+    height = upper[2] + text_height
     half_angle = np.tan(np.radians(_FOVY) / 2)
     camera.distance = float(max(height, width * HEIGHT / WIDTH) / (2 * half_angle) + 0.6 * upper[0])
     return camera
@@ -398,12 +408,12 @@ def _add_line(
 
 
 def _add_to_scene(
-    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: float, place: Array, colour: Colour
+    scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: float, position: Array, colour: Colour
 ) -> Any:
     if scene.ngeom == scene.maxgeom:
         return None
     geom = scene.geoms[scene.ngeom]
     rgba = np.array(colour, dtype=np.float32)
-    mujoco.mjv_initGeom(geom, kind, np.full(3, size), place, np.eye(3).ravel(), rgba)
+    mujoco.mjv_initGeom(geom, kind, np.full(3, size), position, np.eye(3).ravel(), rgba)
     scene.ngeom += 1
     return geom

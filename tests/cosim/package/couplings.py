@@ -31,7 +31,7 @@ class Slaves:
 
     def step(self, k: int) -> None:
         """Step all FMUs."""
-        step = self.contents.spec.step
+        step = self.contents.system.step
         for slave in self.slaves.values():
             slave.step(k * step, step)
 
@@ -47,7 +47,7 @@ def loaded(contents: SystemContents) -> Iterator[Slaves]:
     with ExitStack() as cleanup:
         slaves = {
             c.name: cleanup.enter_context(FmuInstance(c.fmu, name=c.name))
-            for c in contents.spec.components
+            for c in contents.system.components
         }
         yield Slaves(contents=contents, slaves=slaves)
 

@@ -48,7 +48,7 @@ def edited(opened: SystemContents, tmp_path: Path) -> Edit:
 def test_an_ssp_is_written(
     opened: SystemContents, tmp_path: Path, hesr: Hesr, order: str, coupling: str
 ) -> None:
-    spec = opened.spec.model_copy(update={"order": order})
+    spec = opened.system.model_copy(update={"order": order})
     system = write_system(spec, tmp_path / "open.toml")
     output = tmp_path / "made" / "open.ssp"
     answer = hesr("export", system, "-o", output, "--ssp", "2.0")
@@ -83,7 +83,7 @@ def test_unsupported_options_are_refused(
     hesr: Hesr,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    system = write_system(opened.spec, tmp_path / "open.toml")
+    system = write_system(opened.system, tmp_path / "open.toml")
     monkeypatch.chdir(tmp_path)
     answer = hesr("export", system, *arguments)
     assert (answer.code, answer.out, answer.err) == (2, "", OneSentence("hesr: ", sentence))
@@ -115,7 +115,7 @@ def test_an_inconsistent_system_is_refused(
     tmp_path: Path,
     hesr: Hesr,
 ) -> None:
-    spec = opened.spec
+    spec = opened.system
     for component, name in zip(spec.components, ("Trajectory", "Friction"), strict=True):
         (tmp_path / f"{name}.fmu").write_bytes(component.fmu.read_bytes())
     fmus = [tmp_path / f"{name}.fmu" for name in ("Trajectory", "Friction")]
@@ -135,7 +135,7 @@ def test_an_inconsistent_system_is_refused(
 
 def test_a_cyclic_connection_is_refused(closed: SystemContents, tmp_path: Path, hesr: Hesr) -> None:
     """The controller's command, connected to the desired velocity with direct feedthrough to it."""
-    spec = closed.spec
+    spec = closed.system
     connections = dict(spec.connections) | {"controller.dq_d": "controller.dq_cmd"}
     path = write_system(
         spec.model_copy(update={"connections": connections}), tmp_path / "cyclic.toml"

@@ -82,7 +82,7 @@ def test_the_archive_is_complete(closed: SystemContents, tmp_path: Path) -> None
     sets = {f"resources/{name}.ssv" for name in ("arm", "trajectory", "gravity", "controller")}
     found = {name: file for name, file in members(path).items() if not name.startswith("extra/")}
     assert found.keys() == {"SystemStructure.ssd"} | fmus | sets
-    for component in closed.spec.components:
+    for component in closed.system.components:
         assert found[f"resources/{component.name}.fmu"] == component.fmu.read_bytes()
     root = parsed(path)
     assert [c.get("name") for c in root.iterfind(".//ssd:Component", NAMES)] == names
@@ -124,14 +124,14 @@ def test_a_check_lists_the_platforms_of_all_fmus(
     path = write_ssp(opened, tmp_path / "open.ssp")
     assert check_ssp(path).coverage == "linux64; no binary for tools on Windows and macOS."
     both = export_bare(table1, tmp_path / "Friction.fmu", platforms=["linux64", "win64"])
-    trajectory, friction = opened.spec.components
+    trajectory, friction = opened.system.components
     components = (trajectory, friction.model_copy(update={"fmu": both}))
-    spec = opened.spec.model_copy(update={"components": components})
+    spec = opened.system.model_copy(update={"components": components})
     path = write_ssp(read_contents(spec, opened.path), tmp_path / "open.ssp")
     assert check_ssp(path).platforms == ("linux64",)
     windows = export_bare(table1, tmp_path / "Friction.fmu", platforms=["win64"])
     components = (trajectory, friction.model_copy(update={"fmu": windows}))
-    spec = opened.spec.model_copy(update={"components": components})
+    spec = opened.system.model_copy(update={"components": components})
     path = write_ssp(read_contents(spec, opened.path), tmp_path / "open.ssp")
     assert check_ssp(path).coverage == "none that all its FMUs share."
 
@@ -166,7 +166,7 @@ def test_a_component_step_is_a_hint(lags: Write, tmp_path: Path) -> None:
 
 
 def test_the_export_is_reproducible(closed: SystemContents, tmp_path: Path) -> None:
-    again = read_contents(closed.spec, closed.path)
+    again = read_contents(closed.system, closed.path)
     one, other = (
         write_ssp(contents, tmp_path / f"{i}.ssp") for i, contents in enumerate((closed, again))
     )
@@ -183,7 +183,7 @@ def test_the_export_is_reproducible(closed: SystemContents, tmp_path: Path) -> N
 def test_fmpy_runs_the_system(either: SystemContents, tmp_path: Path) -> None:
     """FMPy accumulates its steps, so round-off of its times affects a motion."""
     path = write_ssp(either, tmp_path / "system.ssp")
-    step = either.spec.step
+    step = either.system.step
     got = simulate_ssp(
         path, step_size=step, stop_time=10.0 - 0.5 * step, parameter_set=start_values(path)
     )
@@ -199,7 +199,7 @@ def test_an_ssp_is_read_back(either: SystemContents, tmp_path: Path) -> None:
         back = read_contents(spec, path)
         assert write_ssp(back, tmp_path / "again.ssp").read_bytes() == path.read_bytes()
         got = System(spec.model_copy(update={"stop": 1.0}), path).run()
-    expected = System(either.spec.model_copy(update={"stop": 1.0}), path).run()
+    expected = System(either.system.model_copy(update={"stop": 1.0}), path).run()
     for name, values in expected.signals.items():
         np.testing.assert_array_equal(got.signals[name], values)
 

@@ -11,8 +11,8 @@ from hesr_model.errors import ArtifactError
 
 
 def test_a_system_is_read_back(either: SystemContents, tmp_path: Path) -> None:
-    path = write_system(either.spec, tmp_path / "new" / "system.toml")
-    assert SystemSpec.read(path) == either.spec
+    path = write_system(either.system, tmp_path / "new" / "system.toml")
+    assert SystemSpec.read(path) == either.system
 
 
 def test_all_settings_of_a_system_are_written(tmp_path: Path) -> None:
@@ -43,11 +43,11 @@ def test_the_folder_can_be_moved(opened: SystemContents, tmp_path: Path) -> None
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     components = []
-    for component in opened.spec.components:
+    for component in opened.system.components:
         fmu = here / f"{component.name}.fmu"
         fmu.write_bytes(component.fmu.read_bytes())
         components.append(component.model_copy(update={"fmu": fmu}))
-    spec = opened.spec.model_copy(update={"components": tuple(components), "stop": 0.5})
+    spec = opened.system.model_copy(update={"components": tuple(components), "stop": 0.5})
     write_system(spec, here / "system.toml")
     here.rename(there)
     moved = SystemSpec.read(there / "system.toml")
@@ -60,4 +60,4 @@ def test_an_unwritable_file_is_reported(opened: SystemContents, tmp_path: Path) 
     path = tmp_path / "folder"
     path.mkdir()
     with pytest.raises(ArtifactError, match=r"folder: cannot be written there \(Is a directory\)"):
-        write_system(opened.spec, path)
+        write_system(opened.system, path)
