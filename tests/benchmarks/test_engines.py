@@ -68,7 +68,7 @@ def test_engine(
             seconds.append(found.seconds)
 
     benchmark.pedantic(run, rounds=ROUNDS)
-    told(engine.name, seconds, closed.system.stop)
+    told(engine.name, seconds, closed.spec.stop)
 
 
 def test_our_master(
@@ -77,7 +77,7 @@ def test_our_master(
     told: Callable[[str, list[float], float], None],
 ) -> None:
     seconds: list[float] = []
-    with Master(closed.system) as master:
+    with Master(closed.spec) as master:
 
         def run() -> None:
             begin = time.perf_counter()
@@ -85,7 +85,7 @@ def test_our_master(
             seconds.append(time.perf_counter() - begin)
 
         benchmark.pedantic(run, rounds=ROUNDS, warmup_rounds=1)
-    told("our master", seconds, closed.system.stop)
+    told("our master", seconds, closed.spec.stop)
 
 
 def test_the_physics_alone(
@@ -96,7 +96,7 @@ def test_the_physics_alone(
     """MuJoCo's own steps of the arm in Python; timing of the stages costs an extra 10 %."""
     model = mujoco.MjModel.from_xml_path(str(models_folder() / "uf850/uf850.xml"))
     data = mujoco.MjData(model)
-    steps = round(closed.system.stop / model.opt.timestep)
+    steps = round(closed.spec.stop / model.opt.timestep)
     seconds: list[float] = []
 
     def run() -> None:
@@ -105,4 +105,4 @@ def test_the_physics_alone(
         seconds.append(time.perf_counter() - begin)
 
     benchmark.pedantic(run, rounds=ROUNDS, warmup_rounds=1)
-    told("MuJoCo's steps alone", seconds, closed.system.stop)
+    told("MuJoCo's steps alone", seconds, closed.spec.stop)

@@ -91,7 +91,8 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
             widths.append(float(np.median(found)))
             print(  # noqa: T201  # the study's table
                 f"{truth} seed {seed}: {', '.join(mix.reason for mix in best)}; "
-                f"error {before:.3f}, again {again:.3f}, planned {after:.3f} N.m; widths {widths[-1]:.2f}",
+                f"error {before:.3f}, again {again:.3f}, planned {after:.3f} N.m; "
+                f"widths {widths[-1]:.2f}",
                 flush=True,
             )
     print(f"gain {np.median(gains):.2f}, widths {np.median(widths):.2f}")  # noqa: T201  # its summary

@@ -7,7 +7,7 @@ import pytest
 from unchanged import Unchanged
 
 from hesr.extras.laws import mlp
-from hesr.extras.laws.mlp import path as trained_along
+from hesr.extras.laws.mlp import train_path as trained_along
 from hesr_model.fitting.joint_rows import (
     JointRows,
     NormalEquations,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hesr.extras.laws import mlp
-from hesr.extras.laws.mlp import MlpH, Network, path
+from hesr.extras.laws.mlp import MlpH, Network, train_path
 from hesr_model.errors import ArtifactError, FitError
 from hesr_model.fitting.fit import fit_joint
 from hesr_model.fitting.joint_rows import JointRows
@@ -241,7 +241,7 @@ def test_training_recovers_the_generating_network() -> None:
     z = cloud(600)
     y = teacher(2).output(z)
     start = np.random.default_rng(0).normal(size=(4, 3))
-    trained = path(z, y, start, (1e-3, 1e-5, 1e-7, 1e-9))
+    trained = train_path(z, y, start, (1e-3, 1e-5, 1e-7, 1e-9))
     errors = [rmse(network.output(z) - y) for network in trained]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-3
@@ -250,7 +250,7 @@ def test_training_recovers_the_generating_network() -> None:
 def test_training_ends_at_a_flat_cost() -> None:
     z, decay = cloud(500), 1e-3
     y = teacher(3).output(z) + 0.1 * np.random.default_rng(1).normal(size=500)
-    (network,) = path(z, y, np.random.default_rng(4).normal(size=(4, 2)), (decay,) * 6)[-1:]
+    (network,) = train_path(z, y, np.random.default_rng(4).normal(size=(4, 2)), (decay,) * 6)[-1:]
     assert network.cost == pytest.approx(cost_of(network, z, y, decay))
     step = 1e-4
     for name in ("bias", "gains", "theta"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hesr.extras.laws import mlp
-from hesr.extras.laws.mlp import _Problem, path
+from hesr.extras.laws.mlp import _Problem, train_path
 
 DECAY = 1e-3
 
@@ -103,7 +103,7 @@ def test_each_decay_starts_at_the_end_of_the_previous_one(data: tuple) -> None:
     z, y, theta = data
     problem = _Problem(z, y, 2)
     point = problem.start(theta, 1e-2)
-    for decay, network in zip((1e-2, 1e-4), path(z, y, theta, [1e-2, 1e-4]), strict=True):
+    for decay, network in zip((1e-2, 1e-4), train_path(z, y, theta, [1e-2, 1e-4]), strict=True):
         point, found = problem.train(point, decay)
         assert network.cost == pytest.approx(found, rel=1e-12)
         np.testing.assert_allclose([network.bias, *network.gains], point[:3], rtol=1e-10)

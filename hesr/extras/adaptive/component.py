@@ -215,10 +215,10 @@ def _hidden_equation(
 def _build_factors(
     tuning: Tuning, sigma: sympy.Expr, joint_parameters: tuple[Parameter, ...], limits: _Limits
 ) -> list[Equation]:
-    def limit_factor(name: str, step: sympy.Expr) -> sympy.Expr:
+    def limit_factor(name: str, factor: sympy.Expr) -> sympy.Expr:
         if name not in limits:
-            return clip(step, tuning.offset * sigma)
-        return larger(_minimum(step, limits[name][1]), limits[name][0])
+            return clip(factor, tuning.offset * sigma)
+        return larger(_minimum(factor, limits[name][1]), limits[name][0])
 
     steps = [g * _make_symbol("gain") * _make_symbol("innovation") for g in _G]
     steps[2] = clip(steps[2], tuning.offset_rate * sigma * DT)

@@ -246,14 +246,10 @@ def _find_alarms(log_estimates: Sequence[Followed]) -> Iterator[Alarm]:
         for row in np.flatnonzero((alarm != 0.0) & (np.diff(alarm, prepend=0.0) != 0.0))
     ]
     shared_drift_signs = find_shared_signs(
-        (
-            (drift_alarm.joint, drift_alarm.sign)
-            for drift_alarm in alarms
-            if drift_alarm.kind == "drift"
-        ),
+        ((alarm.joint, alarm.sign) for alarm in alarms if alarm.kind == "drift"),
         len(log_estimates),
     )
-    for alarm in sorted(alarms, key=lambda drift_alarm: drift_alarm.time):
+    for alarm in sorted(alarms, key=lambda alarm: alarm.time):
         kind = (
             "shared drift"
             if alarm.kind == "drift" and alarm.sign in shared_drift_signs

@@ -130,7 +130,7 @@ def draw_trends(followed_logs: FollowedLogs) -> list[ResultFigure]:
 
 
 def _trend_lines(t: Array, values: Array, half_width: Array) -> tuple[Line, ...]:
-    """Return followed values (N,) and both edges of its band."""
+    """Return followed values (N,) and both edges of their band."""
     edge = Stroke(colour=SERIES[1], width=0.7, dash=(3.0, 2.0))
     return (
         Line(name="followed", x=t, y=values, stroke=Stroke(colour=SERIES[0])),

@@ -158,7 +158,7 @@ def _build_interface(model: FrictionModel, joints: Sequence[Joint], motors: Moto
         directional_derivatives=False,
         inner_steps=True,
         # FMPy requires inputs of one shape; flange inputs are scalars, so all inputs are.
-        connected=frozenset({*(joint_name for joint_name, _, _ in _INPUTS), "tau_link"}),
+        connected=frozenset({*(name for name, _, _ in _INPUTS), "tau_link"}),
     )
 
 

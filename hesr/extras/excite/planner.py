@@ -476,9 +476,9 @@ def _plan_rests(time: float, room: float, speed: float, acceleration: float) -> 
     ramp = min(1.0, time / (8.0 * rest_count))
     lengths = np.geomspace(0.1, 1.0, 2 * rest_count)
     waits = ((time - 4.0 * ramp * rest_count) * lengths / lengths.sum()).tolist()
-    speed_of_rests = min(_BREAK_AWAY_SPEED_RATIO * speed, acceleration * ramp / 1.5, room / ramp)
+    slow_speed = min(_BREAK_AWAY_SPEED_RATIO * speed, acceleration * ramp / 1.5, room / ramp)
     pairs = zip(waits[::2], waits[1::2], strict=True)
     return [
-        [(speed_of_rests, ramp, 0.0, short_wait), (-speed_of_rests, ramp, 0.0, long_wait)]
+        [(slow_speed, ramp, 0.0, short_wait), (-slow_speed, ramp, 0.0, long_wait)]
         for short_wait, long_wait in pairs
     ]

@@ -73,9 +73,9 @@ class _Bam(OneForm):
     @classmethod
     def core(cls, structure: Mapping[str, Any]) -> LawForm:
         alpha = structure.get("alpha", 2)
-        falls = cls._has_rise()
-        if structure.keys() - ({"alpha"} if falls else set()) or alpha not in ALPHAS:
-            choices = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if falls else "nothing"
+        has_rise = cls._has_rise()
+        if structure.keys() - ({"alpha"} if has_rise else set()) or alpha not in ALPHAS:
+            choices = f"'alpha', one of {', '.join(map(str, ALPHAS))}" if has_rise else "nothing"
             raise ArtifactError(
                 f"law '{cls.name}' has {choices} to choose, found {dict(structure)}."
             )
@@ -88,7 +88,7 @@ class _Bam(OneForm):
                 *(coefficient for coefficient, _ in cls.terms),
                 SIGMA_2,
                 TAU_0,
-                *((V_S,) if falls else ()),
+                *((V_S,) if has_rise else ()),
             ),
             output=level * sgn(DQ) + SIGMA_2.symbol * DQ + TAU_0.symbol,
         )

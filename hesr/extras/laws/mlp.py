@@ -171,9 +171,10 @@ class MlpH(NetworkEstimator):
                 inputs, min(networks, key=lambda network: network.cost), mean_torque, scale
             )
 
-        return lambda inputs, hidden: cross_validate(
-            inputs.z, y, folds, initial_layers[hidden]
-        ), build_law
+        def compute_costs(inputs: NetworkInputs, hidden: int) -> Array:
+            return cross_validate(inputs.z, y, folds, initial_layers[hidden])
+
+        return compute_costs, build_law
 
     def _build_network_law(
         self, inputs: NetworkInputs, network: Network, mean_torque: float, scale: float

@@ -304,12 +304,12 @@ def _compose_mjcf(
     yield "  </actuator>\n</mujoco>\n"
 
 
-def _list_actuators(parts: JointFriction) -> Iterator[str]:
-    pairs = list(zip_longest(parts.bristles, parts.waves)) or [(None, None)]
+def _list_actuators(friction: JointFriction) -> Iterator[str]:
+    pairs = list(zip_longest(friction.bristles, friction.waves)) or [(None, None)]
     for k, (bristle, wave) in enumerate(pairs):
         numbers = {
             "lugre": astuple(bristle) if bristle else (0.0,) * 5,
-            "damping": (0.0 if k else parts.viscous,),
+            "damping": (0.0 if k else friction.viscous,),
             "cogging": astuple(wave) if wave else (0.0,) * 3,
         }
         yield " ".join(

@@ -256,7 +256,7 @@ def chatter(
 ) -> list[PropertyResult]:
     """Rest under encoder noise, with the sample time and discretisation of the law."""
     noise = [audit.encoder_noise(trained_range) for trained_range in trained_ranges]
-    dq, q = (np.column_stack([joint_tau[signal] for joint_tau in noise]) for signal in (0, 1))
+    dq, q = (np.column_stack([joint_noise[k] for joint_noise in noise]) for k in (0, 1))
     settling = noise[0][2]
     sample_time = trained_ranges[0].sample_time
     bench.start(load=scale.load, exact=False)
@@ -346,7 +346,7 @@ def _judge_work(cycles: list[audit.Cycle]) -> PropertyResult:
     worst_cycle = min(cycles, key=lambda c: c.work)
     generated = max(0.0, -worst_cycle.work)
     least_dissipative = min(cycles, key=lambda c: c.share)
-    is_active = generated > ENERGY_ROUND_OFF
+    is_generating = generated > ENERGY_ROUND_OFF
     swing_text = (
         f" while the load swings by {worst_cycle.swing:.3g} N.m" if worst_cycle.swing else ""
     )
@@ -366,10 +366,10 @@ def _judge_work(cycles: list[audit.Cycle]) -> PropertyResult:
         curves.append(curve(f"{frequency:.2g} Hz", x, y))
     return judge(
         ("most energy given in a cycle", generated, "J"),
-        ("amplitude of that cycle", worst_cycle.amplitude if is_active else None, "rad/s"),
+        ("amplitude of that cycle", worst_cycle.amplitude if is_generating else None, "rad/s"),
         ("smallest dissipated share of the work", least_dissipative.share, "1"),
         ("at an amplitude of", least_dissipative.amplitude, "rad/s"),
         ("at a frequency of", least_dissipative.frequency, "Hz"),
-        faults=[sentence] if is_active else [],
+        faults=[sentence] if is_generating else [],
         plot=plot("amplitude", "work taken, share", *curves),
     )

@@ -47,8 +47,7 @@ def write_digest(folders: Sequence[Path], output: Path) -> Path:
                 tables.csv(table, name)
             table_folder = f"{tables_folder.name}/{results.run.study}"
             files = ", ".join(
-                f"[{Path(provide_file).stem}]({table_folder}/{provide_file})"
-                for provide_file in tables.written
+                f"[{Path(file).stem}]({table_folder}/{file})" for file in tables.written
             )
             parts += [*_describe_run(results), f"All laws: {files}.\n"]
         provide_file(output).write_text("\n".join(parts), encoding="utf-8")

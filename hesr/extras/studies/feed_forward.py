@@ -105,10 +105,10 @@ def _predict_errors(
                     for error in (shifted_error, held_error, *free_errors)
                 )
             central_error, *drawn_errors = (rms(error) for error in (shifted_error, *free_errors))
-            missing_share = np.maximum(
+            missing_error = np.maximum(
                 rms(shifted_error - held_error), rms(shifted_error - free_errors[0])
             )
-            spread = np.hypot(missing_share, _INTERVAL_DEVIATIONS * np.std(drawn_errors, axis=0))
+            spread = np.hypot(missing_error, _INTERVAL_DEVIATIONS * np.std(drawn_errors, axis=0))
             lower_error = np.maximum(central_error - spread, 0.0)
             upper_error = central_error + spread
             central_errors, lower_errors, upper_errors = (
@@ -206,11 +206,11 @@ def _run_plant(
     """Return the positions (N, n) of the plant along commands."""
     kv, ki, kp = cascade(factors)
     delay = 0.0 if servo.held else 0.5 * log.period
-    gains = {"q_start": log.q[0], "servo_kv": kv, "servo_ki": ki}
-    gains |= {"gravity_share": servo.gravity_share} | (
+    settings = {"q_start": log.q[0], "servo_kv": kv, "servo_ki": ki}
+    settings |= {"gravity_share": servo.gravity_share} | (
         {"servo_kp": kp} if has_position_loop else {}
     )
-    start_values = {name: tuple(map(float, input_rows)) for name, input_rows in gains.items()}
+    start_values = {name: tuple(map(float, values)) for name, values in settings.items()}
     latency = max(servo.latency - delay, 0.0)
     if instance.used:
         instance.reset()

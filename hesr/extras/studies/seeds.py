@@ -165,15 +165,15 @@ def _draw_motion(motion: MotionSpec, limits: Array, rng: np.random.Generator) ->
 
 
 def _summarise_scores(draws: Sequence[Mapping[str, Sequence[float]]], reference: str) -> SeedScores:
-    rmse = {law_name: np.array([law_rmse[law_name] for law_rmse in draws]) for law_name in draws[0]}
+    rmse = {law_name: np.array([draw[law_name] for draw in draws]) for law_name in draws[0]}
     log_ratios = {
         law_name: np.log(law_rmse / rmse[reference]) for law_name, law_rmse in rmse.items()
     }
     return SeedScores(
         rmse={law_name: _compute_spreads(law_rmse) for law_name, law_rmse in rmse.items()},
         ratios={
-            law_name: _compute_spreads(law_rmse, np.exp)
-            for law_name, law_rmse in log_ratios.items()
+            law_name: _compute_spreads(law_ratios, np.exp)
+            for law_name, law_ratios in log_ratios.items()
             if law_name != reference
         },
     )

@@ -185,7 +185,10 @@ def read_plan(path: Path) -> Plan:
     study = SweepStudy.read(path)
     system = SystemSpec.read(study.system)
     signals = [
-        signal for o in study.outputs for signal in (o.signal, o.reference) if signal is not None
+        signal
+        for measured in study.outputs
+        for signal in (measured.signal, measured.reference)
+        if signal is not None
     ]
     system = system.model_copy(update={"observe": tuple(dict.fromkeys(signals))})
     for output in study.outputs:

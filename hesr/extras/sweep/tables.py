@@ -59,8 +59,8 @@ class SweepResult(Answer):
         plan = self.plan
         return (
             f"{len(plan.values)} runs of {plan.task.system.stop:g} s, "
-            f"{_DESIGNS[plan.study.design]} over {len(plan.study.names)} inputs, seed {plan.study.seed}. The Parquet data set "
-            "runs/ has inputs and outputs of each run."
+            f"{_DESIGNS[plan.study.design]} over {len(plan.study.names)} inputs, seed "
+            f"{plan.study.seed}. The Parquet data set runs/ has inputs and outputs of each run."
         )
 
     def summary(self) -> str:

@@ -256,7 +256,7 @@ class _Problem:
             return unknowns, float(np.sum((columns @ unknowns - measured_temperatures) ** 2))
 
         optimum = minimize_scalar(
-            lambda unknowns: solve_heating(float(np.exp(unknowns)))[1],
+            lambda log_time: solve_heating(float(np.exp(log_time)))[1],
             bounds=np.log(_TIME_CONSTANT_BOUNDS),
             method="bounded",
         )

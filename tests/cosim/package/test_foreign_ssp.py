@@ -161,7 +161,7 @@ def test_foreign_names_are_converted(edited: Edit, lags: Write) -> None:
         ("<ssd:Elements>", inline),
     ]})  # fmt: skip
     opened = System.read(path)
-    spec = opened.system
+    spec = opened.spec
     assert [c.name for c in spec.components] == ["my_fric_1", "_2nd"]
     assert dict(spec.connections) == {"_2nd.u": "my_fric_1.y"}
     assert spec.observe == ("my_fric_1.y", "_2nd.y")

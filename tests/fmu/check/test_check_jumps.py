@@ -55,7 +55,7 @@ def run(step: float, *, at: float = 1.0, y: float = 0.0, z: float = 0.0, d: floa
 
 def jumps(master: _Master, nominal: _Run | None = None, **runs: _Run) -> list[str]:
     usual = {"nominal": nominal or run(STEP), "dense": run(STEP / 8.0), "held": run(STEP / 2.0)}
-    return list(master._jumps(usual | runs))
+    return list(master._find_jumps(usual | runs))
 
 
 @pytest.mark.parametrize("name", ["summed", "fifth", "irrational", "tiny"])
@@ -107,7 +107,7 @@ def test_without_a_nominal_run_nothing_is_compared(master: _Master) -> None:
     assert jumps(master, refused, fifth=run(0.02, y=9.0)) == []
     assert jumps(master, fifth=refused) == []
     alone = {"nominal": run(STEP), "fifth": run(0.02, y=9.0)}
-    assert len(list(master._jumps(alone))) == 1
+    assert len(list(master._find_jumps(alone))) == 1
 
 
 @pytest.mark.parametrize(
