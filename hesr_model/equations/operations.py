@@ -369,12 +369,12 @@ def _allocate(
         else:
             places[k], register_count = register_count, register_count + 1
         ended_nodes = {
-            o
-            for o in nodes[k].operands
-            if o in allocatable and last_use[o] == i and o not in result_nodes
+            operand
+            for operand in nodes[k].operands
+            if operand in allocatable and last_use[operand] == i and operand not in result_nodes
         }
         ended_nodes |= {k} if k not in last_use and k not in result_nodes else set()
-        free_registers += sorted(places[o] for o in ended_nodes)
+        free_registers += sorted(places[node] for node in ended_nodes)
     return register_count
 
 
@@ -385,9 +385,9 @@ def _encode_operation(
     operands = list(nodes[k].operands)
     if name in ("ADD", "MULTIPLY") and nodes[k].dependence is Dependence.ROWS:
         # The uniform operand comes second; it is read once.
-        operands.sort(key=lambda o: -nodes[o].dependence)
+        operands.sort(key=lambda operand: -nodes[operand].dependence)
         name += "_SAME" if nodes[operands[1]].dependence <= Dependence.NUMBERS else ""
-    registers = [places[o] for o in operands] + [0, 0, 0]
+    registers = [places[operand] for operand in operands] + [0, 0, 0]
     if name in _MOVES:
         registers[2] = nodes[k].detail
     return (NAMES.index(name), places[k], registers[0], registers[1], registers[2])

@@ -167,7 +167,8 @@ class Jumps:
         if not self.component.events:
             return dict(assignments)
         held_signs = {
-            sgn(expression): s for expression, s in zip(self.expressions, self.signs, strict=True)
+            sgn(expression): sign
+            for expression, sign in zip(self.expressions, self.signs, strict=True)
         }
         return {
             symbol: expression.xreplace(held_signs) for symbol, expression in assignments.items()

@@ -153,7 +153,9 @@ def _compile_assignments(
     *,
     lanes: bool,
 ) -> Any:
-    lines, names = program.build_straight_line(assignments, [s for group in targets for s in group])
+    lines, names = program.build_straight_line(
+        assignments, [target for group in targets for target in group]
+    )
     short_symbols = {symbol: sympy.Symbol(name) for symbol, name in names.items()}
     lines = {
         short_symbols.get(symbol, symbol): expression.xreplace(short_symbols)

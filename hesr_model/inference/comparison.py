@@ -211,11 +211,13 @@ def law_errors(
     """
     laws = tuple(errors)
     squares = [np.stack([errors[law][k] ** 2 for law in laws]) for k in range(len(periods))]
-    total = sum(s.sum(axis=1) for s in squares) / sum(s.shape[1] for s in squares)
+    total = sum(square.sum(axis=1) for square in squares) / sum(
+        square.shape[1] for square in squares
+    )
     mean = np.maximum(np.asarray(total), 1e-300)
     binned = [
-        _average_over_bins(s / (2.0 * mean[:, None]), p)
-        for s, p in zip(squares, periods, strict=True)
+        _average_over_bins(square / (2.0 * mean[:, None]), period)
+        for square, period in zip(squares, periods, strict=True)
     ]
     counted_laws = [laws.index(law) for law in among] or list(range(len(laws)))
     rows = []
@@ -240,7 +242,9 @@ def law_errors(
         is_slow=np.concatenate([*is_slow, np.ones(between, dtype=bool)]),
         is_between=np.arange(within + between) >= within,
         bins=sum(psi.shape[1] for psi in binned),
-        seconds=float(sum(s.shape[1] * p for s, p in zip(squares, periods, strict=True))),
+        seconds=float(
+            sum(square.shape[1] * period for square, period in zip(squares, periods, strict=True))
+        ),
     )
 
 

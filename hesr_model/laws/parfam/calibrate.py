@@ -52,12 +52,14 @@ def select_distinct(cells: list[Cell], count: int) -> list[Cell]:
     """Return the best `count` cells that are local minima first, then the next best."""
     from scipy.ndimage import minimum_filter  # slow to import
 
-    costs = {(c.alpha, c.beta): c.cost for c in cells}
+    costs = {(cell.alpha, cell.beta): cell.cost for cell in cells}
     alphas, betas = (sorted(set(coordinates)) for coordinates in zip(*costs, strict=True))
     cost = np.array([[costs[a, b] for b in betas] for a in alphas])
     lowest = minimum_filter(cost, size=3, mode="nearest")
     minima = {(alphas[i], betas[j]) for i, j in np.argwhere(cost <= lowest)}
-    return sorted(cells, key=lambda c: ((c.alpha, c.beta) not in minima, c.cost))[:count]
+    return sorted(cells, key=lambda cell: ((cell.alpha, cell.beta) not in minima, cell.cost))[
+        :count
+    ]
 
 
 def estimate_from_loop(features: HysteresisFeatures) -> tuple[float, float]:

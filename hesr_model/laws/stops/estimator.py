@@ -164,8 +164,10 @@ class _StopsEstimator(Estimator):
             chosen = select_waves(columns, rows, best_terms.weights, rows.gear_ratio)
             if chosen.frequencies:
                 window = WINDOW_SAMPLES * float(np.median(rows.dt[~rows.begins]))
-                window, lag = float(f"{window:.3g}"), chosen.lag
-                structure = replace(structure, ripple=chosen.frequencies, window=window)
+                lag = chosen.lag
+                structure = replace(
+                    structure, ripple=chosen.frequencies, window=float(f"{window:.3g}")
+                )
                 columns = np.hstack([columns, waves(chosen.frequencies, lag, rows)])
         return self._law(best_terms, structure, columns, lag)
 

@@ -64,7 +64,8 @@ def find_largest_age(rows: JointRows, row_weights: Array, v_s: float, time: floa
     """Return the largest age of the rows with a weight (N,), rounded up to three digits."""
     decay = np.exp(-rows.dt / time)
     growth = (1.0 - decay) * np.exp(-((rows.dq / v_s) ** 2))
-    decay, growth = np.where(rows.begins, 0.0, decay), np.where(rows.begins, 1.0, growth)
+    decay = np.where(rows.begins, 0.0, decay)
+    growth = np.where(rows.begins, 1.0, growth)
     return float(np.ceil(1e3 * np.max(recurrence(decay, growth, 1.0) * row_weights)) / 1e3)
 
 
@@ -136,10 +137,12 @@ class Terms:
 
     def replace_age(self, v_s: float, time: float) -> "Terms":
         """Return the terms with another Stribeck velocity [rad/s] and ageing time [s]."""
-        unaged_columns = {k: c for k, c in self.cache.items() if k != "age"}
+        other_columns = {
+            kind: kind_columns for kind, kind_columns in self.cache.items() if kind != "age"
+        }
         largest_age = find_largest_age(self.rows, self.weights, v_s, time)
         numbers = self.numbers | {"v_s": v_s, "T": time, "P": largest_age}
-        return replace(self, numbers=numbers, cache=unaged_columns)
+        return replace(self, numbers=numbers, cache=other_columns)
 
     def select_active(self) -> tuple[Structure, Array]:
         """Return the terms with a force, and their weighted columns with the offset last."""
@@ -177,7 +180,9 @@ def build_dictionary(rows: JointRows, *, load: bool, scale: int = 0) -> Terms:
     for share, time in product(STRIBECK_SHARES, ageing):
         trials.append(first_terms.replace_age(share * speed, time))
         costs.append(trials[-1].cost)  # fills the cache
-        first_terms.cache.update({k: c for k, c in trials[-1].cache.items() if k != "age"})
+        first_terms.cache.update(
+            {kind: kind_columns for kind, kind_columns in trials[-1].cache.items() if kind != "age"}
+        )
     return trials[joint_rows.find_first_best(costs)]
 
 
