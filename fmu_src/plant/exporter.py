@@ -17,7 +17,9 @@ def prepare(request: ExportRequest) -> Mapping[str, Any]:
     from fmu_src.plant.plant_fmu import find_possible_body
 
     options = dict(request.options)
-    options["body"] = find_possible_body(options.pop("robot"), options.pop("rigid_body", None))
+    options["plant_body"] = find_possible_body(
+        options.pop("robot"), options.pop("rigid_body", None)
+    )
     return options
 
 
