@@ -87,13 +87,13 @@ def read_signals(path: Path, table: Path | SignalTable | None = None) -> ArmSign
 def _add_joint_signals(spec: Any) -> None:
     """Add sensors of position, speed and torque to all joints, and motors to a file without."""
     passive = not list(spec.actuators)
-    of_joint = mujoco.mjtObj.mjOBJ_JOINT
+    joint_type = mujoco.mjtObj.mjOBJ_JOINT
     for number, joint in enumerate(spec.joints, start=1):
         if joint.type in SCALAR_JOINT_TYPES:
             joint.name = joint.name or f"joint{number}"
             for stem, kind in SENSORS_OF_JOINT.items():
                 name = f"{stem}_{joint.name}"
-                spec.add_sensor(name=name, type=kind, objtype=of_joint, objname=joint.name)
+                spec.add_sensor(name=name, type=kind, objtype=joint_type, objname=joint.name)
             if passive:
                 motor = spec.add_actuator(name=f"tau_{joint.name}", target=joint.name)
                 motor.trntype = mujoco.mjtTrn.mjTRN_JOINT

@@ -68,7 +68,7 @@ class SimpleType:
 
 @dataclass(frozen=True, kw_only=True)
 class ParsedVariable:
-    """A variable; `own` are the attributes of its Real, Integer, ... element."""
+    """A variable; `type_attributes` are those of its Real, Integer, ... element."""
 
     index: int
     name: str
@@ -77,7 +77,7 @@ class ParsedVariable:
     variability: str
     declared_initial: str | None
     kind: str
-    own: Mapping[str, str]
+    type_attributes: Mapping[str, str]
     type: SimpleType | None
     size: int | None = 1  # number of elements in FMI 3.0; None if unknown
     others: tuple[str, ...] = ()  # names of aliases in FMI 3.0
@@ -85,7 +85,7 @@ class ParsedVariable:
     def get(self, attribute: str) -> str | None:
         """Return an attribute, by default that of the declared type."""
         inherited = self.type.attributes.get(attribute) if self.type else None
-        return self.own.get(attribute, inherited)
+        return self.type_attributes.get(attribute, inherited)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,7 +208,7 @@ class _Reader:
             variability=element.get("variability", "continuous"),
             declared_initial=element.get("initial"),
             kind="" if type_element is None else str(type_element.tag),
-            own=type_attributes,
+            type_attributes=type_attributes,
             type=self._by_name.get(type_attributes.get("declaredType", "")),
         )
 
@@ -280,7 +280,7 @@ class _Reader3(_Reader):
 
     def variable(self, index: int, element: etree._Element) -> ParsedVariable:
         variable = super().variable(index, element)
-        type_attributes = dict(variable.own)
+        type_attributes = dict(variable.type_attributes)
         if "start" not in type_attributes and element.find("Start") is not None:  # of a String
             type_attributes["start"] = " ".join(
                 e.get("value", "") or "?" for e in element.findall("Start")
@@ -297,7 +297,7 @@ class _Reader3(_Reader):
         usual = "continuous" if variable.kind in FLOATS else "discrete"
         updates = {
             "variability": element.get("variability", usual),
-            "own": type_attributes,
+            "type_attributes": type_attributes,
             "size": prod(known_sizes) if len(known_sizes) == len(sizes) else None,
             "others": read_names(element.findall("Alias")),
         }

@@ -169,7 +169,7 @@ def _ranges(model_description: ParsedDescription, variable: ParsedVariable) -> I
     if nominal is not None and nominal <= 0:
         yield "variable-nominal", f"has the nominal value {nominal:.15g}; it must be positive."
     if variable.kind == "Enumeration" and variable.type and variable.type.kind == "Enumeration":
-        value = integer(variable.own.get("start"))
+        value = integer(variable.type_attributes.get("start"))
         if value is not None and value not in variable.type.values:
             yield (
                 "variable-item",
@@ -200,7 +200,7 @@ def _types(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
 
 @_apply_to_variables
 def _display_units(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
-    display = variable.own.get("displayUnit")
+    display = variable.type_attributes.get("displayUnit")
     if display is not None and variable.get("unit") is None:
         yield "variable-unit", f"has the display unit {quote(display)} but no unit."
 
@@ -209,7 +209,7 @@ def _display_units(_: ParsedDescription, variable: ParsedVariable) -> Iterator[P
 def _derivatives(
     model_description: ParsedDescription, variable: ParsedVariable
 ) -> Iterator[Problem]:
-    state = model_description.variable(integer(variable.own.get("derivative")))
+    state = model_description.variable(integer(variable.type_attributes.get("derivative")))
     if state is not None and (
         state is variable
         or state.kind not in model_description.continuous
@@ -240,7 +240,7 @@ def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
         constants = [variable for variable in members if variable.variability == "constant"]
         if constants and len(constants) < len(members):
             yield "alias-constant", f"{subject}, but only some of them are constant."
-        if len({variable.own.get("start") for variable in constants}) > 1:
+        if len({variable.type_attributes.get("start") for variable in constants}) > 1:
             yield "alias-constant", f"{subject}, but as constants have different values."
         if sum(_is_settable(variable) for variable in members) > 1:
             yield "alias-settable", f"{subject}, but more than one of them can be set."
@@ -250,7 +250,7 @@ def _aliases(model_description: ParsedDescription) -> Iterator[Problem]:
 
 @_apply_to_variables
 def _sizes(_: ParsedDescription, variable: ParsedVariable) -> Iterator[Problem]:
-    start_count = len((variable.own.get("start") or "").split())
+    start_count = len((variable.type_attributes.get("start") or "").split())
     if variable.size is None:
         yield "variable-size", "has a dimension of unknown size."
     elif (
@@ -273,7 +273,9 @@ def _listed_derivatives(model_description: ParsedDescription) -> Iterator[Proble
     list_name = model_description.lists["Derivatives"]
     listed_indices = {u.index for u in model_description.structure["Derivatives"]}
     declared = [
-        variable for variable in model_description.variables if "derivative" in variable.own
+        variable
+        for variable in model_description.variables
+        if "derivative" in variable.type_attributes
     ]
     wrong = {
         ("structure-states", "lacks"): [

@@ -22,7 +22,7 @@ def variable(name: str, variability: str = "continuous", **own: str) -> ParsedVa
         variability=variability,
         declared_initial=None,
         kind="Real",
-        own=own,
+        type_attributes=own,
         type=None,
     )
 
