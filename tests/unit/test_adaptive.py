@@ -7,7 +7,7 @@ import pytest
 from adaptive_models import NOISE, SPEED, STEP, coloured, lugre, model, motion, stops, truth
 
 from hesr.extras.adaptive.component import TUNING, adaptive_component
-from hesr.extras.adaptive.monitor import Followed, Follower, adaptive_components
+from hesr.extras.adaptive.monitor import Follower, JointEstimates, adaptive_components
 from hesr_model.audit.certificate import certify, find_min_viscous_scale, find_storage_factors
 from hesr_model.equations.stepping import ComponentRun, Steps
 from hesr_model.errors import ExportError, SimulationError
@@ -20,7 +20,7 @@ from hesr_model.robots.transmission import Coupling
 LAWS = [pytest.param(lugre, id="LuGre"), pytest.param(stops, id="ParFam-S")]
 
 
-def followed(record: FrictionRecord, law: FrictionLaw, *, adapt: bool = True) -> Followed:
+def followed(record: FrictionRecord, law: FrictionLaw, *, adapt: bool = True) -> JointEstimates:
     [found] = Follower(model(law)).follow([record], adapt=adapt)
     return found
 

@@ -56,11 +56,11 @@ def adaptive_content(model: FrictionModel, *, bare: bool = False) -> Content:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Followed:
+class JointEstimates:
     """Estimates of one joint in one log, before the torque of each row is used."""
 
     record: FrictionRecord
-    fixed: Array  # torque of the law (N,) [N.m]
+    tau_fixed: Array  # torque of the law (N,) [N.m]
     outputs: dict[str, Array]  # (N,) by name
 
 
@@ -109,7 +109,7 @@ class Follower:
 
     def follow(
         self, log_records: Sequence[FrictionRecord], *, adapt: bool = True
-    ) -> list[Followed]:
+    ) -> list[JointEstimates]:
         """Follow the records of all joints in one log; `tau` may hold NaN."""
         joints = tuple(record.joint for record in log_records)
         if joints != self._model.joints:
@@ -119,7 +119,7 @@ class Follower:
             )
         return [self._follow_joint(j, record, adapt) for j, record in enumerate(log_records)]
 
-    def _follow_joint(self, j: int, record: FrictionRecord, adapt: bool) -> Followed:
+    def _follow_joint(self, j: int, record: FrictionRecord, adapt: bool) -> JointEstimates:
         law = self._model.laws[j]
         steps = self._steps[j]
         columns, record_values = build_inputs(record)
@@ -133,7 +133,7 @@ class Follower:
         for name, neutral in (("level", 1.0), ("viscosity", 1.0), ("offset", 0.0)):
             learned_change = self._tuning.carried * (float(outputs[name][-1]) - neutral)
             self._values[j][f"{name}_start"] = neutral + learned_change
-        return Followed(record=record, fixed=predict_record(law, record), outputs=outputs)
+        return JointEstimates(record=record, tau_fixed=predict_record(law, record), outputs=outputs)
 
 
 _MIN_SHARED_SHARE = 0.5  # share of joints above which a change is shared
@@ -198,7 +198,7 @@ class FollowedLogs:
     """Friction of a robot over logs; `followed` is [log][joint]."""
 
     model: FrictionModel
-    followed: tuple[tuple[Followed, ...], ...]
+    followed: tuple[tuple[JointEstimates, ...], ...]
     states: tuple[State, ...]
     alarms: tuple[Alarm, ...]
 
@@ -217,7 +217,7 @@ def watch(model: FrictionModel, records: Sequence[Sequence[FrictionRecord]]) -> 
     )
 
 
-def _summarise_joint(estimates: Followed) -> State:
+def _summarise_joint(estimates: JointEstimates) -> State:
     last_outputs = {name: float(column[-1]) for name, column in estimates.outputs.items()}
     is_finite = np.isfinite(estimates.record.tau)
     return State(
@@ -225,12 +225,12 @@ def _summarise_joint(estimates: Followed) -> State:
         joint=estimates.record.joint,
         **{name: last_outputs[name] for name in _ESTIMATES},
         learning=float(np.mean(estimates.outputs["health"] == 0.0)),
-        rmse_fixed=rmse((estimates.fixed - estimates.record.tau)[is_finite]),
+        rmse_fixed=rmse((estimates.tau_fixed - estimates.record.tau)[is_finite]),
         rmse=rmse((estimates.outputs["tau"] - estimates.record.tau)[is_finite]),
     )
 
 
-def _find_alarms(log_estimates: Sequence[Followed]) -> Iterator[Alarm]:
+def _find_alarms(log_estimates: Sequence[JointEstimates]) -> Iterator[Alarm]:
     alarms = [
         Alarm(
             log=record.log,

@@ -191,15 +191,16 @@ class _Robot:
     def _check(self, log: Log) -> None:
         accept = self._member.robot_type.accept
         findings = examine([log], self._robot.description, self._robot).findings
-        errors = [
+        error_findings = [
             finding
             for finding in findings
             if finding.severity == "error" and finding.check not in accept
         ]
-        if errors:
+        if error_findings:
             raise LogError(
                 "; ".join(
-                    f"{finding.sentence.removesuffix('.')} [{finding.check}]" for finding in errors
+                    f"{finding.sentence.removesuffix('.')} [{finding.check}]"
+                    for finding in error_findings
                 )
             )
         self._findings = merge_findings([*self._findings, *findings])

@@ -343,9 +343,9 @@ def _run_moving_loads(
 
 
 def _judge_work(cycles: list[audit.Cycle]) -> PropertyResult:
-    worst_cycle = min(cycles, key=lambda c: c.work)
+    worst_cycle = min(cycles, key=lambda cycle: cycle.work)
     generated = max(0.0, -worst_cycle.work)
-    least_dissipative = min(cycles, key=lambda c: c.share)
+    least_dissipative = min(cycles, key=lambda cycle: cycle.share)
     is_generating = generated > ENERGY_ROUND_OFF
     swing_text = (
         f" while the load swings by {worst_cycle.swing:.3g} N.m" if worst_cycle.swing else ""

@@ -51,7 +51,9 @@ def _has_error(findings: Iterable[Finding]) -> bool:
 
 def write_sarif(path: Path, reports: Sequence[Report]) -> None:
     """Write a run with all rules and a result per finding."""
-    names = dict.fromkeys([*RULES, *(f.check for report in reports for f in report.problems)])
+    names = dict.fromkeys(
+        [*RULES, *(finding.check for report in reports for finding in report.problems)]
+    )
     results = [
         {
             "ruleId": finding.check,

@@ -158,8 +158,9 @@ def _estimate_missing_torque(
     log: Log, robot: Robot, body: RigidBody, model: FrictionModel
 ) -> Array:
     """Return the torque (N, n) that body and law miss on a log, smoothed as its motion."""
-    records = friction_records(log, robot, body)
-    missing_torque = np.column_stack([record.tau for record in records]) - model.predict(records)
+    log_records = friction_records(log, robot, body)
+    tau = np.column_stack([record.tau for record in log_records])
+    missing_torque = tau - model.predict(log_records)
     return smooth(replace(log, q=missing_torque, dq=None), robot.description.log.filter_cutoff).q
 
 

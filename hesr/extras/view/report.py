@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.workflow.answer import Written
-from hesr.extras.view.stage import HEIGHT, WIDTH, Shown, Stage, ViewOptions, choose
+from hesr.extras.view.stage import HEIGHT, WIDTH, Selection, Stage, ViewOptions, choose
 from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.support.files import written_whole
 from hesr_model.support.progress import Progress, Stages, deferred, report_progress, silent
@@ -54,7 +54,7 @@ _CLOSING_TIME = 10.0  # [s] for the viewer to close
 _REFRESH_RATE = 60.0  # [Hz], update rate of the viewer
 
 
-def show(selection: Shown, options: ViewOptions, *, turns: int | None = None) -> None:
+def show(selection: Selection, options: ViewOptions, *, turns: int | None = None) -> None:
     """Show the motion until the viewer is closed, or `turns` times."""
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -108,7 +108,7 @@ _MAX_GEOMS = 4000
 
 
 def write_video(
-    path: Path, selection: Shown, options: ViewOptions, *, progress: Progress = silent
+    path: Path, selection: Selection, options: ViewOptions, *, progress: Progress = silent
 ) -> float:
     """Write a video (.mp4) or an animation (.webp); return its length [s]."""
     kind = path.suffix.lower()

@@ -41,7 +41,7 @@ class ViewOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class Selection:
     """Runs to show, by title of the law."""
 
     mjcf: str
@@ -50,7 +50,7 @@ class Shown:
     runs: Mapping[str, Trace]
 
 
-def choose(folder: Path, options: ViewOptions) -> Shown:
+def choose(folder: Path, options: ViewOptions) -> Selection:
     """Read the runs to show."""
     if not folder.is_dir():
         raise ArtifactError(f"{folder}: no such folder; give a result of 'hesr run'.")
@@ -75,7 +75,7 @@ def choose(folder: Path, options: ViewOptions) -> Shown:
         raise ConfigError(
             f"--law is given {len(laws)} times; at most {_MAX_ARMS} fit side by side."
         )
-    return Shown(
+    return Selection(
         mjcf=_read_mjcf(folder / "fmus" / ARM),
         joints=RigidBody.read(folder / "rigid_body.json").joints,
         scheme=scheme,
@@ -263,7 +263,7 @@ class _PlacedArm:
 class Stage:
     """A MuJoCo model of all arms, and their motion."""
 
-    def __init__(self, selection: Shown, options: ViewOptions) -> None:
+    def __init__(self, selection: Selection, options: ViewOptions) -> None:
         self._magnify = options.magnify
         self._scheme = selection.scheme
         self.duration = max(float(run.t[-1]) for run in selection.runs.values())
@@ -367,7 +367,7 @@ def _find_end(mj_model: mujoco.MjModel, prefix: str, joint: str) -> int:
     return max(depths, key=lambda body: depths[body])
 
 
-def _find_space(selection: Shown) -> tuple[Array, Array]:
+def _find_space(selection: Selection) -> tuple[Array, Array]:
     mj_model = build_arm(selection.mjcf, selection.joints, paint=_ARM).compile()
     mj_data = mujoco.MjData(mj_model)
     addresses = [mj_model.joint(name).qposadr[0] for name in selection.joints]
