@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hesr_model.health.evidence import Estimate, JointTorque, Motionwise
+from hesr_model.health.evidence import Estimate, SmoothPart, TorqueFit
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import RobotDescription
 
 TWO = RobotDescription(name="two", model=Path("two.urdf"), joints=("a", "b"))
 """Description of two joints, for tests that need no model."""
 
-SOUND_TORQUE = JointTorque(
+SOUND_TORQUE = TorqueFit(
     gravity=Estimate(value=1.0, error=0.01),
     inertia=Estimate(value=1.2, error=0.02),
     friction=Estimate(value=0.5, error=0.01),
@@ -41,10 +41,10 @@ def at(values: np.ndarray | None, rows: object, joint: object, value: object) ->
     return changed
 
 
-def as_part(log: Log, **more: np.ndarray | None) -> Motionwise:
+def as_part(log: Log, **more: np.ndarray | None) -> SmoothPart:
     """Return a log as a part ready for the checks, without low-pass filtering."""
     assert log.dq is not None
-    part = Motionwise(log=log, t=log.t, q=log.q, v=log.dq, a=0.0 * log.q, dq=log.dq, tau=log.tau)
+    part = SmoothPart(log=log, t=log.t, q=log.q, v=log.dq, a=0.0 * log.q, dq=log.dq, tau=log.tau)
     return replace(part, **more)
 
 

@@ -14,7 +14,7 @@ from cosim.report.result_page import write_answer
 from cosim.report.tables.laws import robot_tables
 from cosim.report.tables.table import ResultTable, make_row
 from cosim.workflow.answer import Written
-from hesr_model.health.evidence import Motionwise
+from hesr_model.health.evidence import SmoothPart
 from hesr_model.health.examine import Examination, find_unseen_effects
 from hesr_model.health.proposal import HEAD, Proposal, robot_file, summary_rows
 from hesr_model.robots.robot import Robot
@@ -31,7 +31,7 @@ _MOTION = "Motion and torque"
 
 def write_inspection(path: Path, proposal: Proposal) -> None:
     """Write the page, or only its figure if the suffix is ``.svg``."""
-    robot = Robot(proposal.robot) if proposal.robot.model.is_file() else None
+    robot = Robot(proposal.description) if proposal.description.model.is_file() else None
     if path.suffix.lower() == ".svg":
         pictured_robot = robot if not proposal.logs else None
         write_svg(picture(pictured_robot) if pictured_robot else joints(_views(proposal)), path)
@@ -39,9 +39,9 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
     views = _views(proposal)
     subject = "Logs of" if proposal.logs else "Robot"
     answer = Written(
-        title=f"{subject} {proposal.robot.name}",
+        title=f"{subject} {proposal.description.name}",
         lines=_summary_lines(proposal, views),
-        findings=proposal.first,
+        findings=proposal.first_findings,
         shown=_tables(proposal, robot),
         drawn=_figures(proposal, robot, views),
     )
@@ -50,13 +50,13 @@ def write_inspection(path: Path, proposal: Proposal) -> None:
 
 def _summary_lines(proposal: Proposal, views: Sequence[JointView]) -> list[str]:
     """Count the findings, and say whether the proposal fixes them and what has no figure."""
-    errors = sum(finding.severity == "error" for finding in proposal.first)
-    warnings = len(proposal.first) - errors
-    if not proposal.first:
+    errors = sum(finding.severity == "error" for finding in proposal.first_findings)
+    warnings = len(proposal.first_findings) - errors
+    if not proposal.first_findings:
         lines = ["No errors or warnings."]
     else:
         lines = [f"{count_noun(errors, 'error')}, {count_noun(warnings, 'warning')}."]
-    if proposal.first and proposal.reasons and not proposal.examination.findings:
+    if proposal.first_findings and proposal.reasons and not proposal.examination.findings:
         lines.append("The proposed robot file fixes all of them.")
     if proposal.logs and not proposal.examination.parts:
         lines.append("No figure: the time stamps are unusable.")
@@ -111,9 +111,9 @@ def _text_sections(proposal: Proposal, path: Path) -> list[Section]:
     """Return open findings, what the logs cannot show, and the proposed robot file."""
     open_findings = proposal.examination.findings if proposal.reasons else ()
     gaps: dict[str, list[str]] = {}
-    for joint, gap in find_unseen_effects(proposal.examination, proposal.robot.joints):
+    for joint, gap in find_unseen_effects(proposal.examination, proposal.description.joints):
         gaps.setdefault(gap, []).append(joint)
-    file = robot_file(proposal, path) if proposal.robot.model.is_file() else ""
+    file = robot_file(proposal, path) if proposal.description.model.is_file() else ""
     titles = {"file": "Proposed robot file"}
     if proposal.logs:
         titles = {"unseen": "What this log cannot show", **titles}
@@ -150,7 +150,7 @@ def _joints(proposal: Proposal) -> ResultTable:
     return ResultTable(caption=caption, head=head, rows=rows, section=_JOINTS)
 
 
-def _longest(proposal: Proposal) -> tuple[int, Motionwise]:
+def _longest(proposal: Proposal) -> tuple[int, SmoothPart]:
     return max(enumerate(proposal.examination.parts), key=lambda part: np.ptp(part[1].t))
 
 
@@ -161,17 +161,17 @@ def _views(proposal: Proposal) -> list[JointView]:
     k, part = _longest(proposal)
     return [
         JointView(
-            name=proposal.robot.joints[j],
+            name=proposal.description.joints[j],
             # Without a model joints count as revolute.
-            unit="m/s" if j in proposal.sliding else "rad/s",
+            unit="m/s" if j in proposal.prismatic_joints else "rad/s",
             velocities=_velocities(part, int(j)),
             friction=_friction(examination, k, int(j)),
-            covered=np.concatenate([motionwise.v[:, j] for motionwise in examination.parts]),
+            covered=np.concatenate([smooth_part.v[:, j] for smooth_part in examination.parts]),
             loads=np.concatenate([torques.gravity[:, j] for torques in examination.torques])
             if examination.torques
             else None,
         )
-        for j in np.flatnonzero(part.moves)
+        for j in np.flatnonzero(part.is_moving)
     ]
 
 
@@ -180,7 +180,7 @@ def _line(name: str, x: Array, y: Array, stroke: Stroke) -> Line:
     return Line(name=name, x=x[::step], y=y[::step], stroke=stroke)
 
 
-def _velocities(part: Motionwise, j: int) -> Sequence[Line]:
+def _velocities(part: SmoothPart, j: int) -> Sequence[Line]:
     log = part.log
     position_line = _line(
         "from the position", part.t, part.v[:, j], Stroke(colour=SERIES[1], width=0.9)
@@ -193,11 +193,11 @@ def _velocities(part: Motionwise, j: int) -> Sequence[Line]:
 
 
 def _friction(examination: Examination, k: int, j: int) -> Line | None:
-    if not examination.torques or j not in examination.explained[k]:
+    if not examination.torques or j not in examination.fits[k]:
         return None
     part = examination.parts[k]
     model_torques = examination.torques[k]
-    fit = examination.explained[k][j]
+    fit = examination.fits[k][j]
     residual = part.tau[:, j].copy()
     for estimate, torque in (
         (fit.gravity, model_torques.gravity),

@@ -75,7 +75,9 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
     refinement_hint = [
         '# refinement = "output_error"  # also refine the laws for simulation; it takes longer'
     ]
-    refinement_hint *= len(proposal.robot.joints) == 1 and not proposal.robot.log.cylinder
+    refinement_hint *= (
+        len(proposal.description.joints) == 1 and not proposal.description.log.cylinder
+    )
     lines = [
         "# Proposed by 'hesr inspect'; 'hesr run' runs it. Paths are relative to this file.",
         "",
@@ -119,14 +121,14 @@ def study_file(proposal: Proposal, robot: Path, path: Path) -> str:
 
 def propose_laws(proposal: Proposal) -> list[str]:
     """Return the proposed laws whose inputs the logs show: load needs a change of load."""
-    has_load = bool(proposal.robot.log.cylinder) or any(
-        map(bears_load, proposal.examination.explained)
+    has_load = bool(proposal.description.log.cylinder) or any(
+        map(bears_load, proposal.examination.fits)
     )
     candidates = {name: registry()[name] for name in select_laws("proposed")}
     return [
         name
         for name, law in candidates.items()
-        if all(getattr(proposal.robot, need) is not None for need in law.needs)
+        if all(getattr(proposal.description, need) is not None for need in law.needs)
         and (has_load or all(s.name != "tau_load" for s in law.form(law.typical).inputs))
     ]
 

@@ -182,25 +182,25 @@ class CheckedLogs:
     def compute_records(self, body: RigidBody, seed: int = 0) -> list[list[FrictionRecord]]:
         """Return the friction in each part of the logs, [part][joint].
 
-        Of long logs these are up to 10^6 rows, in stretches that cover speed, load and rest.
+        Of long logs these are up to 10^6 rows, in pieces that cover speed, load and rest.
         """
         from hesr_model.logs.robot_log import collect_parts
-        from hesr_model.logs.sample import Sample
+        from hesr_model.logs.sample import MotionSample
         from hesr_model.rigid_body.residual import friction_records, motion_records
 
         if not self.long_logs:
             return [friction_records(part, self.robot, body) for part in collect_parts(self.logs)]
-        sample = Sample(MAX_ROWS, seed)
+        sample = MotionSample(MAX_ROWS, seed)
         row_count = 0
         for log in self.long_logs:
             for motion in log.motions():
-                sample.add(motion, follows=float(motion.t[0]) not in log.starts)
+                sample.add(motion, is_continuation=float(motion.t[0]) not in log.starts)
                 row_count += len(motion.t)
         motions = sample.motions()
         used_count = sum(len(motion.t) for motion in motions)
         if used_count < row_count:
             _log.warning(
-                "The logs have %d rows; %d are used, in whole stretches that cover speed, load and "
+                "The logs have %d rows; %d are used, in whole pieces that cover speed, load and "
                 "rest.",
                 row_count,
                 used_count,
@@ -285,9 +285,9 @@ def read_checked_logs(
 
     require_items("logs", sources)
     long_logs = _open_long_logs(sources, robot) if in_pieces else []
-    stretch_logs = [log for long_log in long_logs for log in long_log.stretches]
+    piece_logs = [log for long_log in long_logs for log in long_log.checked_pieces]
     stated_robot = None if robot is None else to_robot(robot)
-    logs = read_logs(stretch_logs or sources, stated_robot, partial(progress, "reading logs"))
+    logs = read_logs(piece_logs or sources, stated_robot, partial(progress, "reading logs"))
     checked_robot = stated_robot or find_robot(None, logs)
     findings = require_healthy(logs, checked_robot, accept)
     for long_log in long_logs:
@@ -296,7 +296,7 @@ def read_checked_logs(
             from hesr_model.health.positions import report_gaps
 
             finding = report_gaps(long_log.gaps, long_log.longest_step, len(long_log.starts))
-            findings += log_findings(add_log_name(long_log.stretches[0], [finding]))
+            findings += log_findings(add_log_name(long_log.checked_pieces[0], [finding]))
     log_paths = [log.path for log in logs if log.path]
     files = dict.fromkeys([*paths_among(robot), checked_robot.description.model, *log_paths])
     return CheckedLogs(

@@ -203,7 +203,7 @@ def choose_format(source: LawArg, format_name: str | None, output: Path) -> Expo
     if name not in formats:
         _refuse_format(kind, name, list(formats))
     exporter = load_exporter(formats[name])
-    return ExportFormat(kind=kind, name=name, exporter=exporter, is_own=formats[name].own)
+    return ExportFormat(kind=kind, name=name, exporter=exporter, is_own=formats[name].is_built_in)
 
 
 def _refuse_format(kind: SourceKind, name: str, formats: Sequence[str]) -> NoReturn:

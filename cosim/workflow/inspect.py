@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cosim.workflow.arguments import Logs, LogSource, Names, RobotArg
     from hesr_model.findings import Finding
     from hesr_model.health.proposal import Proposal
-    from hesr_model.rigid_body.torque_constants import Constant
+    from hesr_model.rigid_body.torque_constants import TorqueConstant
 
 
 _MASS_ERROR = 0.2  # relative error of the model's masses by default, one sigma
@@ -37,7 +37,7 @@ class Inspection(Answer):
 
     format = "hesr-inspection-1"
     proposal: Proposal
-    constants: Sequence[Constant] = ()
+    constants: Sequence[TorqueConstant] = ()
     next_command: str = ""
     limit: str = ""  # weakness of a short test in the proposed study
     failure: str = ""  # reason why no study can run
@@ -60,7 +60,7 @@ class Inspection(Answer):
         open_checks = {(finding.check, finding.joints) for finding in self.findings}
         return [
             finding
-            for finding in self.proposal.first
+            for finding in self.proposal.first_findings
             if (finding.check, finding.joints) not in open_checks
         ]
 
@@ -73,7 +73,7 @@ class Inspection(Answer):
         """Return what is fixed, still open and guessed, then files and the next command."""
         lines = [f"Fixed by the proposed robot file: {finding.sentence}" for finding in self.fixed]
         lines += finding_lines(self.findings)
-        if not self.proposal.first:
+        if not self.proposal.first_findings:
             lines.append("Nothing wrong or unusual was found.")
         lines += [f"proposed: {key}: {text}" for key, text in self.proposal.reasons.items()]
         lines += [constant.sentence for constant in self.constants]
@@ -91,7 +91,7 @@ class Inspection(Answer):
             from cosim.report.tables.laws import robot_tables
             from hesr_model.robots.robot import Robot
 
-            shown += robot_tables(Robot(self.proposal.robot))
+            shown += robot_tables(Robot(self.proposal.description))
         for log in self.proposal.logs:
             count = len(log.gaps)
             gaps = f", {count} gap{'s' * (count > 1)}" if count else ""
@@ -104,14 +104,17 @@ class Inspection(Answer):
         for name, joint, *cells in summary_rows(self.proposal):
             by_log.setdefault(name, []).append(make_row(joint, *cells))
         shown += [ResultTable(caption=n, head=HEAD[1:], rows=rows) for n, rows in by_log.items()]
-        return [*shown, *(finding_lines(self.proposal.first) if self.proposal.logs else ())]
+        return [
+            *shown,
+            *(finding_lines(self.proposal.first_findings) if self.proposal.logs else ()),
+        ]
 
     def result(self) -> Any:
         """Return findings before and after the proposal, its reasons and torque constants."""
         from hesr_model.support.typed_files import to_json
 
         return {
-            "given": [to_json(finding) for finding in self.proposal.first],
+            "given": [to_json(finding) for finding in self.proposal.first_findings],
             "proposed": [to_json(finding) for finding in self.findings],
             "reasons": dict(self.proposal.reasons),
             "limit": self.limit,
@@ -200,7 +203,7 @@ def inspect(
     files = _find_log_files(sources)
     progress("inspecting logs", 0, 1)
     proposal = inspect_logs(files, robot, names)
-    constants: Sequence[Constant] = ()
+    constants: Sequence[TorqueConstant] = ()
     if torque_constants:
         constants = _estimate_torque_constants(
             sources, robot, names, mass_error, loaded_sources, point_mass, progress
@@ -307,7 +310,7 @@ def _estimate_torque_constants(
     loaded_sources: Sequence[LogSource],
     payload: Sequence[float] | None,
     progress: Stages,
-) -> Sequence[Constant]:
+) -> Sequence[TorqueConstant]:
     """Estimate torque constants, starting from the robot file's `torque_per_ampere`."""
     from hesr_model.health.joints import select_joints
     from hesr_model.logs.robot_log import collect_parts

@@ -40,7 +40,7 @@ def _inputs(model: Path, options: Mapping[str, object], output: Path) -> tuple[s
     except (OSError, ValueError):  # reported by `write`
         return None
     # A law of another package can change without a new version.
-    if not all(law.own for law in plugins.load("hesr.laws").values()):
+    if not all(law.is_built_in for law in plugins.load("hesr.laws").values()):
         return None
     date = os.environ.get("SOURCE_DATE_EPOCH", "")
     return text, json.dumps(options, sort_keys=True), output.suffix, date, software()

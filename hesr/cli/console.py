@@ -177,7 +177,7 @@ def direct_output(*, quiet: bool, verbose: bool, json_file: Path | None) -> Iter
             saved_note = ""
             cause = interrupt
             if isinstance(interrupt, Interrupted):
-                saved_note = f", and {interrupt.kept}"
+                saved_note = f", and {interrupt.resume_hint}"
                 cause = interrupt.interrupt
             is_terminated = isinstance(cause, _Ended)
             ending = "ended by another program" if is_terminated else "interrupted"

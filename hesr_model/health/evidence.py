@@ -20,7 +20,7 @@ _KNEE_SPEED = 0.1  # smoothing speed of a sign [rad/s, m/s], at most a quarter o
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motionwise:
+class SmoothPart:
     """Smoothed part of a log, (N, n); `v`, `a` are derivatives of q, `dq` was logged."""
 
     log: Log
@@ -32,7 +32,7 @@ class Motionwise:
     tau: Array
 
     @cached_property
-    def moves(self) -> Mask:
+    def is_moving(self) -> Mask:
         """Joints (n,) that move."""
         speed = np.max(np.abs(self.v), axis=0)
         return np.asarray((np.ptp(self.q, axis=0) > MIN_TRAVEL) & (speed > MIN_PEAK_SPEED))
@@ -42,59 +42,65 @@ class Motionwise:
         """Median time between rows [s]."""
         return float(np.median(np.diff(self.t)))
 
-    def thin(self, max_rows: int) -> "Motionwise":
+    def thin(self, max_rows: int) -> "SmoothPart":
         """Return at most `max_rows` rows, evenly spread."""
         return select_rows(self, slice(None, None, -(-len(self.t) // max_rows)))
 
 
-def smooth_parts(log: Log, cutoff: float) -> list[Motionwise]:
+def smooth_parts(log: Log, cutoff: float) -> list[SmoothPart]:
     """Smooth the parts of a log that are long enough."""
-    motions = []
-    for part in log.parts():
+    parts = []
+    for log_part in log.parts():
         try:
-            derived = smooth(replace(part, dq=None), cutoff)
+            derived = smooth(replace(log_part, dq=None), cutoff)
         except LogError:
             if len(log.gaps):
                 continue
             raise
-        dq = None if part.dq is None else smooth(part, cutoff).dq
-        motion = Motionwise(
-            log=part, t=part.t, q=derived.q, v=derived.dq, a=derived.ddq, dq=dq, tau=part.tau
+        dq = None if log_part.dq is None else smooth(log_part, cutoff).dq
+        part = SmoothPart(
+            log=log_part,
+            t=log_part.t,
+            q=derived.q,
+            v=derived.dq,
+            a=derived.ddq,
+            dq=dq,
+            tau=log_part.tau,
         )
-        motions.append(motion.thin(_MAX_ROWS))
-    return motions
+        parts.append(part.thin(_MAX_ROWS))
+    return parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Torques:
+class ModelTorques:
     """Model torques along a motion (N, n); gravity without its mean."""
 
     gravity: Array
     inertial: Array
 
     @classmethod
-    def from_motion(cls, robot: Robot, q: Array, v: Array, a: Array) -> "Torques":
+    def from_motion(cls, robot: Robot, q: Array, v: Array, a: Array) -> "ModelTorques":
         """Evaluate the model file along q, v, a (N, n)."""
         zeros = np.zeros_like(q)
         gravity = robot.torque(robot.nominal_parameters, q, zeros, zeros)
         total = robot.torque(robot.nominal_parameters, q, v, a)
         return cls(gravity=gravity - gravity.mean(axis=0), inertial=total - gravity)
 
-    def transform(self, coupling: Coupling) -> "Torques":
+    def transform(self, coupling: Coupling) -> "ModelTorques":
         """Transform torques of joints to coupled coordinates."""
-        return Torques(
+        return ModelTorques(
             gravity=coupling.torque(self.gravity), inertial=coupling.torque(self.inertial)
         )
 
 
 def to_logged_side(
-    motion: Motionwise, torques: Torques, coupling: Coupling | None
-) -> tuple[Motionwise, Torques]:
+    part: SmoothPart, torques: ModelTorques, coupling: Coupling | None
+) -> tuple[SmoothPart, ModelTorques]:
     """Transform velocities and torques to motors if logged."""
     if coupling is None:
-        return motion, torques
-    at_motors = replace(motion, v=coupling.motion(motion.v), tau=coupling.torque(motion.tau))
-    return at_motors, torques.transform(coupling)
+        return part, torques
+    motor_part = replace(part, v=coupling.motion(part.v), tau=coupling.torque(part.tau))
+    return motor_part, torques.transform(coupling)
 
 
 def friction_shape(v: Array) -> Array:
@@ -117,7 +123,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointTorque:
+class TorqueFit:
     """Regression of a joint's torque: gravity and inertia over the model's, the others in [N.m]."""
 
     gravity: Estimate
@@ -130,7 +136,7 @@ class JointTorque:
 
     @property
     def r2(self) -> float:
-        """Explained share of the torque's variance."""
+        """TorqueFits share of the torque's variance."""
         return 1.0 - (self.residual / max(self.deviation, 1e-300)) ** 2
 
     @property
@@ -140,7 +146,7 @@ class JointTorque:
         return self.gravity_size > 1e-6 and size > 2.0 * self.residual
 
 
-def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorque:
+def fit_joint_torque(tau: Array, gravity: Array, inertial: Array, v: Array) -> TorqueFit:
     """Regress `tau` (N,) on `gravity`, `inertial` and friction over `v`."""
     shape = friction_shape(v)
     columns = np.column_stack([gravity, inertial, shape, np.ones_like(v)])
@@ -155,7 +161,7 @@ def explain(tau: Array, gravity: Array, inertial: Array, v: Array) -> JointTorqu
         Estimate(value=float(coefficient), error=float(std_error))
         for coefficient, std_error in zip(coefficients, std_errors, strict=True)
     ]
-    return JointTorque(
+    return TorqueFit(
         gravity=estimates[0],
         inertia=estimates[1],
         friction=estimates[2],

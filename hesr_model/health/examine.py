@@ -12,15 +12,15 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.health import positions
 from hesr_model.health import torque as efforts
 from hesr_model.health.evidence import (
-    JointTorque,
-    Motionwise,
-    Torques,
+    ModelTorques,
+    SmoothPart,
+    TorqueFit,
     smooth_parts,
     to_logged_side,
 )
 from hesr_model.health.mistakes import check_causes
 from hesr_model.health.timing import check_clocks
-from hesr_model.health.torque import NO_SIGNAL_R2, Explained, check_torque, explain_joints
+from hesr_model.health.torque import NO_SIGNAL_R2, TorqueFits, check_torque, fit_joint_torques
 from hesr_model.health.velocity import check_velocity
 from hesr_model.laws.lugre import STATIC_RATIO_BOUNDS
 from hesr_model.logs.robot_log import Log
@@ -46,15 +46,15 @@ class Examination:
     """Findings, with model torques and regressions of each part."""
 
     findings: tuple[Finding, ...] = ()
-    parts: tuple[Motionwise, ...] = ()
-    torques: tuple[Torques, ...] = ()
-    explained: tuple[Explained, ...] = ()
+    parts: tuple[SmoothPart, ...] = ()
+    torques: tuple[ModelTorques, ...] = ()
+    fits: tuple[TorqueFits, ...] = ()
 
 
 def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | None) -> Examination:
     """Check logs one by one, against the model, and together; raises LogError."""
     findings: list[Finding] = []
-    parts: list[Motionwise] = []
+    parts: list[SmoothPart] = []
     for log in logs:
         time_findings = add_log_name(log, positions.check_time(log, description))
         findings += time_findings
@@ -66,12 +66,12 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
     if robot and (description.known is not None or robot.springs):
         robot = _inform_robot(robot, parts)
     torques = (
-        [Torques.from_motion(robot, part.q, part.v, part.a) for part in parts] if robot else []
+        [ModelTorques.from_motion(robot, part.q, part.v, part.a) for part in parts] if robot else []
     )
     logged_sides = [
         to_logged_side(*pair, description.logged) for pair in zip(parts, torques, strict=False)
     ]
-    fits = [explain_joints(part, torque) for part, torque in logged_sides]
+    fits_by_part = [fit_joint_torques(part, part_torques) for part, part_torques in logged_sides]
     broken_joints = {
         joint
         for finding in findings
@@ -89,30 +89,36 @@ def examine(logs: Sequence[Log], description: RobotDescription, robot: Robot | N
             findings += add_log_name(part.log, efforts.check_speed(part, robot))
         findings += add_log_name(part.log, positions.check_columns(part, description))
     if robot and not is_hopeless(findings):
-        for part, (logged_part, torque), fit in zip(parts, logged_sides, fits, strict=True):
-            clocks, late_joints = check_clocks(
-                part, [j for j in fit if fit[j].r2 > NO_SIGNAL_R2], robot
+        for part, (logged_part, part_torques), joint_fits in zip(
+            parts, logged_sides, fits_by_part, strict=True
+        ):
+            clock_findings, late_joints = check_clocks(
+                part, [j for j in joint_fits if joint_fits[j].r2 > NO_SIGNAL_R2], robot
             )
             blurred_joints = {
                 *late_joints,
-                *(j for j in fit if description.joints[j] in coarse_joints),
+                *(j for j in joint_fits if description.joints[j] in coarse_joints),
             }
-            torque_findings = (*clocks, *check_torque(logged_part, fit, robot, blurred_joints))
+            torque_findings = (
+                *clock_findings,
+                *check_torque(logged_part, joint_fits, robot, blurred_joints),
+            )
             findings += add_log_name(
-                part.log, (*torque_findings, *positions.check_loss(logged_part, torque, robot))
+                part.log,
+                (*torque_findings, *positions.check_loss(logged_part, part_torques, robot)),
             )
         findings = _replace_symptoms(findings, check_causes(parts, robot))
     return Examination(
         findings=tuple(merge_findings(_remove_followers(findings))),
         parts=tuple(parts),
         torques=tuple(torques),
-        explained=tuple(fits),
+        fits=tuple(fits_by_part),
     )
 
 
-def _inform_robot(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
+def _inform_robot(robot: Robot, parts: Sequence[SmoothPart]) -> Robot | None:
     """Return a robot whose unknown parameters are identified, or None if that fails."""
-    informed = copy(robot)
+    informed_robot = copy(robot)
     if robot.description.known is None:  # then only its springs, if any, are unknown
         update = {"known": robot.parameter_names[: robot.inertial]}
         robot = Robot(robot.description.model_copy(update=update))
@@ -129,19 +135,19 @@ def _inform_robot(robot: Robot, parts: Sequence[Motionwise]) -> Robot | None:
         for part in parts
     ]
     try:
-        informed.nominal_parameters = identify_motions(motions, robot).parameters
+        informed_robot.nominal_parameters = identify_motions(motions, robot).parameters
     except FitError:
         return None
-    return informed
+    return informed_robot
 
 
 def is_hopeless(findings: Sequence[Finding]) -> bool:
     """Return whether errors of units or positions hide what the model would show."""
-    errors = [finding for finding in findings if finding.severity == "error"]
+    error_findings = [finding for finding in findings if finding.severity == "error"]
     units = {"log.units.t", "log.units.q"}
     return any(
         finding.check in ("limits", "wrap", "spikes") or units & set(finding.changes)
-        for finding in errors
+        for finding in error_findings
     )
 
 
@@ -151,12 +157,20 @@ SYMPTOMS = (
 )  # Checks whose findings a deeper cause can explain
 
 
-def _replace_symptoms(findings: Sequence[Finding], causes: Sequence[Finding]) -> list[Finding]:
+def _replace_symptoms(
+    findings: Sequence[Finding], cause_findings: Sequence[Finding]
+) -> list[Finding]:
     reversed_joints = {
-        name for cause in causes if cause.check == "torque-sign" for name in cause.joints
+        joint
+        for cause_finding in cause_findings
+        if cause_finding.check == "torque-sign"
+        for joint in cause_finding.joints
     }
-    explains_all = any(cause.check != "torque-sign" or not cause.joints for cause in causes)
-    remaining = [
+    explains_all = any(
+        cause_finding.check != "torque-sign" or not cause_finding.joints
+        for cause_finding in cause_findings
+    )
+    remaining_findings = [
         finding
         for finding in findings
         if finding.check not in SYMPTOMS
@@ -165,13 +179,14 @@ def _replace_symptoms(findings: Sequence[Finding], causes: Sequence[Finding]) ->
     sign_observations = {
         finding.joints: finding.found for finding in findings if finding.check == "torque-sign"
     }
-    restated_causes = [
-        replace(c, found=sign_observations[c.joints])
-        if c.check in ("torque-sign", "position-sign") and c.joints in sign_observations
-        else c
-        for c in causes
+    restated_findings = [
+        replace(cause_finding, found=sign_observations[cause_finding.joints])
+        if cause_finding.check in ("torque-sign", "position-sign")
+        and cause_finding.joints in sign_observations
+        else cause_finding
+        for cause_finding in cause_findings
     ]
-    return [*remaining, *restated_causes]
+    return [*remaining_findings, *restated_findings]
 
 
 def _remove_followers(findings: Sequence[Finding]) -> list[Finding]:
@@ -213,7 +228,7 @@ class HealthError(LogError):
 def _format_refusal(findings: Sequence[Finding]) -> str:
     lines = [f"{finding.sentence} [{finding.check}]" for finding in findings]
     accept_options = " ".join(
-        f"--accept {name}" for name in dict.fromkeys(finding.check for finding in findings)
+        f"--accept {check}" for check in dict.fromkeys(finding.check for finding in findings)
     )
     hint = "hesr inspect tries the changes on these logs. " * any(
         finding.changes for finding in findings
@@ -231,9 +246,17 @@ def add_log_name(log: Log, findings: Iterable[Finding]) -> list[Finding]:
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
     """Merge findings of several logs or joints; errors first."""
-    by_log = _merge_by_key(findings, lambda f: (f.check, f.joints))
+    log_findings = _merge_by_key(findings, lambda finding: (finding.check, finding.joints))
     return sort_by_severity(
-        _merge_by_key(by_log, lambda f: (f.check, f.severity, f.remedy, repr(f.changes)))
+        _merge_by_key(
+            log_findings,
+            lambda finding: (
+                finding.check,
+                finding.severity,
+                finding.remedy,
+                repr(finding.changes),
+            ),
+        )
     )
 
 
@@ -243,23 +266,25 @@ def _merge_by_key(findings: Iterable[Finding], key: Callable[[Finding], object])
         groups.setdefault(key(finding), []).append(finding)
     return [
         replace(
-            sort_by_severity(group)[0],
-            joints=tuple(dict.fromkeys(joint for f in group for joint in f.joints)),
-            logs=tuple(dict.fromkeys(log for f in group for log in f.logs)),
+            sort_by_severity(group_findings)[0],
+            joints=tuple(
+                dict.fromkeys(joint for finding in group_findings for joint in finding.joints)
+            ),
+            logs=tuple(dict.fromkeys(log for finding in group_findings for log in finding.logs)),
         )
-        for group in groups.values()
+        for group_findings in groups.values()
     ]
 
 
 def require_sound(findings: Sequence[Finding], accepted: Sequence[str] = ()) -> list[Finding]:
     """Return all findings, or raise HealthError with errors not accepted."""
-    refused = [
+    refused_findings = [
         finding
         for finding in findings
         if finding.severity == "error" and finding.check not in accepted
     ]
-    if refused:
-        raise HealthError(_format_refusal(refused), refused)
+    if refused_findings:
+        raise HealthError(_format_refusal(refused_findings), refused_findings)
     return list(findings)
 
 
@@ -277,12 +302,12 @@ _MIN_SLOW_ROWS_SHARE = 0.05  # share of the peak speed, share of slow rows neede
 _MIN_GRAVITY_TO_FRICTION = 0.5  # gravity over friction that shows load-dependent friction
 
 
-def bears_load(fits: Explained) -> bool:
+def bears_load(fits: TorqueFits) -> bool:
     """Return whether the load of a joint changes enough to show load-dependent friction."""
     return any(fit.bears_gravity and _changes_load(fit) for fit in fits.values())
 
 
-def _changes_load(fit: JointTorque) -> bool:
+def _changes_load(fit: TorqueFit) -> bool:
     return fit.gravity_size >= _MIN_GRAVITY_TO_FRICTION * fit.friction_size
 
 
@@ -291,11 +316,11 @@ def find_unseen_effects(
 ) -> Iterator[tuple[str, str]]:
     """Yield joints with effects that the logs do not show."""
     for j, joint in enumerate(joints):
-        parts = [k for k, part in enumerate(examination.parts) if part.moves[j]]
-        if not parts:
+        part_numbers = [k for k, part in enumerate(examination.parts) if part.is_moving[j]]
+        if not part_numbers:
             yield joint, "it does not move in any log"
             continue
-        speeds = [examination.parts[k].v[:, j] for k in parts]
+        speeds = [examination.parts[k].v[:, j] for k in part_numbers]
         v = np.concatenate(speeds)
         if sum(len(reversals(speed)) for speed in speeds) < _MIN_REVERSALS:
             yield joint, f"fewer than {_MIN_REVERSALS} reversals: neither hysteresis nor an offset"
@@ -303,7 +328,11 @@ def find_unseen_effects(
             yield joint, "hardly any rest: no stiction"
         if np.mean(np.abs(v) < _SLOW_SPEED_SHARE * np.max(np.abs(v))) < _MIN_SLOW_ROWS_SHARE:
             yield joint, "hardly any slow motion: no Stribeck effect"
-        fits = [fits[j] for k, fits in enumerate(examination.explained) if k in parts and j in fits]
+        fits = [
+            joint_fits[j]
+            for k, joint_fits in enumerate(examination.fits)
+            if k in part_numbers and j in joint_fits
+        ]
         if fits and not any(fit.bears_gravity for fit in fits):
             yield joint, "no gravity torque: its torque constant cannot be checked"
         elif fits and not any(map(_changes_load, fits)):
@@ -319,32 +348,37 @@ _MIN_NEGATIVE_COULOMB = 0.5  # negative Coulomb friction over the residual
 def check_body(body: RigidBody, robot: Robot) -> Iterator[Finding]:
     """Check that a mass matrix is positive definite and friction brakes."""
     joints = robot.description.joints
-    lowest, q, j = _find_least_inertia(body, robot)
-    if lowest <= 0.0:
-        example = (
-            f"{lowest:.2g}, for instance at q = {', '.join(f'{position:.2f}' for position in q)}"
-        )
+    lowest_eigenvalue, q, j = _find_least_inertia(body, robot)
+    if lowest_eigenvalue <= 0.0:
+        positions_text = ", ".join(f"{position:.2f}" for position in q)
+        example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
         observation = f"the identified mass matrix is not positive definite (eigenvalue {example})"
         remedy = "the identified masses are not physically possible; use longer or faster logs, or "
         yield build_joint_finding(
             "mass-matrix", joints[j], observation, f"{remedy}--physical", "warning"
         )
-    for name, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
+    for joint, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
         if -coulomb > _MIN_NEGATIVE_COULOMB * rmse:
             observation = f"its Coulomb friction is identified as {coulomb:.3g} N.m"
             remedy = "torque or velocity count backwards, or lag each other"
-            yield build_joint_finding("negative-friction", name, observation, remedy, "warning")
+            yield build_joint_finding("negative-friction", joint, observation, remedy, "warning")
 
 
 def _find_least_inertia(body: RigidBody, robot: Robot) -> tuple[float, Array, int]:
     lower, upper, _ = robot.reach
     q = np.random.default_rng(0).uniform(lower, upper, (_STATE_COUNT, robot.n))
-    mass, _ = robot.dynamics(body.parameters, q, np.zeros_like(q))
-    mass = 0.5 * (mass + mass.transpose(0, 2, 1))
-    scale = np.sqrt(np.maximum(np.abs(np.mean(np.diagonal(mass, axis1=1, axis2=2), axis=0)), 1e-12))
-    values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
-    state = int(np.argmin(values[:, 0]))
-    return float(values[state, 0]), q[state], int(np.argmax(np.abs(vectors[state, :, 0])))
+    mass_matrices, _ = robot.dynamics(body.parameters, q, np.zeros_like(q))
+    mass_matrices = 0.5 * (mass_matrices + mass_matrices.transpose(0, 2, 1))
+    scale = np.sqrt(
+        np.maximum(np.abs(np.mean(np.diagonal(mass_matrices, axis1=1, axis2=2), axis=0)), 1e-12)
+    )
+    eigenvalues, eigenvectors = np.linalg.eigh(mass_matrices / np.outer(scale, scale))
+    worst_row = int(np.argmin(eigenvalues[:, 0]))
+    return (
+        float(eigenvalues[worst_row, 0]),
+        q[worst_row],
+        int(np.argmax(np.abs(eigenvectors[worst_row, :, 0]))),
+    )
 
 
 def check_laws(
@@ -380,9 +414,8 @@ def check_laws(
 def check_owner(model: FrictionModel, robot: Robot) -> Iterator[Finding]:
     """Check that a law belongs to the robot."""
     description = robot.description
-    if (
-        model.robot != description.name and model.joints == description.joints
-    ):  # else refused elsewhere
+    # A law of other joints is refused elsewhere.
+    if model.robot != description.name and model.joints == description.joints:
         observation = (
             f"the law {model.law} was fitted to '{model.robot}' and is evaluated on "
             f"'{description.name}'"

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from hesr_model.errors import LogError, RobotError
-from hesr_model.health.evidence import MIN_TRAVEL, Motionwise
-from hesr_model.logs.guess import guess
+from hesr_model.health.evidence import MIN_TRAVEL, SmoothPart
+from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.log_format import column_names
 from hesr_model.logs.log_table import LogTable
 from hesr_model.robots.description import RobotDescription
@@ -58,7 +58,9 @@ def select_joints_of_table(
     name_pattern = r"(?<![A-Za-z0-9]){}(?![A-Za-z0-9])"
     text = "\n".join(table.names)
     named_joints = [
-        name for name in description.joints if re.search(name_pattern.format(re.escape(name)), text)
+        joint
+        for joint in description.joints
+        if re.search(name_pattern.format(re.escape(joint)), text)
     ]
     if named_joints and len(named_joints) < len(description.joints):
         return describe_model(description.model, named_joints), "named in the columns"
@@ -72,7 +74,7 @@ def select_joints_of_table(
 
 def _count_positions(table: LogTable) -> int:
     try:
-        return len(guess(table).columns["q"])
+        return len(guess_columns(table).columns["q"])
     except LogError:
         return 0
 
@@ -89,7 +91,7 @@ def choose_joints(robot: RobotLike, joints: Sequence[str]) -> tuple[RobotDescrip
 
 
 def find_resting_joints(
-    description: RobotDescription, parts: Sequence[Motionwise]
+    description: RobotDescription, parts: Sequence[SmoothPart]
 ) -> dict[str, float]:
     """Return the positions [rad or m] of joints that stay at one place in all parts."""
     if not parts or description.transmission:
@@ -108,10 +110,10 @@ def apply_changes(description: RobotDescription, changes: Mapping[str, Any]) -> 
     document = description.model_dump()
     for key, value in changes.items():
         table = document
-        *table_names, entry = key.split(".")
+        *table_names, last_name = key.split(".")
         for table_name in table_names:
             table = table[table_name]
-        table[entry] = value
+        table[last_name] = value
     return RobotDescription.model_validate(document)
 
 
@@ -122,13 +124,12 @@ def remove_joints(
     if description.transmission:
         raise RobotError(
             f"robot '{description.name}' has a [transmission], whose motors turn joints that "
-            "would be "
-            "locked; remove these joints from its 'joints' and from the matrix."
+            "would be locked; remove these joints from its 'joints' and from the matrix."
         )
-    remaining = [k for k, joint in enumerate(description.joints) if joint not in locked]
-    lists = {**description.lists, "joints": description.joints}
+    remaining_joints = [j for j, joint in enumerate(description.joints) if joint not in locked]
+    entries_by_key = {**description.lists, "joints": description.joints}
     known_parameters = description.known and tuple(
-        k for k in description.known if k.rpartition(".")[0] not in locked
+        name for name in description.known if name.rpartition(".")[0] not in locked
     )
     springs = {
         key: tuple(joint for joint in getattr(description, key) if joint not in locked)
@@ -137,10 +138,10 @@ def remove_joints(
     for key in ["q", "dq", "q_link", "tau", "current", *(["temperature"] if temperatures else [])]:
         pattern = getattr(description.log.columns, key)
         if pattern and "{name}" not in pattern:
-            lists[f"log.columns.{key}"] = tuple(column_names(pattern, description.joints))
+            entries_by_key[f"log.columns.{key}"] = tuple(column_names(pattern, description.joints))
     changes = {
-        key: tuple(entries[k] for k in remaining)
-        for key, entries in lists.items()
+        key: tuple(entries[j] for j in remaining_joints)
+        for key, entries in entries_by_key.items()
         if isinstance(entries, tuple)
     }
     changes |= springs

@@ -13,7 +13,7 @@ import numpy as np
 
 from hesr_model.findings import Finding, build_joint_finding
 from hesr_model.fitting.joint_rows import ROUND_OFF, non_negative_least_squares
-from hesr_model.health.evidence import Motionwise, Torques, friction_shape
+from hesr_model.health.evidence import ModelTorques, SmoothPart, friction_shape
 from hesr_model.health.positions import MAX_EXCESS
 from hesr_model.health.torque import find_sign_change
 from hesr_model.logs.log_format import OPTIONAL, column_names
@@ -30,7 +30,7 @@ _MIN_TILT = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CandidateRows:
+class HypothesisRows:
     """Rows of several logs (N, n), motors over gear ratios, and gravity (3,)."""
 
     q: Array
@@ -41,24 +41,26 @@ class CandidateRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Mistake:
-    """A hypothesis, its changes of the robot file, and corrected rows."""
+class Hypothesis:
+    """A mistake that the file may have, changes that mend it, and corrected rows."""
 
     check: str
     joint: int
     remedy: str
     changes: dict[str, object]
-    mended: CandidateRows
+    corrected: HypothesisRows
 
 
-def compute_torques(rows: CandidateRows, robot: Robot) -> Torques:
+def compute_torques(rows: HypothesisRows, robot: Robot) -> ModelTorques:
     """Evaluate the model under the rows' gravity."""
-    torques = Torques.from_motion(robot, rows.q, rows.v, rows.a)
-    declared = robot.gravity
-    if np.array_equal(declared, rows.gravity):
+    torques = ModelTorques.from_motion(robot, rows.q, rows.v, rows.a)
+    declared_gravity = robot.gravity
+    if np.array_equal(declared_gravity, rows.gravity):
         return torques
-    change = np.einsum("kij,k->ij", _compute_axis_torques(rows.q, robot), rows.gravity - declared)
-    return replace(torques, gravity=torques.gravity + change - change.mean(axis=0))
+    torque_change = np.einsum(
+        "kij,k->ij", _compute_axis_torques(rows.q, robot), rows.gravity - declared_gravity
+    )
+    return replace(torques, gravity=torques.gravity + torque_change - torque_change.mean(axis=0))
 
 
 def _compute_axis_torques(q: Array, robot: Robot) -> Array:
@@ -74,32 +76,34 @@ def _compute_axis_torques(q: Array, robot: Robot) -> Array:
     return np.array(axis_torques)
 
 
-def generate_mistakes(rows: CandidateRows, robot: Robot, moves: Mask) -> Iterator[Mistake]:
+def generate_hypotheses(
+    rows: HypothesisRows, robot: Robot, is_moving: Mask
+) -> Iterator[Hypothesis]:
     """Yield possible mistakes, the simplest first."""
     description = robot.description
-    joints = [int(j) for j in np.flatnonzero(moves)]
+    joints = [int(j) for j in np.flatnonzero(is_moving)]
     if len(joints) > 1:
         key, changes = find_sign_change(description, None, position=False)
         remedy = f"all torques count backwards; set {key}"
         corrected = replace(rows, tau=-rows.tau)
-        yield Mistake("torque-sign", -1, remedy, changes, corrected)
+        yield Hypothesis("torque-sign", -1, remedy, changes, corrected)
     for j in joints:
         key, changes = find_sign_change(description, j, position=False)
         position_key, position_changes = find_sign_change(description, j, position=True)
         signs = np.where(np.arange(robot.n) == j, -1.0, 1.0)
         q, v, a, tau = (signal * signs for signal in (rows.q, rows.v, rows.a, rows.tau))
         remedy = f"{_BACKWARDS}; set {key}"
-        yield Mistake("torque-sign", j, remedy, changes, replace(rows, tau=tau))
+        yield Hypothesis("torque-sign", j, remedy, changes, replace(rows, tau=tau))
         remedy = f"its position and velocity count backwards; set {position_key}"
-        yield Mistake("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
+        yield Hypothesis("position-sign", j, remedy, position_changes, replace(rows, q=q, v=v, a=a))
         remedy = f"its position, velocity and torque count backwards; set {position_key}, and {key}"
         corrected = replace(rows, q=q, v=v, a=a, tau=tau)
-        yield Mistake("position-sign", j, remedy, position_changes | changes, corrected)
+        yield Hypothesis("position-sign", j, remedy, position_changes | changes, corrected)
     for generate in (_swap_torques, _swap_joints, _estimate_gravity, _move_zeros):
         yield from generate(rows, robot, joints)
 
 
-def _swap_torques(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+def _swap_torques(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterator[Hypothesis]:
     description = robot.description
     column_key = "tau" if description.log.torque_per_ampere is None else "current"
     columns = column_names(getattr(description.log.columns, column_key), description.joints)
@@ -109,16 +113,15 @@ def _swap_torques(rows: CandidateRows, robot: Robot, joints: list[int]) -> Itera
         swapped_columns = tuple(columns[k] for k in order)
         remedy = (
             f"its torque is swapped with that of joint '{description.joints[b]}'; set "
-            "[log.columns] "
-            f"{column_key} = {json.dumps(swapped_columns)}"
+            f"[log.columns] {column_key} = {json.dumps(swapped_columns)}"
         )
         corrected = replace(rows, tau=rows.tau[:, order] / gains[order] * gains)
-        yield Mistake(
+        yield Hypothesis(
             "torque-columns", a, remedy, {f"log.columns.{column_key}": swapped_columns}, corrected
         )
 
 
-def _swap_joints(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+def _swap_joints(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterator[Hypothesis]:
     description = robot.description
     orders = {(a, b): _swap_order(robot.n, a, b) for a, b in combinations(joints, 2)}
     if len(joints) == robot.n > 2:
@@ -132,20 +135,20 @@ def _swap_joints(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterat
             for key, columns in description.log.columns
             if key != "t" and columns and columns != OPTIONAL.get(key)
         }
-        swap = (
+        cause = (
             "the columns are in another order than the joints"
             if a < 0
             else f"its columns are swapped with those of joint '{description.joints[b]}'"
         )
         remedy = (
-            f"{swap}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the others "
-            "accordingly"
+            f"{cause}; set [log.columns] q = {json.dumps(changes['log.columns.q'])}, and the "
+            "others accordingly"
         )
         swapped_signals = {k: getattr(rows, k)[:, order] for k in ("q", "v", "a", "tau")}
-        yield Mistake("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
+        yield Hypothesis("joint-order", a, remedy, dict(changes), replace(rows, **swapped_signals))
 
 
-def _move_zeros(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
+def _move_zeros(rows: HypothesisRows, robot: Robot, joints: list[int]) -> Iterator[Hypothesis]:
     description = robot.description
     for j in joints:
         if robot.slides[j]:
@@ -159,29 +162,33 @@ def _move_zeros(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterato
                 f"its zero is {90 * quarter} degrees from the model's; set [log] zero = "
                 f"[{', '.join(f'{z:.6g}' for z in zero)}]"
             )
-            yield Mistake("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
+            yield Hypothesis("zero", j, remedy, {"log.zero": tuple(zero)}, replace(rows, q=q))
 
 
-def _estimate_gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> Iterator[Mistake]:
-    by_axis = _compute_axis_torques(rows.q, robot)
+def _estimate_gravity(
+    rows: HypothesisRows, robot: Robot, joints: list[int]
+) -> Iterator[Hypothesis]:
+    torques_by_axis = _compute_axis_torques(rows.q, robot)
     inertial = compute_torques(rows, robot).inertial
     v = rows.v
-    logged = robot.description.logged
-    if logged is not None:
-        by_axis = np.array([logged.torque(axis_torques) for axis_torques in by_axis])
-        inertial, v = logged.torque(inertial), logged.motion(v)
+    logged_coupling = robot.description.logged
+    if logged_coupling is not None:
+        torques_by_axis = np.array(
+            [logged_coupling.torque(axis_torques) for axis_torques in torques_by_axis]
+        )
+        inertial, v = logged_coupling.torque(inertial), logged_coupling.motion(v)
     row_blocks = []
     targets = []
-    for joint_place, j in enumerate(joints):
+    for place, j in enumerate(joints):
         joint_columns = [inertial[:, j], friction_shape(v[:, j]), np.ones(len(v))]
-        columns = np.column_stack([*by_axis[:, :, j], *joint_columns])
+        columns = np.column_stack([*torques_by_axis[:, :, j], *joint_columns])
         tau = rows.tau[:, j]
         residual_std = float(np.std(tau - columns @ np.linalg.lstsq(columns, tau, rcond=None)[0]))
         if residual_std > _MAX_UNEXPLAINED_SHARE * np.std(tau):
             continue
         block = np.zeros((len(tau), 3 + 3 * len(joints)))
         block[:, :3] = columns[:, :3]
-        block[:, 3 + 3 * joint_place : 6 + 3 * joint_place] = columns[:, 3:]
+        block[:, 3 + 3 * place : 6 + 3 * place] = columns[:, 3:]
         row_blocks.append(block / max(residual_std, 1e-9))
         targets.append(tau / max(residual_std, 1e-9))
     if not row_blocks:
@@ -189,27 +196,29 @@ def _estimate_gravity(rows: CandidateRows, robot: Robot, joints: list[int]) -> I
     gravity_estimate = np.linalg.lstsq(
         np.concatenate(row_blocks), np.concatenate(targets), rcond=None
     )[0][:3]
-    declared = robot.gravity
-    size = float(np.linalg.norm(declared)) or _EARTH_GRAVITY
-    if not np.linalg.norm(gravity_estimate) > 0.2 * size:
+    declared_gravity = robot.gravity
+    gravity_size = float(np.linalg.norm(declared_gravity)) or _EARTH_GRAVITY
+    if not np.linalg.norm(gravity_estimate) > 0.2 * gravity_size:
         return
     direction = gravity_estimate / np.linalg.norm(gravity_estimate)
     for axis in _AXES.values():
         for sign in (1.0, -1.0):
             if direction @ np.array(axis) * sign > np.cos(_SNAP_ANGLE):
                 direction = sign * np.array(axis)
-    if direction @ declared / size > np.cos(_MIN_TILT):
+    if direction @ declared_gravity / gravity_size > np.cos(_MIN_TILT):
         return
-    gravity = tuple(round(float(g), 3) + 0.0 for g in size * direction)
+    gravity = tuple(round(float(g), 3) + 0.0 for g in gravity_size * direction)
     mismatch = (
-        "upside down" if direction @ declared / size < -np.cos(_MIN_TILT) else "from another side"
+        "upside down"
+        if direction @ declared_gravity / gravity_size < -np.cos(_MIN_TILT)
+        else "from another side"
     )
-    if not np.any(declared):
+    if not np.any(declared_gravity):
         mismatch = "as none"
     gravity_text = ", ".join(f"{g:g}" for g in gravity)
     remedy = f"gravity is declared {mismatch}; set gravity = [{gravity_text}]"
     corrected = replace(rows, gravity=np.array(gravity))
-    yield Mistake("gravity", -1, remedy, {"gravity": gravity}, corrected)
+    yield Hypothesis("gravity", -1, remedy, {"gravity": gravity}, corrected)
 
 
 def _swap_order(n: int, a: int, b: int) -> list[int]:
@@ -226,30 +235,30 @@ _MIN_GAIN_OVER_SIMPLER = 1.05  # minimum gain over a simpler mistake
 _MAX_MISTAKES = 8  # mistakes searched one after another
 
 
-def pool_rows(motions: Sequence[Motionwise], gravity: Sequence[float]) -> CandidateRows:
+def pool_rows(parts: Sequence[SmoothPart], gravity: Sequence[float]) -> HypothesisRows:
     """Take equally many rows from each log."""
-    thinned_motions = [motion.thin(max(_MAX_ROWS // len(motions), 60)) for motion in motions]
+    thinned_parts = [part.thin(max(_MAX_ROWS // len(parts), 60)) for part in parts]
     signals = {
-        k: np.concatenate([getattr(thinned_motion, k) for thinned_motion in thinned_motions])
+        k: np.concatenate([getattr(thinned_part, k) for thinned_part in thinned_parts])
         for k in ("q", "v", "a", "tau")
     }
-    return CandidateRows(**signals, gravity=np.array(gravity, dtype=float))
+    return HypothesisRows(**signals, gravity=np.array(gravity, dtype=float))
 
 
-def check_causes(motions: Sequence[Motionwise], robot: Robot) -> list[Finding]:
+def check_causes(parts: Sequence[SmoothPart], robot: Robot) -> list[Finding]:
     """Find the mistakes that explain all logs best, the best first."""
-    if not motions:
+    if not parts:
         return []
-    moves = np.any([motion.moves for motion in motions], axis=0)
-    moves &= np.any([np.ptp(motion.tau, axis=0) > 0.0 for motion in motions], axis=0)
-    rows = pool_rows(motions, robot.gravity.tolist())
-    logged = robot.description.logged
-    rows = replace(rows, tau=logged.torque(rows.tau)) if logged else rows
-    logs = tuple(dict.fromkeys(motion.log.name for motion in motions))
+    is_moving = np.any([part.is_moving for part in parts], axis=0)
+    is_moving &= np.any([np.ptp(part.tau, axis=0) > 0.0 for part in parts], axis=0)
+    rows = pool_rows(parts, robot.gravity.tolist())
+    logged_coupling = robot.description.logged
+    rows = replace(rows, tau=logged_coupling.torque(rows.tau)) if logged_coupling else rows
+    log_names = tuple(dict.fromkeys(part.log.name for part in parts))
     findings: list[Finding] = []
-    share_before = _compute_unexplained_share(rows, robot, moves)
+    share_before = _compute_unexplained_share(rows, robot, is_moving)
     for _ in range(_MAX_MISTAKES):
-        hypothesis, share_after = _find_best_mistake(rows, share_before, robot, moves)
+        hypothesis, share_after = _find_best_hypothesis(rows, share_before, robot, is_moving)
         if hypothesis is None:
             break
         j = int(np.argmax(share_before / share_after))
@@ -261,25 +270,30 @@ def check_causes(motions: Sequence[Motionwise], robot: Robot) -> list[Finding]:
         changes = hypothesis.changes
         findings.append(
             build_joint_finding(
-                hypothesis.check, joint, observation, hypothesis.remedy, logs=logs, changes=changes
+                hypothesis.check,
+                joint,
+                observation,
+                hypothesis.remedy,
+                logs=log_names,
+                changes=changes,
             )
         )
-        rows = hypothesis.mended
+        rows = hypothesis.corrected
         share_before = share_after
     return findings
 
 
-def _find_best_mistake(
-    rows: CandidateRows, share_before: Array, robot: Robot, moves: Mask
-) -> tuple[Mistake | None, Array]:
-    best = None
+def _find_best_hypothesis(
+    rows: HypothesisRows, share_before: Array, robot: Robot, is_moving: Mask
+) -> tuple[Hypothesis | None, Array]:
+    best_hypothesis = None
     best_share = share_before
     best_gain = 0.0
-    for hypothesis in generate_mistakes(rows, robot, moves):
-        share_after = _compute_unexplained_share(hypothesis.mended, robot, moves)
+    for hypothesis in generate_hypotheses(rows, robot, is_moving):
+        share_after = _compute_unexplained_share(hypothesis.corrected, robot, is_moving)
         if (
-            _compute_excess(hypothesis.mended.q, robot)
-            > _compute_excess(rows.q, robot) + MAX_EXCESS
+            _compute_limit_excess(hypothesis.corrected.q, robot)
+            > _compute_limit_excess(rows.q, robot) + MAX_EXCESS
         ):
             continue
         gain = np.log(share_before / share_after)
@@ -287,33 +301,38 @@ def _find_best_mistake(
         if not np.any(is_explained) or np.min(gain) < -np.log(_MAX_LOSS):
             continue
         if float(gain.sum()) > best_gain * _MIN_GAIN_OVER_SIMPLER:
-            best = hypothesis
+            best_hypothesis = hypothesis
             best_share = share_after
             best_gain = float(gain.sum())
         elif (
-            best
-            and best.joint == hypothesis.joint
+            best_hypothesis
+            and best_hypothesis.joint == hypothesis.joint
             and float(gain.sum()) * _MIN_GAIN_OVER_SIMPLER > best_gain
         ):
-            either = f"{_BACKWARDS}, or its position and velocity do (the logs cannot show which);"
-            remedy = best.remedy.replace(f"{_BACKWARDS};", either)
-            best = replace(best, remedy=remedy)
-    return best, best_share
+            alternative = (
+                f"{_BACKWARDS}, or its position and velocity do (the logs cannot show which);"
+            )
+            remedy = best_hypothesis.remedy.replace(f"{_BACKWARDS};", alternative)
+            best_hypothesis = replace(best_hypothesis, remedy=remedy)
+    return best_hypothesis, best_share
 
 
-def _compute_excess(q: Array, robot: Robot) -> float:
+def _compute_limit_excess(q: Array, robot: Robot) -> float:
     """Return the largest excess over the model's limits [rad or m]."""
     lower, upper, _ = robot.limits
     return float(np.max(np.maximum(lower - q, q - upper), initial=0.0))
 
 
-def _compute_unexplained_share(rows: CandidateRows, robot: Robot, moves: Mask) -> Array:
+def _compute_unexplained_share(rows: HypothesisRows, robot: Robot, is_moving: Mask) -> Array:
     """Return the unexplained share (n,) of the torques' deviation."""
     torques = compute_torques(rows, robot)
-    logged = robot.description.logged
-    torques, v = torques.transform(logged) if logged else torques, transform_motion(logged, rows.v)
+    logged_coupling = robot.description.logged
+    torques, v = (
+        torques.transform(logged_coupling) if logged_coupling else torques,
+        transform_motion(logged_coupling, rows.v),
+    )
     shares = np.ones(rows.q.shape[1])
-    for j in np.flatnonzero(moves):
+    for j in np.flatnonzero(is_moving):
         deviation = float(np.std(rows.tau[:, j]))
         shares[j] = _compute_residual_rms(rows.tau[:, j], torques, v, int(j)) / max(
             deviation, 1e-12
@@ -321,7 +340,7 @@ def _compute_unexplained_share(rows: CandidateRows, robot: Robot, moves: Mask) -
     return shares
 
 
-def _compute_residual_rms(tau: Array, torques: Torques, v: Array, j: int) -> float:
+def _compute_residual_rms(tau: Array, torques: ModelTorques, v: Array, j: int) -> float:
     model_columns = np.column_stack([torques.gravity[:, j], torques.inertial[:, j]])
     # A torque of round-off must not be scaled up to explain noise.
     model_columns[:, np.abs(model_columns).max(axis=0) <= ROUND_OFF * np.abs(tau).max()] = 0.0

@@ -21,14 +21,14 @@ from hesr_model.health.joints import (
     remove_joints,
     select_joints,
 )
-from hesr_model.health.velocity import match
-from hesr_model.logs.guess import guess
+from hesr_model.health.velocity import match_velocity
+from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.log_format import LogFormat, column_names
 from hesr_model.logs.log_table import LogTable
 from hesr_model.logs.readers.formats import find_format
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import moving, reversals
-from hesr_model.rigid_body.torque_constants import Constant
+from hesr_model.rigid_body.torque_constants import TorqueConstant
 from hesr_model.robots.robot import Robot, RobotDescription, RobotLike, to_description
 from hesr_model.support.text import to_toml
 
@@ -41,24 +41,21 @@ _REMEDIES = (
     ("finite number is needed", "log.missing", "drop"),
     ("is nan;", "log.missing", "drop"),
 )  # Words of a refusal, and the key and value of the robot file that remove it
-_HIDEABLE_CHECKS = {
-    *SYMPTOMS,
-    "speed-limit",
-    "velocity-lag",
-}  # warnings that other findings can hide
+# Warnings that other findings can hide.
+_HIDEABLE_CHECKS = {*SYMPTOMS, "speed-limit", "velocity-lag"}
 _NO_REMEDY = "no change that was tried removes it; check the column, its unit and the model"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A robot description with reasons by key, logs read with it, and the `first` findings."""
+    """A robot description with reasons by key, logs read with it, and findings before changes."""
 
-    robot: RobotDescription
+    description: RobotDescription
     reasons: Mapping[str, str]
     logs: Sequence[Log]
     examination: Examination
-    first: Sequence[Finding]
-    sliding: frozenset[int] = frozenset()
+    first_findings: Sequence[Finding]
+    prismatic_joints: frozenset[int] = frozenset()
 
 
 def inspect_logs(
@@ -68,7 +65,11 @@ def inspect_logs(
     if robot is not None and not paths:
         description, reason = choose_joints(robot, joints)
         proposal = Proposal(
-            robot=description, reasons={}, logs=(), examination=Examination(), first=()
+            description=description,
+            reasons={},
+            logs=(),
+            examination=Examination(),
+            first_findings=(),
         )
         return _add_doubts(proposal, {"joints": f"likely: {reason}"} if reason else {})
     stated_description = None if robot is None or is_model_path(robot) else to_description(robot)
@@ -80,22 +81,24 @@ def inspect_logs(
             description, reason = selection.select_joints_of_table(description, table)
         reasons = {"joints": f"likely: {reason}"} if reason else {}
         return _add_doubts(propose(paths, description, has_model=True), reasons)
-    joint_count = len(guess(table).columns["q"]) if table else 1
-    names = tuple(f"joint{k}" for k in range(1, joint_count + 1))
-    unknown_robot = RobotDescription(name="robot", model=Path("unknown"), joints=names)
-    return propose(paths, unknown_robot, has_model=False)
+    joint_count = len(guess_columns(table).columns["q"]) if table else 1
+    names = tuple(f"joint{number}" for number in range(1, joint_count + 1))
+    unknown_description = RobotDescription(name="robot", model=Path("unknown"), joints=names)
+    return propose(paths, unknown_description, has_model=False)
 
 
 def _add_doubts(proposal: Proposal, reasons: Mapping[str, str]) -> Proposal:
     """Return a proposal with reasons, whose findings begin with doubts about the model file."""
-    findings = Robot(proposal.robot).doubts
+    findings = Robot(proposal.description).doubts
     examination = proposal.examination
     examination = replace(
         examination, findings=tuple(sort_by_severity([*findings, *examination.findings]))
     )
-    first_findings = sort_by_severity([*findings, *proposal.first])
+    first_findings = sort_by_severity([*findings, *proposal.first_findings])
     all_reasons = {**reasons, **proposal.reasons}
-    return replace(proposal, first=first_findings, reasons=all_reasons, examination=examination)
+    return replace(
+        proposal, first_findings=first_findings, reasons=all_reasons, examination=examination
+    )
 
 
 def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: bool) -> Proposal:
@@ -120,13 +123,12 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
     first_findings = examination.findings
     for _ in range(_ROUNDS):
         findings = examination.findings
-        candidates = [
-            finding for finding in findings if finding.check != "velocity-lag"
-        ]  # its dq may be wanted
-        for targets in (candidates, *([single] for single in candidates)):
-            changes, change_reasons = _merge_changes(description, targets)
+        # A velocity that lags may be wanted.
+        candidate_findings = [finding for finding in findings if finding.check != "velocity-lag"]
+        for target_findings in (candidate_findings, *([finding] for finding in candidate_findings)):
+            changes, change_reasons = _merge_changes(description, target_findings)
             attempt = read_and_examine(apply_changes(description, changes)) if changes else None
-            if attempt and _is_improvement(findings, targets, attempt[2].findings):
+            if attempt and _is_improvement(findings, target_findings, attempt[2].findings):
                 break
         else:
             change_reasons = {}
@@ -138,20 +140,23 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
             break
         description, logs, examination = attempt
         guesses = {
-            k: reasons[k] for k in change_reasons if reasons.get(k, "").startswith("guess: ")
+            key: reasons[key]
+            for key in change_reasons
+            if reasons.get(key, "").startswith("guess: ")
         }
         reasons |= change_reasons | {
-            k: f"{reason}; {change_reasons[k]}" for k, reason in guesses.items()
+            key: f"{reason}; {change_reasons[key]}" for key, reason in guesses.items()
         }
-    if has_model and (still_joints := find_resting_joints(description, examination.parts)):
+    if has_model and (resting_joints := find_resting_joints(description, examination.parts)):
         reasons["locked"] = (
-            f"likely: {', '.join(still_joints)} rest{'s' * (len(still_joints) == 1)} in all logs"
+            f"likely: {', '.join(resting_joints)} rest{'s' * (len(resting_joints) == 1)} in all "
+            "logs"
         )
         has_temperature = any(log.temperature is not None for log in logs)
         description, logs, examination = read_and_examine(
-            remove_joints(description, still_joints, temperatures=has_temperature)
+            remove_joints(description, resting_joints, temperatures=has_temperature)
         )
-    prismatic_joints = enumerate(Robot(description).slides) if has_model else ()
+    slides = Robot(description).slides if has_model else ()
     findings = examination.findings
     remaining_findings = tuple(
         finding
@@ -171,19 +176,19 @@ def propose(paths: Sequence[Path], description: RobotDescription, *, has_model: 
     )
     examination = replace(examination, findings=remaining_findings)
     return Proposal(
-        robot=description,
+        description=description,
         reasons=reasons,
         logs=logs,
         examination=examination,
-        first=first_findings,
-        sliding=frozenset(j for j, is_prismatic in prismatic_joints if is_prismatic),
+        first_findings=first_findings,
+        prismatic_joints=frozenset(np.flatnonzero(slides).tolist()),
     )
 
 
 def open_table(path: Path, log_format: LogFormat) -> LogTable | None:
     """Open a log as a table, if its columns have names."""
-    table = find_format(path).table
-    return table(path, log_format) if table and path.is_file() else None
+    read_named_table = find_format(path).table
+    return read_named_table(path, log_format) if read_named_table and path.is_file() else None
 
 
 def _guess_columns(
@@ -192,7 +197,7 @@ def _guess_columns(
     table = open_table(path, description.log)
     if table is None or _has_columns(table, description):
         return description
-    guessed = guess(table, description.joints, timed=description.log.rate is None)
+    guessed = guess_columns(table, description.joints, timed=description.log.rate is None)
     changes: dict[str, Any] = {f"log.columns.{k}": v for k, v in guessed.columns.items()}
     if "dq" not in guessed.columns:
         changes["log.columns.dq"] = ""
@@ -277,21 +282,23 @@ def _merge_changes(
 
 
 def _is_improvement(
-    before: Sequence[Finding], targets: Sequence[Finding], after: Sequence[Finding]
+    findings_before: Sequence[Finding],
+    target_findings: Sequence[Finding],
+    findings_after: Sequence[Finding],
 ) -> bool:
     """Return whether findings with changes are gone, and none is new unless it was hidden."""
-    places_after = _collect_places(after)
-    places_before = _collect_places(before)
-    target_places = _collect_places(finding for finding in targets if finding.changes)
+    places_after = _collect_places(findings_after)
+    places_before = _collect_places(findings_before)
+    target_places = _collect_places(finding for finding in target_findings if finding.changes)
     new_places = (
         _collect_places(
             finding
-            for finding in after
+            for finding in findings_after
             if finding.severity == "error" or finding.check not in _HIDEABLE_CHECKS
         )
         - places_before
     )
-    was_hidden = is_hopeless(before) and ("time-unit", "") not in new_places
+    was_hidden = is_hopeless(findings_before) and ("time-unit", "") not in new_places
     return not places_after & target_places and (was_hidden or not new_places)
 
 
@@ -299,18 +306,20 @@ def _collect_places(findings: Iterable[Finding]) -> set[tuple[str, str]]:
     return {(finding.check, joint) for finding in findings for joint in finding.joints or ("",)}
 
 
-def _merge_values(declared: Any, before: Any, value: Any) -> Any:
-    if not (isinstance(before, tuple) and isinstance(value, tuple)):
+def _merge_values(declared: Any, earlier: Any, value: Any) -> Any:
+    if not (isinstance(earlier, tuple) and isinstance(value, tuple)):
         return value
-    old = declared if isinstance(declared, tuple) else (declared,) * len(value)
-    return tuple(b if v == o else v for o, b, v in zip(old, before, value, strict=True))
+    declared_values = declared if isinstance(declared, tuple) else (declared,) * len(value)
+    return tuple(
+        b if v == o else v for o, b, v in zip(declared_values, earlier, value, strict=True)
+    )
 
 
 def _estimate_constants(
     description: RobotDescription, examination: Examination, reasons: dict[str, str]
 ) -> dict[str, Any]:
     slopes: dict[int, list[float]] = {}
-    for fits in examination.explained:
+    for fits in examination.fits:
         for j, fit in fits.items():
             if fit.bears_gravity and abs(fit.gravity.t) > 10.0:
                 slopes.setdefault(j, []).append(abs(fit.gravity.value))
@@ -322,8 +331,7 @@ def _estimate_constants(
     reasons["log.torque_per_ampere"] = (
         "guess: only currents are logged; from the model's gravity at joints "
         f"{', '.join(description.joints[j] for j in sorted(scales))}, the median for the others; "
-        "replace "
-        "them by the manufacturer's values if known"
+        "replace them by the manufacturer's values if known"
     )
     constants = tuple(
         float(f"{gain * scales.get(j, median_scale):.4g}") for j, gain in enumerate(gains)
@@ -331,9 +339,9 @@ def _estimate_constants(
     return {"log.torque_per_ampere": constants}
 
 
-def apply_constants(proposal: Proposal, constants: Sequence[Constant]) -> Proposal:
+def apply_constants(proposal: Proposal, constants: Sequence[TorqueConstant]) -> Proposal:
     """Return the proposal with the torque constants that were determined."""
-    description = proposal.robot
+    description = proposal.description
     constants = [constant for constant in constants if constant.joint in description.joints]
     gains = description.log.torque_per_ampere
     if gains is None or not any(constant.determined for constant in constants):
@@ -347,13 +355,15 @@ def apply_constants(proposal: Proposal, constants: Sequence[Constant]) -> Propos
         description, {f"log.{key}": tuple(new_gains), f"sources.{key}": tuple(new_sources)}
     )
     reason = "identified: from known masses"
-    return replace(proposal, robot=description, reasons={**proposal.reasons, f"log.{key}": reason})
+    return replace(
+        proposal, description=description, reasons={**proposal.reasons, f"log.{key}": reason}
+    )
 
 
 def robot_file(proposal: Proposal, path: Path) -> str:
     """Return the text of a robot file, with reasons."""
     head = "Proposed by 'hesr inspect'. Comments give certainty and reason."
-    return robot_text(proposal.robot, path, head, proposal.reasons)
+    return robot_text(proposal.description, path, head, proposal.reasons)
 
 
 def robot_text(
@@ -374,11 +384,11 @@ def robot_text(
     ]
     tables = {"log": {k: v for k, v in log_entries.items() if not isinstance(v, dict)}}
     tables |= {f"log.{k}": v for k, v in log_entries.items() if isinstance(v, dict)}
-    for table, values in tables.items():
+    for table_name, entries in tables.items():
         entry_lines = [
-            _format_line(k, v, reasons.get(f"{table}.{k}", "")) for k, v in values.items()
+            _format_line(k, v, reasons.get(f"{table_name}.{k}", "")) for k, v in entries.items()
         ]
-        lines += ["", f"[{table}]", *entry_lines] if entry_lines else []
+        lines += ["", f"[{table_name}]", *entry_lines] if entry_lines else []
     return "\n".join(lines) + "\n"
 
 
@@ -390,17 +400,17 @@ def _format_line(key: str, value: Any, reason: str) -> str:
 def summary_rows(proposal: Proposal) -> Iterator[tuple[str, ...]]:
     """Yield a table of moving joints by log."""
     examination = proposal.examination
-    names = [part.log.name for part in examination.parts]
+    log_names = [part.log.name for part in examination.parts]
     for k, part in enumerate(examination.parts):
-        is_only_part = names.count(part.log.name) == 1
-        fits = examination.explained[k] if examination.explained else {}
-        for j in np.flatnonzero(part.moves):
+        is_only_part = log_names.count(part.log.name) == 1
+        fits = examination.fits[k] if examination.fits else {}
+        for j in np.flatnonzero(part.is_moving):
             fit = fits.get(int(j))
             v = part.v[:, j]
-            joint_match = None if part.dq is None else match(v, part.dq[:, j], part.period)
+            joint_match = None if part.dq is None else match_velocity(v, part.dq[:, j], part.period)
             yield (
                 part.log.name if is_only_part else f"{part.log.name} from {part.t[0]:.3g} s",
-                proposal.robot.joints[j],
+                proposal.description.joints[j],
                 f"{part.q[:, j].min():.2f} to {part.q[:, j].max():.2f}",
                 f"{np.max(np.abs(v)):.2f}",
                 str(len(reversals(v))),

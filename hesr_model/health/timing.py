@@ -15,7 +15,7 @@ import sympy
 from hesr_model.equations.kernel import Kernel, KernelRun
 from hesr_model.equations.memory import Stop
 from hesr_model.findings import Finding, build_joint_finding
-from hesr_model.health.evidence import Estimate, Motionwise, friction_shape
+from hesr_model.health.evidence import Estimate, SmoothPart, friction_shape
 from hesr_model.inference.covariance import correlation_length
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
@@ -26,27 +26,24 @@ from hesr_model.support.arrays import Array, Mask
 
 _STOP_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
 _SLOW_SHARE = 0.5  # share of the peak speed in which friction falls
-_MAX_DELAY = 0.25
-_SEARCH_STEP = 0.005  # searched delays, search step [s]
+_MAX_DELAY = 0.25  # largest delay searched [s]
+_SEARCH_STEP = 0.005  # [s]
 _SHIFTS = _SEARCH_STEP * np.arange(
     -round(_MAX_DELAY / _SEARCH_STEP), round(_MAX_DELAY / _SEARCH_STEP) + 1
 )  # [s]
-_AVERAGING_WINDOW = 0.1
-_AVERAGE_SPACING = 0.02
-_BODY_SPACING = 5e-3  # averaging window, time between averages, bodies [s]
+_AVERAGING_WINDOW = 0.1  # [s]
+_AVERAGE_SPACING = 0.02  # time between averages [s]
+_BODY_SPACING = 5e-3  # time between evaluations of the bodies [s]
 _MAX_ROWS = 40_000  # rows of a log, its middle ones
-_SYSTEMATIC_SHARE = (
-    0.04  # error of a joint's lag by memory of other shapes, over what memory explains
-)
-_NARROW_HALF_INTERVAL = 0.01
-_MIN_REPORTED_LAG = 0.06  # reported: half an interval of a small lag, a larger lag [s]
-_INERTIA_SCALES = np.geomspace(
-    1.0 / 16.0, 16.0, 33
-)  # factors of inertial torque: squared stamp rates
+# Error of a joint's lag by memory of other shapes, over what memory explains.
+_SYSTEMATIC_SHARE = 0.04
+_NARROW_HALF_INTERVAL = 0.01  # half an interval within which a small lag is reported [s]
+_MIN_REPORTED_LAG = 0.06  # lag that is reported with a wider interval [s]
+# Factors of inertial torque: squared stamp rates.
+_INERTIA_SCALES = np.geomspace(1.0 / 16.0, 16.0, 33)
 _MIN_REPORTED_RATE = 1.4  # reported factor of a wrong time-stamp rate
-_MAX_REMAINING_SQUARES = (
-    0.5  # left by the right rate of most joints' unexplained squares; a wrong zero leaves 0.6
-)
+# What the right rate leaves of most joints' unexplained squares; a wrong zero leaves 0.6.
+_MAX_REMAINING_SQUARES = 0.5
 _MIN_CERTAINTY = 25.0  # twice the log-likelihood ratio: five standard errors
 _INTERVAL_ERRORS = 3.0  # standard errors of a stated interval
 _MIN_DURATION_TO_DELAY = 8.0  # duration of a log over the largest delay
@@ -60,10 +57,10 @@ class LagRows:
     """
 
     torques: Array
-    still: Array
-    moving: Array
-    rubs: tuple[Array, ...]
-    known: Mask  # (N, n) rows whose friction does not depend on what was before the log
+    static: Array
+    inertial: Array
+    friction_shapes: tuple[Array, ...]
+    is_known: Mask  # (N, n) rows whose friction does not depend on what was before the log
 
     @classmethod
     def from_log(cls, log: Log, robot: Robot, base: Sequence[int]) -> "LagRows":
@@ -73,33 +70,39 @@ class LagRows:
         first_row = max(len(log.t) - _MAX_ROWS, 0) // 2
         log = replace(log.rows(slice(first_row, first_row + _MAX_ROWS)), dq=None)
         motion = smooth(log, robot.description.log.filter_cutoff)
-        logged = robot.description.logged
+        logged_coupling = robot.description.logged
         times = np.arange(
             log.t[0] + _MAX_DELAY, log.t[-1] - _MAX_DELAY, max(_AVERAGE_SPACING, log.period)
         )
         body_rows = slice(None, None, max(1, round(_BODY_SPACING / log.period)))
         q, dq, ddq = (values[body_rows] for values in (motion.q, motion.dq, motion.ddq))
         zeros = np.zeros_like(q)
-        still = robot.regressor(q, zeros, zeros)[:, :, list(base)]
-        total = robot.regressor(q, dq, ddq)[:, :, list(base)]
+        static_regressor = robot.regressor(q, zeros, zeros)[:, :, list(base)]
+        total_regressor = robot.regressor(q, dq, ddq)[:, :, list(base)]
         tau = log.tau
-        if logged is not None:
-            still, total, tau = logged.torque(still), logged.torque(total), logged.torque(tau)
-        u = transform_motion(logged, log.q)
-        v = transform_motion(logged, motion.dq)
-        travelled = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
+        if logged_coupling is not None:
+            static_regressor, total_regressor, tau = (
+                logged_coupling.torque(static_regressor),
+                logged_coupling.torque(total_regressor),
+                logged_coupling.torque(tau),
+            )
+        u = transform_motion(logged_coupling, log.q)
+        v = transform_motion(logged_coupling, motion.dq)
+        travel = np.maximum.accumulate(np.abs(u - u[0]), axis=0)
         averages = _build_averages(log.t, times, log.period)
         body_averages = _build_averages(log.t[body_rows], times, log.period)
         even_times = np.arange(log.t[0], log.t[-1], log.period)
-        torque = make_interp_spline(
+        torque_spline = make_interp_spline(
             even_times, _build_averages(log.t, even_times, log.period) @ tau, k=1
         )
         return cls(
-            torques=torque(times[:, None] + _SHIFTS),
-            still=_average_rows(body_averages, still),
-            moving=_average_rows(body_averages, total - still),
-            rubs=tuple(averages @ _friction_shapes(u[:, j], v[:, j]) for j in range(robot.n)),
-            known=averages @ (1.0 * (travelled > 2.0 * _STOP_WIDTHS[-1])) > 1.0 - 1e-9,
+            torques=torque_spline(times[:, None] + _SHIFTS),
+            static=_average_rows(body_averages, static_regressor),
+            inertial=_average_rows(body_averages, total_regressor - static_regressor),
+            friction_shapes=tuple(
+                averages @ _compute_friction_shapes(u[:, j], v[:, j]) for j in range(robot.n)
+            ),
+            is_known=averages @ (1.0 * (travel > 2.0 * _STOP_WIDTHS[-1])) > 1.0 - 1e-9,
         )
 
 
@@ -111,26 +114,28 @@ def _build_averages(t: Array, times: Array, period: float) -> Any:
     """Return the sparse weights (M, N) of averages around `times` (M,) of values between rows."""
     from scipy.sparse import csr_array
 
-    half = round(max(_AVERAGING_WINDOW, 3.0 * period) / period)
-    kernel = np.convolve(np.ones(half), np.ones(half))[:, None] / half**2
-    near = np.clip(times[:, None] + period * np.arange(1 - half, half), t[0], t[-1])
-    row = np.clip(np.searchsorted(t, near) - 1, 0, len(t) - 2)
-    share = (near - t[row]) / (t[row + 1] - t[row])
-    weights = np.stack([1.0 - share, share], axis=-1) * kernel
-    indices = np.stack([row, row + 1], axis=-1)
+    half_width = round(max(_AVERAGING_WINDOW, 3.0 * period) / period)
+    kernel = np.convolve(np.ones(half_width), np.ones(half_width))[:, None] / half_width**2
+    window_times = np.clip(
+        times[:, None] + period * np.arange(1 - half_width, half_width), t[0], t[-1]
+    )
+    rows = np.clip(np.searchsorted(t, window_times) - 1, 0, len(t) - 2)
+    fractions = (window_times - t[rows]) / (t[rows + 1] - t[rows])
+    weights = np.stack([1.0 - fractions, fractions], axis=-1) * kernel
+    indices = np.stack([rows, rows + 1], axis=-1)
     starts = np.arange(len(times) + 1) * 2 * len(kernel)
     return csr_array((weights.ravel(), indices.ravel(), starts), shape=(len(times), len(t)))
 
 
-def _friction_shapes(u: Array, v: Array) -> Array:
+def _compute_friction_shapes(u: Array, v: Array) -> Array:
     """Return friction of several shapes (N, K) along a position u (N,)."""
     stops = KernelRun(_build_stops(), [np.diff(u, prepend=u[0])], np.ones_like(u))
-    start = np.full(len(_STOP_WIDTHS), np.sign(v[0]))
-    held = stops.evaluate(np.zeros(0), start, settled=True)
+    initial_state = np.full(len(_STOP_WIDTHS), np.sign(v[0]))
+    stop_shapes = stops.evaluate(np.zeros(0), initial_state, settled=True)
     # Friction falls with speed.
-    slow = np.exp(-np.abs(v) / (_SLOW_SHARE * np.max(np.abs(v), initial=1e-9)))
-    free = np.sign(v), friction_shape(v), v, v * np.abs(v), np.ones_like(v)
-    return np.column_stack([held, held * slow[:, None], *free])
+    speed_weights = np.exp(-np.abs(v) / (_SLOW_SHARE * np.max(np.abs(v), initial=1e-9)))
+    velocity_shapes = np.sign(v), friction_shape(v), v, v * np.abs(v), np.ones_like(v)
+    return np.column_stack([stop_shapes, stop_shapes * speed_weights[:, None], *velocity_shapes])
 
 
 @cache
@@ -144,7 +149,7 @@ def _build_stops() -> Kernel:
 
 
 def check_clocks(
-    part: Motionwise, joints: Sequence[int], robot: Robot
+    part: SmoothPart, joints: Sequence[int], robot: Robot
 ) -> tuple[list[Finding], Collection[int]]:
     """Check the rate of the stamps and the lag of torques of `joints`.
 
@@ -160,16 +165,16 @@ def check_clocks(
     findings = []
     for j, lag in joint_lags.items():
         direction = "late" if lag.value > 0 else "early"
-        sure = 1e3 * _INTERVAL_ERRORS * lag.error
+        half_interval = 1e3 * _INTERVAL_ERRORS * lag.error
         observation = (
             f"its torque is about {1e3 * abs(lag.value):.0f} ms {direction} relative to the motion "
-            f"(+- {sure:.0f} ms)"
+            f"(+- {half_interval:.0f} ms)"
         )
         findings.append(
             build_joint_finding("torque-lag", robot.joints[j], observation, remedy, "warning")
         )
-    rate, sure = estimate_stamp_rate(rows, joints)
-    if sure > _MIN_CERTAINTY and max(rate, 1.0 / rate) > _MIN_REPORTED_RATE:
+    rate, certainty = estimate_stamp_rate(rows, joints)
+    if certainty > _MIN_CERTAINTY and max(rate, 1.0 / rate) > _MIN_REPORTED_RATE:
         findings.append(_report_wrong_rate(rate))
     return findings, joint_lags
 
@@ -191,13 +196,16 @@ def find_lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
     joints together.
     """
     lag_pairs = {j: estimate_delays(rows, j) for j in joints}
-    with_memory, without_memory = ({j: pair[k] for j, pair in lag_pairs.items()} for k in range(2))
-    systematic = [
-        _SYSTEMATIC_SHARE * abs(without_memory[j].value - with_memory[j].value) for j in joints
+    lags_with_memory, lags_without_memory = (
+        {j: lag_pair[k] for j, lag_pair in lag_pairs.items()} for k in range(2)
+    )
+    systematic_errors = [
+        _SYSTEMATIC_SHARE * abs(lags_without_memory[j].value - lags_with_memory[j].value)
+        for j in joints
     ]
     common_lag, memoryless_lag = (
-        estimate_common_delay(list(lags.values()), systematic)
-        for lags in (with_memory, without_memory)
+        estimate_common_delay(list(lags.values()), systematic_errors)
+        for lags in (lags_with_memory, lags_without_memory)
     )
     largest_lag = max(common_lag, memoryless_lag, key=lambda lag: lag.value)
     if (
@@ -206,29 +214,37 @@ def find_lags(rows: LagRows, joints: Sequence[int]) -> dict[int, Estimate]:
         else (largest_lag.value < 0.0 and _is_reportable(largest_lag))
     ):
         return dict.fromkeys(joints, common_lag)
-    lag_of_joint = {}
+    reported_lags = {}
     for j in joints:
-        middle = 0.5 * (with_memory[j].value + without_memory[j].value)
-        half = 0.5 * abs(with_memory[j].value - without_memory[j].value)
-        error = half / _INTERVAL_ERRORS + max(with_memory[j].error, without_memory[j].error)
-        if _MIN_REPORTED_LAG + _INTERVAL_ERRORS * error < middle < _MAX_DELAY - 2.0 * _SEARCH_STEP:
-            lag_of_joint[j] = Estimate(value=middle, error=error)
-    return lag_of_joint
+        middle_lag = 0.5 * (lags_with_memory[j].value + lags_without_memory[j].value)
+        half_difference = 0.5 * abs(lags_with_memory[j].value - lags_without_memory[j].value)
+        error = half_difference / _INTERVAL_ERRORS + max(
+            lags_with_memory[j].error, lags_without_memory[j].error
+        )
+        if (
+            _MIN_REPORTED_LAG + _INTERVAL_ERRORS * error
+            < middle_lag
+            < _MAX_DELAY - 2.0 * _SEARCH_STEP
+        ):
+            reported_lags[j] = Estimate(value=middle_lag, error=error)
+    return reported_lags
 
 
 def _is_reportable(lag: Estimate) -> bool:
     """Return whether a lag is surely not 0, and known well or large."""
-    half = _INTERVAL_ERRORS * lag.error
-    return abs(lag.value) > half + (0.0 if half < _NARROW_HALF_INTERVAL else _MIN_REPORTED_LAG)
+    half_interval = _INTERVAL_ERRORS * lag.error
+    return abs(lag.value) > half_interval + (
+        0.0 if half_interval < _NARROW_HALF_INTERVAL else _MIN_REPORTED_LAG
+    )
 
 
-def estimate_common_delay(lags: Sequence[Estimate], systematic: Sequence[float]) -> Estimate:
-    """Return the weighted median of lags with `systematic` errors [s] in addition to their own.
+def estimate_common_delay(lags: Sequence[Estimate], systematic_errors: Sequence[float]) -> Estimate:
+    """Return the weighted median of lags with `systematic_errors` [s] in addition to their own.
 
     Its standard error includes their spread; it is infinite for fewer than three lags, whose spread
     is unknown.
     """
-    pairs = zip(lags, systematic, strict=True)
+    pairs = zip(lags, systematic_errors, strict=True)
     finite_lags = [
         (lag.value, np.hypot(lag.error, systematic_error))
         for lag, systematic_error in pairs
@@ -250,32 +266,35 @@ def estimate_delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
     The error is infinite at an end of the search range.
     """
     shape_count = 2 * len(_STOP_WIDTHS) + 2
-    is_known = rows.known[:, j]
-    rubs, other_columns = np.split(rows.rubs[j][is_known], [shape_count], axis=1)
-    other_columns = np.hstack([(rows.still + rows.moving)[is_known, j], other_columns])
+    is_known = rows.is_known[:, j]
+    shapes, other_columns = np.split(rows.friction_shapes[j][is_known], [shape_count], axis=1)
+    other_columns = np.hstack([(rows.static + rows.inertial)[is_known, j], other_columns])
     if len(other_columns) <= other_columns.shape[1] + shape_count:
         return (Estimate(value=0.0, error=np.inf),) * 2
-    projected = _project_out(other_columns, np.hstack([rubs, rows.torques[is_known, :, j]]))
-    rubs, torques = np.split(projected, [shape_count], axis=1)
+    projected = _project_out(other_columns, np.hstack([shapes, rows.torques[is_known, :, j]]))
+    shapes, torques = np.split(projected, [shape_count], axis=1)
     unknown_count = other_columns.shape[1]
-    return _fit_delay(rubs, torques, unknown_count), _fit_delay(
-        rubs[:, -2:], torques, unknown_count
+    return _fit_delay(shapes, torques, unknown_count), _fit_delay(
+        shapes[:, -2:], torques, unknown_count
     )
 
 
-def _fit_delay(rubs: Array, torques: Array, fitted: int) -> Estimate:
-    """Return the lag at which friction (N, K) fits torques (N, S) best, after `fitted` unknowns."""
+def _fit_delay(shapes: Array, torques: Array, fitted_count: int) -> Estimate:
+    """Return the lag at which friction (N, K) fits torques (N, S) best.
+
+    Other unknowns, `fitted_count` of them, were eliminated before.
+    """
     from scipy.optimize import nnls
 
     # Friction of negative weight would imitate a lag.
-    basis, triangle = np.linalg.qr(rubs)
+    basis, triangle = np.linalg.qr(shapes)
     fits = np.array([nnls(triangle, column, maxiter=1000)[0] for column in (basis.T @ torques).T]).T
-    residuals = torques - rubs @ fits
+    residuals = torques - shapes @ fits
     squares = np.sum(residuals**2, axis=0)
     k = int(np.argmin(squares))
     if k in (0, len(squares) - 1):
         return Estimate(value=float(_SHIFTS[k]), error=np.inf)
-    degrees_of_freedom = max(len(residuals) - fitted - rubs.shape[1], 1)
+    degrees_of_freedom = max(len(residuals) - fitted_count - shapes.shape[1], 1)
     independent_rows = degrees_of_freedom / correlation_length(residuals[:, k])
     before, at, after = 0.5 * independent_rows * np.log(np.maximum(squares[k - 1 : k + 2], 1e-300))
     curvature = max(before - 2.0 * at + after, 1e-12)
@@ -289,18 +308,19 @@ def estimate_stamp_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, fl
     With stamps r times too short, inertial torques are 1 / r^2 times as large. The result is (1, 0)
     at an end of the search range, and if no rate explains the torques of most joints.
     """
-    parts = []
-    count = rows.still.shape[2]
+    joint_tables = []
+    column_count = rows.static.shape[2]
     for j in joints:
-        torque = rows.torques[:, len(_SHIFTS) // 2, [j]]
+        joint_torque = rows.torques[:, len(_SHIFTS) // 2, [j]]
         residuals = _project_out(
-            rows.rubs[j], np.hstack([torque, rows.still[:, j], rows.moving[:, j]])
+            rows.friction_shapes[j],
+            np.hstack([joint_torque, rows.static[:, j], rows.inertial[:, j]]),
         )
-        body_columns = residuals[:, 1 : 1 + count] + residuals[:, 1 + count :]
-        parts.append(
+        body_columns = residuals[:, 1 : 1 + column_count] + residuals[:, 1 + column_count :]
+        joint_tables.append(
             residuals / max(float(np.std(_project_out(body_columns, residuals[:, :1]))), 1e-12)
         )
-    table = np.concatenate(parts)
+    table = np.concatenate(joint_tables)
     # The triangular factor suffices.
     triangle = np.asarray(np.linalg.qr(table, mode="r"))
     residuals = np.stack(
@@ -310,28 +330,28 @@ def estimate_stamp_rate(rows: LagRows, joints: Sequence[int]) -> tuple[float, fl
         ],
         axis=1,
     )
-    best = int(np.argmin(np.sum(residuals**2, axis=0)))
-    if best in (0, len(_INERTIA_SCALES) - 1):
+    best_scale = int(np.argmin(np.sum(residuals**2, axis=0)))
+    if best_scale in (0, len(_INERTIA_SCALES) - 1):
         return 1.0, 0.0
     residuals_by_joint = residuals.reshape(len(joints), -1, len(_INERTIA_SCALES))
     squares = np.sum(residuals_by_joint**2, axis=1)
     independent_rows = np.array(
         [
-            len(joint_residuals) / correlation_length(joint_residuals[:, best])
+            len(joint_residuals) / correlation_length(joint_residuals[:, best_scale])
             for joint_residuals in residuals_by_joint
         ]
     )
-    unchanged = int(np.argmin(np.abs(np.log(_INERTIA_SCALES))))
-    if np.median(squares[:, best] / squares[:, unchanged]) > _MAX_REMAINING_SQUARES:
+    unit_scale = int(np.argmin(np.abs(np.log(_INERTIA_SCALES))))
+    if np.median(squares[:, best_scale] / squares[:, unit_scale]) > _MAX_REMAINING_SQUARES:
         return 1.0, 0.0
-    certainty = independent_rows @ np.log(squares[:, unchanged] / squares[:, best])
-    return float(1.0 / np.sqrt(_INERTIA_SCALES[best])), float(certainty)
+    certainty = independent_rows @ np.log(squares[:, unit_scale] / squares[:, best_scale])
+    return float(1.0 / np.sqrt(_INERTIA_SCALES[best_scale])), float(certainty)
 
 
 def _combine_regressors(table: Array, scale: float) -> Array:
-    """Return regressors (N, P) from a table of torque, still, moving."""
-    still, moving = np.split(table[:, 1:], 2, axis=1)
-    return np.asarray(still + scale * moving)
+    """Return regressors (N, P) from a table of torque, static and inertial regressor."""
+    static_regressor, inertial_regressor = np.split(table[:, 1:], 2, axis=1)
+    return np.asarray(static_regressor + scale * inertial_regressor)
 
 
 def _fit_body(table: Array, scale: float) -> Array:

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from hesr_model.findings import Finding, build_joint_finding
-from hesr_model.health.evidence import JointTorque, Motionwise, Torques, explain
+from hesr_model.health.evidence import ModelTorques, SmoothPart, TorqueFit, fit_joint_torque
 from hesr_model.health.velocity import join_units
 from hesr_model.logs.robot_log import Log
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -20,27 +20,27 @@ _MAX_COMPUTED_RESIDUAL = 0.1  # residual share of computed torques
 _MIN_GRAVITY_TO_RESIDUAL = 0.5  # gravity over the residual to judge its sign
 _MAX_WEIGHTLESS_SHARE = 0.1  # share of the model's gravity in weightless torques
 _MAX_PEAK_TO_LIMIT = 10.0
-_MIN_OTHERS_TO_OWN = 30.0  # peak over the model's limit, others over own
-Explained = Mapping[int, JointTorque]  # by index of the joint
+_MIN_RATIO_TO_OTHERS = 30.0  # peak over the model's limit, others over own
+TorqueFits = Mapping[int, TorqueFit]  # by index of the joint
 
 
-def explain_joints(motion: Motionwise, torques: Torques) -> Explained:
+def fit_joint_torques(part: SmoothPart, torques: ModelTorques) -> TorqueFits:
     """Regress the torque of every moving joint."""
-    signals = (motion.tau, torques.gravity, torques.inertial, motion.v)
-    moving = np.flatnonzero(motion.moves & (np.ptp(motion.tau, axis=0) > 0.0))
-    return {int(j): explain(*(signal[:, j] for signal in signals)) for j in moving}
+    signals = (part.tau, torques.gravity, torques.inertial, part.v)
+    moving_joints = np.flatnonzero(part.is_moving & (np.ptp(part.tau, axis=0) > 0.0))
+    return {int(j): fit_joint_torque(*(signal[:, j] for signal in signals)) for j in moving_joints}
 
 
 def check_torque(
-    motion: Motionwise, fits: Explained, robot: Robot, blurred: Collection[int] = ()
+    part: SmoothPart, fits: TorqueFits, robot: Robot, blurred_joints: Collection[int] = ()
 ) -> Iterator[Finding]:
-    """Check torques, but not the scale of `blurred` joints."""
+    """Check torques, but not the scale of `blurred_joints` joints."""
     for j, fit in fits.items():
         if fit.r2 < NO_SIGNAL_R2:
-            levels = len(np.unique(motion.tau[:, j]))
+            level_count = len(np.unique(part.tau[:, j]))
             observation = (
                 f"model and friction explain {100 * max(fit.r2, 0):.0f} % of its torque, "
-                f"which takes {levels} values"
+                f"which takes {level_count} values"
             )
             remedy = "it contains almost no signal, or belongs to another joint"
             yield build_joint_finding(
@@ -48,7 +48,7 @@ def check_torque(
             )
             continue
         yield from _check_sign(fit, j, robot)
-        if j not in blurred:
+        if j not in blurred_joints:
             yield from _check_scale(fit, j, fits, robot)
         if (
             fit.gravity.t < -_MIN_SIGNIFICANCE
@@ -63,10 +63,10 @@ def check_torque(
                 "torque or position has the wrong sign",
             )
     yield from _check_friction(fits, robot)
-    yield from _check_limits(motion, fits, robot)
+    yield from _check_limits(part, fits, robot)
 
 
-def _check_sign(fit: JointTorque, j: int, robot: Robot) -> Iterator[Finding]:
+def _check_sign(fit: TorqueFit, j: int, robot: Robot) -> Iterator[Finding]:
     if fit.friction.t > -_MIN_SIGNIFICANCE or fit.friction_size < 0.3 * fit.residual:
         return
     description = robot.description
@@ -96,39 +96,41 @@ def find_sign_change(
         units = description.log.units.expand_per_joint(key, n)
         return tuple(reverse_unit(unit) if j in (k, None) else unit for k, unit in enumerate(units))
 
-    example = j or 0
-    whose = "" if j is None else " of it"
+    example_joint = j or 0
+    qualifier = "" if j is None else " of it"
     if position:
         changes: dict[str, object] = {f"log.units.{k}": reverse_units(k) for k in ("q", "dq")}
         return (
-            f"[log.units] q and dq{whose} with a '-', as {reverse_units('q')[example]!r}",
+            f"[log.units] q and dq{qualifier} with a '-', as {reverse_units('q')[example_joint]!r}",
             changes,
         )
     gains = description.log.torque_per_ampere
     if gains is None:
         units = reverse_units("tau")
-        return f"[log.units] tau{whose} to {units[example]!r}", {"log.units.tau": units}
+        return f"[log.units] tau{qualifier} to {units[example_joint]!r}", {"log.units.tau": units}
     reversed_gains = tuple(-gain if j in (k, None) else gain for k, gain in enumerate(gains))
     gain_text = (
         f"{reversed_gains[j]:g}"
         if j is not None
         else f"[{', '.join(f'{gain:g}' for gain in reversed_gains)}]"
     )
-    owner = "its " if j is not None else ""
-    return f"{owner}torque_per_ampere to {gain_text}", {"log.torque_per_ampere": reversed_gains}
+    possessive = "its " if j is not None else ""
+    return f"{possessive}torque_per_ampere to {gain_text}", {
+        "log.torque_per_ampere": reversed_gains
+    }
 
 
-def _check_scale(fit: JointTorque, j: int, fits: Explained, robot: Robot) -> Iterator[Finding]:
+def _check_scale(fit: TorqueFit, j: int, fits: TorqueFits, robot: Robot) -> Iterator[Finding]:
     if fit.r2 < _MIN_R2:
         return
-    weightless = (
+    is_weightless = (
         fit.bears_gravity
         and fit.gravity.value + _MIN_SIGNIFICANCE * fit.gravity.error < 1.0 / _MAX_SCALE
     )
-    huge = (
+    is_huge = (
         fit.gravity_size > 1e-3 and fit.gravity.value - _MIN_SIGNIFICANCE * fit.gravity.error > 10.0
     )
-    if weightless or (abs(fit.gravity.t) > _MIN_SIGNIFICANCE and (fit.bears_gravity or huge)):
+    if is_weightless or (abs(fit.gravity.t) > _MIN_SIGNIFICANCE and (fit.bears_gravity or is_huge)):
         scale = abs(fit.gravity.value)
         margin = _MIN_SIGNIFICANCE * fit.gravity.error
         torque_kind = "gravity"
@@ -136,30 +138,36 @@ def _check_scale(fit: JointTorque, j: int, fits: Explained, robot: Robot) -> Ite
         scale = fit.inertia.value
         margin = _MIN_SIGNIFICANCE * fit.inertia.error
         torque_kind = "inertial"
-    too_small = scale + margin < 1.0 / _MAX_SCALE
-    too_large = torque_kind == "gravity" and scale - margin > _MAX_SCALE
+    is_too_small = scale + margin < 1.0 / _MAX_SCALE
+    is_too_large = torque_kind == "gravity" and scale - margin > _MAX_SCALE
     # A rotor may exceed the links many times, but never reduces the inertia.
-    if not (too_small or too_large) or not np.isfinite(margin):
+    if not (is_too_small or is_too_large) or not np.isfinite(margin):
         return
     description = robot.description
-    gravity_scales = [abs(f.gravity.value) for f in fits.values() if f.bears_gravity]
-    everywhere = len(gravity_scales) > 1 and all(
+    gravity_scales = [
+        abs(other_fit.gravity.value) for other_fit in fits.values() if other_fit.bears_gravity
+    ]
+    is_everywhere = len(gravity_scales) > 1 and all(
         not 1 / _MAX_SCALE <= gravity_scale <= _MAX_SCALE for gravity_scale in gravity_scales
     )
-    remedy, changes = _explain_scale(description, j, scale, everywhere=everywhere)
-    if scale <= _MAX_WEIGHTLESS_SHARE and weightless and abs(fit.inertia.value) >= 1.0 / _MAX_SCALE:
+    remedy, changes = _explain_scale(description, j, scale, is_everywhere=is_everywhere)
+    if (
+        scale <= _MAX_WEIGHTLESS_SHARE
+        and is_weightless
+        and abs(fit.inertia.value) >= 1.0 / _MAX_SCALE
+    ):
         remedy = "gravity was removed from it, a spring or counterweight carries the "
         changes = {}
         remedy += "arm, or the file declares another gravity"
-    times = f"{max(scale, 0.0):.2g} (+- {margin:.1g}) times"
-    observation = f"its torque is {times} the {torque_kind} torque of the model"
+    factor_text = f"{max(scale, 0.0):.2g} (+- {margin:.1g}) times"
+    observation = f"its torque is {factor_text} the {torque_kind} torque of the model"
     yield build_joint_finding(
         "torque-scale", description.joints[j], observation, remedy, changes=changes
     )
 
 
 def _explain_scale(
-    description: RobotDescription, j: int, scale: float, *, everywhere: bool
+    description: RobotDescription, j: int, scale: float, *, is_everywhere: bool
 ) -> tuple[str, dict[str, object]]:
     if description.log.torque_per_ampere is not None:
         if scale <= 0:
@@ -170,11 +178,13 @@ def _explain_scale(
         return f"its torque_per_ampere is about {rounded_factor:g} times too {direction}", {}
     if scale > 100:
         return "torque is in mN.m; set [log.units] tau = 'mN.m'", {"log.units.tau": "mN.m"}
-    gears = description.gear_ratio
-    if gears and 1 / _MAX_SCALE < scale * gears[j] < _MAX_SCALE:
+    gear_ratios = description.gear_ratio
+    if gear_ratios and 1 / _MAX_SCALE < scale * gear_ratios[j] < _MAX_SCALE:
         cause = "it is the motor torque before the gear"
-        return f"{cause}; set [log.units] tau = {join_units(gears)}", {"log.units.tau": gears}
-    if everywhere and scale < 1:
+        return f"{cause}; set [log.units] tau = {join_units(gear_ratios)}", {
+            "log.units.tau": gear_ratios
+        }
+    if is_everywhere and scale < 1:
         remedy = "the column contains currents [A] or motor torques; name it under [log.columns] "
         return f"{remedy}current and give torque_per_ampere", {}
     remedy = (
@@ -183,7 +193,7 @@ def _explain_scale(
     return remedy, {}
 
 
-def _check_friction(fits: Explained, robot: Robot) -> Iterator[Finding]:
+def _check_friction(fits: TorqueFits, robot: Robot) -> Iterator[Finding]:
     explained_fits = {j: fit for j, fit in fits.items() if fit.r2 > _MIN_R2}
     shows_friction = [
         abs(fit.friction.t) > _MIN_SIGNIFICANCE
@@ -202,26 +212,30 @@ def _check_friction(fits: Explained, robot: Robot) -> Iterator[Finding]:
     )
 
 
-def _check_limits(motion: Motionwise, fits: Explained, robot: Robot) -> Iterator[Finding]:
-    limits = np.where(np.isfinite(robot.torque_limits), robot.torque_limits, 0.0)
-    peaks = np.quantile(np.abs(motion.tau), 0.99, axis=0)
-    shares = {j: float(peaks[j] / limits[j]) for j in fits if limits[j] > 0 and not robot.slides[j]}
+def _check_limits(part: SmoothPart, fits: TorqueFits, robot: Robot) -> Iterator[Finding]:
+    torque_limits = np.where(np.isfinite(robot.torque_limits), robot.torque_limits, 0.0)
+    peaks = np.quantile(np.abs(part.tau), 0.99, axis=0)
+    shares = {
+        j: float(peaks[j] / torque_limits[j])
+        for j in fits
+        if torque_limits[j] > 0 and not robot.slides[j]
+    }
     for j, share in shares.items():
         joint = robot.description.joints[j]
         if share > _MAX_PEAK_TO_LIMIT:
-            excess = f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit"
+            observation = f"its torque reaches {peaks[j]:.3g}, {share:.2g} times the model's limit"
             yield build_joint_finding(
-                "torque-limit", joint, excess, "its unit or its torque_per_ampere is wrong"
+                "torque-limit", joint, observation, "its unit or its torque_per_ampere is wrong"
             )
         other_shares = [other_share for k, other_share in shares.items() if k != j]
         usual_share = np.median(other_shares) if len(other_shares) > 1 else 0.0
-        if share * _MIN_OTHERS_TO_OWN < usual_share and fits[j].r2 > _MIN_R2:
-            shortfall = (
+        if share * _MIN_RATIO_TO_OTHERS < usual_share and fits[j].r2 > _MIN_R2:
+            observation = (
                 f"its torque reaches {100 * share:.2g} % of the model's limit, the other joints' "
                 f"{100 * usual_share:.2g} %"
             )
             remedy = "its unit or its torque_per_ampere may be wrong"
-            yield build_joint_finding("torque-small", joint, shortfall, remedy, "warning")
+            yield build_joint_finding("torque-small", joint, observation, remedy, "warning")
 
 
 _SPEED_WINDOW = 0.1  # averaging window of a speed [s]
@@ -270,19 +284,21 @@ def _compute_speeds(log: Log) -> Array:
     """Return speeds (N, n) of raw positions."""
     half_window = max(1, round(0.5 * _SPEED_WINDOW / log.period))
     rows = np.arange(len(log.t))
-    before = np.maximum(rows - half_window, 0)
-    after = np.minimum(rows + half_window, len(rows) - 1)
-    return np.asarray((log.q[after] - log.q[before]) / (log.t[after] - log.t[before])[:, None])
+    first_rows = np.maximum(rows - half_window, 0)
+    last_rows = np.minimum(rows + half_window, len(rows) - 1)
+    return np.asarray(
+        (log.q[last_rows] - log.q[first_rows]) / (log.t[last_rows] - log.t[first_rows])[:, None]
+    )
 
 
 def _check_repeated_rows(log: Log, is_moving: Mask, is_fine: Mask) -> Iterator[Finding]:
     if not np.any(is_fine):
         return
-    in_motion = np.any(is_moving[1:], axis=1)
-    if in_motion.sum() < _MIN_STUCK_ROWS:
+    is_in_motion = np.any(is_moving[1:], axis=1)
+    if is_in_motion.sum() < _MIN_STUCK_ROWS:
         return
     is_repeated = np.all(np.diff(log.tau[:, is_fine], axis=0) == 0.0, axis=1)
-    share = float(np.mean(is_repeated[in_motion]))
+    share = float(np.mean(is_repeated[is_in_motion]))
     if share > _MAX_HELD_SHARE:
         observation = (
             f"{100 * share:.0f} % of the rows in motion repeat the torques of the row before"
@@ -316,16 +332,16 @@ def _report_stuck(log: Log, joint: str, quantity: str, row: int, contradiction: 
     return build_joint_finding("stuck", joint, observation, remedy)
 
 
-def check_speed(motion: Motionwise, robot: Robot) -> Iterator[Finding]:
+def check_speed(part: SmoothPart, robot: Robot) -> Iterator[Finding]:
     """Check speeds against the model's limits."""
-    limits = np.where(np.isfinite(robot.limits[2]), robot.limits[2], 0.0)
-    peaks = np.quantile(np.abs(motion.v), 0.998, axis=0)
-    for j in np.flatnonzero(motion.moves & (limits > 0.0)):
-        if peaks[j] <= _MAX_SPEED_TO_LIMIT * limits[j]:
+    speed_limits = np.where(np.isfinite(robot.limits[2]), robot.limits[2], 0.0)
+    peak_speeds = np.quantile(np.abs(part.v), 0.998, axis=0)
+    for j in np.flatnonzero(part.is_moving & (speed_limits > 0.0)):
+        if peak_speeds[j] <= _MAX_SPEED_TO_LIMIT * speed_limits[j]:
             continue
         unit = "m/s" if robot.slides[j] else "rad/s"
-        times = f"{peaks[j] / limits[j]:.2g} times the model's limit"
-        observation = f"it reaches {peaks[j]:.3g} {unit}, {times}"
+        ratio_text = f"{peak_speeds[j] / speed_limits[j]:.2g} times the model's limit"
+        observation = f"it reaches {peak_speeds[j]:.3g} {unit}, {ratio_text}"
         remedy = "the time stamps come from a wrong sample rate, a unit is wrong, or the model's "
         yield build_joint_finding(
             "speed-limit", robot.joints[j], observation, f"{remedy}limits are", "warning"

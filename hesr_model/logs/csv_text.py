@@ -38,7 +38,7 @@ _COMMENT_MARKS = "#%"  # marks of comments, sometimes of a header
 _MAX_SEARCHED_LINES = 500  # lines searched for data
 _MIN_HEADERLESS_ROWS = 20  # rows of data that prove the absence of a header
 _UNIT_CELL = re.compile(r"[(\[].*[)\]]|rad|deg|°|s|ms|us|ns|A|mA|N\.?m|rad/s|deg/s|-|")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # decimal comma
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|\d{4}-\d\d-\d\d[T ][\d:.]+Z?")
 _TIME = re.compile(
     r"(1[7-9]|2[01])\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d(:?\d\d)?)?)?"
@@ -65,10 +65,12 @@ def read_text(path: Path, names: Sequence[str] = (), content: bytes | None = Non
     return _join_chunks(path, _read_chunks(_find_dialect(path, content, names)))
 
 
-def text_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
-    """Yield the tables of successive lines, up to `rows` each; raises LogError."""
-    text = _find_dialect(path, _read_content(path), names)
-    yield from (_join_chunks(path, [chunk]) for chunk in _read_chunks(text, rows) if chunk.numbers)
+def text_pieces(path: Path, names: Sequence[str], max_rows: int) -> Iterator[LogTable]:
+    """Yield the tables of successive lines, up to `max_rows` each; raises LogError."""
+    dialect = _find_dialect(path, _read_content(path), names)
+    yield from (
+        _join_chunks(path, [chunk]) for chunk in _read_chunks(dialect, max_rows) if chunk.numbers
+    )
 
 
 def _require_length(path: Path, length: int) -> None:
@@ -82,14 +84,16 @@ def _require_length(path: Path, length: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Text:
+class _Dialect:
+    """How the text of a table is written."""
+
     path: Path
     content: bytes | None  # instead of the file's
     names: tuple[str, ...]  # instead of a header
     delimiter: str
     decimal: str
-    header: int  # line, from 1; 0 without
-    data: int  # line of the first row
+    header_line: int  # from 1; 0 without
+    first_line: int  # of the rows
 
 
 def _open_text(path: Path, content: bytes | None, newline: str | None = None) -> TextIO:
@@ -102,11 +106,13 @@ def _read_content(path: Path) -> bytes | None:
     with path.open("rb") as file:
         start = file.read(_START_BYTES)
         content = None
-    unpack = next((f for magic, f in _UNPACKERS.items() if start.startswith(magic)), None)
-    if unpack:
+    open_packed = next(
+        (opener for magic, opener in _UNPACKERS.items() if start.startswith(magic)), None
+    )
+    if open_packed:
         _require_length(path, path.stat().st_size)
         try:
-            with unpack(path) as packed:
+            with open_packed(path) as packed:
                 content = packed.read(compute_max_bytes(path) + 1)
         except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
             raise LogError(
@@ -122,9 +128,9 @@ def _read_content(path: Path) -> bytes | None:
                 where=path,
             )
         start = content[:_START_BYTES]
-    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    without_mark = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
-    encoding = "utf-16" if marked else without_mark.get(bytes(map(bool, start[:4])))
+    has_mark = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    encoding_by_start = {b"\1\0\1\0": "utf-16-le", b"\0\1\0\1": "utf-16-be"}
+    encoding = "utf-16" if has_mark else encoding_by_start.get(bytes(map(bool, start[:4])))
     if not encoding:
         try:
             codecs.getincrementaldecoder("utf-8")().decode(start)
@@ -136,34 +142,39 @@ def _read_content(path: Path) -> bytes | None:
     try:
         return (path.read_bytes() if content is None else content).decode(encoding).encode()
     except UnicodeDecodeError as error:
-        raise _csv_error(path) from error
+        raise _build_csv_error(path) from error
 
 
-def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Text:
+def _find_dialect(path: Path, content: bytes | None, names: Sequence[str]) -> _Dialect:
     try:
         with _open_text(path, content) as file:
-            numbered = ((k, line.strip()) for k, line in enumerate(_read_lines(file), start=1))
-            head = list(islice(((k, line) for k, line in numbered if line), _MAX_SEARCHED_LINES))
+            numbered_lines = (
+                (k, line.strip()) for k, line in enumerate(_read_lines(file), start=1)
+            )
+            head = list(
+                islice(((k, line) for k, line in numbered_lines if line), _MAX_SEARCHED_LINES)
+            )
             header, data, delimiter = _find_table(path, head, names)
             # A log may begin with zeros without decimal sign.
-            commas = delimiter != "," and any(
+            has_decimal_commas = delimiter != "," and any(
                 _DECIMAL_COMMA.fullmatch(cell.strip())
-                for _, line in chain(((k, line) for k, line in head if k >= data), numbered)
+                for _, line in chain(((k, line) for k, line in head if k >= data), numbered_lines)
                 if "," in line
                 for cell in line.split(delimiter)
             )
     except (UnicodeDecodeError, csv.Error) as error:
-        raise _csv_error(path) from error
-    return _Text(path, content, tuple(names), delimiter, "," if commas else ".", header, data)
+        raise _build_csv_error(path) from error
+    return _Dialect(
+        path, content, tuple(names), delimiter, "," if has_decimal_commas else ".", header, data
+    )
 
 
 def _find_table(
     path: Path, lines: Sequence[tuple[int, str]], names: Sequence[str]
 ) -> tuple[int, int, str]:
     """Return the lines of the header (else the first) and of the first row, and the delimiter."""
-    headerless_rows: list[
-        tuple[int, list[str]]
-    ] = []  # rows without a header, and number of cells above
+    # Rows without a header, with the number of cells of the line above.
+    headerless_rows: list[tuple[int, list[str]]] = []
     for index, (number, line) in enumerate(lines):
         for delimiter in sorted(_DELIMITERS, key=lambda d: -line.count(d)):
             if not _is_data(line, delimiter):
@@ -171,47 +182,50 @@ def _find_table(
             cells = _split_cells(line, delimiter)
             if len(cells) == len(names) and not _is_count(cells):
                 return 0, number, delimiter
-            above = [(k, text.lstrip(_COMMENT_MARKS + " ")) for k, text in reversed(lines[:index])]
-            fitting = [
-                (k, text) for k, text in above if _count_cells(text, delimiter) == len(cells)
+            lines_above = [
+                (k, text.lstrip(_COMMENT_MARKS + " ")) for k, text in reversed(lines[:index])
             ]
-            units = [k for k, text in fitting[:1] if _are_units(text, delimiter)]
-            named = fitting[1:] if units and len(fitting) > 1 else fitting
-            if named and not names and not _is_row(named[0][1], delimiter):
-                return named[0][0], number, delimiter
-            titled = index > 0 and lines[index - 1][1][0] not in _COMMENT_MARKS
+            fitting_lines = [
+                (k, text) for k, text in lines_above if _count_cells(text, delimiter) == len(cells)
+            ]
+            unit_lines = [k for k, text in fitting_lines[:1] if _is_unit_row(text, delimiter)]
+            header_lines = (
+                fitting_lines[1:] if unit_lines and len(fitting_lines) > 1 else fitting_lines
+            )
+            if header_lines and not names and not _is_row(header_lines[0][1], delimiter):
+                return header_lines[0][0], number, delimiter
+            has_title = index > 0 and lines[index - 1][1][0] not in _COMMENT_MARKS
             headerless_rows.append(
-                (_count_cells(lines[index - 1][1], delimiter) if titled else 1, cells)
+                (_count_cells(lines[index - 1][1], delimiter) if has_title else 1, cells)
             )
         if len(headerless_rows) >= _MIN_HEADERLESS_ROWS:
             break
     if headerless_rows and (names or headerless_rows[0][0] == 1):
-        raise _headerless_error(path, headerless_rows[0][1], names)
+        raise _build_headerless_error(path, headerless_rows[0][1], names)
     number, header = lines[0] if lines else (1, "")
-    first = lines[1][1] if len(lines) > 1 else ""
+    first_row = lines[1][1] if len(lines) > 1 else ""
     header = header.lstrip(_COMMENT_MARKS + " ")
     used_delimiters = [d for d in _DELIMITERS if d in header] or [","]
     # Names may contain other delimiters.
-    alike = [
-        d for d in used_delimiters if _count_cells(header, d) == _count_cells(first, d)
+    matching_delimiters = [
+        d for d in used_delimiters if _count_cells(header, d) == _count_cells(first_row, d)
     ] or used_delimiters[:1]
-    return number, number + 1, max(alike, key=lambda d: _count_cells(header, d))
+    return number, number + 1, max(matching_delimiters, key=lambda d: _count_cells(header, d))
 
 
-def _headerless_error(path: Path, row: Sequence[str], names: Sequence[str]) -> LogError:
+def _build_headerless_error(path: Path, row: Sequence[str], names: Sequence[str]) -> LogError:
     if names:
         return LogError(
             f"{path}: its rows have {len(row)} cells, such as {join_names(row)}, but "
-            "'log.columns' of "
-            f"the robot file names {len(names)} columns; name them all.",
+            f"'log.columns' of the robot file names {len(names)} columns; name them all.",
             code="log.names_count",
             where=path,
             key="log.columns.names",
         )
     return LogError(
         f"{path}: has no header, its first row is {join_names(row)}; name its {len(row)} "
-        "columns under "
-        "'log.columns' of the robot file, such as columns = ['t', 'q1', 'dq1', 'tau1'].",
+        "columns under 'log.columns' of the robot file, such as columns = ['t', 'q1', 'dq1', "
+        "'tau1'].",
         code="log.no_header",
         where=path,
         key="log.columns.names",
@@ -240,7 +254,7 @@ def _is_count(cells: Sequence[str]) -> bool:
     )
 
 
-def _are_units(line: str, delimiter: str) -> bool:
+def _is_unit_row(line: str, delimiter: str) -> bool:
     return all(_UNIT_CELL.fullmatch(cell.strip()) for cell in line.split(delimiter))
 
 
@@ -259,7 +273,7 @@ def _read_lines(file: TextIO) -> Iterator[str]:
         yield line
 
 
-def _csv_error(path: Path) -> LogError:
+def _build_csv_error(path: Path) -> LogError:
     return LogError(f"{path}: cannot be read as CSV text.", code="file.unreadable", where=path)
 
 
@@ -271,31 +285,35 @@ class _Chunk:
     decimal: str
 
 
-def _read_chunks(text: _Text, size: int = 0) -> Iterator[_Chunk]:
+def _read_chunks(dialect: _Dialect, chunk_rows: int = 0) -> Iterator[_Chunk]:
     try:
-        with _open_text(text.path, text.content, newline="") as file:
+        with _open_text(dialect.path, dialect.content, newline="") as file:
             lines = _read_lines(file)
-            above = list(islice(lines, text.data - 1))[text.header - 1 :]
-            header = csv.reader(above if text.header else [], delimiter=text.delimiter)
-            names = list(text.names) or _parse_names(next(header, []))
+            lines_above = list(islice(lines, dialect.first_line - 1))[dialect.header_line - 1 :]
+            header = csv.reader(
+                lines_above if dialect.header_line else [], delimiter=dialect.delimiter
+            )
+            names = list(dialect.names) or _parse_names(next(header, []))
             if not names:
                 raise LogError(
-                    f"{text.path}: is empty; a log needs a header and rows of data.",
+                    f"{dialect.path}: is empty; a log needs a header and rows of data.",
                     code="log.empty",
-                    where=text.path,
+                    where=dialect.path,
                 )
-            require_columns(text.path, len(names))
-            yield _Chunk(names, [], [], text.decimal)
-            below = enumerate(lines, start=text.data)
-            while chunk := list(islice(below, size or max(1, _CHUNK_CELLS // len(names)))):
+            require_columns(dialect.path, len(names))
+            yield _Chunk(names, [], [], dialect.decimal)
+            lines_below = enumerate(lines, start=dialect.first_line)
+            while chunk := list(
+                islice(lines_below, chunk_rows or max(1, _CHUNK_CELLS // len(names)))
+            ):
                 rows = {
                     k: line for k, line in chunk if line.strip(" \r\n")[:1] not in _COMMENT_MARKS
                 }
                 if rows:
-                    columns = list(_parse_columns(rows, text, len(names)))
-                    yield _Chunk(names, list(rows), columns, text.decimal)
+                    columns = list(_parse_columns(rows, dialect, len(names)))
+                    yield _Chunk(names, list(rows), columns, dialect.decimal)
     except (UnicodeDecodeError, csv.Error) as error:
-        raise _csv_error(text.path) from error
+        raise _build_csv_error(dialect.path) from error
 
 
 def _join_chunks(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
@@ -308,32 +326,37 @@ def _join_chunks(path: Path, chunks: Iterable[_Chunk]) -> LogTable:
             columns[k].add(cells, len(numbers), chunk.decimal)
         numbers.extend(chunk.numbers)
     arrays = {k: column.concatenate() for k, column in columns.items()}
-    return LogTable(path, tuple(names), len(numbers), arrays.__getitem__, number=numbers)
+    return LogTable(path, tuple(names), len(numbers), arrays.__getitem__, line_numbers=numbers)
 
 
-def _parse_columns(rows: Mapping[int, str], text: _Text, width: int) -> Iterable[Any]:
+def _parse_columns(rows: Mapping[int, str], dialect: _Dialect, column_count: int) -> Iterable[Any]:
     """Return the columns of some lines, as arrays if all cells are numbers."""
     lines = list(rows.values())
-    point_lines = [line.translate(_SWAP_COMMA) for line in lines] if text.decimal == "," else lines
-    read = partial(np.loadtxt, point_lines, delimiter=text.delimiter, comments=None, ndmin=2)
+    point_lines = (
+        [line.translate(_SWAP_COMMA) for line in lines] if dialect.decimal == "," else lines
+    )
+    read_numbers = partial(
+        np.loadtxt, point_lines, delimiter=dialect.delimiter, comments=None, ndmin=2
+    )
     with suppress(ValueError):
-        values = read()
-        if values.shape == (len(lines), width):
+        values = read_numbers()
+        if values.shape == (len(lines), column_count):
             columns = list(values.T)
             for k in np.flatnonzero(np.any(np.abs(values) >= _MAX_EXACT_INTEGER, axis=0)):
-                columns[k] = _parse_numbers(read(usecols=k, dtype=str)[:, 0].tolist(), ".")
+                columns[k] = _parse_numbers(read_numbers(usecols=k, dtype=str)[:, 0].tolist(), ".")
             return columns
-    cells = list(csv.reader(lines, delimiter=text.delimiter))
+    cells = list(csv.reader(lines, delimiter=dialect.delimiter))
     for number, row in zip(rows, cells, strict=False):
-        if len(row) != width:
+        if len(row) != column_count:
             raise LogError(
-                f"{text.path}: row {number} has {len(row)} cells; the header has {width} columns.",
+                f"{dialect.path}: row {number} has {len(row)} cells; the header has {column_count} "
+                "columns.",
                 code="log.cells",
-                where=text.path,
+                where=dialect.path,
                 key=f"row {number}",
             )
     if len(cells) < len(lines):  # an open quotation mark
-        raise _csv_error(text.path)
+        raise _build_csv_error(dialect.path)
     return zip(*cells, strict=True)
 
 
@@ -342,7 +365,7 @@ class Column:
 
     def __init__(self) -> None:
         self._parts: list[Any] = []  # the last is None for text
-        self._text: TextCell | None = None  # first cell that is not a number
+        self._text_cell: TextCell | None = None  # first cell that is not a number
 
     def add(self, cells: Array | Sequence[str], first: int = 0, decimal: str = ".") -> None:
         """Append numbers, or the text from row `first`."""
@@ -354,7 +377,7 @@ class Column:
             part = _parse_numbers(cells, decimal)
         if part is None:
             k = next(k for k, cell in enumerate(cells) if _parse_numbers([cell], decimal) is None)
-            self._text = self._text or TextCell(index=first + k, text=cells[k])
+            self._text_cell = self._text_cell or TextCell(index=first + k, text=cells[k])
             part = _parse_times_or_truths([cell.strip() for cell in cells])
         self._parts.append(part)
 
@@ -363,18 +386,18 @@ class Column:
         try:
             column = np.concatenate(self._parts)
         except (TypeError, ValueError):  # times and numbers; text; nothing
-            return self._text or np.empty(0)
-        fits = column.dtype.kind == "M" or np.isin(np.nan_to_num(column), (0, 1)).all()
-        return self._text if self._text and not fits else column
+            return self._text_cell or np.empty(0)
+        is_time_or_truth = column.dtype.kind == "M" or np.isin(np.nan_to_num(column), (0, 1)).all()
+        return self._text_cell if self._text_cell and not is_time_or_truth else column
 
 
 def _parse_numbers(cells: Sequence[str], decimal: str) -> Array | None:
     """Return floats, or integers if a float has too few digits; None for text."""
-    joined = "\0".join(cells)
-    if "_" in joined or not joined.isascii():  # allowed by Python
+    joined_cells = "\0".join(cells)
+    if "_" in joined_cells or not joined_cells.isascii():  # allowed by Python
         return None
     if decimal == ",":
-        cells = joined.translate(_SWAP_COMMA).split("\0")
+        cells = joined_cells.translate(_SWAP_COMMA).split("\0")
     try:
         values: Array = np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:

@@ -28,16 +28,15 @@ _QUANTITY_WORDS: Mapping[str, frozenset[str]] = {
     ),
     "current": _split_words("i im cur curr current currents amp amps ampere iq strom motorstrom"),
 }  # Words in column names; the first match wins
-_FORCE_WORDS = _split_words(
-    "force forces kraft"
-)  # torques of sliding joints, unless a torque is logged
+# Torques of sliding joints, unless a torque is logged.
+_FORCE_WORDS = _split_words("force forces kraft")
 _COMMANDED_QUANTITIES = ("q", "dq")  # quantities whose commands are read
 _JOINT_WORDS = _split_words("joint axis")  # positions, unless another quantity matches
 _COMMAND_WORDS = _split_words("target desired des ref reference cmd command setpoint goal")
 _IGNORED_WORDS = _split_words(
     "acc acceleration ddq qdd error err tcp ext external voltage control window limit mode status "
     "dir"
-)  # ignored columns
+)
 _MOTOR_WORDS = _split_words("qm motor motors")
 _MEASURED_WORDS = _split_words("actual act meas measured msr")
 _TIME_WORDS = _split_words(
@@ -59,7 +58,7 @@ _PLAUSIBLE_RATES = (5.0, 20_000.0)  # plausible sample rates [Hz]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guess:
+class ColumnGuess:
     """Columns (a name for t, else one per joint), units and reasons by quantity."""
 
     columns: Mapping[str, str | tuple[str, ...]]
@@ -67,39 +66,40 @@ class Guess:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
-def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) -> Guess:
+def guess_columns(
+    table: LogTable, joints: Sequence[str] = (), *, timed: bool = True
+) -> ColumnGuess:
     """Guess columns, maybe with names of `joints`, and time if `timed`; raises LogError."""
     groups = list(_group_names(table.names, joints))
-    count = len(joints) or max(
+    joint_count = len(joints) or max(
         (len(group) for _, group in groups if _recognise_quantity(group[0]) == "q"), default=0
     )
     position_names = [name for name in table.names if _recognise_quantity(name) == "q"]
     if (
-        count < 2
+        joint_count < 2
         and not any(_recognise_quantity(group[0]) == "q" for _, group in groups)
         and len(position_names) == 1
     ):
         groups = [("", (name,)) for name in table.names]
-        count = 1
+        joint_count = 1
     columns: dict[str, str | tuple[str, ...]] = {}
     units = {}
     reasons = {}
     for quantity in (*_QUANTITY_WORDS, *(f"{name}_cmd" for name in _COMMANDED_QUANTITIES)):
-        candidates = [
+        candidate_groups = [
             group
             for _, group in groups
-            if _recognise_quantity(group[0]) == quantity and len(group) >= count > 0
+            if _recognise_quantity(group[0]) == quantity and len(group) >= joint_count > 0
         ]
-        if not candidates and joints:
-            same_quantity = tuple(
+        if not candidate_groups and joints:
+            quantity_names = tuple(
                 name for name in table.names if _recognise_quantity(name) == quantity
             )
-            candidates = [same_quantity] * (
-                len(same_quantity) == count
-            )  # mixed names, as q_lift, q_1, q_2
-        if candidates:
-            best = min(
-                candidates,
+            # Mixed names, as q_lift, q_1, q_2.
+            candidate_groups = [quantity_names] * (len(quantity_names) == joint_count)
+        if candidate_groups:
+            best_group = min(
+                candidate_groups,
                 key=lambda group: (
                     not _FORCE_WORDS.isdisjoint(_split_tokens(group[0])),
                     _MEASURED_WORDS.isdisjoint(_split_tokens(group[0])),
@@ -107,16 +107,16 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
                     len(group[0]),
                 ),
             )
-            columns[quantity] = tuple(best[:count])
-            reasons[quantity] = f"named so: {best[0]}"
-            unit = _recognise_unit(quantity, best[0])
+            columns[quantity] = tuple(best_group[:joint_count])
+            reasons[quantity] = f"named so: {best_group[0]}"
+            unit = _recognise_unit(quantity, best_group[0])
             if unit:
                 units[quantity] = unit
     if timed or any(_rises(table, name) for name in _find_time_names(table)):
         columns["t"] = _find_time(table)
         units["t"], reasons["t"] = _guess_time_unit(table, str(columns["t"]))
     if "q" not in columns:
-        joint_text = "a joint" if count < 2 else f"all {count} joints"
+        joint_text = "a joint" if joint_count < 2 else f"all {joint_count} joints"
         raise LogError(
             f"{table.path}: no columns look like positions of {joint_text}; it has "
             f"{table.listing}; name them under 'log.columns' of a robot file.",
@@ -124,7 +124,7 @@ def guess(table: LogTable, joints: Sequence[str] = (), *, timed: bool = True) ->
             where=table.path,
             key="log.columns",
         )
-    return Guess(columns=columns, units=units, reasons=reasons)
+    return ColumnGuess(columns=columns, units=units, reasons=reasons)
 
 
 def is_of_motor(name: str) -> bool:
@@ -138,16 +138,16 @@ def _group_names(
     numbered: dict[str, dict[int, str]] = {}
     named: dict[str, dict[int, str]] = {}
     for name in names:
-        for place in _NUMBER.finditer(name):
-            key = f"{name[: place.start()]}{{}}{name[place.end() :]}"
-            numbered.setdefault(key, {})[int(place[0])] = name
-        for k, joint in enumerate(joints):
+        for match in _NUMBER.finditer(name):
+            key = f"{name[: match.start()]}{{}}{name[match.end() :]}"
+            numbered.setdefault(key, {})[int(match[0])] = name
+        for number, joint in enumerate(joints):
             if joint in name:
-                named.setdefault(name.replace(joint, "{name}", 1), {})[k] = name
-    for key, name_of_place in (*named.items(), *numbered.items()):
-        places = sorted(name_of_place)
-        if len(places) > 1 or len(joints) == 1:
-            yield key, tuple(name_of_place[k] for k in places)
+                named.setdefault(name.replace(joint, "{name}", 1), {})[number] = name
+    for key, names_by_number in (*named.items(), *numbered.items()):
+        numbers = sorted(names_by_number)
+        if len(numbers) > 1 or len(joints) == 1:
+            yield key, tuple(names_by_number[number] for number in numbers)
 
 
 def _split_tokens(name: str) -> list[str]:
@@ -174,8 +174,8 @@ def _recognise_unit(quantity: str, name: str) -> str:
 
 
 def _find_time(table: LogTable) -> str:
-    rising = [name for name in _find_time_names(table) if _rises(table, name)]
-    if not rising:
+    rising_names = [name for name in _find_time_names(table) if _rises(table, name)]
+    if not rising_names:
         raise LogError(
             f"{table.path}: no column looks like time; it has {table.listing}; name it under "
             "'log.columns.t' of a robot file, or state 'log.rate' [Hz].",
@@ -183,7 +183,7 @@ def _find_time(table: LogTable) -> str:
             where=table.path,
             key="log.columns.t",
         )
-    return min(rising, key=len)
+    return min(rising_names, key=len)
 
 
 def _find_time_names(table: LogTable) -> list[str]:
@@ -203,15 +203,18 @@ def _guess_time_unit(table: LogTable, name: str) -> tuple[str, str]:
     stamps = table.times(name, 1.0, missing=True)
     step = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     lowest_rate, highest_rate = _PLAUSIBLE_RATES
-    possible = [
-        u
-        for u, f in COMMON_UNITS["t"].items()
-        if lowest_rate <= 1.0 / max(step * f, 1e-300) <= highest_rate
+    plausible_units = [
+        candidate
+        for candidate, factor in COMMON_UNITS["t"].items()
+        if lowest_rate <= 1.0 / max(step * factor, 1e-300) <= highest_rate
     ]
     named_unit = _recognise_unit("t", name)
-    if named_unit in possible:
+    if named_unit in plausible_units:
         return named_unit, f"named so: {name}"
-    if not possible:
+    if not plausible_units:
         return "s", "no unit gives a plausible sample rate"
-    unit = min(possible, key=lambda u: abs(np.log(step * COMMON_UNITS["t"][u] * 200.0)))
+    unit = min(
+        plausible_units,
+        key=lambda candidate: abs(np.log(step * COMMON_UNITS["t"][candidate] * 200.0)),
+    )
     return unit, f"rows are then {step * COMMON_UNITS['t'][unit] * 1e3:.3g} ms apart"

@@ -23,7 +23,7 @@ def _require_one_place(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
     return columns
 
 
-def _or_empty(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
+def _require_place_unless_empty(columns: str | tuple[str, ...]) -> str | tuple[str, ...]:
     return _require_one_place(columns) if columns else columns
 
 
@@ -72,22 +72,22 @@ class LogColumns(Config):
     names: tuple[str, ...] = ()
     t: str = "t"
     q: Columns = "q{}"
-    dq: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = "dq{}"
+    dq: Annotated[str | tuple[str, ...], AfterValidator(_require_place_unless_empty)] = "dq{}"
     tau: Columns = "tau{}"
     current: Columns = "i{}"
-    q_link: Annotated[str | tuple[str, ...], AfterValidator(_or_empty)] = ""
+    q_link: Annotated[str | tuple[str, ...], AfterValidator(_require_place_unless_empty)] = ""
     temperature: Columns = OPTIONAL["temperature"]
     q_cmd: Columns = OPTIONAL["q_cmd"]
     dq_cmd: Columns = OPTIONAL["dq_cmd"]
 
     @model_validator(mode="before")
     @classmethod
-    def _list_of_names(cls, value: Any) -> Any:
+    def _wrap_list_of_names(cls, value: Any) -> Any:
         return {"names": value} if isinstance(value, list | tuple) else value
 
     @field_validator("names")
     @classmethod
-    def _different(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+    def _require_different_names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(names)) < len(names):
             raise RuleError("the names of columns must differ", code="log.names_differ")
         return names
@@ -119,11 +119,12 @@ class LogUnits(Config):
         """Raise RobotError if a unit is not for sliding or turning joints."""
         for quantity in LOG_UNITS:
             joint_units = self.expand_per_joint(quantity, len(joints))
-            for joint, unit, prismatic in zip(joints, joint_units, slides, strict=True):
-                if not is_allowed_unit(quantity, unit, is_prismatic=prismatic):
+            for joint, unit, is_prismatic in zip(joints, joint_units, slides, strict=True):
+                if not is_allowed_unit(quantity, unit, is_prismatic=is_prismatic):
                     raise RobotError(
                         f"key 'log.units.{quantity}' is '{unit}' for joint '{joint}', which "
-                        f"{'slides' if prismatic else 'turns'}; give a list of one unit per joint.",
+                        f"{'slides' if is_prismatic else 'turns'}; give a list of one unit per "
+                        "joint.",
                         code="log.unit_of_joint",
                         key=f"log.units.{quantity}",
                     )
@@ -154,7 +155,7 @@ class LogCylinder(Config):
 
     @field_validator("pressures", "areas", mode="before")
     @classmethod
-    def _pair_of_one_joint(cls, value: Any) -> Any:
+    def _wrap_single_pair(cls, value: Any) -> Any:
         is_nested = isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple)
         return value if is_nested else (value,)
 

@@ -29,21 +29,22 @@ class TextCell:
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """An open table file; messages on missing columns mention `others`.
+    """An open table file; messages on missing columns mention `other_names`.
 
     Columns (N,) of `arrays` hold integers, floats (NaN for empty cells), times or durations; a
-    `TextCell` replaces any other column. The lines of a CSV have a `number`, its header's is 1. A
-    piece of a file has rows `before` it and the `first` piece, whose first date is the origin.
+    `TextCell` replaces any other column. The rows of a CSV have `line_numbers`, its header is
+    line 1. A piece of a file has `rows_before` it and the `first_piece`, whose first date is the
+    origin.
     """
 
     path: Path
     names: tuple[str, ...]
     rows: int
     arrays: Callable[[int], Array | TextCell]
-    others: tuple[str, ...] = ()
-    number: Sequence[int] = ()
-    before: int = 0
-    first: "LogTable | None" = None
+    other_names: tuple[str, ...] = ()
+    line_numbers: Sequence[int] = ()
+    rows_before: int = 0
+    first_piece: "LogTable | None" = None
 
     def __post_init__(self) -> None:
         repeated_names = [name for name, count in Counter(self.names).items() if count > 1]
@@ -77,12 +78,12 @@ class LogTable:
 
     def row(self, index: int) -> int:
         """Return the row of a sample in the file, from 1."""
-        return self.number[index] if self.number else self.before + index + 1
+        return self.line_numbers[index] if self.line_numbers else self.rows_before + index + 1
 
     @property
     def listing(self) -> str:
         """Columns of the file, for messages."""
-        return join_names((*self.names, *self.others))
+        return join_names((*self.names, *self.other_names))
 
     def numbers(self, names: Sequence[str], *, missing: bool = False) -> Array:
         """Return columns (N, len(names)), `missing` cells as NaN; raises LogError."""
@@ -92,8 +93,10 @@ class LogTable:
     def times(self, name: str, unit: float, *, missing: bool = False) -> Array:
         """Return time stamps (N,) [s], given in `unit` [s]; dates from the first one."""
         stamps, unit = self._read_stamps(name, unit, missing)
-        first = stamps if self.first is None else self.first._read_stamps(name, unit, missing)[0]
-        finite_stamps = first[np.isfinite(first)]
+        first_stamps = stamps
+        if self.first_piece is not None:
+            first_stamps, _ = self.first_piece._read_stamps(name, unit, missing)
+        finite_stamps = first_stamps[np.isfinite(first_stamps)]
         origin = (
             finite_stamps[0]
             if len(finite_stamps) and abs(float(finite_stamps[0])) * unit > _SINCE_1970
@@ -134,9 +137,9 @@ class LogTable:
                 key=name,
             )
         values = np.asarray(cells, dtype=float)
-        is_good = ~np.isinf(values) if missing else np.isfinite(values)
-        if not np.all(is_good):
-            k = int(np.argmin(is_good))
+        is_usable = ~np.isinf(values) if missing else np.isfinite(values)
+        if not np.all(is_usable):
+            k = int(np.argmin(is_usable))
             content = "an empty cell or NaN" if np.isnan(values[k]) else "infinity"
             raise LogError(
                 f"{self.path}: column '{name}', row {self.row(k)}: {content} where a finite number "

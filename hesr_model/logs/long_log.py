@@ -21,7 +21,7 @@ _MAX_DISTINCT_STEPS = 2**20
 _STEP_DIGITS = 2.0**16  # most steps kept exactly; digits of more
 _OVERLAP_PERIODS = 10.0  # overlap in periods of the cut-off; transients decay to 1e-19
 _SPLINE_MARGIN = 100  # rows after which the ends of a spline do not matter
-_MAX_STRETCHES = 8  # most pieces kept for checks
+_MAX_CHECKED_PIECES = 8
 
 
 class StepCounts:
@@ -38,8 +38,8 @@ class StepCounts:
         if len(values) > _MAX_DISTINCT_STEPS:
             mantissa, exponent = np.frexp(values)
             values = np.ldexp(np.rint(mantissa * _STEP_DIGITS) / _STEP_DIGITS, exponent)
-        self.values, places = np.unique(values, return_inverse=True)
-        self._counts = np.bincount(places, counts).astype(float)
+        self.values, value_indices = np.unique(values, return_inverse=True)
+        self._counts = np.bincount(value_indices, counts).astype(float)
 
     def _find_by_rank(self, *ranks: int) -> Array:
         return self.values[np.searchsorted(np.cumsum(self._counts), ranks, side="right")]
@@ -80,23 +80,27 @@ class _Part:
 class LongLog:
     """A log that is read in pieces of at most `rows` rows, several times; errors as `Log.read`.
 
-    Formats that cannot be read in pieces are held in memory. `stretches` are up to eight of the
-    pieces, without `gaps`; `travel` (n,) is the range of the positions [rad, m].
+    Formats that cannot be read in pieces are held in memory. `checked_pieces` are up to eight of
+    the pieces, without `gaps`; `travel` (n,) is the range of the positions [rad, m].
     """
 
-    def __init__(self, source: Log | Path, robot: RobotDescription, rows: int = PIECE_ROWS) -> None:
-        robot.require_one_per_joint()
-        self._robot = robot
-        self._rows = rows
+    def __init__(
+        self, source: Log | Path, description: RobotDescription, max_rows: int = PIECE_ROWS
+    ) -> None:
+        description.require_one_per_joint()
+        self._description = description
+        self._rows = max_rows
         self._sha256 = ""
         if isinstance(source, Path):
-            in_pieces = not robot.log.sort and next(read_sample_pieces(source, robot, rows), None)
+            in_pieces = not description.log.sort and next(
+                read_sample_pieces(source, description, max_rows), None
+            )
             self._sha256 = sha256(source)
-            source = source if in_pieces else Log.read(source, robot)
+            source = source if in_pieces else Log.read(source, description)
         self._source = source
         self._time = ""
         self._state = _read_state(source)
-        self.stretches: list[Log] = []
+        self.checked_pieces: list[Log] = []
         self.travel: Array = np.empty(0)
         self._dropped = 0
         parts = self._split(self._survey_pieces(), np.inf)
@@ -106,23 +110,26 @@ class LongLog:
         if isinstance(source, Path):
             location = f"{self._where}: {self._time}"
             robot_log.require_rate(
-                location, whole_part.steps.period, whole_part.steps.mean(longest), robot
+                location, whole_part.steps.period, whole_part.steps.mean(longest), description
             )
         if whole_part.steps.values[-1] > longest:
             parts = self._split(self._read_pieces(), longest)
-            pieces = (log.split(longest) for log in self.stretches)
-            self.stretches = [max(logs, key=lambda piece: len(piece.t)) for logs in pieces]
-        self.stretches = [
-            replace(log, dropped=0 if k else self._dropped) for k, log in enumerate(self.stretches)
+            logs_by_piece = (log.split(longest) for log in self.checked_pieces)
+            self.checked_pieces = [max(logs, key=lambda log: len(log.t)) for logs in logs_by_piece]
+        self.checked_pieces = [
+            replace(log, dropped=0 if k else self._dropped)
+            for k, log in enumerate(self.checked_pieces)
         ]
         self.gaps = len(parts) - 1
         self.longest_step = float(whole_part.steps.values[-1])
         shortest = robot_log.SHORTEST_PART
-        self._parts = [p for p in parts if p is whole_part or p.end - p.start >= shortest]
+        self._parts = [
+            part for part in parts if part is whole_part or part.end - part.start >= shortest
+        ]
         if not self._parts:
             raise robot_log.no_parts_error(self._where, len(parts) - 1, longest)
         for part in self._parts:
-            cutoff = robot.log.filter_cutoff
+            cutoff = description.log.filter_cutoff
             part.grid.require_filter(self._where, part.last - part.first, cutoff)
 
     @property
@@ -135,42 +142,47 @@ class LongLog:
         return {part.start for part in self._parts}
 
     def motions(self) -> Iterator[Motion]:
-        """Yield the smooth motion piece by piece, as `signals.smoothed` of the whole log."""
-        cutoff = self._robot.log.filter_cutoff
+        """Yield the smooth motion piece by piece, as `signals.smooth` of the whole log."""
+        cutoff = self._description.log.filter_cutoff
         parts = list(self._parts)
         held_log = None
-        done = 0
-        at = 0  # rows held from number `at`
+        next_row = 0
+        first_held = 0  # rows held from number `at`
         for log in self._read_pieces():
             held_log = join_records([held_log, log]) if held_log else log
-            end_held = at + len(held_log.t)
+            held_end = first_held + len(held_log.t)
             margin = 0
             while parts:
                 part = parts[0]
                 grid = parts[0].grid
                 margin = int(np.ceil(_OVERLAP_PERIODS / (cutoff * grid.period))) + _SPLINE_MARGIN
-                complete = end_held >= part.last
-                first = max(done, part.first)
-                last = part.last if complete else end_held - margin
+                is_complete = held_end >= part.last
+                first = max(next_row, part.first)
+                last = part.last if is_complete else held_end - margin
                 if last <= first:
                     break
                 window_first = max(part.first, first - margin)
-                window_end = min(part.last, last + margin)
-                window = held_log.rows(slice(window_first - at, window_end - at))
-                yield filter_log(window, cutoff, grid).rows(
+                window_last = min(part.last, last + margin)
+                window_log = held_log.rows(
+                    slice(window_first - first_held, window_last - first_held)
+                )
+                yield filter_log(window_log, cutoff, grid).rows(
                     slice(first - window_first, last - window_first)
                 )
-                done = last
-                if not complete:
+                next_row = last
+                if not is_complete:
                     break
                 parts.pop(0)
             if not parts:
                 return
-            first_needed = max(done - margin, min(parts[0].first, end_held), at)
-            held_log, at = held_log.rows(slice(first_needed - at, None)), first_needed
+            first_needed = max(next_row - margin, min(parts[0].first, held_end), first_held)
+            held_log, first_held = (
+                held_log.rows(slice(first_needed - first_held, None)),
+                first_needed,
+            )
 
     def _survey_pieces(self) -> Iterator[Log]:
-        """Yield the pieces, and keep stretches, travel and the number of rows left out."""
+        """Yield the pieces, and keep pieces to check, travel and the number of rows left out."""
         lowest = np.array(np.inf)
         highest = np.array(-np.inf)
         stride = 1
@@ -182,27 +194,27 @@ class LongLog:
             )
             self.travel = highest - lowest
             if k % stride == 0 and (k == 0 or 2 * len(log.t) > self._rows):  # checks need many rows
-                self.stretches.append(log)
-            if len(self.stretches) > _MAX_STRETCHES:
-                self.stretches, stride = self.stretches[::2], 2 * stride
+                self.checked_pieces.append(log)
+            if len(self.checked_pieces) > _MAX_CHECKED_PIECES:
+                self.checked_pieces, stride = self.checked_pieces[::2], 2 * stride
             yield log
 
-    def _split(self, pieces: Iterable[Log], longest: float) -> list[_Part]:
+    def _split(self, logs: Iterable[Log], longest: float) -> list[_Part]:
         """Split the rows of all pieces at steps above `longest` [s]."""
         parts: list[_Part] = []
-        rows = 0
-        for log in pieces:
+        row_count = 0
+        for log in logs:
             steps = np.diff(log.t, prepend=parts[-1].end if parts else log.t[0])
             starts = {*np.flatnonzero(steps > longest).tolist(), *([] if parts else [0])}
             for first, last in pairwise(sorted({0, *starts, len(log.t)})):
                 is_new = first in starts
                 if is_new:
-                    parts.append(_Part(first=rows + first, start=float(log.t[first])))
+                    parts.append(_Part(first=row_count + first, start=float(log.t[first])))
                 part = parts[-1]
                 part.steps.add(steps[first + is_new : last])
-                part.last = rows + last
+                part.last = row_count + last
                 part.end = float(log.t[last - 1])
-            rows += len(log.t)
+            row_count += len(log.t)
         return parts
 
     def _read_pieces(self) -> Iterator[Log]:
@@ -211,20 +223,22 @@ class LongLog:
             for first in range(0, len(source.t), self._rows):
                 yield source.rows(slice(first, first + self._rows))
             return
-        last: Log | None = None
-        for samples_read in read_sample_pieces(source, self._robot, self._rows):
-            samples = samples_read.sort_samples(
-                self._robot.log, after=last.t[-1] if last else -np.inf
+        last_log: Log | None = None
+        for file_samples in read_sample_pieces(source, self._description, self._rows):
+            samples = file_samples.sort_samples(
+                self._description.log, previous_stamp=last_log.t[-1] if last_log else -np.inf
             )
             if not len(samples.t):
                 continue
-            log = robot_log.convert_samples(source, samples, self._robot)
-            dropped = len(samples_read.t) - len(samples.t)
+            log = robot_log.convert_samples(source, samples, self._description)
+            dropped = len(file_samples.t) - len(samples.t)
             log = replace(log, sha256=self._sha256, dropped=dropped, q_cmd=None, dq_cmd=None)
             self._time = samples.time
-            checked = log if last is None else join_records([last, log])
-            robot_log.require_increase(checked, samples, before=len(checked.t) - len(log.t))
-            last = log.rows(slice(-1, None))
+            joined_log = log if last_log is None else join_records([last_log, log])
+            robot_log.require_increase(
+                joined_log, samples, rows_before=len(joined_log.t) - len(log.t)
+            )
+            last_log = log.rows(slice(-1, None))
             yield log
         if _read_state(source) != self._state:
             raise LogError(

@@ -22,11 +22,11 @@ def words(seed: int, stream: ArrayLike, index: ArrayLike) -> NDArray[np.uint64]:
         np.asarray(stream, dtype=np.uint64), np.asarray(index, dtype=np.uint64)
     )
     # Scalars warn of overflow, arrays wrap silently.
-    flat = streams.reshape(-1)
-    places = indices.reshape(-1)
-    seeds = np.full(flat.shape, seed & _MASK, dtype=np.uint64)
-    base = _finish((_finish(seeds + _GAMMA) ^ flat) + _GAMMA)
-    return _finish(base + (places + np.uint64(1)) * _GAMMA).reshape(streams.shape)
+    flat_streams = streams.reshape(-1)
+    flat_indices = indices.reshape(-1)
+    seeds = np.full(flat_streams.shape, seed & _MASK, dtype=np.uint64)
+    base = _finish((_finish(seeds + _GAMMA) ^ flat_streams) + _GAMMA)
+    return _finish(base + (flat_indices + np.uint64(1)) * _GAMMA).reshape(streams.shape)
 
 
 def standard_normal(seed: int, stream: ArrayLike, counter: ArrayLike) -> Array:

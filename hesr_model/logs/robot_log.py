@@ -100,8 +100,8 @@ class Log:
     def longest_step(self) -> float:
         """Step [s] above which there is a gap: ten usual steps."""
         steps = np.diff(self.t)
-        usual = steps[steps <= np.quantile(steps, USUAL_SHARE, method="lower")]
-        return MIN_GAP_STEPS * max(self.period, float(np.mean(usual)))
+        usual_steps = steps[steps <= np.quantile(steps, USUAL_SHARE, method="lower")]
+        return MIN_GAP_STEPS * max(self.period, float(np.mean(usual_steps)))
 
     @property
     def rate(self) -> float:
@@ -137,10 +137,10 @@ class Log:
         parts = self.split(self.longest_step)
         if len(parts) == 1:
             return (self,)
-        logs = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
-        if not logs:
+        long_parts = tuple(part for part in parts if np.ptp(part.t) >= SHORTEST_PART)
+        if not long_parts:
             raise no_parts_error(self.where, len(parts) - 1, self.longest_step)
-        return logs
+        return long_parts
 
     @classmethod
     def read(cls, path: PathArg, robot: RobotLike) -> "Log":
@@ -166,9 +166,9 @@ class Log:
         """
         path, robot = to_path(path, "a log"), to_description(robot)
         robot.require_one_per_joint()
-        logged = find_format(path).read(path, robot)
-        samples = logged.sort_samples(robot.log)
-        dropped = len(logged.t) - len(samples.t)
+        file_samples = find_format(path).read(path, robot)
+        samples = file_samples.sort_samples(robot.log)
+        dropped = len(file_samples.t) - len(samples.t)
         log = replace(convert_samples(path, samples, robot), sha256=sha256(path), dropped=dropped)
         require_rows(log.where, len(log.t))
         require_increase(log, samples)
@@ -192,9 +192,9 @@ class Log:
 
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` over time [s] and joint; ConfigError if xarray is missing."""
-        of_joints = self._signals.items()
+        signals = self._signals.items()
         return frames.import_library("xarray").Dataset(
-            {name: (("t", "joint"), x, {"units": _UNITS[name]}) for name, x in of_joints},
+            {name: (("t", "joint"), values, {"units": _UNITS[name]}) for name, values in signals},
             coords={"t": ("t", self.t, {"units": "s"}), "joint": list(self.joints)},
             attrs={"name": self.name},
         )
@@ -213,9 +213,9 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
     """Convert samples of a file to SI; errors as `Log.read`, but for time stamps."""
     units = description.log.units
     n = len(description.joints)
-    _require_reasonable(path, samples, description.joints)
+    _require_usable_numbers(path, samples, description.joints)
 
-    def of_joints(quantity: str, values: Array | None) -> Any:
+    def convert_signal(quantity: str, values: Array | None) -> Any:
         if values is None:
             return None
         zero = (quantity == "q" and description.log.zero) or 0.0
@@ -229,14 +229,14 @@ def convert_samples(path: Path, samples: LogSamples, description: RobotDescripti
         tau, load = description.log.cylinder.forces(samples.effort)
     if temperature is not None:
         temperature = temperature - units.zero_of_temperature
-    q = of_joints("q", samples.q)
+    q = convert_signal("q", samples.q)
     return Log(
         name=path.stem,
         t=samples.t,
         q=q,
-        dq=of_joints("dq", samples.dq),
-        q_cmd=of_joints("q", samples.q_cmd),
-        dq_cmd=of_joints("dq", samples.dq_cmd),
+        dq=convert_signal("dq", samples.dq),
+        q_cmd=convert_signal("q", samples.q_cmd),
+        dq_cmd=convert_signal("dq", samples.dq_cmd),
         tau=tau,
         load=load,
         temperature=temperature,
@@ -264,16 +264,17 @@ def no_parts_error(where: str, gaps: int, longest: float) -> LogError:
 
 def require_different(logs: Sequence[Log]) -> None:
     """Raise LogError if a log is given twice, as it would count double."""
-    by_key: dict[tuple[str, float, float], Log] = {}
+    logs_by_key: dict[tuple[str, float, float], Log] = {}
     for log in logs:
         key = (log.sha256, float(log.t[0]), float(log.t[-1]))  # parts of a file differ in time
-        if log.sha256 and key in by_key:
+        if log.sha256 and key in logs_by_key:
             raise LogError(
-                f"{log.where}: has the same content as {by_key[key].where}; leave one of them out.",
+                f"{log.where}: has the same content as {logs_by_key[key].where}; leave one of "
+                "them out.",
                 code="log.same",
                 where=log.where,
             )
-        by_key[key] = log
+        logs_by_key[key] = log
 
 
 def require_moving(logs: Sequence[Log], joints: Sequence[str]) -> None:
@@ -334,9 +335,9 @@ def _convert_q_link(
             key="log.columns.q_link",
         )
     factors = description.log.units.factors("q_link", len(description.joints))
-    link: Array = samples.q_link * factors + (description.log.zero or 0.0)
+    q_link: Array = samples.q_link * factors + (description.log.zero or 0.0)
     for joint, twist, q_std in zip(
-        description.joints, np.std(q - link, 0), np.std(q, 0), strict=True
+        description.joints, np.std(q - q_link, 0), np.std(q, 0), strict=True
     ):
         if not _MIN_TWIST < twist < max(_MAX_TWIST * q_std, _MIN_TRAVEL):
             raise LogError(
@@ -347,18 +348,18 @@ def _convert_q_link(
                 where=path,
                 key="log.columns.q_link",
             )
-    return link
+    return q_link
 
 
-def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
+def _require_usable_numbers(path: Path, samples: LogSamples, joints: Sequence[str]) -> None:
     for quantity in ("q", "dq", "effort", "temperature", "q_link"):
         values = getattr(samples, quantity)
         if values is not None and not np.all(is_usable := np.abs(values) <= _MAX_NUMBER):
-            k, joint = np.argwhere(~is_usable)[0]
+            k, column = np.argwhere(~is_usable)[0]
             raise LogError(
                 f"{path}: {samples.place(k)}: {quantity} of joint "
-                f"'{joints[joint * len(joints) // values.shape[1]]}' is "
-                f"{values[k, joint]:g}; numbers up to {_MAX_NUMBER:g} can be used.",
+                f"'{joints[column * len(joints) // values.shape[1]]}' is "
+                f"{values[k, column]:g}; numbers up to {_MAX_NUMBER:g} can be used.",
                 code="log.too_large_number",
                 where=path,
                 key=quantity,
@@ -374,43 +375,45 @@ def _require_reasonable(path: Path, samples: LogSamples, joints: Sequence[str]) 
         )
 
 
-def require_rows(where: str, rows: int) -> None:
+def require_rows(where: str, row_count: int) -> None:
     """Raise LogError for fewer than two rows."""
-    if rows < 2:
+    if row_count < 2:
         raise LogError(
-            f"{where}: has {rows} rows of data; at least 2 are needed.",
+            f"{where}: has {row_count} rows of data; at least 2 are needed.",
             code="log.rows",
             where=where,
         )
 
 
-def require_increase(log: Log, samples: LogSamples, before: int = 0) -> None:
-    """Raise LogError if time does not increase in `samples` and the rows `before` them."""
+def require_increase(log: Log, samples: LogSamples, rows_before: int = 0) -> None:
+    """Raise LogError if time does not increase in `samples` and the rows `rows_before` them."""
     steps = np.diff(log.t)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0)) + 1
-        back = log.t[k - 1] - log.t[k]
-        why = (
+        step_back = log.t[k - 1] - log.t[k]
+        remedy = (
             "; [log] duplicates = 'first' leaves out rows that repeat a time stamp"
-            if back == 0.0
+            if step_back == 0.0
             else "; the file contains two logs, split it"
-            if back > 0.5 * (log.t[k - 1] - log.t[0])
+            if step_back > 0.5 * (log.t[k - 1] - log.t[0])
             else "; [log] sort = true sorts rows by time"
         )
         raise LogError(
-            f"{log.where}: {samples.time}, {samples.place(k - before)}: time must increase, but "
-            f"{log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{why}."
+            f"{log.where}: {samples.time}, {samples.place(k - rows_before)}: time must increase, "
+            f"but {log.t[k]:.10g} s follows {log.t[k - 1]:.10g} s{remedy}."
         )
 
 
-def require_rate(where: str, median: float, mean: float, description: RobotDescription) -> None:
+def require_rate(
+    where: str, median_period: float, mean_period: float, description: RobotDescription
+) -> None:
     """Raise LogError if the time between rows [s] is not that of the robot file."""
     nominal = description.log.sample_rate or description.log.rate
     # The mean is robust against jitter, the median against missing rows.
-    ratios = [nominal * period for period in (median, mean) if nominal]
+    ratios = [nominal * period for period in (median_period, mean_period) if nominal]
     if nominal and not any(1 / _RATE_MARGIN <= ratio <= _RATE_MARGIN for ratio in ratios):
         raise LogError(
-            f"{where}: rows are {median:.4g} s apart, but the robot file's "
+            f"{where}: rows are {median_period:.4g} s apart, but the robot file's "
             f"sample_rate of {nominal:g} Hz means {1 / nominal:.4g} s; give the unit of time, "
             "'log.units.t'."
         )

@@ -29,31 +29,33 @@ class _Window:
     number: int
     part: int
     motion: Motion
-    rows: dict[Stratum, int]
-    drawn: float
+    row_counts: dict[Stratum, int]
+    uniform_draw: float
 
 
-class Sample:
-    """A sample of at most `most` rows, by `seed` and order."""
+class MotionSample:
+    """A sample of at most `max_rows` rows, by `seed` and order."""
 
     def __init__(self, max_rows: int, seed: int) -> None:
-        self._most = max_rows
+        self._max_rows = max_rows
         self._seed = seed
         self._windows: list[_Window] = []
-        self._seen: Counter[Stratum] = Counter()
+        self._stratum_rows: Counter[Stratum] = Counter()
         self._numbers = count()
         self._parts = count()
-        self._size: Array | None = None
+        self._torque_scales: Array | None = None
 
-    def add(self, motion: Motion, *, follows: bool = False) -> None:
+    def add(self, motion: Motion, *, is_continuation: bool = False) -> None:
         """Offer a log, or a part between gaps, or rows that follow the last ones without a gap."""
-        if self._size is None:
-            self._size = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
-        part = self._windows[-1].part if follows and self._windows else next(self._parts)
-        for window, rows in self._cut(motion):
-            self._seen.update(rows)
-            drawn = _uniform(self._seed, motion.name, window.t[0])
-            self._windows.append(_Window(next(self._numbers), part, window, rows, drawn))
+        if self._torque_scales is None:
+            self._torque_scales = np.maximum(np.sqrt(np.mean(motion.tau**2, axis=0)), 1e-12)
+        part = self._windows[-1].part if is_continuation and self._windows else next(self._parts)
+        for window, row_counts in self._cut(motion):
+            self._stratum_rows.update(row_counts)
+            uniform_draw = _uniform(self._seed, motion.name, window.t[0])
+            self._windows.append(
+                _Window(next(self._numbers), part, window, row_counts, uniform_draw)
+            )
         self._shrink()
 
     def motions(self) -> list[Motion]:
@@ -68,45 +70,56 @@ class Sample:
         window_numbers = np.floor((t - t[0]) / WINDOW).astype(int)
         window_numbers = np.minimum(window_numbers, max(int((t[-1] - t[0]) / WINDOW) - 1, 0))
         is_near = np.column_stack([near_reversals(t, dq) for dq in motion.dq.T])
-        speed = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
-        speed = np.clip(speed, -1, _MAX_SPEED_OCTAVE).astype(int)  # -1 is rest
-        relative_torque = np.maximum(np.abs(motion.tau), 1e-12) / self._size
-        octave = (
+        speed_octaves = np.floor(np.log2(np.maximum(np.abs(motion.dq), 1e-12) / MOVING))
+        speed_octaves = np.clip(speed_octaves, -1, _MAX_SPEED_OCTAVE).astype(int)  # -1 is rest
+        relative_torque = np.maximum(np.abs(motion.tau), 1e-12) / self._torque_scales
+        magnitude_octaves = (
             np.clip(np.floor(np.log2(relative_torque)), _MIN_TORQUE_OCTAVE, _MAX_TORQUE_OCTAVE)
             - _MIN_TORQUE_OCTAVE
             + 1
         )
-        torque = (np.sign(motion.tau) * octave).astype(int)
+        torque_octaves = (np.sign(motion.tau) * magnitude_octaves).astype(int)
         ends = [0, *(np.flatnonzero(np.diff(window_numbers)) + 1).tolist(), len(t)]
         for first, last in pairwise(ends):
-            rows: dict[Stratum, int] = {}
+            row_counts: dict[Stratum, int] = {}
             for j in range(joint_count):
-                for kind, codes in (("speed", speed), ("torque", torque), ("near", is_near)):
+                for condition, codes in (
+                    ("speed", speed_octaves),
+                    ("torque", torque_octaves),
+                    ("near", is_near),
+                ):
                     code_counts = np.unique(codes[first:last, j], return_counts=True)
                     for code, row_count in zip(*code_counts, strict=True):
-                        if kind != "near" or code:
-                            rows[j, kind, int(code)] = int(row_count)
+                        if condition != "near" or code:
+                            row_counts[j, condition, int(code)] = int(row_count)
             # A view would keep the whole log in memory.
-            yield join_records([motion.rows(slice(first, last))]), rows
+            yield join_records([motion.rows(slice(first, last))]), row_counts
 
     def _shrink(self) -> None:
-        if sum(len(window.motion.t) for window in self._windows) <= self._most:
+        if sum(len(window.motion.t) for window in self._windows) <= self._max_rows:
             return
         # Windows by stratum, the smallest -log(u) / weight first.
         queues = {
             stratum: iter(
                 sorted(
-                    (w for w in self._windows if stratum in w.rows),
-                    key=lambda w: (-np.log(w.drawn) / w.rows[stratum], w.number),
+                    (window for window in self._windows if stratum in window.row_counts),
+                    key=lambda window: (
+                        -np.log(window.uniform_draw) / window.row_counts[stratum],
+                        window.number,
+                    ),
                 )
             )
-            for stratum in sorted(self._seen, key=lambda s: (self._seen[s], s))
+            for stratum in sorted(
+                self._stratum_rows, key=lambda stratum: (self._stratum_rows[stratum], stratum)
+            )
         }
         chosen_windows: dict[int, _Window] = {}
-        rows_left = self._most
+        rows_left = self._max_rows
         while queues:
             for stratum, queue in list(queues.items()):
-                window = next((w for w in queue if w.number not in chosen_windows), None)
+                window = next(
+                    (window for window in queue if window.number not in chosen_windows), None
+                )
                 if window is None:
                     del queues[stratum]
                     continue

@@ -24,17 +24,19 @@ def moving(dq: Array) -> Mask:
 def reversals(dq: Array) -> Integers:
     """Return the rows of smallest |dq| at each change of sign."""
     rows = np.flatnonzero(moving(dq))
-    changes = np.flatnonzero(np.diff(np.sign(dq[rows])))
-    placed = [rows[k] + np.argmin(np.abs(dq[rows[k] : rows[k + 1] + 1])) for k in changes]
-    return np.array(placed, dtype=np.intp)
+    sign_changes = np.flatnonzero(np.diff(np.sign(dq[rows])))
+    reversal_rows = [
+        rows[k] + np.argmin(np.abs(dq[rows[k] : rows[k + 1] + 1])) for k in sign_changes
+    ]
+    return np.array(reversal_rows, dtype=np.intp)
 
 
 def near_reversals(t: Array, dq: Array) -> Mask:
     """Return the rows within `REVERSAL_WINDOW` of a reversal."""
-    near = np.zeros(len(t), dtype=bool)
+    is_near = np.zeros(len(t), dtype=bool)
     for instant in t[reversals(dq)]:
-        near |= np.abs(t - instant) <= REVERSAL_WINDOW
-    return near
+        is_near |= np.abs(t - instant) <= REVERSAL_WINDOW
+    return is_near
 
 
 _FILTER_ORDER = 2
@@ -97,23 +99,23 @@ def smooth(log: Log, cutoff: float = 15.0) -> Motion:
 
 def filter_log(log: Log, cutoff: float, grid: "Grid") -> Motion:
     """Filter rows of a log without gaps on `grid`, unchecked."""
-    position = zero_phase(log.t, log.q, cutoff, grid)
-    velocity = position.derivative() if log.dq is None else zero_phase(log.t, log.dq, cutoff, grid)
-    link = None if log.q_link is None else zero_phase(log.t, log.q_link, cutoff, grid)
+    q_spline = zero_phase(log.t, log.q, cutoff, grid)
+    dq_spline = q_spline.derivative() if log.dq is None else zero_phase(log.t, log.dq, cutoff, grid)
+    link_spline = None if log.q_link is None else zero_phase(log.t, log.q_link, cutoff, grid)
     return Motion(
         name=log.name,
         t=log.t,
-        q=position(log.t),
-        dq=velocity(log.t),
-        ddq=velocity.derivative()(log.t),
+        q=q_spline(log.t),
+        dq=dq_spline(log.t),
+        ddq=dq_spline.derivative()(log.t),
         tau=log.tau,
         q_raw=log.q,
         load=log.load,
         temperature=log.temperature,
         dq_causal=low_pass_signals(log.t, measured_velocity(log), cutoff),
-        q_link=link and link(log.t),
-        dq_link=link and link.derivative()(log.t),
-        ddq_link=link and link.derivative(2)(log.t),
+        q_link=link_spline and link_spline(log.t),
+        dq_link=link_spline and link_spline.derivative()(log.t),
+        ddq_link=link_spline and link_spline.derivative(2)(log.t),
     )
 
 
@@ -147,22 +149,22 @@ class Grid:
         """Return the number of mirrored rows for a low pass [Hz]."""
         return int(np.ceil(_PADDING_PERIODS / (cutoff * self.period)))
 
-    def require_filter(self, where: str, rows: int, cutoff: float) -> None:
+    def require_filter(self, where: str, row_count: int, cutoff: float) -> None:
         """Raise LogError unless rows at this rate are enough for a low pass [Hz]."""
         period = self.period
         padding = self.padding(cutoff)
-        highest = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
-        if cutoff > highest:
+        max_cutoff = _HIGHEST_SHARE_OF_NYQUIST * 0.5 / period
+        if cutoff > max_cutoff:
             raise LogError(
                 f"{where}: its rows are {period:.3g} s apart ({1 / period:.4g} Hz); at this rate "
-                f"filter_cutoff can be at most {highest:.3g} Hz.",
+                f"filter_cutoff can be at most {max_cutoff:.3g} Hz.",
                 code="log.cutoff",
                 where=where,
                 key="log.filter_cutoff",
             )
         if self.steps <= padding:
             raise LogError(
-                f"{where}: has {rows} rows; a low pass at {cutoff:g} Hz needs more than "
+                f"{where}: has {row_count} rows; a low pass at {cutoff:g} Hz needs more than "
                 f"{padding + 1} at this rate.",
                 code="log.rows_of_filter",
                 where=where,
@@ -178,7 +180,7 @@ def zero_phase(t: Array, values: Array, cutoff: float, grid: Grid | None = None)
     grid = grid or Grid.from_times(t)
     stamps = grid.select_stamps(t)
     padding = grid.padding(cutoff)
-    sos = butter(_FILTER_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
+    sections = butter(_FILTER_ORDER, cutoff, fs=grid.steps / (grid.end - grid.start), output="sos")
     even_values = make_interp_spline(t, values, k=3)(stamps)
     padded = np.concatenate(
         [
@@ -187,7 +189,7 @@ def zero_phase(t: Array, values: Array, cutoff: float, grid: Grid | None = None)
             _mirror_start(even_values[::-1], padding)[::-1],
         ]
     )
-    low_passed = sosfiltfilt(sos, padded, axis=0, padlen=0)[padding:-padding]
+    low_passed = sosfiltfilt(sections, padded, axis=0, padlen=0)[padding:-padding]
     return make_interp_spline(stamps, low_passed, k=5)
 
 
@@ -195,8 +197,8 @@ def measured_velocity(log: Log) -> Array:
     """Return the logged velocity (N, n) [rad/s], or backward differences of the position."""
     if log.dq is not None:
         return log.dq
-    speed = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
-    return np.vstack([speed[:1], speed])
+    dq = np.diff(log.q, axis=0) / np.diff(log.t)[:, None]
+    return np.vstack([dq[:1], dq])
 
 
 def smooth_logs(logs: Iterable[Log], robot: Robot) -> list[Motion]:
@@ -205,15 +207,21 @@ def smooth_logs(logs: Iterable[Log], robot: Robot) -> list[Motion]:
     return [smooth(part, cutoff) for part in collect_parts(logs)]
 
 
-def _mirror_start(values: Array, rows: int) -> Array:
+def _mirror_start(values: Array, row_count: int) -> Array:
     """Return the rows (rows, n) before the first, mirrored at the start of a fitted parabola.
 
     Mirrored at the first value, intervals of a static friction cover the truth in only 60 of 100
     logs.
     """
-    n = round(2.0 * rows / _PADDING_PERIODS) + 1
-    k = np.arange(n)
+    fitted_count = round(2.0 * row_count / _PADDING_PERIODS) + 1
+    k = np.arange(fitted_count)
     # Weights of a least-squares parabola's value at its first row.
-    weights = 3.0 * (3 * n * n - 3 * n + 2) - 18.0 * (2 * n - 1) * k + 30.0 * k * k
-    first = weights / (n * (n + 1) * (n + 2)) @ values[:n]
-    return np.asarray(2.0 * first - values[rows:0:-1])
+    weights = (
+        3.0 * (3 * fitted_count * fitted_count - 3 * fitted_count + 2)
+        - 18.0 * (2 * fitted_count - 1) * k
+        + 30.0 * k * k
+    )
+    start_value = (
+        weights / (fitted_count * (fitted_count + 1) * (fitted_count + 2)) @ values[:fitted_count]
+    )
+    return np.asarray(2.0 * start_value - values[row_count:0:-1])

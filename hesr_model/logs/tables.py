@@ -39,21 +39,26 @@ def read_table(path: Path, names: Sequence[str] = ()) -> LogTable:
     return read_text(path, names)
 
 
-def table_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[LogTable]:
+def table_pieces(path: Path, names: Sequence[str], max_rows: int) -> Iterator[LogTable]:
     """Yield the tables of successive rows of such a file; raises LogError."""
     require_content(path)
     kind = _KINDS.get(path.suffix.lower())
     if kind:
         yield from (
-            _build_table(path, data) for data in _read_batches(path, kind, rows) if data.num_rows
+            _build_table(path, batch)
+            for batch in _read_batches(path, kind, max_rows)
+            if batch.num_rows
         )
     else:
-        yield from text_pieces(path, names, rows)
+        yield from text_pieces(path, names, max_rows)
 
 
-def _build_table(path: Path, data: Any) -> LogTable:
+def _build_table(path: Path, arrow_table: Any) -> LogTable:
     return LogTable(
-        path, tuple(data.column_names), data.num_rows, lambda k: _to_array(data.column(k))
+        path,
+        tuple(arrow_table.column_names),
+        arrow_table.num_rows,
+        lambda k: _to_array(arrow_table.column(k)),
     )
 
 
@@ -71,7 +76,11 @@ def require_content(path: Path) -> None:
 
 def number_columns(**signals: Array) -> dict[str, Array]:
     """Return columns (N,) of signals (N, n) by name, ``q1, q2..`` of `q`."""
-    return {f"{s}{k}": x for s, values in signals.items() for k, x in enumerate(values.T, start=1)}
+    return {
+        f"{name}{number}": column
+        for name, values in signals.items()
+        for number, column in enumerate(values.T, start=1)
+    }
 
 
 def write_table(path: Path, columns: Mapping[str, Array]) -> None:
@@ -88,8 +97,8 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
         cells = [np.where(x, "true", "false") if x.dtype == bool else x for x in columns.values()]
         for k in range(0, len(cells[0]), _CHUNK_ROWS):
-            part = zip(*(x[k : k + _CHUNK_ROWS].tolist() for x in cells), strict=True)
-            csv.writer(file, lineterminator="\n").writerows(part)
+            chunk = zip(*(x[k : k + _CHUNK_ROWS].tolist() for x in cells), strict=True)
+            csv.writer(file, lineterminator="\n").writerows(chunk)
 
 
 def import_arrow() -> Any:
@@ -117,29 +126,31 @@ def _to_array(cells: Any) -> Array | TextCell:
     return column.concatenate()
 
 
-def _read_batches(path: Path, kind: str, rows: int = _BATCH_ROWS) -> Iterator[Any]:
-    """Yield tables of up to `rows` rows, the first one maybe empty."""
+def _read_batches(path: Path, kind: str, max_rows: int = _BATCH_ROWS) -> Iterator[Any]:
+    """Yield tables of up to `max_rows` rows, the first one maybe empty."""
     pa = import_arrow()
-    count = 0
+    row_count = 0
     with readable(path, kind):
         if kind == "Parquet":
             with pa.parquet.ParquetFile(path, pre_buffer=False) as file:
                 _require_size(path, file.metadata.num_rows, file.metadata.num_columns)
                 yield file.schema_arrow.empty_table()
-                for batch in file.iter_batches(rows):
+                for batch in file.iter_batches(max_rows):
                     yield pa.Table.from_batches([batch])
             return
         with pa.ipc.open_file(path) as file:
             yield file.schema.empty_table()
             for k in range(file.num_record_batches):
                 batch = file.get_batch(k)
-                count += batch.num_rows
-                _require_size(path, count, len(file.schema))
-                for first in range(0, batch.num_rows, rows):
-                    yield pa.Table.from_batches([batch.slice(first, rows)])
+                row_count += batch.num_rows
+                _require_size(path, row_count, len(file.schema))
+                for first in range(0, batch.num_rows, max_rows):
+                    yield pa.Table.from_batches([batch.slice(first, max_rows)])
 
 
-def _require_size(path: Path, rows: int, width: int) -> None:
-    require_columns(path, width)
-    if 8 * rows * width > compute_max_bytes(path):
-        raise LogError(f"{path}: has {rows} rows of {width} columns, more than fits into the file.")
+def _require_size(path: Path, row_count: int, column_count: int) -> None:
+    require_columns(path, column_count)
+    if 8 * row_count * column_count > compute_max_bytes(path):
+        raise LogError(
+            f"{path}: has {row_count} rows of {column_count} columns, more than fits into the file."
+        )

@@ -19,22 +19,21 @@ from hesr_model.support.progress import Progress, report_progress, silent
 from hesr_model.support.typed_files import Config
 
 _INSTANTS_PER_CYCLE = 12  # instants per cycle of the highest harmonic; at least 120 per period
-_DIFFERENCE_STEP = (
-    1e-6  # step of finite differences; the regressor is linear in ddq and quadratic in dq
-)
+# Step of finite differences; the regressor is linear in ddq and quadratic in dq.
+_DIFFERENCE_STEP = 1e-6
 _NORM_ORDER = 8.0  # order of the eigenvalue norms, smooth bounds of the extreme eigenvalues
 _MIN_EIGENVALUE_RATIO = 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Search:
+class FourierSearch:
     """Fourier motions at rest at both ends, with a range of periods [s], as vectors.
 
     A vector contains, joint by joint, H - 1 coordinates of `a` and H - 1 of `b` in units of the
     joint's speed, then mean positions from -1 to 1 within their limits, then ln(period).
     """
 
-    model: Robot
+    robot: Robot
     limits: Limits
     harmonics: int
     period: tuple[float, float]
@@ -42,21 +41,25 @@ class Search:
     @cached_property
     def base(self) -> tuple[int, ...]:
         """Base columns of the regressor."""
-        return base_columns(self.model)
+        return base_columns(self.robot)
 
     @property
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Lowest and highest coordinates."""
-        n = self.model.n
+        n = self.robot.n
         shortest, longest = np.log(self.period)
-        free: list[tuple[float | None, float | None]] = [(None, None)]
-        return [*free * (2 * n * (self.harmonics - 1)), *[(-1.0, 1.0)] * n, (shortest, longest)]
+        unbounded: list[tuple[float | None, float | None]] = [(None, None)]
+        return [
+            *unbounded * (2 * n * (self.harmonics - 1)),
+            *[(-1.0, 1.0)] * n,
+            (shortest, longest),
+        ]
 
     @cached_property
     def _at_rest(self) -> tuple[Array, Array]:
         """Orthonormal bases (H, H - 1) of the `a` with sum 0 and the `b` with sum k b_k = 0."""
         orders = np.arange(1.0, self.harmonics + 1)
-        return _null_space(np.ones_like(orders)), _null_space(orders)
+        return _find_null_space(np.ones_like(orders)), _find_null_space(orders)
 
     @cached_property
     def _series(self) -> tuple[Array, Array, Array]:
@@ -77,18 +80,18 @@ class Search:
         """Return the coordinates of a motion."""
         basis_a, basis_b = self._at_rest
         shape = np.hstack([motion.a @ basis_a, motion.b @ basis_b]) / self.limits.velocity[:, None]
-        place = (motion.offset - self._middle) / self._reach
-        return np.concatenate([shape.ravel(), place, [np.log(motion.period)]])
+        relative_offset = (motion.offset - self._middle) / self._reach
+        return np.concatenate([shape.ravel(), relative_offset, [np.log(motion.period)]])
 
     def unpack(self, x: Array) -> Fourier:
         """Return the motion of coordinates."""
         shape, offset, period = self._split(x)
         basis_a, basis_b = self._at_rest
-        free = self.harmonics - 1
+        free_count = self.harmonics - 1
         return Fourier(
             offset=offset,
-            a=shape[:, :free] @ basis_a.T,
-            b=shape[:, free:] @ basis_b.T,
+            a=shape[:, :free_count] @ basis_a.T,
+            b=shape[:, free_count:] @ basis_b.T,
             period=period,
         )
 
@@ -100,41 +103,45 @@ class Search:
         shape, offset, period = self._split(x)
         rate = 2 * np.pi / period
         series = self._series
-        path = series[0] @ shape.T / rate
+        displacement = series[0] @ shape.T / rate
         dq = series[1] @ shape.T
         ddq = series[2] @ shape.T * rate
-        state = (path + offset, dq, ddq)
+        state = (displacement + offset, dq, ddq)
         value, slopes = self._differentiate_regressor(state, weight)
         centred = (state[0] - self._middle, dq, ddq)
         for k, limit in enumerate((self._reach, self.limits.velocity, self.limits.acceleration)):
-            excess, slope = _excess(centred[k], limit)
+            excess, slope = _compute_excess(centred[k], limit)
             value += weight * excess
             slopes[k] += weight * slope
-        of_q, of_dq, of_ddq = slopes
-        of_shape = of_q.T @ series[0] / rate + of_dq.T @ series[1] + of_ddq.T @ series[2] * rate
-        of_log_period = np.sum(of_q * path) - np.sum(of_ddq * ddq)
-        of_sizes = (of_shape * self.limits.velocity[:, None]).ravel()
-        return value, np.concatenate([of_sizes, of_q.sum(axis=0) * self._reach, [of_log_period]])
+        q_slope, dq_slope, ddq_slope = slopes
+        shape_slope = (
+            q_slope.T @ series[0] / rate + dq_slope.T @ series[1] + ddq_slope.T @ series[2] * rate
+        )
+        period_slope = np.sum(q_slope * displacement) - np.sum(ddq_slope * ddq)
+        size_slopes = (shape_slope * self.limits.velocity[:, None]).ravel()
+        return value, np.concatenate(
+            [size_slopes, q_slope.sum(axis=0) * self._reach, [period_slope]]
+        )
 
     def _differentiate_regressor(
         self, state: tuple[Array, Array, Array], weight: float
     ) -> tuple[float, list[Array]]:
         base = list(self.base)
-        regressor = self.model.regressor(*state)
-        value, of_columns = _log_condition(regressor[:, :, base])
+        regressor = self.robot.regressor(*state)
+        value, column_slopes = _bound_condition(regressor[:, :, base])
         upstream = np.zeros_like(regressor)
-        upstream[:, :, base] = of_columns
-        nominal = self.model.nominal_parameters
-        excess, of_torque = _excess(regressor @ nominal, self.limits.torque)
-        upstream += weight * of_torque[:, :, None] * nominal
+        upstream[:, :, base] = column_slopes
+        nominal = self.robot.nominal_parameters
+        excess, torque_slopes = _compute_excess(regressor @ nominal, self.limits.torque)
+        upstream += weight * torque_slopes[:, :, None] * nominal
         slopes = []
         for k, values in enumerate(state):
             slope = np.empty_like(values)
-            for j in range(self.model.n):
+            for j in range(self.robot.n):
                 shifted = list(state)
                 shifted[k] = values.copy()
                 shifted[k][:, j] += _DIFFERENCE_STEP
-                change = self.model.regressor(*shifted) - regressor
+                change = self.robot.regressor(*shifted) - regressor
                 slope[:, j] = np.sum(upstream * change, axis=(1, 2)) / _DIFFERENCE_STEP
             slopes.append(slope)
         return value + weight * excess, slopes
@@ -148,46 +155,49 @@ class Search:
         return 0.5 * (self.limits.upper - self.limits.lower)
 
     def _split(self, x: Array) -> tuple[Array, Array, float]:
-        n = self.model.n
+        n = self.robot.n
         shape = x[: -n - 1].reshape(n, -1) * self.limits.velocity[:, None]
         return shape, self._middle + self._reach * x[-n - 1 : -1], float(np.exp(x[-1]))
 
 
-def _null_space(row: Array) -> Array:
+def _find_null_space(row: Array) -> Array:
     _, _, vt = np.linalg.svd(row[None, :])
     return np.asarray(vt[1:].T)
 
 
-def _excess(values: Array, limit: Array) -> tuple[float, Array]:
-    over = np.maximum(np.abs(values) / limit - 1.0, 0.0)
-    slope = 2.0 * over * np.sign(values) / limit / len(values)
-    return float(np.sum(over**2)) / len(values), slope
+def _compute_excess(values: Array, limit: Array) -> tuple[float, Array]:
+    overshoot = np.maximum(np.abs(values) / limit - 1.0, 0.0)
+    slope = 2.0 * overshoot * np.sign(values) / limit / len(values)
+    return float(np.sum(overshoot**2)) / len(values), slope
 
 
-def _log_condition(columns: Array) -> tuple[float, Array]:
+def _bound_condition(columns: Array) -> tuple[float, Array]:
     """Return the log of a bound of the condition number of rows (N, n, P), and derivatives.
 
     For eigenvalues l_i of W'W, max l / min l <= (sum l_i^p)^(1/p) (sum l_i^-p)^(1/p).
     """
     rows = columns.reshape(-1, columns.shape[2])
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    values = np.maximum(values, _MIN_EIGENVALUE_RATIO * values[-1])
-    high = (values / values[-1]) ** _NORM_ORDER
-    low = (values / values[0]) ** -_NORM_ORDER
-    span = np.log(values[-1] / values[0]) + np.log(high.sum() * low.sum()) / _NORM_ORDER
-    of_values = 0.5 / values * (high / high.sum() - low / low.sum())
-    slopes = 2.0 * rows @ ((vectors * of_values) @ vectors.T)
+    eigenvalues, eigenvectors = np.linalg.eigh(rows.T @ rows)
+    eigenvalues = np.maximum(eigenvalues, _MIN_EIGENVALUE_RATIO * eigenvalues[-1])
+    upper_terms = (eigenvalues / eigenvalues[-1]) ** _NORM_ORDER
+    lower_terms = (eigenvalues / eigenvalues[0]) ** -_NORM_ORDER
+    span = (
+        np.log(eigenvalues[-1] / eigenvalues[0])
+        + np.log(upper_terms.sum() * lower_terms.sum()) / _NORM_ORDER
+    )
+    value_slopes = (
+        0.5 / eigenvalues * (upper_terms / upper_terms.sum() - lower_terms / lower_terms.sum())
+    )
+    slopes = 2.0 * rows @ ((eigenvectors * value_slopes) @ eigenvectors.T)
     return 0.5 * float(span), slopes.reshape(columns.shape)
 
 
-_SAMPLES_PER_PERIOD = (
-    400  # per period; with 100 or more the condition number of W_b changes by a per cent
-)
-_COARSE_WEIGHT = 1e2
-_FINE_WEIGHT = 1e4  # weights of exceeded limits, in the first descents and the last one
+_SAMPLES_PER_PERIOD = 400  # from 100 on, the condition number of W_b changes by a per cent
+_COARSE_WEIGHT = 1e2  # weight of exceeded limits in the first descents
+_FINE_WEIGHT = 1e4  # in the last one
 _COARSE_STEPS = 100
 _FINE_STEPS = 300
-_DEFAULT_RATE = 200.0
+_DEFAULT_RATE = 200.0  # [Hz]
 _INITIAL_SIZE = 100.0  # size of a random motion before it is shrunk, relative to the joint's speed
 
 
@@ -245,19 +255,21 @@ def design(
     rate = settings.sample_rate or robot.description.log.sample_rate or _DEFAULT_RATE
     limits = Limits.from_settings(robot, settings.limits)
     rest_q = limits.find_rest_position(robot)
-    search = Search(
-        model=robot, limits=limits, harmonics=settings.harmonics, period=settings.period
+    search = FourierSearch(
+        robot=robot, limits=limits, harmonics=settings.harmonics, period=settings.period
     )
     with threadpool_limits(1):
         starts = random_motions(robot, settings, settings.starts, settings.seed)
-        rough = [
+        coarse_motions = [
             _descend(search, start, rest_q, _COARSE_WEIGHT, _COARSE_STEPS)
             for start in report_progress(starts, progress)
         ]
-        best = min(rough, key=lambda motion: condition(robot, search.base, motion))
-        period = round(best.period * rate) / rate
+        best_motion = min(coarse_motions, key=lambda motion: condition(robot, search.base, motion))
+        period = round(best_motion.period * rate) / rate
         search = replace(search, period=(period, period))
-        motion = replace(_descend(search, best, rest_q, _FINE_WEIGHT, _FINE_STEPS), period=period)
+        motion = replace(
+            _descend(search, best_motion, rest_q, _FINE_WEIGHT, _FINE_STEPS), period=period
+        )
     _, dq, _ = sample_one_period(motion)
     for joint, peak in zip(robot.description.joints, np.abs(dq).max(axis=0), strict=True):
         if not peak > MIN_PEAK_SPEED:
@@ -274,7 +286,9 @@ def design(
     )
 
 
-def _descend(search: Search, motion: Fourier, rest_q: Array, weight: float, steps: int) -> Fourier:
+def _descend(
+    search: FourierSearch, motion: Fourier, rest_q: Array, weight: float, steps: int
+) -> Fourier:
     minimum = minimize(
         search.value_and_gradient,
         search.pack(motion),
@@ -284,7 +298,7 @@ def _descend(search: Search, motion: Fourier, rest_q: Array, weight: float, step
         bounds=search.bounds,
         options={"maxiter": steps},
     )
-    return search.limits.shrink(search.unpack(minimum.x), search.model, rest_q)
+    return search.limits.shrink(search.unpack(minimum.x), search.robot, rest_q)
 
 
 def random_motions(

@@ -39,7 +39,7 @@ class MotionLimits(Config):
     torque: tuple[Positive, ...] | None = None
 
     @model_validator(mode="after")
-    def _ranges_are_open(self) -> Self:
+    def _require_open_ranges(self) -> Self:
         for joint, (lowest, highest) in enumerate(self.position or (), start=1):
             if not lowest < highest:
                 raise RuleError(
@@ -70,18 +70,18 @@ class Limits:
                     f"key 'limits.{key}' has {len(entries)} entries; the {robot.n} joints of robot "
                     f"'{robot.description.name}' need one each."
                 )
-        lowest, highest, speed = robot.limits
+        lower, upper, speed = robot.limits
         if stated_limits.position is None:
-            _require_stated(robot, "position", highest - lowest)
-        margin = RANGE_MARGIN * (highest - lowest)
+            _require_stated(robot, "position", upper - lower)
+        margin = RANGE_MARGIN * (upper - lower)
         position = np.array(
-            stated_limits.position or np.column_stack([lowest + margin, highest - margin])
+            stated_limits.position or np.column_stack([lower + margin, upper - margin])
         )
         for j, joint in enumerate(robot.description.joints):
-            if position[j, 0] < lowest[j] or position[j, 1] > highest[j]:
+            if position[j, 0] < lower[j] or position[j, 1] > upper[j]:
                 raise RobotError(
                     f"key 'limits.position' of joint '{joint}' is {position[j, 0]:g} to "
-                    f"{position[j, 1]:g}; the model allows {lowest[j]:g} to {highest[j]:g}."
+                    f"{position[j, 1]:g}; the model allows {lower[j]:g} to {upper[j]:g}."
                 )
         if stated_limits.velocity is None:
             _require_stated(robot, "velocity", speed)
@@ -99,69 +99,73 @@ class Limits:
         """Shrink a motion until it keeps all limits, for torque towards `rest_q` (n,) [rad]."""
         inner_share = 1.0 - _MARGIN
         q, dq, ddq = sample_one_period(motion)
-        path = q - motion.offset
+        displacement = q - motion.offset
         factor = inner_share * np.minimum.reduce(
             [
                 np.full(robot.n, 1.0 / inner_share),
-                (self.upper - self.lower) / np.ptp(path, axis=0),
+                (self.upper - self.lower) / np.ptp(displacement, axis=0),
                 self.velocity / np.abs(dq).max(axis=0),
                 self.acceleration / np.abs(ddq).max(axis=0),
             ]
         )
-        path = factor * path
+        displacement = factor * displacement
         margin = 0.5 * _MARGIN * (self.upper - self.lower)
         offset = np.clip(
             motion.offset,
-            self.lower + margin - path.min(axis=0),
-            self.upper - margin - path.max(axis=0),
+            self.lower + margin - displacement.min(axis=0),
+            self.upper - margin - displacement.max(axis=0),
         )
-        fitting = replace(
+        fitting_motion = replace(
             motion, offset=offset, a=factor[:, None] * motion.a, b=factor[:, None] * motion.b
         )
-        return self._shrink_for_torque(fitting, robot, rest_q)
+        return self._shrink_for_torque(fitting_motion, robot, rest_q)
 
     def _shrink_for_torque(self, motion: Fourier, robot: Robot, rest_q: Array) -> Fourier:
         def shrink_to_share(share: float) -> Fourier:
             offset = rest_q + share * (motion.offset - rest_q)
             return replace(motion, offset=offset, a=share * motion.a, b=share * motion.b)
 
-        def keeps(share: float) -> bool:
+        def keeps_limits(share: float) -> bool:
             peak = peak_torque(robot, shrink_to_share(share))
             return bool(np.all(peak <= (1.0 - _MARGIN) * self.torque))
 
-        if not np.any(np.isfinite(self.torque)) or keeps(1.0):
+        if not np.any(np.isfinite(self.torque)) or keeps_limits(1.0):
             return motion
-        low = 0.0
-        high = 1.0
+        kept_share = 0.0
+        exceeded_share = 1.0
         for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if keeps(middle) else (low, middle)
-        if low == 0.0:
+            middle_share = 0.5 * (kept_share + exceeded_share)
+            kept_share, exceeded_share = (
+                (middle_share, exceeded_share)
+                if keeps_limits(middle_share)
+                else (kept_share, middle_share)
+            )
+        if kept_share == 0.0:
             raise FitError(
                 f"robot '{robot.description.name}': the limits allow no motion: gravity exceeds "
                 "limits.torque in every position."
             )
-        return shrink_to_share(low)
+        return shrink_to_share(kept_share)
 
     def find_rest_position(self, robot: Robot) -> Array:
         """Return the position (n,) [rad] of least gravity over limits; FitError if too large."""
-        candidates = np.random.default_rng(0).uniform(
+        candidate_q = np.random.default_rng(0).uniform(
             self.lower, self.upper, (_REST_CANDIDATES, robot.n)
         )
-        candidates[0] = 0.5 * (self.lower + self.upper)
+        candidate_q[0] = 0.5 * (self.lower + self.upper)
 
-        def gravity(q: Array) -> Array:
-            still = np.zeros_like(q)
-            return np.abs(robot.torque(robot.nominal_parameters, q, still, still))
+        def compute_gravity(q: Array) -> Array:
+            zeros = np.zeros_like(q)
+            return np.abs(robot.torque(robot.nominal_parameters, q, zeros, zeros))
 
         minimum = minimize(
-            lambda q: np.max(gravity(q[None, :]) / self.torque),
-            candidates[int(np.argmin(np.max(gravity(candidates) / self.torque, axis=1)))],
+            lambda q: np.max(compute_gravity(q[None, :]) / self.torque),
+            candidate_q[int(np.argmin(np.max(compute_gravity(candidate_q) / self.torque, axis=1)))],
             method="Nelder-Mead",
             bounds=np.column_stack([self.lower, self.upper]),
         )
         rest_q: Array = minimum.x
-        gravity_torque = gravity(rest_q[None, :])[0]
+        gravity_torque = compute_gravity(rest_q[None, :])[0]
         j = int(np.argmax(gravity_torque / self.torque))
         if gravity_torque[j] >= self.torque[j]:
             raise FitError(

@@ -81,9 +81,9 @@ class Fourier(Trajectory):
     def __post_init__(self) -> None:
         orders = np.arange(1, self.a.shape[1] + 1)
         scale = max(float(np.abs(self.a).max()), float(np.abs(orders * self.b).max()))
-        jump = np.maximum(np.abs(self.a.sum(axis=1)), np.abs(self.b @ orders))
-        if np.any(jump > _AT_REST * scale):
-            joint = int(np.argmax(jump)) + 1
+        end_mismatch = np.maximum(np.abs(self.a.sum(axis=1)), np.abs(self.b @ orders))
+        if np.any(end_mismatch > _AT_REST * scale):
+            joint = int(np.argmax(end_mismatch)) + 1
             raise ConfigError(
                 f"Fourier motion: joint {joint} does not start at rest (sum of a_k is "
                 f"{self.a[joint - 1].sum():.3g}, sum of k b_k is {self.b[joint - 1] @ orders:.3g} "
@@ -187,23 +187,26 @@ class Sweep(Trajectory):
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """See `Trajectory.sample`."""
-        asked = np.asarray(t, dtype=float)[:, None]
-        time = np.clip(asked, 0.0, self.length)
-        moves = np.abs(asked - time) <= _ROUNDING
+        times = np.asarray(t, dtype=float)[:, None]
+        moving_times = np.clip(times, 0.0, self.length)
+        is_moving = np.abs(times - moving_times) <= _ROUNDING
         rate = 2 * np.pi * self.first
         slope = 2 * np.pi * (self.last - self.first) / self.length
         slow = 2 * np.pi / self.swing_period
-        wave = np.exp(1j * (rate * time + 0.5 * slope * time**2))
-        swell = np.exp(1j * (slow * time + self.swing_phase))
+        wave = np.exp(1j * (rate * moving_times + 0.5 * slope * moving_times**2))
+        swell = np.exp(1j * (slow * moving_times + self.swing_phase))
         peak = self.amplitude + self.swing * swell.imag
         # 2 sin(phi) sin(s) = cos(phi - s) - cos(phi + s): every term has a quadratic phase.
-        steady = _quadratic_phase_integral(0.0, rate, slope, time).imag
-        below = _quadratic_phase_integral(-self.swing_phase, rate - slow, slope, time).real
-        above = _quadratic_phase_integral(self.swing_phase, rate + slow, slope, time).real
+        steady = _quadratic_phase_integral(0.0, rate, slope, moving_times).imag
+        below = _quadratic_phase_integral(-self.swing_phase, rate - slow, slope, moving_times).real
+        above = _quadratic_phase_integral(self.swing_phase, rate + slow, slope, moving_times).real
         q = self.start + self.amplitude * steady + 0.5 * self.swing * (below - above)
         dq = peak * wave.imag
-        ddq = slow * self.swing * swell.real * wave.imag + peak * (rate + slope * time) * wave.real
-        return q, np.where(moves, dq, 0.0), np.where(moves, ddq, 0.0)
+        ddq = (
+            slow * self.swing * swell.real * wave.imag
+            + peak * (rate + slope * moving_times) * wave.real
+        )
+        return q, np.where(is_moving, dq, 0.0), np.where(is_moving, ddq, 0.0)
 
 
 def chirp(*, start: Array, amplitude: Array, first: float, last: float, length: float) -> Sweep:
@@ -240,9 +243,11 @@ def random_fourier(
     counters = np.arange(harmonics)
     a = standard_normal(seed, 2 * joints, counters)
     b = standard_normal(seed, 2 * joints + 1, counters)
-    raw = Fourier.from_rest(a, b, offset=offset, period=period, periods=periods)
-    scale = (np.asarray(peak_velocity) / np.abs(sample_one_period(raw)[1]).max(axis=0))[:, None]
-    return replace(raw, a=scale * raw.a, b=scale * raw.b)
+    unscaled_motion = Fourier.from_rest(a, b, offset=offset, period=period, periods=periods)
+    scale = (np.asarray(peak_velocity) / np.abs(sample_one_period(unscaled_motion)[1]).max(axis=0))[
+        :, None
+    ]
+    return replace(unscaled_motion, a=scale * unscaled_motion.a, b=scale * unscaled_motion.b)
 
 
 def _quadratic_phase_integral(

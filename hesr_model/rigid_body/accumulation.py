@@ -23,36 +23,39 @@ from hesr_model.robots.robot import Robot
 from hesr_model.support.arrays import Array
 
 
-class Streamed:
+class StreamedProblem:
     """The growing stacked problem of a robot.
 
-    Rows slower than `slow` (n,) [rad/s] are dropped, which depends on all motions: check `fits`.
+    Rows slower than `min_speeds` (n,) [rad/s] are dropped, which depend on all motions: check
+    `is_consistent`.
     """
 
-    def __init__(self, robot: Robot, slow: Array | None = None) -> None:
-        self._model = robot
+    def __init__(self, robot: Robot, min_speeds: Array | None = None) -> None:
+        self._robot = robot
         self._base = unknown_columns(robot)
         self._friction = observations.friction_columns(robot, self._base)
-        self._used = np.full(robot.n, observations.SLOW) if slow is None else slow
+        self._used_min_speeds = (
+            np.full(robot.n, observations.SLOW) if min_speeds is None else min_speeds
+        )
         self._peaks = np.zeros(robot.n)
-        columns = len(self._base) + int(np.sum(self._friction))
-        self._factors = [Factor(triangle=np.zeros((0, columns + 1)))] * robot.n
+        column_count = len(self._base) + int(np.sum(self._friction))
+        self._factors = [Factor(triangle=np.zeros((0, column_count + 1)))] * robot.n
         self._logs: dict[str, None] = {}
         self.rows = 0
 
     @property
-    def slow(self) -> Array:
+    def min_speeds(self) -> Array:
         """Speeds (n,) below which rows should be dropped, by the motions so far."""
         return observations.slow_speeds(self._peaks)
 
     @property
-    def fits(self) -> bool:
+    def is_consistent(self) -> bool:
         """Whether those rows were dropped; otherwise add the motions again."""
-        return np.array_equal(self.slow, self._used)
+        return np.array_equal(self.min_speeds, self._used_min_speeds)
 
     def add(self, motion: Motion) -> None:
         """Add the rows of a motion."""
-        self._peaks = np.maximum(self._peaks, observations.peak_speeds([motion], self._model))
+        self._peaks = np.maximum(self._peaks, observations.peak_speeds([motion], self._robot))
         self._logs[motion.name] = None
         self.rows += len(motion.t)
         with threadpool_limits(1):
@@ -67,16 +70,18 @@ class Streamed:
         self, motions: Sequence[Motion] | Callable[[], Iterable[Motion]], where: str
     ) -> identification.RigidBody:
         """Return the rigid body, with the covariance of some or all `motions`; raises FitError."""
-        robot = self._model
+        robot = self._robot
         base = self._base
         friction = self._friction
         identification.require_samples(where, self.rows, len(base) + int(np.sum(friction)))
         identification.require_speed(where, self._peaks, robot)
         scale = identification.compute_scale(robot, base, friction)
         with threadpool_limits(1):
-            loose = identification.find_loose_columns(robot, base, friction)
+            is_loose = identification.find_loose_columns(robot, base, friction)
             factors = self._factors
-            solution = least_squares.solve_factors(factors, scale=scale, weighted=True, loose=loose)
+            solution = least_squares.solve_factors(
+                factors, scale=scale, weighted=True, is_loose=is_loose
+            )
             identification.warn_of_ridge(where, solution)
             if callable(motions):
                 covariance = self._estimate_covariance(motions, solution)
@@ -97,17 +102,19 @@ class Streamed:
         )
 
     def _build_blocks(self, motions: Sequence[Motion]) -> list[least_squares.Block]:
-        reduced_motions = observations.remove_known_torque(motions, self._model)
+        reduced_motions = observations.remove_known_torque(motions, self._robot)
         return observations.stack_blocks(
-            reduced_motions, self._model, self._base, self._friction, self._used
+            reduced_motions, self._robot, self._base, self._friction, self._used_min_speeds
         )
 
     def _estimate_covariance(
         self, motions: Callable[[], Iterable[Motion]], solution: Solution
     ) -> Covariance:
         prior = np.diag(solution.pull**2)
-        weighted = zip(self._factors, solution.weights, strict=True)
-        rows = np.concatenate([weight * factor.triangle[:, :-1] for factor, weight in weighted])
+        weighted_factors = zip(self._factors, solution.weights, strict=True)
+        rows = np.concatenate(
+            [weight * factor.triangle[:, :-1] for factor, weight in weighted_factors]
+        )
         hessian = rows.T @ rows + prior
         parts = partial(self._compute_parts, motions, solution, hessian)
         return covariance_of_parts(("",) * len(hessian), parts, hessian, prior_hessian=prior)
@@ -116,33 +123,33 @@ class Streamed:
         self, motions: Callable[[], Iterable[Motion]], solution: Solution, hessian: Array
     ) -> Iterator[Gradients]:
         logs = list(self._logs)
-        row = 0
+        first_row = 0
         for motion in motions():
             for first in range(0, len(motion.t), identification.ROWS_AT_ONCE):
                 chunk = motion.rows(slice(first, first + identification.ROWS_AT_ONCE))
-                labels = (row + np.arange(len(chunk.t))) * BLOCKS // self.rows
+                labels = (first_row + np.arange(len(chunk.t))) * BLOCKS // self.rows
                 if len(logs) > 1:
                     labels = np.full(len(chunk.t), logs.index(motion.name))
                 blocks = self._build_blocks([chunk])
                 yield from least_squares.compute_gradients(blocks, solution, labels, hessian)
-                row += len(chunk.t)
+                first_row += len(chunk.t)
 
 
 def identify_long(logs: Sequence[LongLog], robot: Robot) -> identification.RigidBody:
     """Identify as `identification.identify` by the stacked method, with bounded memory."""
-    names = dict.fromkeys(log.stretches[0].where for log in logs)
+    log_names = dict.fromkeys(log.checked_pieces[0].where for log in logs)
     travel: Array = np.array([log.travel for log in logs]).max(axis=0)
-    require_travel(", ".join(names), travel, robot.description.joints)
+    require_travel(", ".join(log_names), travel, robot.description.joints)
 
     def motions() -> Iterator[Motion]:
         return chain.from_iterable(log.motions() for log in logs)
 
-    slow = None
+    min_speeds = None
     while True:
-        stream = Streamed(robot, slow)
+        problem = StreamedProblem(robot, min_speeds)
         for motion in motions():
-            stream.add(motion)
-        if stream.fits:
+            problem.add(motion)
+        if problem.is_consistent:
             break
-        slow = stream.slow
-    return stream.body(motions, "log " + ", ".join(log.stretches[0].name for log in logs))
+        min_speeds = problem.min_speeds
+    return problem.body(motions, "log " + ", ".join(log.checked_pieces[0].name for log in logs))

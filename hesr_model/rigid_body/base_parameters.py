@@ -11,9 +11,8 @@ from hesr_model.support.arrays import Array, Mask
 
 _RANK_TOLERANCE = 1e-8
 _RANDOM_STATES = 300
-_SPRING_LENGTH_FACTOR = (
-    1e3  # springs replace no mass: their columns are chosen after those of masses
-)
+# Springs replace no mass: their columns are chosen after those of masses.
+_SPRING_LENGTH_FACTOR = 1e3
 
 
 def base_columns(robot: Robot, known_indices: Sequence[int] = ()) -> tuple[int, ...]:

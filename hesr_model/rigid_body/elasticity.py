@@ -72,7 +72,9 @@ def gear_forms(
     if not motions or any(motion.q_link is None for motion in motions):
         return []
     names = ("q", "dq", "ddq", "tau", "q_link", "dq_link")
-    signals = {n: np.concatenate([getattr(motion, n) for motion in motions]) for n in names}
+    signals = {
+        name: np.concatenate([getattr(motion, name) for motion in motions]) for name in names
+    }
     ends = np.cumsum([0, *(len(motion.t) for motion in motions)]).tolist()
     parts = [slice(*pair) for pair in pairwise(ends)]
 
@@ -84,7 +86,9 @@ def gear_forms(
         )
 
     signals |= {"smooth": smooth(signals["tau"]), "link": smooth(np.sign(signals["dq_link"]))}
-    signals_by_joint = [{n: x[:, j] for n, x in signals.items()} for j in range(robot.n)]
+    signals_by_joint = [
+        {name: values[:, j] for name, values in signals.items()} for j in range(robot.n)
+    ]
     return [
         _fit_form(joint_signals, parts, rows, smooth)
         for joint_signals, rows in zip(signals_by_joint, fast_rows, strict=True)
@@ -93,7 +97,7 @@ def gear_forms(
 
 def _fit_form(
     signals: dict[str, Array],
-    parts: Sequence[slice],
+    part_slices: Sequence[slice],
     is_fast: Mask,
     smooth: Callable[[Array], Array],
 ) -> GearForm:
@@ -110,8 +114,10 @@ def _fit_form(
         deflection = twist - zero
         sign = np.sign(signals["dq"])
         shapes = [
-            _run_stop(deflection / w, parts) if w > 0 else np.clip(-deflection / w, -1, 1)
-            for w in widths
+            _run_stop(deflection / width, part_slices)
+            if width > 0
+            else np.clip(-deflection / width, -1, 1)
+            for width in widths
         ]
         smoothed = smooth(np.column_stack([sign, np.abs(torque) * sign, *shapes]))
         ones = np.ones_like(deflection)
@@ -127,8 +133,8 @@ def _fit_form(
             triangle[:, :-1], triangle[:, -1], (lower_bounds, upper_bounds), method="bvls"
         )
         coefficients = solution.x / sizes[:-1] * sizes[-1]
-        elastic = [0, 1, *elements]
-        torque = columns[:, elastic] @ coefficients[elastic]
+        elastic_columns = [0, 1, *elements]
+        torque = columns[:, elastic_columns] @ coefficients[elastic_columns]
         zero += float(-coefficients[2] / coefficients[0])
     is_significant = np.abs(coefficients[elements]) > _MIN_TORQUE_SHARE * np.std(torque[is_fast])
     return GearForm(
@@ -139,8 +145,11 @@ def _fit_form(
     )
 
 
-def _run_stop(x: Array, parts: Sequence[slice]) -> Array:
-    steps = [np.diff(x[rows], prepend=x[rows][0]).tolist() for rows in parts]
+def _run_stop(relative_deflection: Array, part_slices: Sequence[slice]) -> Array:
+    steps = [
+        np.diff(relative_deflection[rows], prepend=relative_deflection[rows][0]).tolist()
+        for rows in part_slices
+    ]
     states_by_part = [accumulate(part, lambda s, dx: min(max(s + dx, -1.0), 1.0)) for part in steps]
     return np.array([state for part in states_by_part for state in part])
 
@@ -150,50 +159,56 @@ def add_gears(
     forms: Sequence[GearForm],
     base: tuple[int, ...],
     robot: Robot,
-    links: Integers,
+    link_columns: Integers,
 ) -> list[Block]:
-    """Return blocks with motor friction; `links` (n, 2) are the columns of each link's friction."""
+    """Return blocks with motor friction; `link_columns` (n, 2) are those of each link's friction."""
     body_count = blocks[0].matrix.shape[1]
-    places = body_count + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
+    first_columns = body_count + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
     body_blocks = []
     motor_blocks = []
     for j, (block, form) in enumerate(zip(blocks, forms, strict=True)):
         samples = block.samples
-        first_column = places[j]
-        rotor = 10 * robot.links + j
-        tau, smooth, acceleration = (form.signals[n][samples] for n in ("tau", "smooth", "ddq"))
-        body_matrix, motor_matrix = np.zeros((2, len(samples), places[-1]))
+        first_column = first_columns[j]
+        rotor_column = 10 * robot.links + j
+        tau, smooth_tau, ddq = (form.signals[name][samples] for name in ("tau", "smooth", "ddq"))
+        body_matrix, motor_matrix = np.zeros((2, len(samples), first_columns[-1]))
         body_matrix[:, :body_count] = block.matrix
-        body_matrix[:, links[j, 0]] = form.signals["link"][samples]
+        body_matrix[:, link_columns[j, 0]] = form.signals["link"][samples]
         body_matrix[:, first_column + 3 : first_column + FIXED] = form.columns[samples, 3:FIXED]
-        motor_matrix[:, first_column : places[j + 1]] = form.columns[samples]
+        motor_matrix[:, first_column : first_columns[j + 1]] = form.columns[samples]
         body_blocks.append(
-            Block(matrix=body_matrix, target=block.target + smooth - tau, samples=samples)
+            Block(matrix=body_matrix, target=block.target + smooth_tau - tau, samples=samples)
         )
-        if rotor in base:
-            motor_matrix[:, base.index(rotor)] = acceleration
+        if rotor_column in base:
+            motor_matrix[:, base.index(rotor_column)] = ddq
         else:
-            smooth = smooth - robot.nominal_parameters[rotor] * acceleration
-        motor_blocks.append(Block(matrix=motor_matrix, target=smooth, samples=samples))
+            smooth_tau = smooth_tau - robot.nominal_parameters[rotor_column] * ddq
+        motor_blocks.append(Block(matrix=motor_matrix, target=smooth_tau, samples=samples))
     return [*body_blocks, *motor_blocks]
 
 
 def build_gears(
-    forms: Sequence[GearForm], joints: Sequence[str], x: Array, std_errors: Array, links: Integers
+    forms: Sequence[GearForm],
+    joints: Sequence[str],
+    x: Array,
+    std_errors: Array,
+    link_columns: Integers,
 ) -> tuple[ElasticGear, ...]:
-    """Return the gears in the last columns of a solution `x` (P,); `links` as in `add_gears`."""
+    """Return the gears in the last columns of a solution; `link_columns` as in `add_gears`."""
     first_column = len(x) - sum(form.columns.shape[1] for form in forms)
     gears = []
-    for joint, form, link in zip(joints, forms, links.tolist(), strict=True):
-        places = dict(
+    for joint, form, joint_columns in zip(joints, forms, link_columns.tolist(), strict=True):
+        columns_by_name = dict(
             zip(
                 (*_GEAR_PARAMETERS, *_LINK_PARAMETERS),
-                [*range(first_column, first_column + FIXED), *link],
+                [*range(first_column, first_column + FIXED), *joint_columns],
                 strict=True,
             )
         )
-        del places["offset"]
-        parameters = {n: (float(x[k]), float(std_errors[k])) for n, k in places.items()}
+        del columns_by_name["offset"]
+        parameters = {
+            name: (float(x[k]), float(std_errors[k])) for name, k in columns_by_name.items()
+        }
         torques = x[first_column + FIXED :][: len(form.widths)].tolist()
         elements = tuple(zip(form.widths.tolist(), torques, strict=True))
         gears.append(

@@ -229,13 +229,14 @@ def identify_motions(
             "'method' paper; leave them out."
         )
     motions, reversed_motions = (
-        observations.remove_known_torque(m, robot) for m in (motions, reversed_motions)
+        observations.remove_known_torque(group_motions, robot)
+        for group_motions in (motions, reversed_motions)
     )
     all_motions = [*motions, *reversed_motions]
     base = unknown_columns(robot, rotors=bool(forms))
     friction = observations.friction_columns(robot, base) & (method == "stacked")
     where = "log " + ", ".join(motion.name for motion in all_motions)
-    links = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
+    link_columns = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
     rows = sum(len(motion.t) for motion in all_motions)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
     require_speed(where, observations.peak_speeds(all_motions, robot), robot)
@@ -244,15 +245,15 @@ def identify_motions(
         if method == "paper":
             return observations.average_blocks(motions, reversed_motions, robot, columns)
         blocks = observations.stack_blocks(all_motions, robot, columns, friction)
-        return add_gears(blocks, forms, columns, robot, links) if forms else blocks
+        return add_gears(blocks, forms, columns, robot, link_columns) if forms else blocks
 
     blocks = build_blocks(base)
     weighting = weighting or ("ols" if method == "paper" else "wls")
-    columns = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
-    scale = np.concatenate([compute_scale(robot, base, friction), *columns])
-    elements = [np.arange(len(size)) >= FIXED for size in columns]
-    loose = np.concatenate([find_loose_columns(robot, base, friction), *elements])
-    solution = solve(blocks, scale=scale, weighted=weighting == "wls", loose=loose)
+    gear_sizes = [np.sqrt(np.mean(form.columns**2, axis=0)) for form in forms]
+    scale = np.concatenate([compute_scale(robot, base, friction), *gear_sizes])
+    is_element = [np.arange(len(size)) >= FIXED for size in gear_sizes]
+    is_loose = np.concatenate([find_loose_columns(robot, base, friction), *is_element])
+    solution = solve(blocks, scale=scale, weighted=weighting == "wls", is_loose=is_loose)
     if not physical:
         warn_of_ridge(where, solution)
     labels = observations.label_samples(motions if method == "paper" else all_motions)
@@ -270,7 +271,7 @@ def identify_motions(
     )
     if forms:
         estimates = solution.x, covariance.standard_errors
-        return replace(body, gears=build_gears(forms, robot.joints, *estimates, links))
+        return replace(body, gears=build_gears(forms, robot.joints, *estimates, link_columns))
     if not physical:
         return body
     return _make_consistent(
@@ -299,8 +300,8 @@ def _make_consistent(
 
 def compute_scale(robot: Robot, base: tuple[int, ...], friction: Mask) -> Array:
     """Return the size of each column [N.m]; that of friction columns is 1."""
-    rigid = np.sqrt(np.mean(sample_regressor(robot)[:, list(base)] ** 2, axis=0))
-    return np.concatenate([rigid, np.ones(int(np.sum(friction)))])
+    body_scale = np.sqrt(np.mean(sample_regressor(robot)[:, list(base)] ** 2, axis=0))
+    return np.concatenate([body_scale, np.ones(int(np.sum(friction)))])
 
 
 def find_loose_columns(robot: Robot, base: tuple[int, ...], friction: Mask) -> Mask:
@@ -361,11 +362,11 @@ def warn_of_ridge(where: str, solution: Solution) -> None:
         )
 
 
-def require_samples(where: str, rows: int, unknowns: int) -> None:
+def require_samples(where: str, row_count: int, unknown_count: int) -> None:
     """Raise FitError if there are fewer samples than unknowns."""
-    if rows < unknowns:
+    if row_count < unknown_count:
         raise FitError(
-            f"{where}: {rows} samples cannot determine {unknowns} parameters; "
+            f"{where}: {row_count} samples cannot determine {unknown_count} parameters; "
             "longer logs are needed."
         )
 

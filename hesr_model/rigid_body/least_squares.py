@@ -59,31 +59,31 @@ class Solution:
 
 
 def solve(
-    blocks: Sequence[Block], *, scale: Array, weighted: bool, loose: Mask | None = None
+    blocks: Sequence[Block], *, scale: Array, weighted: bool, is_loose: Mask | None = None
 ) -> Solution:
     """Solve least squares over all blocks, each divided by its residual's size if `weighted`.
 
     A ridge is added only if the condition number exceeds 1e3. The usual size `scale` (P,) of each
     column must not come from the data, which may hardly excite it. If the ridge were due to columns
-    that are `loose` (P,), such as harmonics over a small angle, only these have a weaker one.
+    that are `is_loose` (P,), such as harmonics over a small angle, only these have a weaker one.
     """
     empty = Factor(triangle=np.zeros((0, len(scale) + 1)))
     factors = [empty.add_rows(block) for block in blocks]
-    return solve_factors(factors, scale=scale, weighted=weighted, loose=loose)
+    return solve_factors(factors, scale=scale, weighted=weighted, is_loose=is_loose)
 
 
 def solve_factors(
-    factors: Sequence[Factor], *, scale: Array, weighted: bool, loose: Mask | None = None
+    factors: Sequence[Factor], *, scale: Array, weighted: bool, is_loose: Mask | None = None
 ) -> Solution:
     """Solve as `solve` does, from factors."""
     weights = np.ones(len(factors))
-    loose = np.zeros(len(scale), dtype=bool) if loose is None else loose
-    solution = _solve(factors, weights, scale, loose)
+    is_loose = np.zeros(len(scale), dtype=bool) if is_loose is None else is_loose
+    solution = _solve(factors, weights, scale, is_loose)
     for _ in range(_REWEIGHTINGS if weighted else 0):
         # An exact fit must not get an infinite weight.
         floor = 1e-6 * float(np.max(solution.rmse)) or 1.0
         weights = 1.0 / np.maximum(solution.rmse, floor)
-        solution = _solve(factors, weights, scale, loose)
+        solution = _solve(factors, weights, scale, is_loose)
     return solution
 
 
@@ -94,8 +94,8 @@ def estimate_covariance(
     labels = covariance.blocks_of_time(labels)
     hessian = sum(
         (
-            w**2 * block.matrix.T @ block.matrix
-            for block, w in zip(blocks, solution.weights, strict=True)
+            weight**2 * block.matrix.T @ block.matrix
+            for block, weight in zip(blocks, solution.weights, strict=True)
         ),
         start=np.diag(solution.pull**2),
     )
@@ -111,37 +111,44 @@ def compute_gradients(
 ) -> list[Gradients]:
     """Return gradients and Hessians of each log or block of time, given the `hessian` of all."""
     gradients = np.zeros((len(labels), len(solution.x)))
-    log_numbers = np.unique(labels)
-    hessians = np.zeros((len(log_numbers), *hessian.shape))
+    distinct_labels = np.unique(labels)
+    hessians = np.zeros((len(distinct_labels), *hessian.shape))
     for block, weight in zip(blocks, solution.weights, strict=True):
         rows = weight * block.matrix
         residual = weight * (block.target - block.matrix @ solution.x)
         gradients[block.samples] += rows * leave_out_rows(rows, residual, hessian)[:, None]
-        own = labels[block.samples]
-        for k, log in enumerate(log_numbers):
-            hessians[k] += rows[own == log].T @ rows[own == log]
-    logs = zip(log_numbers.tolist(), hessians, strict=True)
-    return [(log, gradients[labels == log], own) for log, own in logs]
+        row_labels = labels[block.samples]
+        for k, label in enumerate(distinct_labels):
+            label_rows = rows[row_labels == label]
+            hessians[k] += label_rows.T @ label_rows
+    pairs = zip(distinct_labels.tolist(), hessians, strict=True)
+    return [(label, gradients[labels == label], label_hessian) for label, label_hessian in pairs]
 
 
-def _solve(factors: Sequence[Factor], weights: Array, scale: Array, loose: Mask) -> Solution:
+def _solve(factors: Sequence[Factor], weights: Array, scale: Array, is_loose: Mask) -> Solution:
     triangles = [factor.triangle for factor in factors]
-    rows = np.concatenate([w * factor for w, factor in zip(weights, triangles, strict=True)])
+    rows = np.concatenate(
+        [weight * factor for weight, factor in zip(weights, triangles, strict=True)]
+    )
     matrix = rows[:, :-1] / scale
     target = rows[:, -1]
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
     loose_pull = np.zeros(len(scale))
-    judged = s
-    if loose.any() and s[0] > _HUGE_CONDITION * s[-1]:
-        loose_pull[loose] = _LOOSE_RIDGE * s[0]
-        judged = np.linalg.svd(np.vstack([matrix, np.diag(loose_pull / _LOOSE_RIDGE * _RIDGE)]))[1]
+    judged_values = s
+    if is_loose.any() and s[0] > _HUGE_CONDITION * s[-1]:
+        loose_pull[is_loose] = _LOOSE_RIDGE * s[0]
+        judged_values = np.linalg.svd(
+            np.vstack([matrix, np.diag(loose_pull / _LOOSE_RIDGE * _RIDGE)])
+        )[1]
         u, s, vt = np.linalg.svd(np.vstack([matrix, np.diag(loose_pull)]), full_matrices=False)
         target = np.concatenate([target, np.zeros(len(loose_pull))])
-    condition = float(judged[0] / max(judged[-1], np.finfo(float).eps * judged[0]))
+    condition = float(
+        judged_values[0] / max(judged_values[-1], np.finfo(float).eps * judged_values[0])
+    )
     ridge = _RIDGE if condition > _HUGE_CONDITION else 0.0
     pull = ridge * s[0]
     x = vt.T @ (s / (s**2 + pull**2) * (u.T @ target)) / scale
-    squares = [np.sum((f[:, -1] - f[:, :-1] @ x) ** 2) for f in triangles]
+    squares = [np.sum((triangle[:, -1] - triangle[:, :-1] @ x) ** 2) for triangle in triangles]
     return Solution(
         x=x,
         condition=condition,

@@ -23,29 +23,29 @@ def match_motions(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
     from scipy.interpolate import make_interp_spline  # slow to import
 
     period = float(np.median(np.diff(forward.t)))
-    count = int(_MAX_SHIFT / period)
-    position = make_interp_spline(backward.t, backward.q, k=1)
-    mirror = backward.t[-1] - (forward.t - forward.t[0])
+    max_step_count = int(_MAX_SHIFT / period)
+    backward_q = make_interp_spline(backward.t, backward.q, k=1)
+    mirrored_times = backward.t[-1] - (forward.t - forward.t[0])
 
-    def mismatch(shift: float) -> float:
-        rows = _is_covered(mirror + shift, backward.t)
-        if np.sum(rows) < 0.5 * len(mirror):
+    def compute_mismatch(shift: float) -> float:
+        rows = _is_covered(mirrored_times + shift, backward.t)
+        if np.sum(rows) < 0.5 * len(mirrored_times):
             return float("inf")
-        distance = forward.q[rows] - position(mirror[rows] + shift)
+        distance = forward.q[rows] - backward_q(mirrored_times[rows] + shift)
         return float(np.sqrt(np.mean(distance**2)))
 
-    shifts = period * np.arange(-count, count + 1)
-    distances = [mismatch(shift) for shift in shifts]
-    best = int(np.argmin(distances))
-    if not distances[best] <= _MAX_MISMATCH:
+    shifts = period * np.arange(-max_step_count, max_step_count + 1)
+    distances = [compute_mismatch(shift) for shift in shifts]
+    best_row = int(np.argmin(distances))
+    if not distances[best_row] <= _MAX_MISMATCH:
         raise FitError(
             f"log {backward.name}: is not the time-reversed counterpart of {forward.name}; "
-            f"positions differ by {distances[best]:.3g} rad on average; at most "
+            f"positions differ by {distances[best_row]:.3g} rad on average; at most "
             f"{_MAX_MISMATCH:g} rad is allowed."
         )
-    times = mirror + shifts[best]
-    rows = _is_covered(times, backward.t)
-    return forward.rows(rows), _resample(backward, times[rows])
+    times = mirrored_times + shifts[best_row]
+    is_covered = _is_covered(times, backward.t)
+    return forward.rows(is_covered), _resample(backward, times[is_covered])
 
 
 def _is_covered(times: Array, t: Array) -> Mask:
@@ -98,11 +98,11 @@ def remove_known_torque(motions: Sequence[Motion], robot: Robot) -> list[Motion]
 
 
 def find_fast_rows(
-    motions: Sequence[Motion], robot: Robot, slow: Array | None = None
+    motions: Sequence[Motion], robot: Robot, min_speeds: Array | None = None
 ) -> list[Mask]:
-    """Return whether each friction coordinate is faster than `slow` (n,) in each row."""
-    slow = slow_speeds(peak_speeds(motions, robot)) if slow is None else slow
-    return list(slow[:, None] < np.abs(friction_speeds(motions, robot)).T)
+    """Return whether each friction coordinate is faster than `min_speeds` (n,) in each row."""
+    min_speeds = slow_speeds(peak_speeds(motions, robot)) if min_speeds is None else min_speeds
+    return list(min_speeds[:, None] < np.abs(friction_speeds(motions, robot)).T)
 
 
 def friction_columns(robot: Robot, base: tuple[int, ...]) -> Mask:
@@ -131,24 +131,26 @@ def stack_blocks(
     robot: Robot,
     base: tuple[int, ...],
     friction: Mask,
-    slow: Array | None = None,
+    min_speeds: Array | None = None,
 ) -> list[Block]:
-    """Return a block per friction coordinate, of rows above `slow`; friction columns are last."""
+    """Return a block per friction coordinate, of rows above `min_speeds`, friction columns last."""
     n = robot.n
-    states = [np.concatenate(parts) for parts in zip(*(m.states for m in motions), strict=True)]
+    states = [
+        np.concatenate(parts) for parts in zip(*(motion.states for motion in motions), strict=True)
+    ]
     dq = states[1]
     tau = np.concatenate([motion.tau for motion in motions])
-    rigid = robot.regressor(*states)[:, :, list(base)]
+    regressor = robot.regressor(*states)[:, :, list(base)]
     coupling = robot.description.coupling
     if coupling is not None:
-        dq, tau, rigid = coupling.motion(dq), coupling.torque(tau), coupling.torque(rigid)
+        dq, tau, regressor = coupling.motion(dq), coupling.torque(tau), coupling.torque(regressor)
     blocks = []
-    for j, rows in enumerate(find_fast_rows(motions, robot, slow)):
-        speed = dq[rows, j]
-        friction_rows = np.zeros((len(speed), n, 3))
-        friction_rows[:, j] = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
-        matrix = np.hstack([rigid[rows, j], friction_rows[:, friction]])
-        blocks.append(Block(matrix=matrix, target=tau[rows, j], samples=np.flatnonzero(rows)))
+    for j, is_fast in enumerate(find_fast_rows(motions, robot, min_speeds)):
+        joint_dq = dq[is_fast, j]
+        friction_rows = np.zeros((len(joint_dq), n, 3))
+        friction_rows[:, j] = np.column_stack([np.sign(joint_dq), joint_dq, np.ones_like(joint_dq)])
+        matrix = np.hstack([regressor[is_fast, j], friction_rows[:, friction]])
+        blocks.append(Block(matrix=matrix, target=tau[is_fast, j], samples=np.flatnonzero(is_fast)))
     return blocks
 
 
@@ -172,8 +174,10 @@ def average_blocks(
     if coupling is not None:
         matrix, target = coupling.torque(matrix), coupling.torque(target)
     forward, backward = (friction_speeds(side, robot) for side in zip(*pairs, strict=True))
-    slow = slow_speeds(peak_speeds([*motions, *counterparts], robot))
-    is_used = (np.minimum(np.abs(forward), np.abs(backward)) > slow) & (forward * backward < 0)
+    min_speeds = slow_speeds(peak_speeds([*motions, *counterparts], robot))
+    is_used = (np.minimum(np.abs(forward), np.abs(backward)) > min_speeds) & (
+        forward * backward < 0
+    )
     for joint, rows in zip(robot.description.joints, is_used.T, strict=True):
         if not np.any(rows):
             raise FitError(
@@ -182,7 +186,8 @@ def average_blocks(
             )
     first_samples = np.cumsum([0, *(len(motion.t) for motion in motions)])
     matched_rows = (
-        np.flatnonzero(np.isin(m.t, a.t)) for m, (a, _) in zip(motions, pairs, strict=True)
+        np.flatnonzero(np.isin(motion.t, matched.t))
+        for motion, (matched, _) in zip(motions, pairs, strict=True)
     )
     samples = np.concatenate(
         [start + log_rows for start, log_rows in zip(first_samples, matched_rows, strict=False)]

@@ -65,14 +65,14 @@ class Payload:
         }
 
 
-def identify_payload(logs: Sequence[Log], robot: Robot, unloaded: RigidBody) -> Payload:
+def identify_payload(logs: Sequence[Log], robot: Robot, unloaded_body: RigidBody) -> Payload:
     """Identify the payload from logs; errors as `identify_payload_motions`, LogError."""
     require_moving(logs, robot.description.joints)
-    return identify_payload_motions(smooth_logs(logs, robot), robot, unloaded)
+    return identify_payload_motions(smooth_logs(logs, robot), robot, unloaded_body)
 
 
 def identify_payload_motions(
-    motions: Sequence[Motion], robot: Robot, unloaded: RigidBody
+    motions: Sequence[Motion], robot: Robot, unloaded_body: RigidBody
 ) -> Payload:
     """Identify the payload on the last link; raises RobotError, FitError."""
     where = "log " + ", ".join(motion.name for motion in motions)
@@ -83,7 +83,7 @@ def identify_payload_motions(
             f"payload needs at least {_MIN_SEGMENTS * _SEGMENT_DURATION:g} s."
         )
     payload_motions = [
-        replace(motion, tau=motion.tau - unloaded.torque(robot, motion)) for motion in motions
+        replace(motion, tau=motion.tau - unloaded_body.torque(robot, motion)) for motion in motions
     ]
     columns = _last_link_columns(robot)
     friction = observations.friction_columns(robot, columns)
@@ -94,14 +94,16 @@ def identify_payload_motions(
             f"{where}: the motion does not determine the payload (condition number "
             f"{solution.condition:.2g}); all joints must move fast and far at once."
         )
-    carried = [
-        block.matrix[:, : len(unloaded.base)]
-        for block in observations.stack_blocks(motions, robot, unloaded.base, friction)
+    carried_columns = [
+        block.matrix[:, : len(unloaded_body.base)]
+        for block in observations.stack_blocks(motions, robot, unloaded_body.base, friction)
     ]
     covariance = _estimate_covariance(
         blocks, solution, [segments[block.samples] for block in blocks]
     )
-    covariance += _propagate_errors(blocks, solution, carried, unloaded.standard_errors)
+    covariance += _propagate_errors(
+        blocks, solution, carried_columns, unloaded_body.standard_errors
+    )
     payload = Payload(
         parameters=solution.x[:10],
         covariance=covariance[:10, :10],
@@ -120,18 +122,18 @@ def identify_payload_motions(
     return payload
 
 
-def add_payload(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
+def add_payload(unloaded_body: RigidBody, payload: Payload, robot: Robot) -> RigidBody:
     """Return the rigid body with the payload in its last link."""
     columns = list(_last_link_columns(robot))
-    parameters = unloaded.parameters.copy()
+    parameters = unloaded_body.parameters.copy()
     parameters[columns] += payload.parameters
-    carried = dependence(robot, unloaded.base)[:, columns]
-    payload_covariance = carried @ payload.covariance @ carried.T
-    covariance = unloaded.covariance
+    payload_map = dependence(robot, unloaded_body.base)[:, columns]
+    payload_covariance = payload_map @ payload.covariance @ payload_map.T
+    covariance = unloaded_body.covariance
     return replace(
-        unloaded,
+        unloaded_body,
         parameters=parameters,
-        standard_errors=np.sqrt(unloaded.standard_errors**2 + np.diag(payload_covariance)),
+        standard_errors=np.sqrt(unloaded_body.standard_errors**2 + np.diag(payload_covariance)),
         covariance=None
         if covariance is None
         else replace(covariance, carried=covariance.carried + payload_covariance),
@@ -139,7 +141,7 @@ def add_payload(unloaded: RigidBody, payload: Payload, robot: Robot) -> RigidBod
         friction=payload.friction,
         rmse=payload.rmse,
         rows=payload.rows,
-        logs=(*unloaded.logs, *payload.logs),
+        logs=(*unloaded_body.logs, *payload.logs),
     )
 
 
@@ -163,19 +165,23 @@ def _estimate_covariance(
     gradients = np.zeros(
         (1 + max(int(np.max(block_segments)) for block_segments in segments), len(solution.x))
     )
-    for block, size, block_segments in zip(blocks, solution.rmse, segments, strict=True):
-        residual = (block.target - block.matrix @ solution.x) / size**2
+    for block, block_rmse, block_segments in zip(blocks, solution.rmse, segments, strict=True):
+        residual = (block.target - block.matrix @ solution.x) / block_rmse**2
         np.add.at(gradients, block_segments, block.matrix * residual[:, None])
     inverse = _inverse_hessian(blocks, solution)
-    count = len(gradients)
-    return np.asarray(inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1)))
+    segment_count = len(gradients)
+    return np.asarray(
+        inverse @ (gradients.T @ gradients) @ inverse * (segment_count / (segment_count - 1))
+    )
 
 
 def _propagate_errors(
-    blocks: Sequence[Block], solution: Solution, carried: Sequence[Array], std_errors: Array
+    blocks: Sequence[Block], solution: Solution, carried_columns: Sequence[Array], std_errors: Array
 ) -> Array:
     deviations = (
-        _inverse_hessian(blocks, solution) @ _products(blocks, solution, carried) * std_errors
+        _inverse_hessian(blocks, solution)
+        @ _products(blocks, solution, carried_columns)
+        * std_errors
     )
     return np.asarray(deviations @ deviations.T)
 
@@ -187,5 +193,7 @@ def _inverse_hessian(blocks: Sequence[Block], solution: Solution) -> Array:
 
 def _products(blocks: Sequence[Block], solution: Solution, columns: Sequence[Array]) -> Array:
     parts = zip(blocks, columns, solution.rmse, strict=True)
-    products = [block.matrix.T @ block_columns / size**2 for block, block_columns, size in parts]
+    products = [
+        block.matrix.T @ block_columns / block_rmse**2 for block, block_columns, block_rmse in parts
+    ]
     return np.asarray(np.sum(products, axis=0))

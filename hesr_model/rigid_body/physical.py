@@ -54,11 +54,11 @@ def pseudo_inertia(parameters: Array) -> Array:
     """Return the pseudo-inertia (4, 4) of a link's ten parameters."""
     m, mx, my, mz, ixx, ixy, iyy, ixz, iyz, izz = parameters
     inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-    out = np.empty((4, 4))
-    out[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    out[:3, 3] = out[3, :3] = mx, my, mz
-    out[3, 3] = m
-    return out
+    pseudo = np.empty((4, 4))
+    pseudo[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    pseudo[:3, 3] = pseudo[3, :3] = mx, my, mz
+    pseudo[3, 3] = m
+    return pseudo
 
 
 def link_parameters(pseudo: Array) -> Array:
@@ -87,19 +87,19 @@ def fit(
     weights.
     """
     chart = _Chart.from_robot(robot)
-    count = sum(len(block.target) for block in blocks)
+    row_count = sum(len(block.target) for block in blocks)
     inertial_count = robot.inertial
     x = chart.start
     for _ in range(_REWEIGHTINGS):
         weights = _compute_weights(blocks, rmse, weighted)
-        factor, remaining = _eliminate_parameters(blocks, weights, inertial_count)
-        problem = _Problem(chart=chart, rows=remaining, pull=chart.pull * np.sqrt(count))
+        triangle, inertial_rows = _eliminate_parameters(blocks, weights, inertial_count)
+        problem = _Problem(chart=chart, rows=inertial_rows, pull=chart.pull * np.sqrt(row_count))
         x = scipy.optimize.least_squares(problem.residuals, x, jac=problem.slopes, method="lm").x
         inertial = chart.parameters(x)
-        free_count = factor.shape[1] - inertial_count - 1
+        free_count = triangle.shape[1] - inertial_count - 1
         free_coefficients = scipy.linalg.solve_triangular(
-            factor[:free_count, :free_count],
-            factor[:free_count, -1] - factor[:free_count, free_count:-1] @ inertial,
+            triangle[:free_count, :free_count],
+            triangle[:free_count, -1] - triangle[:free_count, free_count:-1] @ inertial,
         )
         all_coefficients = np.concatenate([inertial, free_coefficients])
         rmse = np.array(
@@ -108,13 +108,13 @@ def fit(
     slopes = np.eye(len(all_coefficients), len(x) + free_count)
     slopes[:inertial_count, : len(x)] = chart.slopes(x)
     slopes[inertial_count:, len(x) :] = np.eye(free_count)
-    moved_blocks = [
+    linearised_blocks = [
         Block(
-            matrix=b.matrix @ slopes,
-            target=b.target - b.matrix @ all_coefficients,
-            samples=b.samples,
+            matrix=block.matrix @ slopes,
+            target=block.target - block.matrix @ all_coefficients,
+            samples=block.samples,
         )
-        for b in blocks
+        for block in blocks
     ]
     local_solution = Solution(
         x=np.zeros(len(x) + free_count),
@@ -126,7 +126,7 @@ def fit(
     )
     parameter_count = len(robot.parameter_names)
     to_base = dependence(robot, base) @ slopes[:parameter_count]
-    covariance = estimate_covariance(moved_blocks, local_solution, labels)
+    covariance = estimate_covariance(linearised_blocks, local_solution, labels)
     return PhysicalFit(
         parameters=all_coefficients[:parameter_count],
         friction=all_coefficients[parameter_count:],
@@ -139,7 +139,8 @@ def is_possible(robot: Robot, parameters: Array) -> bool:
     """Return whether bodies can have these parameters (P,), without mass included."""
     links = parameters[: 10 * robot.links].reshape(-1, 10)
     lowest_ratios = [
-        np.linalg.eigvalsh(p)[0] / max(np.trace(p), _TINY) for p in map(pseudo_inertia, links)
+        np.linalg.eigvalsh(pseudo)[0] / max(np.trace(pseudo), _TINY)
+        for pseudo in map(pseudo_inertia, links)
     ]
     rotors = parameters[10 * robot.links : robot.inertial]
     return min(lowest_ratios) > -_ROUNDING and bool(np.all(rotors >= 0.0))
@@ -156,14 +157,16 @@ def find_nearest(robot: Robot, parameters: Array) -> tuple[Array, Array, Array]:
     torque = (rows @ parameters).reshape(-1, robot.n)
     weights = np.tile(1.0 / np.maximum(np.std(torque, axis=0), _TINY), len(torque))[:, None]
     inertial_rows = rows[:, :inertial_count]
-    (factor,) = scipy.linalg.qr(
+    (triangle,) = scipy.linalg.qr(
         weights * np.column_stack([inertial_rows, inertial_rows @ parameters[:inertial_count]]),
         mode="r",
     )
     chart = _Chart.from_robot(robot)
-    scaled = factor[: inertial_count + 1] / np.sqrt(len(rows))
-    task = _Problem(chart=chart, rows=scaled, pull=_WEAK_SHARE * chart.pull)
-    x = scipy.optimize.least_squares(task.residuals, chart.start, jac=task.slopes, method="lm").x
+    scaled_rows = triangle[: inertial_count + 1] / np.sqrt(len(rows))
+    problem = _Problem(chart=chart, rows=scaled_rows, pull=_WEAK_SHARE * chart.pull)
+    x = scipy.optimize.least_squares(
+        problem.residuals, chart.start, jac=problem.slopes, method="lm"
+    ).x
     consistent_parameters = np.concatenate([chart.parameters(x), parameters[inertial_count:]])
     difference = np.abs((rows @ consistent_parameters).reshape(-1, robot.n) - torque)
     return consistent_parameters, difference.max(axis=0), np.abs(torque).max(axis=0)
@@ -259,14 +262,14 @@ def _compute_weights(blocks: Sequence[Block], rmse: Array, weighted: bool) -> Ar
 def _eliminate_parameters(
     blocks: Sequence[Block], weights: Array, inertial_count: int
 ) -> tuple[Array, Array]:
-    parts = [
+    weighted_rows = [
         weight
         * np.column_stack(
             [block.matrix[:, inertial_count:], block.matrix[:, :inertial_count], block.target]
         )
         for weight, block in zip(weights, blocks, strict=True)
     ]
-    (factor,) = scipy.linalg.qr(np.concatenate(parts), mode="r", check_finite=False)
-    factor = np.asarray(factor[: factor.shape[1]])
-    free_count = factor.shape[1] - inertial_count - 1
-    return factor, factor[free_count:, free_count:]
+    (triangle,) = scipy.linalg.qr(np.concatenate(weighted_rows), mode="r", check_finite=False)
+    triangle = np.asarray(triangle[: triangle.shape[1]])
+    free_count = triangle.shape[1] - inertial_count - 1
+    return triangle, triangle[free_count:, free_count:]

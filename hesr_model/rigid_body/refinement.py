@@ -28,8 +28,8 @@ def identify_again(
         )
 
     def without_friction(log: Log) -> Log:
-        records = friction_records(log, robot, body)
-        return replace(log, tau=log.tau - model.predict(records))
+        log_records = friction_records(log, robot, body)
+        return replace(log, tau=log.tau - model.predict(log_records))
 
     logs, reversed_parts = (
         list(map(without_friction, collect_parts(log_group))) for log_group in (logs, reversed_logs)

@@ -24,8 +24,8 @@ class FrictionRecord:
     `tau_load_spread` (N, r) is the error of `tau_load` for one standard deviation of each
     independent error of the rigid body. `gear_ratio` is turns of the motor per turn of the joint. A
     `sliding` joint has m and N. `temperature` is in degC. `coupling` is None if uncoupled, and
-    after `at_friction`. `dq_causal` is the velocity behind a causal low pass. In a cylinder, whose
-    `tau_load` is that of its pressures, `tau_body` is the force on the bodies.
+    after `transform_records`. `dq_causal` is the velocity behind a causal low pass. In a cylinder,
+    whose `tau_load` is that of its pressures, `tau_body` is the force on the bodies.
     """
 
     log: str
@@ -68,57 +68,65 @@ class FrictionRecord:
         return select_rows(self, rows)
 
 
-def transform_records(records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
+def transform_records(log_records: Sequence[FrictionRecord]) -> list[FrictionRecord]:
     """Transform the records of one log to friction coordinates, as laws need."""
-    coupling = records[0].coupling if records else None
+    coupling = log_records[0].coupling if log_records else None
     if coupling is None:
-        return list(records)
+        return list(log_records)
 
     transforms = dict.fromkeys(("dq", "dq_causal", "q"), coupling.motion)
     transforms |= dict.fromkeys(("tau_load", "tau", "tau_load_spread"), coupling.torque)
-    transformed: dict[str, Array | None] = {}
+    transformed_columns: dict[str, Array | None] = {}
     for name, transform in transforms.items():
-        columns = [getattr(record, name) for record in records]
+        columns = [getattr(record, name) for record in log_records]
         is_known = all(column is not None for column in columns)
-        transformed[name] = transform(np.stack(columns, axis=1)) if is_known else None
+        transformed_columns[name] = transform(np.stack(columns, axis=1)) if is_known else None
 
     def select_joint(j: int) -> dict[str, Any]:
         return {
-            n: None if x is None else np.ascontiguousarray(x[:, j]) for n, x in transformed.items()
+            n: None if values is None else np.ascontiguousarray(values[:, j])
+            for n, values in transformed_columns.items()
         }
 
-    return [replace(record, **select_joint(k), coupling=None) for k, record in enumerate(records)]
+    return [
+        replace(record, **select_joint(k), coupling=None) for k, record in enumerate(log_records)
+    ]
 
 
 def transform_all_records(
     records: Sequence[Sequence[FrictionRecord]],
 ) -> list[list[FrictionRecord]]:
-    """Transform records [joint][log] to friction coordinates; see `at_friction`."""
-    transformed = [transform_records(log_records) for log_records in zip(*records, strict=True)]
-    return [list(joint_records) for joint_records in zip(*transformed, strict=True)]
+    """Transform records [joint][log] to friction coordinates; see `transform_records`."""
+    records_by_log = [transform_records(log_records) for log_records in zip(*records, strict=True)]
+    return [list(joint_records) for joint_records in zip(*records_by_log, strict=True)]
 
 
-def friction_records(log: Log, model: Robot, rigid_body: RigidBody) -> list[FrictionRecord]:
+def friction_records(log: Log, robot: Robot, body: RigidBody) -> list[FrictionRecord]:
     """Separate friction from a log (eq. 8); raises LogError or RobotError."""
-    return motion_records(smooth(log, model.description.log.filter_cutoff), model, rigid_body)
+    return motion_records(smooth(log, robot.description.log.filter_cutoff), robot, body)
 
 
 def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[FrictionRecord]:
     """Return the friction records of a smoothed log."""
-    torque = body.torque(robot, motion)
-    load = torque if motion.load is None else motion.load
-    spread = None if motion.load is not None else body.torque_spread(robot, motion)
+    tau_body = body.torque(robot, motion)
+    tau_load = tau_body if motion.load is None else motion.load
+    tau_spread = None if motion.load is not None else body.torque_spread(robot, motion)
     ratios = robot.description.gear_ratio or (None,) * robot.n
-    columns = {"dq": motion.dq, "q": motion.q_raw, "tau_load": load, "dq_causal": motion.dq_causal}
+    columns = {
+        "dq": motion.dq,
+        "q": motion.q_raw,
+        "tau_load": tau_load,
+        "dq_causal": motion.dq_causal,
+    }
     known_columns = {name: values for name, values in columns.items() if values is not None}
     return [
         FrictionRecord(
             log=motion.name,
             joint=joint,
             t=motion.t,
-            tau=motion.tau[:, j] - torque[:, j],
-            tau_body=None if motion.load is None else torque[:, j],
-            tau_load_spread=None if spread is None else spread[:, j],
+            tau=motion.tau[:, j] - tau_body[:, j],
+            tau_body=None if motion.load is None else tau_body[:, j],
+            tau_load_spread=None if tau_spread is None else tau_spread[:, j],
             gear_ratio=ratios[j],
             sliding=robot.slides[j],
             temperature=None if motion.temperature is None else motion.temperature[:, j],
@@ -129,12 +137,12 @@ def motion_records(motion: Motion, robot: Robot, body: RigidBody) -> list[Fricti
     ]
 
 
-def require_reversals(records: Sequence[FrictionRecord]) -> None:
+def require_reversals(joint_records: Sequence[FrictionRecord]) -> None:
     """Raise LogError if the velocity of a joint never reverses."""
-    if not any(len(reversals(record.dq)) for record in records):
-        unit = unit_of_joint("rad/s", is_prismatic=records[0].sliding)
+    if not any(len(reversals(record.dq)) for record in joint_records):
+        unit = unit_of_joint("rad/s", is_prismatic=joint_records[0].sliding)
         raise LogError(
-            f"log {', '.join(record.log for record in records)}: the velocity of joint "
-            f"'{records[0].joint}' never reverses between speeds of more than {MOVING:g} {unit}; "
-            "at least one log must reverse it."
+            f"log {', '.join(record.log for record in joint_records)}: the velocity of joint "
+            f"'{joint_records[0].joint}' never reverses between speeds of more than {MOVING:g} "
+            f"{unit}; at least one log must reverse it."
         )

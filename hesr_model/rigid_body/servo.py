@@ -49,7 +49,8 @@ class ServoFit:
     def draw(self, generator: np.random.Generator) -> Array:
         """Return factors (n, 3) as likely as the identified ones; none is negative."""
         deviations = [
-            generator.multivariate_normal(np.zeros(_FACTOR_COUNT), c) for c in self.covariance
+            generator.multivariate_normal(np.zeros(_FACTOR_COUNT), joint_covariance)
+            for joint_covariance in self.covariance
         ]
         return np.maximum(self.factors + np.array(deviations), 1e-9 * self.factors)
 
@@ -58,8 +59,8 @@ def cascade(factors: Array) -> tuple[Array, Array, Array]:
     """Return kv, ki and kp (n,) of the servo that is closest to `factors` (n, 3)."""
     kv, p, i = factors.T
     root = np.sqrt(np.maximum(p**2 - 4.0 * i * kv, 0.0))
-    slow = np.where(i > 0.0, 0.5 * (p - root), p)
-    return kv, slow, (p - slow) / kv
+    slow_rate = np.where(i > 0.0, 0.5 * (p - root), p)
+    return kv, slow_rate, (p - slow_rate) / kv
 
 
 def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
@@ -84,14 +85,20 @@ def identify_servo(log: Log, robot: Robot, parameters: Array) -> ServoFit:
     log = replace(log, dq=dq, dq_cmd=compute_commands(log)[1])  # once, for all latencies
     zeros = np.zeros_like(log.q)
     gravity = robot.torque(parameters, log.q, zeros, zeros)
-    span = log.t[-1] - log.t[0]
-    step = max(0.25 * log.period, _MIN_COARSE_STEP)
-    coarse = np.arange(0.0, min(_MAX_LATENCY, 0.1 * span), step)
-    trials = [(held, latency) for held in (True, False) for latency in coarse]
-    held, coarse_latency = min(trials, key=lambda arguments: _misfit(log, gravity, *arguments))
-    near_latencies = coarse_latency + step * np.arange(-_FINE_PARTS, _FINE_PARTS + 1) / _FINE_PARTS
-    fine = [(held, latency) for latency in near_latencies[near_latencies >= 0.0]]
-    held, latency = min(fine, key=lambda arguments: _misfit(log, gravity, *arguments))
+    duration = log.t[-1] - log.t[0]
+    coarse_step = max(0.25 * log.period, _MIN_COARSE_STEP)
+    coarse_latencies = np.arange(0.0, min(_MAX_LATENCY, 0.1 * duration), coarse_step)
+    coarse_trials = [(held, latency) for held in (True, False) for latency in coarse_latencies]
+    held, coarse_latency = min(
+        coarse_trials, key=lambda arguments: _compute_misfit(log, gravity, *arguments)
+    )
+    near_latencies = (
+        coarse_latency + coarse_step * np.arange(-_FINE_PARTS, _FINE_PARTS + 1) / _FINE_PARTS
+    )
+    fine_trials = [(held, latency) for latency in near_latencies[near_latencies >= 0.0]]
+    held, latency = min(
+        fine_trials, key=lambda arguments: _compute_misfit(log, gravity, *arguments)
+    )
     fits = [
         _fit_joint_servo(*arguments)
         for arguments in zip(*_build_problems(log, gravity, held, latency), strict=True)
@@ -128,14 +135,14 @@ def _build_problems(
     """Return columns (N, 5) and torques (N,) of each joint once the first commands act."""
     t = log.t - log.t[0]
     position, speed = compute_commands(log)
-    past = t - latency
-    rows = t >= min(_MAX_LATENCY, 0.1 * t[-1])
-    last_command = np.maximum(np.searchsorted(t, past + 1e-9, side="right") - 1, 0)
+    command_times = t - latency
+    is_after_start = t >= min(_MAX_LATENCY, 0.1 * t[-1])
+    last_command = np.maximum(np.searchsorted(t, command_times + 1e-9, side="right") - 1, 0)
     assert log.dq is not None
 
-    def acting(values: Array, j: int) -> Array:
+    def delay_signal(values: Array, j: int) -> Array:
         signal = values[:, j]
-        return np.asarray(signal[last_command] if held else np.interp(past, t, signal))
+        return np.asarray(signal[last_command] if held else np.interp(command_times, t, signal))
 
     columns = []
     targets = []
@@ -144,23 +151,25 @@ def _build_problems(
         joint_position = position[:, j]
         is_linear = log.q_cmd is None or not held
         error = (
-            np.interp(past, t, joint_position) if is_linear else joint_position[last_command]
+            np.interp(command_times, t, joint_position)
+            if is_linear
+            else joint_position[last_command]
         ) - log.q[:, j]
         steps = 0.5 * (error[1:] + error[:-1]) * np.diff(t)
-        sums = np.append(0.0, np.cumsum(steps)) * (log.q_cmd is not None)
-        rate = acting(speed, j) - log.dq[:, j]
-        terms = [rate, error, sums, np.ones_like(t), gravity[:, j]]
-        columns.append(np.column_stack(terms)[rows])
-        targets.append(log.tau[rows, j])
+        integral = np.append(0.0, np.cumsum(steps)) * (log.q_cmd is not None)
+        rate = delay_signal(speed, j) - log.dq[:, j]
+        terms = [rate, error, integral, np.ones_like(t), gravity[:, j]]
+        columns.append(np.column_stack(terms)[is_after_start])
+        targets.append(log.tau[is_after_start, j])
     return columns, targets
 
 
-def _misfit(log: Log, gravity: Array, held: bool, latency: float) -> float:
+def _compute_misfit(log: Log, gravity: Array, held: bool, latency: float) -> float:
     problems = zip(*_build_problems(log, gravity, held, latency), strict=True)
-    return sum(float(np.log(_residual(*problem).std() + 1e-12)) for problem in problems)
+    return sum(float(np.log(_compute_residual(*problem).std() + 1e-12)) for problem in problems)
 
 
-def _residual(columns: Array, torque: Array) -> Array:
+def _compute_residual(columns: Array, torque: Array) -> Array:
     scale = np.abs(columns).max(axis=0)
     scaled = columns[:, scale > 0.0] / scale[scale > 0.0]
     return np.asarray(torque - scaled @ np.linalg.lstsq(scaled, torque, rcond=None)[0])
@@ -180,14 +189,14 @@ def _fit_joint_servo(columns: Array, torque: Array) -> tuple[Array, Array, float
             [str(k) for k in active], active_columns, residual, labels
         ).matrix
         is_insignificant = solution < _MIN_GAIN_SIGNIFICANCE * np.sqrt(np.diag(matrix))
-        drop = [
+        dropped_columns = [
             k
             for k, insignificant in zip(active, is_insignificant, strict=True)
             if insignificant and k in (1, 2)
         ]
-        if not drop:
+        if not dropped_columns:
             break
-        active.remove(drop[-1])
+        active.remove(dropped_columns[-1])
     coefficients = np.zeros(len(columns.T))
     covariance = np.zeros((_FACTOR_COUNT, _FACTOR_COUNT))
     coefficients[active] = solution

@@ -37,7 +37,7 @@ _ROUNDS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Constant:
+class TorqueConstant:
     """A torque constant [N.m/A], meaningless unless `determined`, and its error."""
 
     joint: str
@@ -59,15 +59,15 @@ class Constant:
 def torque_constants(
     motions: Sequence[Motion],
     robot: Robot,
-    assumed: Sequence[float],
+    assumed_constants: Sequence[float],
     *,
     mass_error: float,
     loaded: Sequence[Motion] = (),
     payload: Sequence[float] | Array | None = None,
-) -> tuple[Constant, ...]:
+) -> tuple[TorqueConstant, ...]:
     """Estimate the torque constants of all joints from currents; raises FitError.
 
-    `motions`, without payload, and `loaded` ones have torques computed with the constants `assumed`
+    `motions`, without payload, and `loaded` ones have torques computed with `assumed_constants`
     (n,). `mass_error` is the relative standard deviation of the file's masses. `payload` (10,) is
     in the frame of the last joint.
     """
@@ -79,23 +79,27 @@ def torque_constants(
         raise FitError("motions under a payload need its parameters, and vice versa.")
     all_columns = tuple(range(len(robot.parameter_names)))
     columns = friction_columns(robot, base_columns(robot))
-    kinds = [(stack_blocks(motions, robot, all_columns, columns), np.zeros(10))]
+    load_cases = [(stack_blocks(motions, robot, all_columns, columns), np.zeros(10))]
     if payload is not None:
-        kinds.append(
+        load_cases.append(
             (stack_blocks(loaded, robot, all_columns, columns), np.array(payload, dtype=float))
         )
-    weight = np.zeros(len(all_columns))  # weights and first moments
+    is_weight = np.zeros(len(all_columns))  # weights and first moments
     for k in range(robot.links):
-        weight[10 * k : 10 * k + 4] = 1.0
+        is_weight[10 * k : 10 * k + 4] = 1.0
     deviations = _prior_deviations(robot, mass_error)
     constants = []
-    for j, (joint, constant) in enumerate(zip(robot.description.joints, assumed, strict=True)):
-        joint_kinds = [(blocks[j], carried) for blocks, carried in kinds]
-        kappa, relative = _Problem.from_blocks(joint_kinds, robot, weight, deviations).solve()
+    for j, (joint, constant) in enumerate(
+        zip(robot.description.joints, assumed_constants, strict=True)
+    ):
+        joint_cases = [(blocks[j], carried) for blocks, carried in load_cases]
+        kappa, relative = _Problem.from_blocks(joint_cases, robot, is_weight, deviations).solve()
         value = float(constant / kappa) if kappa > 0.0 else np.inf
         is_determined = bool(kappa > 0.0 and relative < _MAX_RELATIVE_ERROR)
         error = value * relative
-        constants.append(Constant(joint=joint, value=value, error=error, determined=is_determined))
+        constants.append(
+            TorqueConstant(joint=joint, value=value, error=error, determined=is_determined)
+        )
     return tuple(constants)
 
 
@@ -108,7 +112,7 @@ def point_payload(mass: float, centre: Sequence[float]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _CompressedRows:
     """Compressed rows of a joint: [Y, Y carried, friction, torque]."""
 
     factor: Array
@@ -120,105 +124,115 @@ class _Rows:
 class _Problem:
     """One joint with unknown kappa (over the assumed constant), pi, and friction."""
 
-    kinds: tuple[_Rows, ...]  # logs without payload, and with it
+    load_cases: tuple[_CompressedRows, ...]  # logs without payload, and with it
     nominal: Array  # (P,) of the model file
-    spread: Array  # (P,) standard deviations
-    friction: int  # columns of each kind
-    known: float  # trusted torque [N.m] of the payload or the weights
+    deviations: Array  # (P,) standard deviations
+    friction_count: int  # columns of each load case
+    trusted_torque: float  # of the payload or the weights [N.m]
 
     @classmethod
     def from_blocks(
-        cls, kinds: Sequence[tuple[Block, Array]], robot: Robot, weight: Array, spread: Array
+        cls,
+        load_cases: Sequence[tuple[Block, Array]],
+        robot: Robot,
+        is_weight: Array,
+        deviations: Array,
     ) -> "_Problem":
-        size = len(spread)
-        last = slice(10 * (robot.links - 1), 10 * robot.links)
+        parameter_count = len(deviations)
+        last_link = slice(10 * (robot.links - 1), 10 * robot.links)
         nominal = robot.nominal_parameters
         rows = []
-        for block, carried in kinds:
-            rigid = block.matrix[:, :size]
-            friction_block = block.matrix[:, size:]
+        for block, carried in load_cases:
+            rigid = block.matrix[:, :parameter_count]
+            friction_block = block.matrix[:, parameter_count:]
             joint_friction = friction_block[:, np.any(friction_block != 0.0, axis=0)]
-            load = rigid[:, last] @ carried
-            columns = np.column_stack([rigid @ nominal + load, joint_friction])
-            fitted = columns @ np.linalg.lstsq(columns, block.target, rcond=None)[0]
-            table = np.column_stack([rigid, load, joint_friction, block.target])
+            payload_torque = rigid[:, last_link] @ carried
+            columns = np.column_stack([rigid @ nominal + payload_torque, joint_friction])
+            fitted_torque = columns @ np.linalg.lstsq(columns, block.target, rcond=None)[0]
+            table = np.column_stack([rigid, payload_torque, joint_friction, block.target])
             (factor,) = qr(table, mode="r", check_finite=False)
-            length = correlation_length(block.target - fitted)
-            rows.append(_Rows(np.asarray(factor[: table.shape[1]]), len(joint_friction), length))
-            heavy = rigid @ (weight * nominal)
-        trusted_torque = float(np.std(load if len(kinds) > 1 else heavy))
+            length = correlation_length(block.target - fitted_torque)
+            rows.append(
+                _CompressedRows(np.asarray(factor[: table.shape[1]]), len(joint_friction), length)
+            )
+            weight_torque = rigid @ (is_weight * nominal)
+        trusted_torque = float(np.std(payload_torque if len(load_cases) > 1 else weight_torque))
         friction_count = joint_friction.shape[1]
         return cls(
-            kinds=tuple(rows),
+            load_cases=tuple(rows),
             nominal=nominal,
-            spread=spread,
-            friction=friction_count,
-            known=trusted_torque,
+            deviations=deviations,
+            friction_count=friction_count,
+            trusted_torque=trusted_torque,
         )
 
     def solve(self) -> tuple[float, float]:
         """Return kappa and its relative standard error."""
-        size = len(self.nominal)
-        x = self._start()
+        parameter_count = len(self.nominal)
+        x = self._find_start()
         for _ in range(_ROUNDS):
-            residuals = [self._compute_residual(x, k) for k in range(len(self.kinds))]
+            residuals = [self._compute_residual(x, k) for k in range(len(self.load_cases))]
             scales = [
                 float(np.sqrt(rows.count / max(float(residual @ residual), 1e-12) / rows.length))
-                for rows, residual in zip(self.kinds, residuals, strict=True)
+                for rows, residual in zip(self.load_cases, residuals, strict=True)
             ]
             x = least_squares(self._residuals, x, jac=self._slopes, x_scale="jac", args=(scales,)).x
         slopes = self._slopes(x, scales)
-        norms = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
-        _, s, vt = np.linalg.svd(slopes / norms, full_matrices=False)
-        error = float(np.linalg.norm(vt[:, 0] / np.maximum(s, 1e-12 * s[0]))) / norms[0]
-        rows = self.kinds[0]
-        columns = rows.factor[:, size + 1 : -1]
+        column_sizes = np.maximum(np.linalg.norm(slopes, axis=0), 1e-150)
+        _, s, vt = np.linalg.svd(slopes / column_sizes, full_matrices=False)
+        error = float(np.linalg.norm(vt[:, 0] / np.maximum(s, 1e-12 * s[0]))) / column_sizes[0]
+        rows = self.load_cases[0]
+        columns = rows.factor[:, parameter_count + 1 : -1]
         friction_size = float(np.linalg.norm(columns @ x[self._friction_slice(0)])) / np.sqrt(
             rows.count
         )
-        share = _WEIGHT_FRICTION_SHARE if len(self.kinds) == 1 else _PAYLOAD_FRICTION_SHARE
-        feigned = share * friction_size / max(abs(x[0]) * self.known, 1e-12)
-        return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), feigned))
+        share = _WEIGHT_FRICTION_SHARE if len(self.load_cases) == 1 else _PAYLOAD_FRICTION_SHARE
+        friction_error = share * friction_size / max(abs(x[0]) * self.trusted_torque, 1e-12)
+        return float(x[0]), float(np.hypot(error / max(abs(x[0]), 1e-12), friction_error))
 
-    def _start(self) -> Array:
-        x = np.concatenate([[0.0], self.nominal, np.zeros(self.friction * len(self.kinds))])
-        free = np.r_[0, 1 + len(self.nominal) : len(x)]
-        rows = self._slopes(x, [1.0] * len(self.kinds))[: -len(self.nominal)]
-        targets = np.concatenate([kind.factor[:, -1] for kind in self.kinds])
-        x[free] = np.linalg.lstsq(rows[:, free], targets, rcond=None)[0]
+    def _find_start(self) -> Array:
+        x = np.concatenate(
+            [[0.0], self.nominal, np.zeros(self.friction_count * len(self.load_cases))]
+        )
+        free_columns = np.r_[0, 1 + len(self.nominal) : len(x)]
+        rows = self._slopes(x, [1.0] * len(self.load_cases))[: -len(self.nominal)]
+        targets = np.concatenate([load_case.factor[:, -1] for load_case in self.load_cases])
+        x[free_columns] = np.linalg.lstsq(rows[:, free_columns], targets, rcond=None)[0]
         return x
 
     def _friction_slice(self, k: int) -> slice:
-        first = 1 + len(self.nominal) + k * self.friction
-        return slice(first, first + self.friction)
+        first = 1 + len(self.nominal) + k * self.friction_count
+        return slice(first, first + self.friction_count)
 
     def _compute_torque(self, x: Array, k: int) -> Array:
-        size = len(self.nominal)
-        factor = self.kinds[k].factor
-        return np.asarray(factor[:, :size] @ x[1 : 1 + size] + factor[:, size])
+        parameter_count = len(self.nominal)
+        factor = self.load_cases[k].factor
+        return np.asarray(
+            factor[:, :parameter_count] @ x[1 : 1 + parameter_count] + factor[:, parameter_count]
+        )
 
     def _compute_residual(self, x: Array, k: int) -> Array:
-        factor = self.kinds[k].factor
+        factor = self.load_cases[k].factor
         friction = factor[:, len(self.nominal) + 1 : -1] @ x[self._friction_slice(k)]
         return np.asarray(x[0] * self._compute_torque(x, k) + friction - factor[:, -1])
 
     def _residuals(self, x: Array, scales: Sequence[float]) -> Array:
         rows = [scale * self._compute_residual(x, k) for k, scale in enumerate(scales)]
-        prior = (x[1 : 1 + len(self.nominal)] - self.nominal) / self.spread
+        prior = (x[1 : 1 + len(self.nominal)] - self.nominal) / self.deviations
         return np.concatenate([*rows, prior])
 
     def _slopes(self, x: Array, scales: Sequence[float]) -> Array:
-        size = len(self.nominal)
+        parameter_count = len(self.nominal)
         parts = []
         for k, scale in enumerate(scales):
-            factor = self.kinds[k].factor
-            kind_rows = np.zeros((len(factor), len(x)))
-            kind_rows[:, 0] = self._compute_torque(x, k)
-            kind_rows[:, 1 : 1 + size] = x[0] * factor[:, :size]
-            kind_rows[:, self._friction_slice(k)] = factor[:, size + 1 : -1]
-            parts.append(scale * kind_rows)
-        prior = np.zeros((size, len(x)))
-        prior[:, 1 : 1 + size] = np.diag(1.0 / self.spread)
+            factor = self.load_cases[k].factor
+            case_rows = np.zeros((len(factor), len(x)))
+            case_rows[:, 0] = self._compute_torque(x, k)
+            case_rows[:, 1 : 1 + parameter_count] = x[0] * factor[:, :parameter_count]
+            case_rows[:, self._friction_slice(k)] = factor[:, parameter_count + 1 : -1]
+            parts.append(scale * case_rows)
+        prior = np.zeros((parameter_count, len(x)))
+        prior[:, 1 : 1 + parameter_count] = np.diag(1.0 / self.deviations)
         return np.vstack([*parts, prior])
 
 

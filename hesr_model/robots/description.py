@@ -29,7 +29,7 @@ _SOURCE_PHRASES: Mapping[SourceKind, str] = {
 
 
 class Sources(Config):
-    """SourceKind of constants by key of the robot file, one or one per joint."""
+    """Sources of constants by key of the robot file, one or one per joint."""
 
     torque_per_ampere: SourceKind | tuple[SourceKind, ...] = "not stated"
 
@@ -95,7 +95,7 @@ class RobotDescription(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_for_all(cls, data: Any) -> Any:
+    def _repeat_torque_constant(cls, data: Any) -> Any:
         """Repeat a single torque constant for every joint."""
         log = data.get("log") if isinstance(data, Mapping) else None
         if not isinstance(log, Mapping):
@@ -108,7 +108,7 @@ class RobotDescription(Config):
         return {**data, "log": {**log, "torque_per_ampere": (gain,) * count}}
 
     @model_validator(mode="after")
-    def _one_gear_per_joint(self) -> Self:
+    def _set_gear_ratios(self) -> Self:
         if self.log.columns.q_link and (self.transmission or not self.rotor_inertia):
             raise RuleError(
                 "'log.columns.q_link' needs 'rotor_inertia' and excludes 'transmission'; change "
@@ -146,10 +146,10 @@ class RobotDescription(Config):
                         code="robot.balancers",
                         key=f"balancers.{name}",
                     )
-        for number, joint in enumerate(self.joints):
+        for j, joint in enumerate(self.joints):
             names = [*LINEAR] * (joint in self.springs) + [*BALANCER] * (joint in self.balancers)
             for name in dict.fromkeys(names):
-                yield SpringTerm(joint=number, name=name)
+                yield SpringTerm(joint=j, name=name)
 
     @property
     def coupling(self) -> Coupling | None:
@@ -176,7 +176,12 @@ class RobotDescription(Config):
         source_kinds = sources.expand_per_joint("torque_per_ampere", len(gains))
         constant = partial(SourcedConstant, name="torque constant", unit="N.m/A")
         rows = zip(self.joints, gains, source_kinds, strict=True)
-        return {_CONSTANTS_KEY: [to_json(constant(joint=j, value=x, source=s)) for j, x, s in rows]}
+        return {
+            _CONSTANTS_KEY: [
+                to_json(constant(joint=joint, value=gain, source=kind))
+                for joint, gain, kind in rows
+            ]
+        }
 
     @classmethod
     def read(cls, path: PathArg) -> Self:

@@ -22,7 +22,7 @@ from hesr_model.support.text import on_one_line
 _MAX_PARTS = 15_000  # per MJCF; compile time grows with the square, to 7 s here
 _MIN_INERTIA = 1e-9  # mass and inertia of the links of a URDF for MuJoCo [kg, kg.m2]
 _STATE_COUNT = 8  # random states of the check
-Compiled = dict[str, Any]  # a compiled file as JSON; see `_described`
+Compiled = dict[str, Any]  # a compiled file as JSON; see `_describe_model`
 
 
 def import_engine() -> Any:
@@ -189,12 +189,23 @@ def _strip_mjcf(path: Path) -> Any:
     """Read what has effects on rigid-body torques, with meshes if inertias need them."""
     mujoco = import_engine()
     spec = mujoco.MjSpec.from_file(str(path))
-    at_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    parts = [*spec.sensors, *spec.keys, *spec.pairs, *spec.excludes, *spec.tuples, *spec.skins]
-    parts += [a for a in spec.actuators if a.trntype not in at_joint]
-    of_joints = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-    parts += [e for e in spec.equalities if e.type not in of_joints]
-    for part in [*parts, *spec.tendons]:
+    joint_transmissions = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    removed_parts = [
+        *spec.sensors,
+        *spec.keys,
+        *spec.pairs,
+        *spec.excludes,
+        *spec.tuples,
+        *spec.skins,
+    ]
+    removed_parts += [
+        actuator for actuator in spec.actuators if actuator.trntype not in joint_transmissions
+    ]
+    joint_equalities = (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+    removed_parts += [
+        equality for equality in spec.equalities if equality.type not in joint_equalities
+    ]
+    for part in [*removed_parts, *spec.tendons]:
         spec.delete(part)
     meshes = set()
     bodies = _find_shaped_bodies(spec)
@@ -214,18 +225,22 @@ def _strip_mjcf(path: Path) -> Any:
 
 
 def _find_shaped_bodies(spec: Any) -> set[str]:
-    by_geoms = spec.compiler.inertiafromgeom
-    total = spec.compiler.settotalmass > 0.0
+    inertia_source = spec.compiler.inertiafromgeom
+    has_total_mass = spec.compiler.settotalmass > 0.0
     kinds = import_engine().mjtInertiaFromGeom
-    moving: set[str] = set()
+    moving_bodies: set[str] = set()
     for number, body in enumerate(spec.bodies[1:], start=1):
         body.name = body.name or f"body{number}"
-        if body.parent.name in moving or list(body.joints) or total:
-            moving.add(body.name)
-    if by_geoms == kinds.mjINERTIAFROMGEOM_FALSE:
+        if body.parent.name in moving_bodies or list(body.joints) or has_total_mass:
+            moving_bodies.add(body.name)
+    if inertia_source == kinds.mjINERTIAFROMGEOM_FALSE:
         return set()
-    always = by_geoms == kinds.mjINERTIAFROMGEOM_TRUE
-    return {b.name for b in spec.bodies if b.name in moving and (always or not b.explicitinertial)}
+    is_always_shaped = inertia_source == kinds.mjINERTIAFROMGEOM_TRUE
+    return {
+        b.name
+        for b in spec.bodies
+        if b.name in moving_bodies and (is_always_shaped or not b.explicitinertial)
+    }
 
 
 def _require_mesh(spec: Any, geom: Any, path: Path) -> None:
@@ -243,30 +258,34 @@ def _describe_model(mj_model: Any) -> Compiled:
     names = [mj_model.joint(j).name or f"joint{j}" for j in range(mj_model.njnt)]
     if mj_model.opt.disableflags & int(import_engine().mjtDisableBit.mjDSBL_GRAVITY):
         mj_model.opt.gravity[:] = 0.0
-    followers, held, loops = _read_equalities(mj_model, names)
+    followers, held_positions, loops = _read_equalities(mj_model, names)
     armature = mj_model.dof_armature[mj_model.jnt_dofadr]
     for j in np.flatnonzero(mj_model.jnt_actuatorid >= 0):
         motor = mj_model.jnt_actuatorid[j]
         armature[j] += mj_model.actuator_gear[motor, 0] ** 2 * mj_model.actuator_armature[motor]
-    single = {name: j for j, name in enumerate(names) if mj_model.jnt_type[j] >= 2}  # slide, hinge
+    single_joints = {
+        name: j for j, name in enumerate(names) if mj_model.jnt_type[j] >= 2
+    }  # slide, hinge
     return {
-        "urdf": _write_urdf(mj_model, names, followers, held),
+        "urdf": _write_urdf(mj_model, names, followers, held_positions),
         "gravity": mj_model.opt.gravity.tolist(),
-        "rest": {n: float(mj_model.qpos0[mj_model.jnt_qposadr[j]]) for n, j in single.items()}
-        | held,
-        "armature": {name: float(armature[j]) for name, j in single.items()},
+        "rest": {
+            n: float(mj_model.qpos0[mj_model.jnt_qposadr[j]]) for n, j in single_joints.items()
+        }
+        | held_positions,
+        "armature": {name: float(armature[j]) for name, j in single_joints.items()},
         "springs": {
             name: (float(k), -float(k * mj_model.qpos_spring[mj_model.jnt_qposadr[j]]))
-            for name, j in single.items()
-            if (k := mj_model.jnt_stiffness[j]) > 0.0 and name not in held
+            for name, j in single_joints.items()
+            if (k := mj_model.jnt_stiffness[j]) > 0.0 and name not in held_positions
         },
         "loops": loops,
-        "check": _compute_torques(mj_model, single, held),
+        "check": _compute_torques(mj_model, single_joints, held_positions),
     }
 
 
 def _write_urdf(
-    mj_model: Any, names: list[str], followers: dict[str, Any], held: dict[str, float]
+    mj_model: Any, names: list[str], followers: dict[str, Any], held_positions: dict[str, float]
 ) -> str:
     """Write a compiled model as a URDF with the same positions; every joint carries a link."""
     import pinocchio as pin  # slow to import
@@ -275,7 +294,9 @@ def _write_urdf(
     links = [mj_model.body(b).name or f"body{b}" for b in range(mj_model.nbody)]
     SubElement(robot, "link", name=links[0])
 
-    def joint(name: str, kind: str, ends: tuple[str, str], place: Any) -> tuple[Element, Element]:
+    def add_joint(
+        name: str, kind: str, ends: tuple[str, str], place: Any
+    ) -> tuple[Element, Element]:
         joint_element = SubElement(robot, "joint", name=name, type=kind)
         SubElement(joint_element, "parent", link=ends[0])
         SubElement(joint_element, "child", link=ends[1])
@@ -296,13 +317,15 @@ def _write_urdf(
             anchor = _build_pose(mj_model.jnt_pos[j])
             axis = mj_model.jnt_axis[j]
             kind = ("floating", "floating", "prismatic", "revolute")[mj_model.jnt_type[j]]
-            back = held.get(name, 0.0) - float(mj_model.qpos0[mj_model.jnt_qposadr[j]])
+            displacement = held_positions.get(name, 0.0) - float(
+                mj_model.qpos0[mj_model.jnt_qposadr[j]]
+            )
             if kind == "prismatic":
-                anchor = anchor * pin.SE3(np.eye(3), back * axis)
+                anchor = anchor * pin.SE3(np.eye(3), displacement * axis)
             elif kind == "revolute":
-                anchor = anchor * pin.SE3(pin.exp3(back * axis), np.zeros(3))
-            kind, child = "fixed" if name in held else kind, f"{links[b]} of {name}"
-            joint_element, _ = joint(name, kind, (parent, child), place * anchor)
+                anchor = anchor * pin.SE3(pin.exp3(displacement * axis), np.zeros(3))
+            kind, child = "fixed" if name in held_positions else kind, f"{links[b]} of {name}"
+            joint_element, _ = add_joint(name, kind, (parent, child), place * anchor)
             if kind in ("prismatic", "revolute"):
                 SubElement(joint_element, "axis", xyz=_format_numbers(_scale_unit_vector(axis)))
                 SubElement(joint_element, "limit", _format_limit(mj_model, int(j)))
@@ -313,15 +336,17 @@ def _write_urdf(
                 SubElement(joint_element, "mimic", joint=leader, multiplier=factor, offset=shift)
             parent = child
             place = _build_pose(-mj_model.jnt_pos[j])
-        _, link = joint(f"{links[b]} (fixed)", "fixed", (parent, links[b]), place)
+        _, link = add_joint(f"{links[b]} (fixed)", "fixed", (parent, links[b]), place)
         inertial = SubElement(link, "inertial")
         SubElement(inertial, "origin", xyz=_format_numbers(mj_model.body_ipos[b]))
         SubElement(inertial, "mass", value=_format_numbers([mj_model.body_mass[b]]))
         axes = _build_pose(mj_model.body_ipos[b], mj_model.body_iquat[b]).rotation
-        about = (axes @ np.diag(mj_model.body_inertia[b]) @ axes.T)[np.triu_indices(3)]
+        inertia = (axes @ np.diag(mj_model.body_inertia[b]) @ axes.T)[np.triu_indices(3)]
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         SubElement(
-            inertial, "inertia", {k: _format_numbers([x]) for k, x in zip(keys, about, strict=True)}
+            inertial,
+            "inertia",
+            {k: _format_numbers([x]) for k, x in zip(keys, inertia, strict=True)},
         )
     return ElementTree.tostring(robot, encoding="unicode")
 
@@ -364,52 +389,59 @@ def _read_equalities(
     """Return q1 = slope q2 + offset as {q1: (q2, slope, offset)}, constant joints, and loops."""
     kinds = import_engine().mjtEq
     followers = {}
-    fixed = {}
+    fixed_positions = {}
     loops = []
     for k in np.flatnonzero(mj_model.eq_active0):
-        obj1 = int(mj_model.eq_obj1id[k])
+        follower = int(mj_model.eq_obj1id[k])
         leader = int(mj_model.eq_obj2id[k])
         if kinds(mj_model.eq_type[k]) in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
             if mj_model.eq_objtype[k] == import_engine().mjtObj.mjOBJ_SITE:
-                obj1, leader = int(mj_model.site_bodyid[obj1]), int(mj_model.site_bodyid[leader])
-            if np.all(mj_model.body_mocapid[[obj1, leader]] < 0):
-                loops.append([mj_model.body(obj1).name, mj_model.body(leader).name])
+                follower, leader = (
+                    int(mj_model.site_bodyid[follower]),
+                    int(mj_model.site_bodyid[leader]),
+                )
+            if np.all(mj_model.body_mocapid[[follower, leader]] < 0):
+                loops.append([mj_model.body(follower).name, mj_model.body(leader).name])
         elif mj_model.eq_type[k] == kinds.mjEQ_JOINT:
             constant, slope, *higher = mj_model.eq_data[k][:5].tolist()
-            constant += float(mj_model.qpos0[mj_model.jnt_qposadr[obj1]])
+            constant += float(mj_model.qpos0[mj_model.jnt_qposadr[follower]])
             if leader < 0:
-                fixed[names[obj1]] = constant
+                fixed_positions[names[follower]] = constant
                 continue
             if any(higher):
                 raise ValueError(
-                    f"joint '{names[obj1]}' follows '{names[leader]}' by a polynomial; only linear "
-                    "equalities can be used"
+                    f"joint '{names[follower]}' follows '{names[leader]}' by a polynomial; only "
+                    "linear equalities can be used"
                 )
             constant -= slope * float(mj_model.qpos0[mj_model.jnt_qposadr[leader]])
-            followers[names[obj1]] = names[leader], slope, constant
-    return followers, fixed, loops
+            followers[names[follower]] = names[leader], slope, constant
+    return followers, fixed_positions, loops
 
 
 def _compute_torques(
-    mj_model: Any, single: dict[str, int], held: dict[str, float]
+    mj_model: Any, single_joints: dict[str, int], held_positions: dict[str, float]
 ) -> dict[str, Any]:
     """Return torques (8, n) of free single joints at random states, without passive forces."""
     mujoco = import_engine()
-    place = mj_model.jnt_qposadr
-    joints = [j for name, j in single.items() if name not in held]
+    q_addresses = mj_model.jnt_qposadr
+    joints = [j for name, j in single_joints.items() if name not in held_positions]
     mj_model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     mj_model.opt.enableflags = 0
     mj_model.dof_damping[:] = 0.0  # sums with large ones lose digits
     data = mujoco.MjData(mj_model)
     torques = []
-    for name, position in held.items():
-        data.qpos[place[single[name]]] = position
+    for name, position in held_positions.items():
+        data.qpos[q_addresses[single_joints[name]]] = position
     q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATE_COUNT, len(joints)))
-    q += mj_model.qpos0[place[joints]]
+    q += mj_model.qpos0[q_addresses[joints]]
     dofs = mj_model.jnt_dofadr[joints]
     for state in zip(q, dq, ddq, strict=True):
-        data.qpos[place[joints]], data.qvel[dofs], data.qacc[dofs] = state
+        data.qpos[q_addresses[joints]], data.qvel[dofs], data.qacc[dofs] = state
         mujoco.mj_inverse(mj_model, data)
         torques.append((data.qfrc_inverse + data.qfrc_passive)[dofs].tolist())
     states = {"q": q.tolist(), "dq": dq.tolist(), "ddq": ddq.tolist()}
-    return {"joints": [name for name in single if name not in held], **states, "torques": torques}
+    return {
+        "joints": [name for name in single_joints if name not in held_positions],
+        **states,
+        "torques": torques,
+    }

@@ -24,27 +24,29 @@ Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RobotModel:
-    """A model file: Pinocchio's `model` of all its joints, and the rest of its content.
+class ModelFile:
+    """A model file: Pinocchio's `pin_model` of all its joints, and what else it states.
 
-    `rest` are the positions of joints that do not move; `above` are the bodies between each joint
-    and the base; `loops` are pairs of bodies that close a chain, and its joints. `gravity` is in
-    [m/s2]; `springs` are the parameters k and const of linear springs.
+    `rest_positions` are those of joints that do not move; `bodies_below` are the bodies between
+    each joint and the base; `loops` are pairs of bodies that close a chain, and its joints.
+    `gravity` is in [m/s2]; `springs` are the parameters k and const of linear springs.
     """
 
     path: Path
-    model: Any
+    pin_model: Any
     gravity: tuple[float, ...]
     springs: Mapping[str, tuple[float, float]]
-    rest: dict[str, float]
+    rest_positions: dict[str, float]
     followers: Followers
-    above: Mapping[str, frozenset[str]]
+    bodies_below: Mapping[str, frozenset[str]]
     loops: Mapping[str, frozenset[str]]
     doubts: tuple[Finding, ...]
 
     def _select_names(self, root: str | None) -> list[str]:
-        names = list(self.model.names)[1:]
-        selected = names if root is None else [name for name in names if root in self.above[name]]
+        names = list(self.pin_model.names)[1:]
+        selected = (
+            names if root is None else [name for name in names if root in self.bodies_below[name]]
+        )
         if not selected and root is not None:
             raise RobotError(
                 f"{self.path}: 'root' is '{root}', and no body of that name carries a joint; it is "
@@ -59,10 +61,10 @@ class RobotModel:
         folders = [str(folder) for folder in self.path.resolve().parents]
         try:
             if self.path.suffix.lower() == ".xml":
-                geometry = pin.buildGeomFromMJCF(self.model, str(self.path), pin.COLLISION)
+                geometry = pin.buildGeomFromMJCF(self.pin_model, str(self.path), pin.COLLISION)
             else:
                 geometry = pin.buildGeomFromUrdf(
-                    self.model, str(self.path), pin.COLLISION, package_dirs=folders
+                    self.pin_model, str(self.path), pin.COLLISION, package_dirs=folders
                 )
         except Exception:  # of many kinds: meshes or packages are missing, or names differ
             return None
@@ -72,7 +74,7 @@ class RobotModel:
         """Return the model, or its `geometry`, without the joints that neither move nor follow."""
         import pinocchio as pin  # slow to import
 
-        pin_model = self.model
+        pin_model = self.pin_model
         path = self.path
         known_names = self._select_names(description.root)
         joints = description.joints
@@ -85,42 +87,48 @@ class RobotModel:
                     f"{path}: joint '{name}' follows joint '{self.followers[name][0]}', whose "
                     "torque contains its own; leave it out of 'joints' and 'locked'."
                 )
-        shared = [name for name in joints if name in locked]
-        if shared:
+        shared_names = [name for name in joints if name in locked]
+        if shared_names:
             raise RobotError(
-                f"{path}: joint '{shared[0]}' is in both 'joints' and 'locked'; remove it from one."
+                f"{path}: joint '{shared_names[0]}' is in both 'joints' and 'locked'; remove it from "
+                "one."
             )
         if tuple(name for name in known_names if name in joints) != joints:
             raise RobotError(
                 f"{path}: the joints {', '.join(joints)} must be listed once each, "
                 f"in the order of the model, {', '.join(known_names)}."
             )
-        positions = {**self.rest, **locked}
-        moving = set(joints)
+        positions = {**self.rest_positions, **locked}
+        moving_names = set(joints)
         neutral = pin.neutral(pin_model)
         for name, (leader, slope, offset) in self.followers.items():
             positions[name] = slope * positions.get(leader, 0.0) + offset
-            moving |= {name} if leader in joints else set()
+            moving_names |= {name} if leader in joints else set()
         for name, value in positions.items():
             joint = pin_model.joints[pin_model.getJointId(name)]
             require_one_axis(name, joint.nv, path)
             set_joint(joint, neutral, np.array(value))
         for ends, loop_joints in self.loops.items():
-            movable = sorted(moving & loop_joints)
-            if movable:
+            movable_names = sorted(moving_names & loop_joints)
+            if movable_names:
                 raise RobotError(
                     f"{path}: the bodies {ends} are tied to each other, which closes a chain over "
-                    f"joint '{movable[0]}', whose torque is then undetermined; remove the equality."
+                    f"joint '{movable_names[0]}', whose torque is then undetermined; remove the "
+                    "equality."
                 )
-        fixed_numbers = [k for k, name in enumerate(pin_model.names) if k and name not in moving]
+        fixed_numbers = [
+            k for k, name in enumerate(pin_model.names) if k and name not in moving_names
+        ]
         if geometry is not None:
             return pin.buildReducedModel(pin_model, geometry, fixed_numbers, neutral)[1]
-        reduced = (
+        reduced_model = (
             pin.buildReducedModel(pin_model, fixed_numbers, neutral) if fixed_numbers else pin_model
         )
-        for joint, name in zip(list(reduced.joints)[1:], list(reduced.names)[1:], strict=True):
+        for joint, name in zip(
+            list(reduced_model.joints)[1:], list(reduced_model.names)[1:], strict=True
+        ):
             require_one_axis(name, joint.nv, path)
-        return reduced
+        return reduced_model
 
     def follow(self, names: Sequence[str], leaders: Sequence[str]) -> tuple[Array, Array]:
         """Return G (names, leaders) and b (names,) of q = G q_leaders + b."""
@@ -145,7 +153,7 @@ def dynamics_engine() -> Any:
     return pinocchio
 
 
-def load(path: Path) -> RobotModel:
+def load(path: Path) -> ModelFile:
     """Read a URDF, or an MJCF (``.xml``), and compare its torques with MuJoCo's."""
     pin = dynamics_engine()
     if not path.is_file():
@@ -164,14 +172,16 @@ def load(path: Path) -> RobotModel:
         if name in names:
             pin_model.armature[pin_model.joints[pin_model.getJointId(name)].idx_v] = armature
     chains = {link: _trace_chain(link, urdf.parents) for link in urdf.parents}
-    robot_model = RobotModel(
+    file = ModelFile(
         path=path,
-        model=pin_model,
+        pin_model=pin_model,
         gravity=tuple(compiled.get("gravity", (0.0, 0.0, -9.81))),
         springs=compiled.get("springs", {}),
-        rest={name: x for name, x in compiled.get("rest", {}).items() if name in names and x},
+        rest_positions={
+            name: x for name, x in compiled.get("rest", {}).items() if name in names and x
+        },
         followers=_resolve_followers(path, urdf.followers, names),
-        above={
+        bodies_below={
             joint: frozenset(chains[link][0]) - {link} for link, (_, joint) in urdf.parents.items()
         },
         loops={
@@ -180,10 +190,10 @@ def load(path: Path) -> RobotModel:
         },
         doubts=(*urdf.doubts, *find_model_doubts(path, pin_model)),
     )
-    check = compiled["check"] if compiled else compute_urdf_torques(urdf.text)
-    if check is not None:
-        _require_agreement(robot_model, check)
-    return robot_model
+    reference_torques = compiled["check"] if compiled else compute_urdf_torques(urdf.text)
+    if reference_torques is not None:
+        _require_agreement(file, reference_torques)
+    return file
 
 
 def _trace_chain(link: str, parents: Mapping[str, tuple[str, str]]) -> tuple[list[str], list[str]]:
@@ -203,8 +213,8 @@ def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Fol
         visited = {name}
         while leader in followers and leader not in visited:
             visited.add(leader)
-            further, factor, shift = followers[leader]
-            leader, slope, offset = further, slope * factor, offset + slope * shift
+            next_leader, factor, shift = followers[leader]
+            leader, slope, offset = next_leader, slope * factor, offset + slope * shift
         if leader in visited or leader not in names:
             cause = "which follows it" if leader in visited else "which does not move"
             raise RobotError(
@@ -215,18 +225,18 @@ def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Fol
     return resolved
 
 
-def _require_agreement(robot_model: RobotModel, check: Mapping[str, Any]) -> None:
+def _require_agreement(file: ModelFile, reference: Mapping[str, Any]) -> None:
     import pinocchio as pin  # slow to import
 
-    pin_model = robot_model.model.copy()
-    names = check["joints"]
+    pin_model = file.pin_model.copy()
+    names = reference["joints"]
     joints = [pin_model.joints[pin_model.getJointId(name)] for name in names]
-    pin_model.gravity.linear = np.array(robot_model.gravity)
+    pin_model.gravity.linear = np.array(file.gravity)
     data = pin_model.createData()
     dofs = [joint.idx_v for joint in joints]
-    expected = np.array(check["torques"])
+    expected_torques = np.array(reference["torques"])
     torques = []
-    for q, dq, ddq in zip(check["q"], check["dq"], check["ddq"], strict=True):
+    for q, dq, ddq in zip(reference["q"], reference["dq"], reference["ddq"], strict=True):
         state = pin.neutral(pin_model)
         velocity = np.zeros(pin_model.nv)
         acceleration = np.zeros(pin_model.nv)
@@ -235,12 +245,12 @@ def _require_agreement(robot_model: RobotModel, check: Mapping[str, Any]) -> Non
         velocity[dofs] = dq
         acceleration[dofs] = ddq
         torques.append(pin.rnea(pin_model, data, state, velocity, acceleration)[dofs])
-    differences = np.abs(np.array(torques).reshape(expected.shape) - expected)
-    largest = float(np.abs(expected).max(initial=0.0))
+    differences = np.abs(np.array(torques).reshape(expected_torques.shape) - expected_torques)
+    largest = float(np.abs(expected_torques).max(initial=0.0))
     if differences.max(initial=0.0) > _MAX_TORQUE_DIFFERENCE * largest:
         worst = int(np.argmax(differences.max(axis=0)))
         raise RobotError(
-            f"{robot_model.path}: the torque of joint '{names[worst]}' differs from MuJoCo's by "
+            f"{file.path}: the torque of joint '{names[worst]}' differs from MuJoCo's by "
             f"{100 * differences.max() / largest:.2g} % of the largest torque, so the file is read "
             "in two ways; simplify the joint or the links after it, and report the file."
         )
@@ -285,14 +295,14 @@ class ModelJoint:
     freedom: int  # 0 for joints that follow others
     slides: bool
     finger: bool = field(default=False, repr=False)
-    rest: float = field(default=0.0, repr=False)  # position while locked
+    rest_position: float = field(default=0.0, repr=False)  # position while locked
     parent: str = field(default="", repr=False)  # name of the joint before it
 
 
 def read_joints(path: Path) -> tuple[ModelJoint, ...]:
     """Return the moving joints from base to tip."""
-    robot_model = load(path)
-    pin_model = robot_model.model
+    file = load(path)
+    pin_model = file.pin_model
     joints = []
     for number, (name, joint) in enumerate(zip(pin_model.names, pin_model.joints, strict=True)):
         lower, upper = position_limits(pin_model, joint) if number else (-np.inf, np.inf)
@@ -303,10 +313,10 @@ def read_joints(path: Path) -> tuple[ModelJoint, ...]:
         )
         model_joint = ModelJoint(
             name=name,
-            freedom=0 if name in robot_model.followers else joint.nv,
+            freedom=0 if name in file.followers else joint.nv,
             slides=_slides(joint),
             finger=is_short or bool(_FINGER_NAME.search(name)),
-            rest=min(max(robot_model.rest.get(name, 0.0), lower), upper),
+            rest_position=min(max(file.rest_positions.get(name, 0.0), lower), upper),
             parent=pin_model.names[pin_model.parents[number]],
         )
         joints.append(model_joint)
@@ -329,33 +339,43 @@ def find_driven_joints(path: Path, names: Sequence[str] = ()) -> tuple[ModelJoin
                 f"{path}: joint '{name}' follows another (mimic); only driven joints can be used."
             )
         require_one_axis(name, joints[name].freedom, path)
-    driven = tuple(j for j in joints.values() if (j.name in names if names else j.freedom == 1))
-    if not driven:
+    driven_joints = tuple(
+        j for j in joints.values() if (j.name in names if names else j.freedom == 1)
+    )
+    if not driven_joints:
         raise RobotError(f"{path}: has no revolute or prismatic joint; at least one is needed.")
-    non_fingers = tuple(joint for joint in driven if not joint.finger)
-    return non_fingers if non_fingers and not names else driven
+    non_fingers = tuple(joint for joint in driven_joints if not joint.finger)
+    return non_fingers if non_fingers and not names else driven_joints
 
 
 def find_arm(path: Path) -> tuple[ModelJoint, ...]:
     """Return the driven joints from the base to the end of the longest chain without branches."""
-    driven = {joint.name: joint for joint in find_driven_joints(path)}
+    driven_joints = {joint.name: joint for joint in find_driven_joints(path)}
     chains: dict[str, list[str]] = {}
     for joint in read_joints(path):
-        above = chains.get(joint.parent, [])
-        chains[joint.name] = [*above, joint.name] if joint.name in driven else above
-    before = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven}
-    branches = Counter(before.values())
+        joints_above = chains.get(joint.parent, [])
+        chains[joint.name] = (
+            [*joints_above, joint.name] if joint.name in driven_joints else joints_above
+        )
+    parents = {name: chains[name][-2] if len(chains[name]) > 1 else "" for name in driven_joints}
+    branches = Counter(parents.values())
     lengths = {"": 0}
-    for name, parent in before.items():
+    for name, parent in parents.items():
         lengths[name] = lengths[parent] + 1 if branches[parent] == 1 else 1
-    return tuple(driven[name] for name in chains[max(driven, key=lambda name: lengths[name])])
+    return tuple(
+        driven_joints[name] for name in chains[max(driven_joints, key=lambda name: lengths[name])]
+    )
 
 
 def find_rest_positions(
     joints: Iterable[ModelJoint], used_joints: Collection[str] = ()
 ) -> dict[str, float]:
     """Return the rest positions [rad or m] of joints that are not `used_joints`."""
-    return {j.name: j.rest for j in joints if j.freedom == 1 and j.name not in used_joints}
+    return {
+        joint.name: joint.rest_position
+        for joint in joints
+        if joint.freedom == 1 and joint.name not in used_joints
+    }
 
 
 def require_one_axis(name: str, freedom: int, path: Path) -> None:

@@ -44,16 +44,16 @@ class Robot:
         description = to_description(source)
         description.require_one_per_joint()
         self.description = description
-        self._pin: Any = model_file.dynamics_engine()
-        self._file = model_file.load(description.model)
-        self._model: Any = self._file.reduce_model(description)
-        self._data: Any = self._model.createData()
+        self._pinocchio: Any = model_file.dynamics_engine()
+        self._model_file = model_file.load(description.model)
+        self._pin_model: Any = self._model_file.reduce_model(description)
+        self._pin_data: Any = self._pin_model.createData()
         slopes = self.follow[0] if self.follow else np.eye(self.n)
-        self.rotor_nominal: Array = np.array(self._model.armature) @ slopes**2
+        self.rotor_nominal: Array = np.array(self._pin_model.armature) @ slopes**2
         """Rotor inertias (n,) [kg.m2] of the model file (`armature` of an MJCF)."""
         # In the dynamics they are columns of the regressor.
-        self._model.armature = np.zeros(self._model.nv)
-        self._model.gravity.linear = np.array(self.gravity)
+        self._pin_model.armature = np.zeros(self._pin_model.nv)
+        self._pin_model.gravity.linear = np.array(self.gravity)
         self.springs = tuple(description.spring_terms(self.slides))
         """Terms of springs and balancers."""
         description.log.units.require_fitting(description.joints, self.slides)
@@ -66,7 +66,7 @@ class Robot:
     @property
     def _joint_numbers(self) -> list[int]:
         """Numbers of the joints in the model."""
-        return [self._model.getJointId(name) for name in self.joints]
+        return [self._pin_model.getJointId(name) for name in self.joints]
 
     @property
     def name(self) -> str:
@@ -86,42 +86,52 @@ class Robot:
     @property
     def links(self) -> int:
         """Number of moving links; those of joints that follow others count."""
-        return int(self._model.nv)
+        return int(self._pin_model.nv)
 
     @cached_property
     def doubts(self) -> tuple[Finding, ...]:
         """Doubtful numbers of the model file, without placeholders; errors first."""
         if self.description.known is not None:
-            return tuple(finding for finding in self._file.doubts if finding.check == "odd-limits")
+            return tuple(
+                finding for finding in self._model_file.doubts if finding.check == "odd-limits"
+            )
         lower, upper, _ = self.reach
         q = np.random.default_rng(0).uniform(lower, upper, (8, self.n))
         masses, _ = self.dynamics(self.nominal_parameters, q, np.zeros_like(q))
         terms = {*self.description.springs, *self.description.balancers}
         missing_springs = [
-            f.name for f in self.tree if f.name in self._file.springs and f.name not in terms
+            frame.name
+            for frame in self.tree
+            if frame.name in self._model_file.springs and frame.name not in terms
         ]
         findings = find_chain_doubts(
-            self._file.path, self.joints, masses, self._limits[3], missing_springs
+            self._model_file.path, self.joints, masses, self._limits[3], missing_springs
         )
-        rounded = {f.joints for f in self._file.doubts if f.check == "rounded-inertia"}
-        remaining = (f for f in findings if f.check != "no-inertia" or f.joints not in rounded)
-        return (*remaining, *self._file.doubts)
+        rounded_joints = {
+            finding.joints
+            for finding in self._model_file.doubts
+            if finding.check == "rounded-inertia"
+        }
+        remaining_findings = (
+            f for f in findings if f.check != "no-inertia" or f.joints not in rounded_joints
+        )
+        return (*remaining_findings, *self._model_file.doubts)
 
     @cached_property
     def gravity(self) -> Array:
         """Gravity (3,) [m/s2] in the frame of the base."""
-        stated = self.description.gravity
-        gravity = np.array(self._file.gravity if stated is None else stated)
+        stated_gravity = self.description.gravity
+        gravity = np.array(self._model_file.gravity if stated_gravity is None else stated_gravity)
         mount = self.description.mount
         if mount is None:
             return gravity
-        return np.asarray(self._pin.rpy.rpyToMatrix(*mount).T @ gravity)
+        return np.asarray(self._pinocchio.rpy.rpyToMatrix(*mount).T @ gravity)
 
     @cached_property
     def follow(self) -> tuple[Array, Array] | None:
         """G (links, n) and b (links,) of q_all = G q + b; None if no joint follows another."""
-        names = list(self._model.names)[1:]
-        return self._file.follow(names, self.joints) if len(names) > self.n else None
+        names = list(self._pin_model.names)[1:]
+        return self._model_file.follow(names, self.joints) if len(names) > self.n else None
 
     @cached_property
     def slides(self) -> tuple[bool, ...]:
@@ -131,10 +141,14 @@ class Robot:
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the regressor's columns: link by link, then the rotors, then the springs."""
-        carrying = list(self._model.names)[1:]
-        links = tuple(f"{joint}.{name}" for joint in carrying for name in LINK_PARAMETERS)
+        moving_names = list(self._pin_model.names)[1:]
+        links = tuple(f"{joint}.{name}" for joint in moving_names for name in LINK_PARAMETERS)
         rotors = tuple(f"{joint}.Ir" for joint in self.joints) * self.description.rotor_inertia
-        return links + rotors + tuple(f"{self.joints[t.joint]}.{t.name}" for t in self.springs)
+        return (
+            links
+            + rotors
+            + tuple(f"{self.joints[term.joint]}.{term.name}" for term in self.springs)
+        )
 
     @property
     def inertial(self) -> int:
@@ -144,17 +158,20 @@ class Robot:
     @cached_property
     def nominal_parameters(self) -> Array:
         """Parameters (P,) of the model file, 0 for springs that it lacks."""
-        links = [np.asarray(body.toDynamicParameters()) for body in list(self._model.inertias)[1:]]
+        links = [
+            np.asarray(body.toDynamicParameters()) for body in list(self._pin_model.inertias)[1:]
+        ]
         rotors = [self.rotor_nominal] if self.description.rotor_inertia else []
         springs_by_joint = [
-            dict(zip(LINEAR, self._file.springs.get(j, ()), strict=False)) for j in self.joints
+            dict(zip(LINEAR, self._model_file.springs.get(joint, ()), strict=False))
+            for joint in self.joints
         ]
         springs = [springs_by_joint[term.joint].get(term.name, 0.0) for term in self.springs]
         return np.concatenate([*links, *rotors, springs])
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Mask]:
-        return chain_limits(self._model, self._joint_numbers, self.follow)
+        return chain_limits(self._pin_model, self._joint_numbers, self.follow)
 
     @cached_property
     def limits(self) -> tuple[Array, Array, Array]:
@@ -165,46 +182,50 @@ class Robot:
     def reach(self) -> tuple[Array, Array, Array]:
         """The `limits`, for random states; one turn (or m) either way and 2 rad/s if absent."""
         lower, upper, speed = self.limits
-        bounded = np.isfinite(upper - lower)
-        low = np.where(bounded, lower, -np.pi)
-        high = np.where(bounded, upper, np.pi)
-        return low, high, np.where(np.isfinite(speed), speed, 2.0)
+        is_bounded = np.isfinite(upper - lower)
+        reach_lower = np.where(is_bounded, lower, -np.pi)
+        reach_upper = np.where(is_bounded, upper, np.pi)
+        return reach_lower, reach_upper, np.where(np.isfinite(speed), speed, 2.0)
 
     @property
     def torque_limits(self) -> Array:
         """Largest torques (n,) [N.m or N] of the model file; 0 if unknown."""
-        dofs = [self._model.joints[number].idx_v for number in self._joint_numbers]
-        return np.array(self._model.effortLimit)[dofs]
+        dofs = [self._pin_model.joints[number].idx_v for number in self._joint_numbers]
+        return np.array(self._pin_model.effortLimit)[dofs]
 
     @cached_property
     def tree(self) -> tuple[model_file.JointFrame, ...]:
         """Frames of the joints and of those that follow them, from base to tip."""
-        return tuple(model_file.joint_frames(self._model, self._pin.neutral(self._model)))
+        return tuple(
+            model_file.joint_frames(self._pin_model, self._pinocchio.neutral(self._pin_model))
+        )
 
     @property
     def bodies(self) -> list[tuple[float, Array, Array]]:
         """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg.m2] of each link."""
         return [
             (link_inertia.mass, link_inertia.lever, link_inertia.inertia)
-            for link_inertia in list(self._model.inertias)[1:]
+            for link_inertia in list(self._pin_model.inertias)[1:]
         ]
 
     @property
     def kinematics(self) -> tuple[Any, Any, Any, Callable[[Array], Array]]:
         """Pinocchio, its model and data, and the map of positions (N, n) to configurations."""
-        return self._pin, self._model, self._data, self._configurations
+        return self._pinocchio, self._pin_model, self._pin_data, self._configurations
 
     @cached_property
     def geometry(self) -> Any:
         """Pinocchio's collision geometry of the model file; None if it cannot be read."""
-        return self._file.geometry(self.description)
+        return self._model_file.geometry(self.description)
 
     def places(self, q: Array) -> list[tuple[Array, Array]]:
         """Return rotation (3, 3) and origin (3,) [m] of each joint's frame at a position (n,)."""
-        self._pin.forwardKinematics(self._model, self._data, self._configurations(q[None])[0])
+        self._pinocchio.forwardKinematics(
+            self._pin_model, self._pin_data, self._configurations(q[None])[0]
+        )
         return [
             (placement.rotation.copy(), placement.translation.copy())
-            for placement in list(self._data.oMi)[1:]
+            for placement in list(self._pin_data.oMi)[1:]
         ]
 
     def regressor(self, q: Array, dq: Array, ddq: Array, rotors: Array | None = None) -> Array:
@@ -216,23 +237,23 @@ class Robot:
         rotors : (N, n) accelerations of the rotors, by default `ddq`.
         """
         states = self._configurations(q)
-        out = np.zeros((len(q), self.n, len(self.parameter_names)))
+        regressor = np.zeros((len(q), self.n, len(self.parameter_names)))
         links = 10 * self.links
         slopes = self.follow[0] if self.follow else None
         velocity, acceleration = (dq, ddq) if slopes is None else (dq @ slopes.T, ddq @ slopes.T)
         for k, state in enumerate(states):
-            rows = self._pin.computeJointTorqueRegressor(
-                self._model, self._data, state, velocity[k], acceleration[k]
+            rows = self._pinocchio.computeJointTorqueRegressor(
+                self._pin_model, self._pin_data, state, velocity[k], acceleration[k]
             )
-            out[k, :, :links] = rows if slopes is None else slopes.T @ rows
+            regressor[k, :, :links] = rows if slopes is None else slopes.T @ rows
         if self.description.rotor_inertia:
-            motors = self.description.motors
-            rotor_matrix = np.eye(self.n) if motors is None else motors.forward
+            motor_coupling = self.description.motors
+            rotor_matrix = np.eye(self.n) if motor_coupling is None else motor_coupling.forward
             rotor_acceleration = (ddq if rotors is None else rotors) @ rotor_matrix.T
-            out[:, :, links : self.inertial] = rotor_acceleration[:, None, :] * rotor_matrix.T
+            regressor[:, :, links : self.inertial] = rotor_acceleration[:, None, :] * rotor_matrix.T
         for column, term in enumerate(self.springs, start=self.inertial):
-            out[:, term.joint, column] = term.compute_torque(q[:, term.joint])
-        return out
+            regressor[:, term.joint, column] = term.compute_torque(q[:, term.joint])
+        return regressor
 
     def torque(
         self, parameters: Array, q: Array, dq: Array, ddq: Array, rotors: Array | None = None
@@ -247,7 +268,9 @@ class Robot:
         parts = [np.empty((0, self.n))]
         for start in range(0, len(q), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
-            regressor = self.regressor(*(x[rows] for x in (q, dq, ddq, rotors) if x is not None))
+            regressor = self.regressor(
+                *(values[rows] for values in (q, dq, ddq, rotors) if values is not None)
+            )
             row_parameters = parameters if parameters.ndim == 1 else parameters[rows, :, None]
             parts.append((regressor @ row_parameters).reshape(-1, self.n))
         return np.concatenate(parts)
@@ -261,12 +284,12 @@ class Robot:
         q, dq : (N, n) as in `regressor`.
         """
         rows, n = q.shape
-        units = np.vstack([np.zeros((1, n)), np.eye(n)])
+        unit_accelerations = np.vstack([np.zeros((1, n)), np.eye(n)])
         torques = self.torque(
             parameters if parameters.ndim == 1 else np.repeat(parameters, n + 1, axis=0),
             np.repeat(q, n + 1, axis=0),
             np.repeat(dq, n + 1, axis=0),
-            np.tile(units, (rows, 1)),
+            np.tile(unit_accelerations, (rows, 1)),
         ).reshape(rows, n + 1, n)
         bias = torques[:, 0]
         return np.swapaxes(torques[:, 1:] - bias[:, None], 1, 2), bias
@@ -276,7 +299,7 @@ class Robot:
         """Yield a function that sets the gravity [m/s2], restored at the end."""
 
         def set_gravity(gravity: Sequence[float]) -> None:
-            self._model.gravity.linear = np.array(gravity, dtype=float)
+            self._pin_model.gravity.linear = np.array(gravity, dtype=float)
 
         try:
             yield set_gravity
@@ -285,10 +308,10 @@ class Robot:
 
     def _configurations(self, q: Array) -> Array:
         """Return Pinocchio's configurations, two coordinates for an unlimited joint."""
-        states = np.zeros((len(q), self._model.nq))
+        states = np.zeros((len(q), self._pin_model.nq))
         if self.follow:
             q = q @ self.follow[0].T + self.follow[1]
-        for k, joint in enumerate(list(self._model.joints)[1:]):
+        for k, joint in enumerate(list(self._pin_model.joints)[1:]):
             model_file.set_joint(joint, states.T, q[:, k])
         return states
 
@@ -312,13 +335,13 @@ def describe_model(path: Path, joints: Sequence[str] = ()) -> RobotDescription:
     """Return the description of a URDF or MJCF whose other joints, by default fingers, rest."""
     joint_names = tuple(joint.name for joint in model_file.find_driven_joints(path, joints))
     rest_positions = model_file.find_rest_positions(model_file.read_joints(path), joint_names)
-    sprung = tuple(name for name in joint_names if name in model_file.load(path).springs)
+    sprung_joints = tuple(name for name in joint_names if name in model_file.load(path).springs)
     return RobotDescription(
         name=path.stem,
         model=path.resolve(),
         joints=joint_names,
         locked=rest_positions,
-        springs=sprung,
+        springs=sprung_joints,
     )
 
 

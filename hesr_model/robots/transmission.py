@@ -36,7 +36,7 @@ class Transmission(Config):
     friction: Side | tuple[Side, ...] = "motor"
 
     @model_validator(mode="after")
-    def _can_be(self) -> "Transmission":
+    def _require_regular(self) -> "Transmission":
         n = len(self.matrix)
         if any(len(row) != n for row in self.matrix):
             raise RuleError(
@@ -76,8 +76,8 @@ class Transmission(Config):
     def coordinates(self) -> Array:
         """Friction coordinates over joint angles (n, n)."""
         n = len(self.matrix)
-        at_motor = np.array([side == "motor" for side in self.expand_per_joint("friction", n)])
-        return np.where(at_motor[:, None], self.motors, np.eye(n))
+        is_at_motor = np.array([side == "motor" for side in self.expand_per_joint("friction", n)])
+        return np.where(is_at_motor[:, None], self.motors, np.eye(n))
 
     def require_turning(self, joints: Sequence[str], slides: Sequence[bool]) -> None:
         """Raise RobotError if joints of different kinds are coupled."""
@@ -97,8 +97,8 @@ class Coupling:
 
     def __post_init__(self) -> None:
         n = len(self.matrix)
-        square = n > 0 and all(len(row) == n for row in self.matrix)
-        if not square or not np.linalg.cond(self.forward) < _MAX_CONDITION:
+        is_square = n > 0 and all(len(row) == n for row in self.matrix)
+        if not is_square or not np.linalg.cond(self.forward) < _MAX_CONDITION:
             raise ArtifactError(
                 f"a coupling of joints must be a regular square matrix; found is {self.matrix}."
             )
@@ -135,11 +135,11 @@ class Coupling:
     def ends(self, torque: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the ends (N, n) at q of independent bands around torques (N, n) at u."""
         below, above = (np.maximum(x, 0.0) ** 2 for x in (torque - lower, upper - torque))
-        square = self.forward**2
+        squared_forward = self.forward**2
         is_positive = self.forward > 0.0
         middle = self.to_joints(torque)
-        down = below @ (square * is_positive) + above @ (square * ~is_positive)
-        up = above @ (square * is_positive) + below @ (square * ~is_positive)
+        down = below @ (squared_forward * is_positive) + above @ (squared_forward * ~is_positive)
+        up = above @ (squared_forward * is_positive) + below @ (squared_forward * ~is_positive)
         return middle - np.sqrt(down), middle + np.sqrt(up)
 
 

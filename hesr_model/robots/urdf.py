@@ -87,10 +87,10 @@ def _require_numbers(path: Path, owner: Element, parent: Element) -> None:
             except ValueError:
                 numbers = []
             if len(numbers) != count or np.any(np.isnan(numbers)):
-                needed = f"{count} numbers" if count > 1 else "a number"
+                expectation = f"{count} numbers" if count > 1 else "a number"
                 raise RobotError(
                     f"{path}: {key} = '{text}' in <{element.tag}> of {owner.tag} "
-                    f"'{owner.get('name', '')}' is not {needed}; write decimals with a point."
+                    f"'{owner.get('name', '')}' is not {expectation}; write decimals with a point."
                 )
 
 
@@ -142,59 +142,59 @@ def _find_inertia_doubts(path: Path, link: str, inertial: Element) -> Iterator[F
 def find_model_doubts(path: Path, pin_model: Any) -> Iterator[Finding]:
     """Yield doubts about single joints of a model file."""
     urdf = path.suffix.lower() != ".xml"
-    doubt = partial(build_joint_finding, where=str(path))
+    build_doubt = partial(build_joint_finding, where=str(path))
     for name, joint, link in list(
         zip(pin_model.names, pin_model.joints, pin_model.inertias, strict=True)
     )[1:]:
         if joint.nv != 1:
             observation = "has several degrees of freedom and is held at its reference position"
-            yield doubt("held-joint", name, observation, "leave it out if it moves", "advice")
+            yield build_doubt("held-joint", name, observation, "leave it out if it moves", "advice")
             continue
         lower, upper = position_limits(pin_model, joint, valid=False)
         if urdf and not link.mass > 0.0:
             remedy = "give the link an <inertial> if it is a real part"
-            yield doubt("massless-link", name, "its link has no mass", remedy, "warning")
+            yield build_doubt("massless-link", name, "its link has no mass", remedy, "warning")
         if urdf and link.mass > 0.0 and not np.any(link.inertia):
             observation = f"its link of {link.mass:.3g} kg has no inertia, as if it was rounded"
             remedy = "write more digits of its <inertia>"
-            yield doubt("rounded-inertia", name, observation, remedy, "warning")
+            yield build_doubt("rounded-inertia", name, observation, remedy, "warning")
         if joint.nq != 1 or not np.isfinite(lower + upper):
             if joint.nq == 1 and urdf:
                 remedy = "state them in its <limit>; hesr excite needs them"
-                yield doubt("no-limits", name, "has no limits", remedy, "advice")
+                yield build_doubt("no-limits", name, "has no limits", remedy, "advice")
         elif lower >= upper:
             relation = "equal" if lower == upper else "reversed"
             observation = (
                 f"its position limits are {relation}, {lower:g} and {upper:g}, and count as none"
             )
-            yield doubt("odd-limits", name, observation, "correct its limits", "warning")
+            yield build_doubt("odd-limits", name, observation, "correct its limits", "warning")
         elif 4 * np.pi < max(-lower, upper) <= 720.0 and "JointModelP" not in joint.shortname():
             observation = f"its limits {lower:g} and {upper:g} rad look like degrees"
-            yield doubt("odd-limits", name, observation, "write radians", "warning")
+            yield build_doubt("odd-limits", name, observation, "write radians", "warning")
 
 
 def find_chain_doubts(
-    path: Path, joints: Sequence[str], masses: Array, bare: Mask, sprung: Iterable[str]
+    path: Path, joints: Sequence[str], masses: Array, is_bare: Mask, sprung_joints: Iterable[str]
 ) -> Iterator[Finding]:
-    """Yield doubts about mass matrices (N, n, n), joints without range (n,) and `sprung` ones."""
-    doubt = partial(build_joint_finding, where=str(path))
-    for name in sprung:
+    """Yield doubts about mass matrices (N, n, n), joints without range (n,) and `sprung_joints`."""
+    build_doubt = partial(build_joint_finding, where=str(path))
+    for name in sprung_joints:
         observation = "has a spring, which its torque leaves out"
-        yield doubt(
+        yield build_doubt(
             "no-spring", name, observation, "list it in 'springs' of the robot file", "warning"
         )
-    lowest = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
-    for j in np.flatnonzero(lowest <= 1e-12 * np.abs(masses).max()).tolist():
+    lowest_inertia = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
+    for j in np.flatnonzero(lowest_inertia <= 1e-12 * np.abs(masses).max()).tolist():
         observation = (
-            f"moves an inertia of {lowest[j]:.3g} kg.m2 (kg if it slides), which makes its torques "
-            "meaningless"
+            f"moves an inertia of {lowest_inertia[j]:.3g} kg.m2 (kg if it slides), which makes its "
+            "torques meaningless"
         )
         remedy = "correct the <inertial> of the links after it"
-        yield doubt("no-inertia", joints[j], observation, remedy)
-    for j in np.flatnonzero(bare).tolist():
+        yield build_doubt("no-inertia", joints[j], observation, remedy)
+    for j in np.flatnonzero(is_bare).tolist():
         observation = "joints that follow it leave it no range, and their limits count as none"
         remedy = "correct their limits or their <mimic> or equality"
-        yield doubt("odd-limits", joints[j], observation, remedy, "warning")
+        yield build_doubt("odd-limits", joints[j], observation, remedy, "warning")
 
 
 def position_limits(pin_model: Any, joint: Any, *, valid: bool = True) -> tuple[float, float]:
@@ -222,13 +222,13 @@ def chain_limits(
     speeds = np.array([float(pin_model.velocityLimit[joint.idx_v]) for joint in joints])
     speeds = np.where((speeds > 0.0) & (speeds < UNLIMITED), speeds, np.inf)
     slopes, offsets = follow or (np.eye(n), np.zeros(n))
-    moved = slopes != 0.0
-    scale = np.where(moved, slopes, 1.0)
+    is_driven = slopes != 0.0
+    scale = np.where(is_driven, slopes, 1.0)
     ends = np.sort((ranges.T - offsets)[:, :, None] / scale, axis=0)
-    lower = np.where(moved, ends[0], -np.inf).max(axis=0)
-    upper = np.where(moved, ends[1], np.inf).min(axis=0)
-    bare = lower >= upper
-    alone = ranges[np.array(numbers) - 1].T
-    lower, upper = np.where(bare, alone, [lower, upper])
-    speed = np.where(moved, speeds[:, None] / np.abs(scale), np.inf).min(axis=0)
-    return lower, upper, speed, bare
+    lower = np.where(is_driven, ends[0], -np.inf).max(axis=0)
+    upper = np.where(is_driven, ends[1], np.inf).min(axis=0)
+    is_bare = lower >= upper
+    own_limits = ranges[np.array(numbers) - 1].T
+    lower, upper = np.where(is_bare, own_limits, [lower, upper])
+    speed = np.where(is_driven, speeds[:, None] / np.abs(scale), np.inf).min(axis=0)
+    return lower, upper, speed, is_bare

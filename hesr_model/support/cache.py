@@ -37,8 +37,8 @@ def compute_once(kind: str, inputs: Iterable[str | bytes], make: Callable[[], by
     shelf = folder() / kind / name[:2]
     lock = FileLock(shelf / "lock", mode=0o600)
     try:
-        for place in (shelf.parent, shelf):
-            _make_private(place)
+        for private_folder in (shelf.parent, shelf):
+            _make_private(private_folder)
         content = _read_entry(shelf / name)
         if content is None:
             lock.acquire()
@@ -64,8 +64,8 @@ def compute_once(kind: str, inputs: Iterable[str | bytes], make: Callable[[], by
 
 def _hash_inputs(inputs: Iterable[str | bytes]) -> str:
     key = hashlib.sha256()
-    for part in inputs:
-        data = part.encode() if isinstance(part, str) else part
+    for item in inputs:
+        data = item.encode() if isinstance(item, str) else item
         key.update(len(data).to_bytes(8, "little") + data)
     return key.hexdigest()
 
@@ -121,11 +121,11 @@ def _load_key(place: Path) -> bytes:
 
 
 def _choose_folder(variable: str, default: str) -> Path:
-    named = Path(os.environ.get(variable, ""))
+    named_folder = Path(os.environ.get(variable, ""))
     home = Path(os.environ.get("HOME", ""))
     places = []
-    if named.is_absolute():
-        places.append(named)
+    if named_folder.is_absolute():
+        places.append(named_folder)
     if home.is_absolute() and home.is_dir():
         places.append(home / default)
     for place in places:
@@ -178,11 +178,11 @@ def _temporary_folder() -> Path:
         path.mkdir(mode=0o700, exist_ok=True)
         if _is_private(path.lstat(), stat.S_ISDIR):
             return path
-    return _new_folder()
+    return _make_folder()
 
 
 @cache
-def _new_folder() -> Path:
+def _make_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="hesr-cache-"))
 
 
@@ -193,8 +193,8 @@ def _read_private(file: Path) -> bytes | None:
         handle = os.open(file, flags)
     except OSError:
         return None
-    with os.fdopen(handle, "rb") as opened:
-        return opened.read() if _is_private(os.fstat(handle), stat.S_ISREG) else None
+    with os.fdopen(handle, "rb") as private_file:
+        return private_file.read() if _is_private(os.fstat(handle), stat.S_ISREG) else None
 
 
 def _read_entry(entry: Path) -> bytes | None:

@@ -17,27 +17,29 @@ from hesr_model.support.files import scratch_folder
 PREBUILT = Path(__file__).with_name("binaries")  # kernels of a wheel, named by `digest`
 
 
-def compile_c(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> None:
+def compile_c(
+    source: Path, flags: Sequence[str], output: Path, last_flags: Sequence[str] = ()
+) -> None:
     """Compile one source file, or reuse the result for the same texts and flags.
 
-    In the flags `last`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
+    In `last_flags`, `{compiler}` is replaced by the folder of the compiler. Raises ExportError.
     """
-    name = digest(source, flags, output, last)
+    name = digest(source, flags, output, last_flags)
     prebuilt = PREBUILT / name
     if prebuilt.is_file():
         output.write_bytes(prebuilt.read_bytes())
     else:
         key = f"ziglang {version('ziglang')}", name
         output.write_bytes(
-            compute_once("binaries", key, lambda: _run_compiler(source, flags, output, last))
+            compute_once("binaries", key, lambda: _run_compiler(source, flags, output, last_flags))
         )
     output.chmod(0o755)
 
 
-def digest(source: Path, flags: Sequence[str], output: Path, last: Sequence[str] = ()) -> str:
+def digest(source: Path, flags: Sequence[str], output: Path, last_flags: Sequence[str] = ()) -> str:
     """Return a hash of all that determines a binary, except for the version of the compiler."""
-    named = [source.name, output.name, *(f"flag {flag}" for flag in (*flags, "|", *last))]
-    text = "\n".join([*named, *_hash_contents(source, (*flags, *last))])
+    labels = [source.name, output.name, *(f"flag {flag}" for flag in (*flags, "|", *last_flags))]
+    text = "\n".join([*labels, *_hash_contents(source, (*flags, *last_flags))])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -46,38 +48,41 @@ _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*[\"<]([^\">]+)", re.MULTILIN
 
 def _hash_contents(source: Path, flags: Sequence[str]) -> Iterator[str]:
     home = source.parent
-    folders = [home / found[1] for flag in flags if (found := re.match("-(?:I|isystem)(.+)", flag))]
-    todo = [source, *(home / flag for flag in flags if (home / flag).is_file())]
-    visited = set(todo)
-    while todo:
-        file = todo.pop()
+    include_flags = [re.match("-(?:I|isystem)(.+)", flag) for flag in flags]
+    folders = [home / match[1] for match in include_flags if match]
+    pending_files = [source, *(home / flag for flag in flags if (home / flag).is_file())]
+    visited = set(pending_files)
+    while pending_files:
+        file = pending_files.pop()
         data = file.read_bytes()
         yield hashlib.sha256(data).hexdigest()
         if file.suffix not in (".c", ".cpp", ".h"):
             continue
         for name in _INCLUDE.findall(data):
             places = (place / name.decode() for place in (file.parent, *folders))
-            found = next((place for place in places if place.is_file()), None)
-            if found and found not in visited:
-                visited.add(found)
-                todo.append(found)
+            included = next((place for place in places if place.is_file()), None)
+            if included and included not in visited:
+                visited.add(included)
+                pending_files.append(included)
 
 
-def _run_compiler(source: Path, flags: Sequence[str], output: Path, last: Sequence[str]) -> bytes:
+def _run_compiler(
+    source: Path, flags: Sequence[str], output: Path, last_flags: Sequence[str]
+) -> bytes:
     # A linker interprets percent signs in its output path, so the path is relative.
     with scratch_folder() as cache, scratch_folder(source.parent) as folder:
-        written = folder / output.name
-        relative = f"{written.parent.name}/{output.name}"
+        compiled_file = folder / output.name
+        relative_path = f"{compiled_file.parent.name}/{output.name}"
         compiler = str(files("ziglang"))
-        command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative, source.name]
+        command = [str(files("ziglang") / "zig"), "cc", *flags, "-o", relative_path, source.name]
         # The compiler's object cache breaks under concurrency, so each compilation has its own;
         # that of the slow C library is shared.
-        shared = str(cache_folder() / "zig")
-        caches = {"ZIG_LOCAL_CACHE_DIR": str(cache), "ZIG_GLOBAL_CACHE_DIR": shared}
+        shared_cache = str(cache_folder() / "zig")
+        caches = {"ZIG_LOCAL_CACHE_DIR": str(cache), "ZIG_GLOBAL_CACHE_DIR": shared_cache}
         try:
             # Run in the source's folder to keep paths of this machine out of the binary.
             result = subprocess.run(
-                [*command, *(flag.replace("{compiler}", compiler) for flag in last)],
+                [*command, *(flag.replace("{compiler}", compiler) for flag in last_flags)],
                 cwd=source.parent,
                 env=os.environ | caches,
                 capture_output=True,
@@ -87,6 +92,6 @@ def _run_compiler(source: Path, flags: Sequence[str], output: Path, last: Sequen
         except OSError as error:
             raise ExportError(f"the C compiler cannot be run ({error.strerror}).") from error
         if not result.returncode:
-            return written.read_bytes()
+            return compiled_file.read_bytes()
     lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
     raise ExportError(f"{output.name}: the C compiler failed: {lines[0].strip()}.")

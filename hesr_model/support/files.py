@@ -93,7 +93,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
             cleanup.enter_context(folder_made(path))
         except OSError as error:
             raise _unwritable(path, error) from error
-        _take(path, cleanup)
+        _take_folder(path, cleanup)
         temporary = cleanup.enter_context(scratch_folder(path, _TEMPORARY))
         yield temporary
         with deferred():
@@ -103,14 +103,14 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
                     code = errno.EISDIR if target.is_dir() else errno.ENOTDIR
                     raise _unwritable(target, OSError(code, os.strerror(code)))
             temporary.rename(path / _COMPLETE)  # from here on all files, even if killed
-            _move(path)
+            _move_into_place(path)
 
 
 def settle(path: Path) -> None:
     """Complete or remove what a killed run has left in a folder, unless a run is writing there."""
     with ExitStack() as cleanup, suppress(ArtifactError, OSError):
         if any(path.glob(f"{_TEMPORARY}*")):
-            _take(path, cleanup)
+            _take_folder(path, cleanup)
 
 
 @contextmanager
@@ -118,9 +118,9 @@ def _room_for(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ArtifactError) as error:
-        reason = error if isinstance(error, OSError) else error.__cause__
-        if isinstance(reason, OSError) and reason.errno in _NO_ROOM:
-            raise _unwritable(path, reason) from reason
+        cause = error if isinstance(error, OSError) else error.__cause__
+        if isinstance(cause, OSError) and cause.errno in _NO_ROOM:
+            raise _unwritable(path, cause) from cause
         raise
 
 
@@ -142,7 +142,7 @@ def folder_made(path: Path) -> Iterator[None]:
         yield
 
 
-def _take(path: Path, cleanup: ExitStack) -> None:
+def _take_folder(path: Path, cleanup: ExitStack) -> None:
     from filelock import FileLock, Timeout  # slow to import
 
     lock = FileLock(path / _LOCK, timeout=0)
@@ -156,16 +156,16 @@ def _take(path: Path, cleanup: ExitStack) -> None:
         raise _unwritable(path, error) from error
     cleanup.callback(lock.release)
     cleanup.callback((path / _LOCK).unlink, missing_ok=True)
-    _move(path)
+    _move_into_place(path)
     for leftover in path.glob(f"{_TEMPORARY}*/"):
         _log.info("removing %s, left behind by a killed run", leftover)
         shutil.rmtree(leftover, ignore_errors=True)
     for folder in (path, *path.glob("*/")):
-        _sweep(folder)
+        _sweep_folder(folder)
 
 
 @cache
-def _sweep(folder: Path) -> None:
+def _sweep_folder(folder: Path) -> None:
     """Remove temporary files and folders of killed processes, once per process."""
     import psutil  # slow to import
 
@@ -189,7 +189,7 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _move(path: Path) -> None:
+def _move_into_place(path: Path) -> None:
     """Move all files of a complete result into place; may be repeated."""
     complete_folder = path / _COMPLETE
     for file in sorted(p for p in complete_folder.rglob("*") if p.is_file()):
@@ -209,7 +209,7 @@ def scratch_folder(parent: Path | None = None, prefix: str = "hesr-") -> Iterato
     with ExitStack() as cleanup:
         with deferred():
             if parent is None:
-                _sweep(Path(tempfile.gettempdir()))
+                _sweep_folder(Path(tempfile.gettempdir()))
             name_prefix = f"{prefix}{_MACHINE}-{os.getpid()}-"
             folder = Path(tempfile.mkdtemp(prefix=name_prefix, dir=parent))
             cleanup.callback(_remove_folder, folder)
@@ -223,16 +223,16 @@ def _remove_folder(folder: Path) -> None:
 
 def _remove_whatever(folder: Path) -> None:
     """Remove a folder of any depth: `shutil.rmtree` recurses once per level."""
-    piled = [folder]
-    while piled:
-        path = piled.pop()
+    pending_folders = [folder]
+    while pending_folders:
+        path = pending_folders.pop()
         path.chmod(0o700)
         with os.scandir(path) as entries:
-            entries_found = list(entries)
-        for entry in entries_found:
+            folder_entries = list(entries)
+        for entry in folder_entries:
             if entry.is_dir(follow_symlinks=False):
-                near = folder.with_name(f"{folder.name}-{token_hex(8)}")
-                piled.append(Path(entry.path).rename(near))
+                sibling = folder.with_name(f"{folder.name}-{token_hex(8)}")
+                pending_folders.append(Path(entry.path).rename(sibling))
             else:
                 Path(entry.path).unlink()
         path.rmdir()
@@ -251,8 +251,8 @@ def written_whole(path: Path) -> Iterator[Path]:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             if path.exists() and not path.is_file():  # a file would replace it
                 raise ArtifactError(f"{path}: is a pipe or a device; give the name of a file.")
-            _sweep(path.parent)
-            _sweep(Path(tempfile.gettempdir()))
+            _sweep_folder(path.parent)
+            _sweep_folder(Path(tempfile.gettempdir()))
             with deferred():
                 name_prefix = f".{path.name}.{_MACHINE}-{os.getpid()}-"
                 handle, name = tempfile.mkstemp(

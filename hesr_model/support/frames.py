@@ -32,6 +32,8 @@ def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object
 
 
 def _format_row(kind: str, cells: Iterable[object]) -> Markup:
-    shown = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in cells)
-    written = Markup("").join(Markup(f"<{kind}>{{}}</{kind}>").format(cell) for cell in shown)
-    return Markup("<tr>{}</tr>").format(written)
+    formatted_cells = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in cells)
+    html_cells = Markup("").join(
+        Markup(f"<{kind}>{{}}</{kind}>").format(cell) for cell in formatted_cells
+    )
+    return Markup("<tr>{}</tr>").format(html_cells)

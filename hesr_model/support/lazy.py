@@ -17,17 +17,17 @@ def lazy(module: str, file: str) -> Names:
     The names are those in the stub next to its `file`.
     """
     stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
-    imported = re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)
-    homes = {name: home for home, name in imported}
+    imports = re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)
+    modules_by_name = {name: home_module for home_module, name in imports}
 
     def find(name: str) -> object:
-        if name not in homes:
+        if name not in modules_by_name:
             raise AttributeError(f"module '{module}' has no attribute '{name}'")
-        value = getattr(import_module(homes[name]), name)
+        value = getattr(import_module(modules_by_name[name]), name)
         setattr(sys.modules[module], name, value)
         return value
 
-    return find, lambda: sorted(homes)
+    return find, lambda: sorted(modules_by_name)
 
 
 _THRESHOLDS = (100_000, 20, 20)

@@ -230,11 +230,11 @@ class _Pool:
         return futures
 
     def _start(self) -> None:
-        about = json.dumps([sys.path, str(self._folder), os.getpid()])
+        arguments = json.dumps([sys.path, str(self._folder), os.getpid()])
         # The parent reports crashes; set PYTHONFAULTHANDLER for a traceback.
         faults = {"PYTHONFAULTHANDLER": os.environ.get("PYTHONFAULTHANDLER", "")}
         child = ChildProcess(
-            [sys.executable, "-c", _START, about],
+            [sys.executable, "-c", _START, arguments],
             None,
             mark=self._mark,
             environment=_ENVIRONMENT | faults,
@@ -260,8 +260,8 @@ class _Pool:
                         answer = read_answer(answers)
                     future.set_result(answer)
                 except (EOFError, OSError):
-                    for other in self._children:
-                        other.process.kill()
+                    for worker in self._children:
+                        worker.process.kill()
                     future.set_exception(
                         WorkerError(
                             "a worker process was killed, perhaps for lack of memory; run it "

@@ -43,7 +43,7 @@ class Plugin:
     entry: EntryPoint
 
     @property
-    def own(self) -> bool:
+    def is_built_in(self) -> bool:
         """Whether HESR itself registers it."""
         return self.package == _OWN_PACKAGE
 
@@ -57,7 +57,7 @@ class Plugin:
         try:
             return self.entry.load()
         except Exception as error:
-            if self.own:
+            if self.is_built_in:
                 raise
             raise ConfigError(
                 f"{self.label} cannot be loaded ({type(error).__name__}: {error}); repair or "
@@ -70,14 +70,15 @@ def load(group: str) -> Mapping[str, Plugin]:
     entry_points = [plugin for plugin in _installed(tuple(sys.path)) if plugin.entry.group == group]
     plugins: dict[str, Plugin] = {}
     for plugin in sorted(
-        entry_points, key=lambda plugin: (not plugin.own, plugin.name, plugin.package)
+        entry_points, key=lambda plugin: (not plugin.is_built_in, plugin.name, plugin.package)
     ):
-        if plugin.own and not _exists(plugin.entry.module):
+        if plugin.is_built_in and not _exists(plugin.entry.module):
             continue
-        other = plugins.get(plugin.name)
-        if other:
+        other_plugin = plugins.get(plugin.name)
+        if other_plugin:
             raise ConfigError(
-                f"{plugin.label} has the name of one of '{other.package}'; names must differ."
+                f"{plugin.label} has the name of one of '{other_plugin.package}'; names must "
+                "differ."
             )
         plugins[plugin.name] = plugin
     return plugins
@@ -91,9 +92,9 @@ def _installed(_path: tuple[str, ...]) -> list[Plugin]:
         if "[hesr." in (distribution.read_text("entry_points.txt") or ""):
             entries_by_package.setdefault(distribution.name, list(distribution.entry_points))
     return [
-        Plugin(name=e.name, package=p, entry=e)
-        for p, entries in entries_by_package.items()
-        for e in entries
+        Plugin(name=entry.name, package=package, entry=entry)
+        for package, entries in entries_by_package.items()
+        for entry in entries
     ]
 
 

@@ -71,15 +71,15 @@ def kill_by_mark(mark: str) -> None:
 
     for _ in range(_ROUNDS):
         marked_processes = [
-            other
-            for other in psutil.process_iter(["environ"])
-            if mark in (other.info["environ"] or ()) and other.pid != os.getpid()
+            process
+            for process in psutil.process_iter(["environ"])
+            if mark in (process.info["environ"] or ()) and process.pid != os.getpid()
         ]
         if not marked_processes:
             return
-        for other in marked_processes:
+        for process in marked_processes:
             with contextlib.suppress(psutil.Error):
-                other.kill()
+                process.kill()
         psutil.wait_procs(marked_processes, timeout=1.0)
 
 

@@ -67,9 +67,9 @@ def step(done: int, total: int) -> None:
 
 
 @contextmanager
-def steps_told(to: Progress) -> Iterator[None]:
-    """Pass reports of `step` to `to` within the block."""
-    token = _steps.set(to)
+def steps_told(progress: Progress) -> Iterator[None]:
+    """Pass reports of `step` to `progress` within the block."""
+    token = _steps.set(progress)
     try:
         yield
     finally:
@@ -78,47 +78,46 @@ def steps_told(to: Progress) -> Iterator[None]:
 
 def make_file_progress(path: Path) -> Progress:
     """Return a progress that writes the largest share into a file."""
-    most = 0
+    largest_share = 0
 
-    def tell(done: int, total: int) -> None:
-        nonlocal most
+    def write_share(done: int, total: int) -> None:
+        nonlocal largest_share
         share = UNITS_PER_JOB * done // max(total, 1)
-        if share > most:
+        if share > largest_share:
             # The number never gets shorter, so the file is not truncated: some take 3 ms for that.
-            mode = "r+" if most else "w"
-            most = share
+            mode = "r+" if largest_share else "w"
+            largest_share = share
             with suppress(OSError), path.open(mode, encoding="utf-8") as file:
                 file.write(str(share))
 
-    return tell
+    return write_share
 
 
 @contextmanager
 def watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
     """Report the sum of the shares written by `make_file_progress`."""
     total = UNITS_PER_JOB * len(files)
-    ended = threading.Event()
+    has_ended = threading.Event()
 
-    def look() -> None:
+    def poll_files() -> None:
         largest_sum = 0
-        while not ended.wait(_POLL_PERIOD):
-            largest_sum = max(
-                largest_sum, sum(map(_share, files))
-            )  # a file is empty while it is written
+        while not has_ended.wait(_POLL_PERIOD):
+            # A file is empty while it is written.
+            largest_sum = max(largest_sum, sum(map(_read_share, files)))
             progress(min(largest_sum, total), total)
 
-    watcher = threading.Thread(target=look, daemon=True)
+    watcher = threading.Thread(target=poll_files, daemon=True)
     progress(0, total)
     watcher.start()
     try:
         yield
     finally:
-        ended.set()
+        has_ended.set()
         watcher.join()
     progress(total, total)
 
 
-def _share(file: Path) -> int:
+def _read_share(file: Path) -> int:
     try:
         return int(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # missing, or being written
@@ -131,31 +130,31 @@ def deferred() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-    posix = hasattr(signal, "pthread_sigmask")
-    before = {
-        number: signal.signal(number, lambda number, _frame: came.append(number))
+    received_signals: list[int] = []
+    is_posix = hasattr(signal, "pthread_sigmask")
+    previous_handlers = {
+        number: signal.signal(number, lambda number, _frame: received_signals.append(number))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     # Child processes inherit the mask. It cannot replace the handlers, because another thread may
     # take the signal.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if posix else set()
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if is_posix else set()
     try:
         yield
     finally:
-        if posix:
+        if is_posix:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             if handler is not None:  # None if set by C code
                 signal.signal(number, handler)
-        if came:
-            signal.raise_signal(came[0])
+        if received_signals:
+            signal.raise_signal(received_signals[0])
 
 
 class Interrupted(KeyboardInterrupt):
-    """Interrupt of work that can be continued; `kept` describes how."""
+    """Interrupt of work that can be continued; `resume_hint` describes how."""
 
-    def __init__(self, kept: str, interrupt: KeyboardInterrupt) -> None:
-        super().__init__(kept)
-        self.kept = kept
+    def __init__(self, resume_hint: str, interrupt: KeyboardInterrupt) -> None:
+        super().__init__(resume_hint)
+        self.resume_hint = resume_hint
         self.interrupt = interrupt

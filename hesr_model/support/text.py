@@ -119,7 +119,7 @@ def require_printable(name: str) -> str:
     """Return a name that XML and C can contain, or raise ValueError."""
     if not name or len(name) > _MAX_NAME_LENGTH:
         raise ValueError(f"a name has {len(name)} characters; it can have 1 to {_MAX_NAME_LENGTH}")
-    odd = next((c for c in name if not c.isprintable()), None)
-    if odd:
-        raise ValueError(f"the name {name!a} holds {odd!a}, which cannot be printed")
+    unprintable = next((c for c in name if not c.isprintable()), None)
+    if unprintable:
+        raise ValueError(f"the name {name!a} holds {unprintable!a}, which cannot be printed")
     return name

@@ -67,7 +67,7 @@ class Config(BaseModel):
         try:
             return cls.model_validate(data, context={"folder": path.parent})
         except ValidationError as error:
-            raise _refusal(path, error) from error
+            raise _build_refusal(path, error) from error
         except RecursionError as error:
             sentence = f"{path}: it is nested too deeply."
             raise ConfigError(sentence, code="file.nesting", where=path) from error
@@ -84,7 +84,7 @@ PrintableName = Annotated[str, pydantic.AfterValidator(require_printable)]  # as
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _BrokenRule:
     """One broken rule: `place` is the key that was validated, `key` the offending one."""
 
     code: str
@@ -93,23 +93,23 @@ class _Problem:
     reason: str
 
 
-def _problem(details: Any) -> _Problem:
+def _describe_problem(details: Any) -> _BrokenRule:
     """Return a problem that pydantic found in terms of HESR."""
     reason = details["msg"].removeprefix("Value error, ")
     place = ".".join(map(str, details["loc"]))
     rule = details.get("ctx", {}).get("error")
     if isinstance(rule, RuleError):
-        return _Problem(rule.code, place, ".".join(filter(None, (place, rule.key))), reason)
+        return _BrokenRule(rule.code, place, ".".join(filter(None, (place, rule.key))), reason)
     code = _CODES.get(details["type"], f"value.{details['type']}")
-    return _Problem(code, place, place, reason)
+    return _BrokenRule(code, place, place, reason)
 
 
-def _refusal(path: Path, error: ValidationError) -> ConfigError:
+def _build_refusal(path: Path, error: ValidationError) -> ConfigError:
     problems = error.errors()
     # An unknown key is often the misspelt name of one that is missing.
-    unknown = [d for d in problems if _problem(d).code == _UNKNOWN_KEY]
+    unknown = [details for details in problems if _describe_problem(details).code == _UNKNOWN_KEY]
     details = unknown[0] if unknown else problems[0]
-    problem = _problem(details)
+    problem = _describe_problem(details)
     if unknown:
         sentence = f"unknown key '{problem.key}'; {problem.reason}."
     elif problem.code == _MISSING_KEY:
@@ -143,9 +143,8 @@ def _serialise_gaps(values: Array) -> Any:
     return gaps.tolist()
 
 
-Numbers = Annotated[
-    Array, PlainValidator(_parse_array), PlainSerializer(np.ndarray.tolist)
-]  # as lists
+# Written as lists.
+Numbers = Annotated[Array, PlainValidator(_parse_array), PlainSerializer(np.ndarray.tolist)]
 NumbersWithGaps = Annotated[Array, PlainValidator(_parse_array), PlainSerializer(_serialise_gaps)]
 """As `Numbers`, with null for NaN and infinity, read as NaN."""
 
@@ -179,14 +178,14 @@ def read_json(path: Path, expected_format: str | None = None) -> Any:
 
 
 @cache
-def _adapter(kind: Any) -> TypeAdapter[Any]:
+def _get_adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
 def to_text(value: Any, *, sparse: bool = False) -> str:
     """Return a data class as JSON text; see `to_json`."""
     kind: Any = type(value)
-    return json.dumps(_adapter(kind).dump_python(value, exclude_none=sparse), allow_nan=False)
+    return json.dumps(_get_adapter(kind).dump_python(value, exclude_none=sparse), allow_nan=False)
 
 
 def to_json(value: Any, *, sparse: bool = False) -> Any:
@@ -198,16 +197,16 @@ def from_json(kind: type[Kind], data: Any, path: Path, subject: str) -> Kind:
     """Return the data class `kind` of JSON data; raises ArtifactError."""
     schema: Any = kind
     try:
-        valid: Kind = _adapter(schema).validate_python(data)
+        valid: Kind = _get_adapter(schema).validate_python(data)
     except ValidationError as error:
-        raise _json_refusal(error, path, subject) from error
+        raise _build_json_refusal(error, path, subject) from error
     except ArtifactError as error:
         raise error.add_place(path) from error
     return valid
 
 
-def _json_refusal(error: ValidationError, path: Path, subject: str) -> ArtifactError:
-    problem = _problem(error.errors()[0])
+def _build_json_refusal(error: ValidationError, path: Path, subject: str) -> ArtifactError:
+    problem = _describe_problem(error.errors()[0])
     if problem.code == _MISSING_KEY:
         sentence = f"key '{problem.key}' is missing."
     elif problem.code == _UNKNOWN_KEY:

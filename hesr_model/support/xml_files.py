@@ -6,5 +6,5 @@ from xml.etree import ElementTree as ET
 def to_bytes(root: ET.Element) -> bytes:
     """Serialise an element to the bytes of a file."""
     ET.indent(root)
-    written: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return written + b"\n"
+    data: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return data + b"\n"

@@ -19,7 +19,7 @@ from hesr_model.health.joints import apply_changes
 from hesr_model.health.proposal import inspect_logs
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth
-from hesr_model.rigid_body.accumulation import Streamed
+from hesr_model.rigid_body.accumulation import StreamedProblem
 from hesr_model.rigid_body.identification import identify
 from hesr_model.robots.robot import Robot, RobotDescription
 
@@ -333,7 +333,7 @@ def test_numbers_are_known_or_identified(
 ) -> None:
     api.new(tmp_path / "bench", bench="rotary", **given)
     proposal = inspect_logs([pendulum(tmp_path)], tmp_path / "bench" / "robot.toml")
-    robot = Robot(proposal.robot)
+    robot = Robot(proposal.description)
     body = identify(proposal.logs, robot)
     found = dict(zip(body.names, body.parameters, strict=True))
     assert {body.names[k] for k in body.base} == {f"motor.{name}" for name in unknown}
@@ -345,10 +345,10 @@ def test_numbers_are_known_or_identified(
     assert coulomb + 2.0 * viscous == pytest.approx(PENDULUM.friction(np.array(2.0)), rel=0.01)
     assert offset == pytest.approx(0.0, abs=0.005)
     # A fleet adds the same rows one log at a time.
-    motion = smooth(proposal.logs[0], proposal.robot.log.filter_cutoff)
-    stream = Streamed(robot)
+    motion = smooth(proposal.logs[0], proposal.description.log.filter_cutoff)
+    stream = StreamedProblem(robot)
     stream.add(motion)
-    assert stream.fits
+    assert stream.is_consistent
     streamed = stream.body([motion], "the log").parameters
     np.testing.assert_allclose(streamed, body.parameters, rtol=1e-6, atol=1e-9)
 
@@ -363,7 +363,7 @@ def test_a_torque_that_counts_backwards_is_found(tmp_path: Path, hesr: Hesr, nam
     if gains:
         changes = {"log.torque_per_ampere": tuple(-gain for gain in gains)}
     proposal = inspect_logs([log], apply_changes(robot, changes))
-    (found,) = proposal.first
+    (found,) = proposal.first_findings
     assert (found.check, found.severity) == ("torque-sign", "error")
     assert proposal.examination.findings == ()
 
@@ -394,10 +394,10 @@ def test_a_joint_that_rests_is_locked(tmp_path: Path) -> None:
         tmp_path / "log.csv", {"t": c["t"], "q1": c["q"], "dq1": c["dq"], "tau1": c["tau"], **still}
     )
     proposal = inspect_logs([log], tmp_path / "bench" / "robot.toml")
-    assert (proposal.robot.known, proposal.robot.locked) == (("a.Izz",), {"b": 0.0})
-    assert not proposal.first
+    assert (proposal.description.known, proposal.description.locked) == (("a.Izz",), {"b": 0.0})
+    assert not proposal.first_findings
     assert not proposal.examination.findings
-    assert identify(proposal.logs, Robot(proposal.robot)).parameters.max() == 0.01
+    assert identify(proposal.logs, Robot(proposal.description)).parameters.max() == 0.01
 
 
 def test_a_bench_that_rests_has_no_body_to_check(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def test_a_log_is_inspected(arm: RobotDescription, file: Path) -> None:
     found = hesr.inspect(str(file), robot=str(arm.model), progress=lambda *one: told.append(one))
     assert told == [("inspecting logs", 0, 1)]
     assert [log.name for log in found.proposal.logs] == ["run"]
-    assert hesr.inspect([file]).proposal.robot.joints == ("joint1", "joint2", "joint3")
+    assert hesr.inspect([file]).proposal.description.joints == ("joint1", "joint2", "joint3")
 
 
 def test_a_project_folder_is_created(arm: RobotDescription, tmp_path: Path) -> None:

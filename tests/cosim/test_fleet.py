@@ -30,7 +30,7 @@ from hesr_model.errors import ArtifactError, ConfigError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.sample import Sample
+from hesr_model.logs.sample import MotionSample
 from hesr_model.logs.signals import smooth
 from hesr_model.rigid_body.identification import RigidBody, identify
 from hesr_model.rigid_body.residual import motion_records
@@ -116,7 +116,7 @@ def test_laws_of_a_sample_are_those_of_hesr_fit_on_that_sample(
     process_robot(find_members(study, file)[0], study, tmp_path / "R0")
     model, logs = logs_of(copied, "R0")
     body = RigidBody.read(tmp_path / "R0" / "rigid_body.json")
-    sample = Sample(1500, 0)
+    sample = MotionSample(1500, 0)
     for log in logs:
         sample.add(smooth(log))
     records = [motion_records(motion, model, body) for motion in sample.motions()]

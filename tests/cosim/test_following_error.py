@@ -19,7 +19,7 @@ from hesr.extras.studies.feed_forward import feed_forward, predict_following
 from hesr_model.errors import ConfigError, FitError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
-from hesr_model.logs.guess import guess
+from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table
 from hesr_model.motions.trajectories import random_fourier
@@ -207,7 +207,7 @@ def test_commands_of_a_file(tmp_path: Path) -> None:
     np.savetxt(
         path, np.column_stack(list(columns.values())), delimiter=",", header=header, comments=""
     )
-    assert guess(read_table(path)).columns["q_cmd"] == ("target_q_0",)
+    assert guess_columns(read_table(path)).columns["q_cmd"] == ("target_q_0",)
 
 
 @pytest.mark.parametrize("cell", ["", "nan", "word"])

@@ -22,7 +22,7 @@ from hesr_model.health.examine import examine
 from hesr_model.health.joints import apply_changes, remove_joints
 from hesr_model.health.proposal import Proposal, inspect_logs, propose, robot_file
 from hesr_model.inference.comparison import LawErrors, law_errors
-from hesr_model.logs.guess import guess
+from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.log_table import build_table
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
@@ -95,7 +95,7 @@ def test_a_messy_log_gets_a_robot_file_that_reads_it(
 def test_renamed_torque_columns_need_no_constants(messy: Path, arm: RobotDescription) -> None:
     text = messy.read_text("utf-8").replace("_current", "_torque")
     messy.write_text(text, encoding="utf-8")
-    log = propose([messy], arm, has_model=False).robot.log
+    log = propose([messy], arm, has_model=False).description.log
     assert log.torque_per_ampere is None
     assert "torque" in str(log.columns.tau)
 
@@ -144,7 +144,11 @@ def test_training_lasts_until_each_joint_has_reversed(
         dq[motion.t > reversed_at, 1] *= -1.0
         log = Log(name="late", path=messy, t=motion.t, q=motion.q, dq=dq, tau=motion.tau)
         looked_at = Proposal(
-            robot=arm, reasons={}, logs=[log], examination=examine([log], arm, None), first=()
+            description=arm,
+            reasons={},
+            logs=[log],
+            examination=examine([log], arm, None),
+            first_findings=(),
         )
         text = study_file(looked_at, robot, study)
         return float(tomllib.loads(text)["logs"]["parts"]["first"]["stop"])
@@ -287,7 +291,7 @@ def test_only_the_remedy_of_a_refusal_is_kept(
     lines[50], lines[51] = lines[51], lines[50]
     path.write_text("\n".join(lines), encoding="utf-8")
     found = propose([path], arm, has_model=True)
-    assert (found.robot.log.sort, found.robot.log.missing) == (True, "refuse")
+    assert (found.description.log.sort, found.description.log.missing) == (True, "refuse")
     assert set(found.reasons) == {"log.sort"}
     lines[60] = lines[60].replace(lines[60].split(",")[1], "", 1)
     lines.insert(71, lines[70])
@@ -307,7 +311,7 @@ def test_a_unit_is_sure_only_with_two_witnesses(
         path = tmp_path / "log.csv"
         Log(name="log", t=motion.t, q=np.degrees(motion.q), dq=dq, tau=tau).write(path)
         found = propose([path], arm, has_model=True)
-        assert found.robot.log.units.q == "deg"
+        assert found.description.log.units.q == "deg"
         assert found.reasons["log.units.q"].startswith(f"{mark}: ")
         assert found.examination.findings == ()
 
@@ -339,7 +343,7 @@ def test_mixed_names_are_recognised(
     head, *rows = path.read_text(encoding="utf-8").splitlines()
     head = re.sub(r"(q|dq|tau)1", r"\1_base", re.sub(r"(q|dq|tau)([23])", r"\1_\2", head))
     path.write_text("\n".join([head, *rows]), encoding="utf-8")
-    assert propose([path], arm, has_model=True).robot.log.columns.tau == (
+    assert propose([path], arm, has_model=True).description.log.columns.tau == (
         "tau_base",
         "tau_2",
         "tau_3",
@@ -446,9 +450,9 @@ def test_joints_are_recognised_by_name_and_number(
             lines[0] = re.sub(r"\b(q|dq|tau)(\d)", r"j\2_\1", lines[0])
         path.write_text("\n".join(lines), encoding="utf-8")
         proposal = inspect_logs([path], model)
-        assert proposal.robot.joints == ("j1", "j2", "j3")
+        assert proposal.description.joints == ("j1", "j2", "j3")
         assert proposal.reasons["joints"] == f"likely: {reason}"
-        assert proposal.robot.locked == {"wheel0": 0.0, "wheel1": 0.0}
+        assert proposal.description.locked == {"wheel0": 0.0, "wheel1": 0.0}
 
 
 def test_logs_are_inspected_without_a_robot(messy: Path, hesr: Hesr) -> None:
@@ -470,10 +474,10 @@ def test_mistakes_are_fixed_in_the_proposal(
     dq = motion.dq[:, [0, 2, 1]]
     Log(name="wrong", t=motion.t, q=motion.q, dq=dq, tau=tau).write(path)
     proposal = propose([path], arm, has_model=True)
-    assert proposal.robot.log.units.tau == ("-N.m", "N.m", "-N.m")
-    assert proposal.robot.log.columns.dq == ("dq1", "dq3", "dq2")
+    assert proposal.description.log.units.tau == ("-N.m", "N.m", "-N.m")
+    assert proposal.description.log.columns.dq == ("dq1", "dq3", "dq2")
     assert proposal.examination.findings == ()
-    assert {f.check for f in proposal.first} == {"velocity-columns", "torque-sign"}
+    assert {f.check for f in proposal.first_findings} == {"velocity-columns", "torque-sign"}
 
 
 def test_stated_torque_constants_are_kept(
@@ -490,7 +494,7 @@ def test_stated_torque_constants_are_kept(
     np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
     stated = tuple(1.2 * GAINS)
     log = arm.log.model_copy(update={"torque_per_ampere": stated})
-    robot = propose([path], arm.model_copy(update={"log": log}), has_model=True).robot
+    robot = propose([path], arm.model_copy(update={"log": log}), has_model=True).description
     assert robot.log.torque_per_ampere == (*stated[:2], -stated[2])
 
 
@@ -601,7 +605,7 @@ def test_a_joint_word_does_not_hide_the_quantity(
 ) -> None:
     columns = {"t": 0.01 * np.arange(5), "q1": np.arange(5.0), "q2": np.arange(5.0)}
     table = build_table(Path("log"), columns | {name: np.arange(5.0) for name in names})
-    found = guess(table, ("shoulder_joint", "elbow_joint"))
+    found = guess_columns(table, ("shoulder_joint", "elbow_joint"))
     if quantity != "q":
         assert found.columns[quantity] == tuple(names)
     assert found.units.get(quantity) == unit

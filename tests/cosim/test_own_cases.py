@@ -286,7 +286,7 @@ def test_counts_of_an_encoder_are_an_error(logged: bool, tmp_path: Path) -> None
     assert (counts.severity, counts.joints) == ("error", ("a", "b"))
     assert "positions are whole numbers, as counts" in counts.found
     assert not [why for why in found.proposal.reasons.values() if why.startswith("sure")]
-    assert found.proposal.robot.log.units.q == "rad"
+    assert found.proposal.description.log.units.q == "rad"
     # With the size of a count, as stated by the message, the log is sound.
     units = f"[log.units]\nq = {2 * np.pi / 4096}\n"
     robot.write_text(robot.read_text(encoding="utf-8") + units, encoding="utf-8")
@@ -299,7 +299,7 @@ def test_turns_are_likely_with_one_witness(tmp_path: Path) -> None:
     data = motion(Robot(path))
     log = csv(tmp_path / "log.csv", data | {"q": data["q"] / (2 * np.pi)}, ("1", "2"))
     found = api.inspect(log, robot=path, write=tmp_path / "robot.toml")
-    assert found.proposal.robot.log.units.q == "rev"
+    assert found.proposal.description.log.units.q == "rev"
     assert found.proposal.reasons["log.units.q"].startswith("likely: ")
     assert not found.findings
 
@@ -313,5 +313,5 @@ def test_millimetres_of_two_axes_are_those_of_their_names(tmp_path: Path) -> Non
     api.new(robot.parent, bench="sliding", joints=["x", "y"])
     found = api.inspect(log, robot=robot, write=robot)
     assert (found.findings, found.fixed) == ([], [])
-    units = found.proposal.robot.log.units
+    units = found.proposal.description.log.units
     assert (units.q, units.dq) == ("mm", "mm/s")

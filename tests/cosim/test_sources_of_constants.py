@@ -13,7 +13,7 @@ from test_cli_constants import ROBOT, write
 from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.health.proposal import apply_constants, propose, robot_file
 from hesr_model.logs.robot_log import Log
-from hesr_model.rigid_body.torque_constants import Constant
+from hesr_model.rigid_body.torque_constants import TorqueConstant
 from hesr_model.robots.description import statements
 from hesr_model.robots.robot import RobotDescription
 
@@ -112,11 +112,11 @@ def test_proposed_constants_are_guesses_until_identified(
     assert tomllib.loads(robot_file(proposal, log))["sources"] == {"torque_per_ampere": "guessed"}
     # The second is not determined.
     found = [
-        Constant(joint=joint, value=12.34567, error=0.1, determined=joint != "j2")
+        TorqueConstant(joint=joint, value=12.34567, error=0.1, determined=joint != "j2")
         for joint in arm.joints
     ]
     told = tomllib.loads(robot_file(apply_constants(proposal, found), log))
     assert told["sources"]["torque_per_ampere"] == ["identified", "guessed", "identified"]
-    guesses = proposal.robot.log.torque_per_ampere
+    guesses = proposal.description.log.torque_per_ampere
     assert guesses
     assert told["log"]["torque_per_ampere"] == [12.35, guesses[1], 12.35]

@@ -14,7 +14,7 @@ from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.motions.excitation import ExcitationSettings, design
 from hesr_model.motions.limits import MotionLimits
-from hesr_model.rigid_body.accumulation import Streamed
+from hesr_model.rigid_body.accumulation import StreamedProblem
 from hesr_model.rigid_body.identification import Method, Weighting, identify, identify_motions
 from hesr_model.rigid_body.observations import match_motions
 from hesr_model.rigid_body.payload import add_payload, identify_payload_motions
@@ -77,10 +77,10 @@ def test_with_reversed_logs(
 
 
 def test_streamed(motions: list[Motion], arm_model: Robot, unchanged: Unchanged) -> None:
-    stream = Streamed(arm_model)
+    stream = StreamedProblem(arm_model)
     for motion in motions:
         stream.add(motion)
-    unchanged({"slow": stream.slow, "body": stream.body(motions, "the logs")})
+    unchanged({"slow": stream.min_speeds, "body": stream.body(motions, "the logs")})
 
 
 def test_refined_by_a_law(make_motion: MakeMotion, arm_model: Robot, unchanged: Unchanged) -> None:

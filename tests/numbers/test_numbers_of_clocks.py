@@ -9,13 +9,13 @@ from pytest_regressions.data_regression import DataRegressionFixture
 from unchanged import Unchanged
 
 from hesr_model.health.evidence import (
-    Motionwise,
+    SmoothPart,
     smooth_parts,
 )
 from hesr_model.health.examine import add_log_name
 from hesr_model.health.timing import (
     LagRows,
-    _friction_shapes,
+    _compute_friction_shapes,
     _project_out,
     _report_wrong_rate,
     check_clocks,
@@ -37,7 +37,7 @@ def late(values: np.ndarray, rows: int) -> np.ndarray:
     return values[np.clip(np.arange(len(values)) - rows, 0, len(values) - 1)]
 
 
-def part_of(log: Log) -> Motionwise:
+def part_of(log: Log) -> SmoothPart:
     (part,) = smooth_parts(log, 15.0)
     return part
 
@@ -59,14 +59,14 @@ def test_clocks(
     )
     every = [0, 1, 2]
 
-    def moved(*shifts: int) -> Motionwise:
+    def moved(*shifts: int) -> SmoothPart:
         tau = np.column_stack([late(log.tau[:, j], k) for j, k in enumerate(shifts)])
         return part_of(replace(log, tau=tau))
 
-    def told(own: Motionwise, joints: list[int] = every) -> list[str]:
+    def told(own: SmoothPart, joints: list[int] = every) -> list[str]:
         return said(add_log_name(own.log, check_clocks(own, joints, arm_model)[0]))
 
-    def slowed(rate: float) -> Motionwise:
+    def slowed(rate: float) -> SmoothPart:
         own = replace(log, t=rate * log.t, dq=None)
         return part_of(own)
 
@@ -85,8 +85,8 @@ def test_clocks(
                       for x in (log, slowed(1.5).log, slowed(0.6).log, noisy)],
             "rate of one": estimate_stamp_rate(rows, [1]),
             "short": estimate_stamp_rate(LagRows.from_log(short.log, arm_model, base), every),
-            "rubs": _friction_shapes(part.q[:, 0], part.v[:, 0]),
-            "rubs backwards": _friction_shapes(-part.q[:, 0], -part.v[:, 0])[:3],
+            "rubs": _compute_friction_shapes(part.q[:, 0], part.v[:, 0]),
+            "rubs backwards": _compute_friction_shapes(-part.q[:, 0], -part.v[:, 0])[:3],
             "beside": _project_out(
                 np.column_stack([part.q, part.q[:, :1], 1e-12 * part.v]), part.tau
             ),
@@ -120,9 +120,9 @@ def test_few_rows_determine_no_delay() -> None:
     bodies = np.ones((5, 1, 2))
     rows = LagRows(
         torques=np.zeros((5, 3, 1)),
-        still=bodies,
-        moving=bodies,
-        rubs=(np.zeros((5, 40)),),
-        known=np.ones((5, 1), dtype=bool),
+        static=bodies,
+        inertial=bodies,
+        friction_shapes=(np.zeros((5, 40)),),
+        is_known=np.ones((5, 1), dtype=bool),
     )
     assert [(one.value, one.error) for one in estimate_delays(rows, 0)] == [(0.0, np.inf)] * 2

@@ -11,16 +11,16 @@ from unchanged import Unchanged
 
 from hesr_model.health.evidence import (
     Estimate,
-    Motionwise,
-    Torques,
-    explain,
+    ModelTorques,
+    SmoothPart,
+    fit_joint_torque,
     friction_shape,
     smooth_parts,
     to_logged_side,
 )
 from hesr_model.health.examine import add_log_name
 from hesr_model.health.positions import _estimate_sliding_torque, check_loss
-from hesr_model.health.torque import explain_joints
+from hesr_model.health.torque import fit_joint_torques
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -30,7 +30,7 @@ MakeMotion = Callable[..., Motion]
 COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.5, 1.0))
 
 
-def part_of(log: Log) -> Motionwise:
+def part_of(log: Log) -> SmoothPart:
     (part,) = smooth_parts(log, 15.0)
     return part
 
@@ -43,7 +43,7 @@ def test_explanations_of_a_torque(unchanged: Unchanged) -> None:
     nothing = 0.0 * t
     unchanged(
         {
-            "whole": (whole := explain(tau, gravity, inertial, v)),
+            "whole": (whole := fit_joint_torque(tau, gravity, inertial, v)),
             "r2": whole.r2,
             "bears": [
                 edge(lambda x: replace(whole, residual=x).bears_gravity, 0.01, 9.0),
@@ -61,14 +61,16 @@ def test_explanations_of_a_torque(unchanged: Unchanged) -> None:
                     lambda x: replace(whole, gravity_size=x, residual=1e-9).bears_gravity, 0, 1e-4
                 ),
             ],
-            "no gravity": explain(tau, nothing, inertial, v).friction,
-            "no model": explain(tau, nothing, nothing, v).r2,
+            "no gravity": fit_joint_torque(tau, nothing, inertial, v).friction,
+            "no model": fit_joint_torque(tau, nothing, nothing, v).r2,
             "tiny gravity": [
-                float(explain(tau, x * gravity, inertial, v).gravity.value)
+                float(fit_joint_torque(tau, x * gravity, inertial, v).gravity.value)
                 for x in (1e-13, 1e-12, 1e-11, 2e-9, 1e-8)
             ],
             "tiny all": [
-                float(explain(1e-5 * tau, x * gravity, x * inertial, 1e-9 * v).gravity.value)
+                float(
+                    fit_joint_torque(1e-5 * tau, x * gravity, x * inertial, 1e-9 * v).gravity.value
+                )
                 for x in (1e-13, 3e-12, 1e-9)
             ],
             "slow": friction_shape(0.01 * v),
@@ -76,7 +78,7 @@ def test_explanations_of_a_torque(unchanged: Unchanged) -> None:
             "fast": friction_shape(5.0 * v),
             "knee": friction_shape(0.3 * v),
             "of one": Estimate(value=2.0, error=0.0).t / 1e300,
-            "constant torque": explain(nothing, gravity, inertial, v).r2,
+            "constant torque": fit_joint_torque(nothing, gravity, inertial, v).r2,
         },
         rtol=1e-5,
     )
@@ -86,7 +88,7 @@ def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> Non
     part = part_of(log)
     long = two_joints(9000)
     coupling = Coupling(COUPLED)
-    torques = Torques.from_motion(arm_model, part.q, part.v, part.a)
+    torques = ModelTorques.from_motion(arm_model, part.q, part.v, part.a)
     resting = replace(part, q=part.q * [1.0, 1e-3, 1.0], v=part.v * [1.0, 1.0, 0.0])
     constant = replace(part, tau=at(part.tau, slice(None), 2, 1.0))
     flat = replace(part, tau=1e-3 * part.tau)
@@ -97,15 +99,15 @@ def test_prepared_parts(log: Log, arm_model: Robot, unchanged: Unchanged) -> Non
             "thinned": [len(part.thin(n).t) for n in (1, 999, 1000, 1001, 1999, 2000, 2001)],
             "long": [len(x.t) for x in smooth_parts(long, 15.0)],
             "parts": [len(x.t) for x in smooth_parts(gap, 5.0)],
-            "moves": [part.moves, resting.moves, constant.moves],
-            "least travel": edge(lambda x: replace(part, q=x * part.q).moves[0], 1e-4, 0.1),
-            "least speed": edge(lambda x: replace(part, v=x * part.v).moves[0], 1e-4, 0.1),
+            "moves": [part.is_moving, resting.is_moving, constant.is_moving],
+            "least travel": edge(lambda x: replace(part, q=x * part.q).is_moving[0], 1e-4, 0.1),
+            "least speed": edge(lambda x: replace(part, v=x * part.v).is_moving[0], 1e-4, 0.1),
             "torques": torques,
             "as logged": to_logged_side(part, torques, coupling),
             "explained": [
-                list(explain_joints(x, torques)) for x in (part, resting, constant, flat)
+                list(fit_joint_torques(x, torques)) for x in (part, resting, constant, flat)
             ],
-            "fits": explain_joints(part, torques),
+            "fits": fit_joint_torques(part, torques),
         },
         rtol=1e-5,
     )
@@ -124,11 +126,11 @@ def test_cost_of_lost_rows(
 
     def told(own: Log) -> list[str]:
         part = part_of(own)
-        torques = Torques.from_motion(arm_model, part.q, part.v, part.a)
+        torques = ModelTorques.from_motion(arm_model, part.q, part.v, part.a)
         return said(add_log_name(part.log, check_loss(part, torques, arm_model)))
 
     part = part_of(lost(0.3, 1.0))
-    torques = Torques.from_motion(arm_model, part.q, part.v, part.a)
+    torques = ModelTorques.from_motion(arm_model, part.q, part.v, part.a)
     unchanged(
         {
             "sliding": [_estimate_sliding_torque(part, torques, j) for j in range(3)],

@@ -15,8 +15,8 @@ from hesr_model.errors import ConfigError, RobotError
 from hesr_model.motions import excitation
 from hesr_model.motions.excitation import (
     ExcitationSettings,
-    Search,
-    _null_space,
+    FourierSearch,
+    _find_null_space,
     condition,
     design,
     random_motions,
@@ -188,7 +188,7 @@ def test_inputs_of_a_search(
     arm_model: Robot, unchanged: Unchanged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = replace(Limits.from_settings(arm_model, SLOW), torque=np.array([3.0, 8.0, 1.0]))
-    search = Search(model=arm_model, limits=limits, harmonics=3, period=(3.0, 9.0))
+    search = FourierSearch(robot=arm_model, limits=limits, harmonics=3, period=(3.0, 9.0))
     x = np.random.default_rng(3).normal(0.0, 0.5, 16)
     x[-1] = np.log(4.0)
     unpacked = search.unpack(x)
@@ -212,7 +212,8 @@ def test_inputs_of_a_search(
             "unpacked": unpacked,
             "packed": search.pack(unpacked) - x,
             "spaces": [
-                space @ space.T for space in (_null_space(np.arange(1.0, 5.0)), search._at_rest[1])
+                space @ space.T
+                for space in (_find_null_space(np.arange(1.0, 5.0)), search._at_rest[1])
             ],
             "drawn": random_motions(arm_model, settings, 2, 5),
             "given": given,

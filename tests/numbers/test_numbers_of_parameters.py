@@ -132,7 +132,9 @@ def test_a_declared_error_is_relative(error: float, arm_model: Robot) -> None:
 
 
 def test_a_constant_is_determined_up_to_a_fifth() -> None:
-    one = torque_constants.Constant(joint="j1", value=12.345678, error=1.2345, determined=True)
+    one = torque_constants.TorqueConstant(
+        joint="j1", value=12.345678, error=1.2345, determined=True
+    )
     assert one.sentence == "joint 'j1': 12.35 +- 1.2 N.m/A."
     assert torque_constants._MAX_RELATIVE_ERROR == 0.2
 
@@ -164,17 +166,17 @@ def test_steps_of_a_constant(
             weight,
             torque_constants._prior_deviations(arm_model, 0.1),
         )
-        start = problem._start()
+        start = problem._find_start()
         scales = [2.0, 3.0][: len(kinds)]
         left = problem._residuals(start + 0.01, scales)
         slopes = problem._slopes(start + 0.01, scales)
         found[name] = {
-            "known": problem.known, "start": start, "solved": problem.solve(),
+            "known": problem.trusted_torque, "start": start, "solved": problem.solve(),
             # Rows of a factor are not unique, but their products are.
             "gram": (slopes.T @ slopes)[::5].tolist(), "moment": slopes.T @ left,
             "left": float(left @ left),
-            "lengths": [rows.length for rows in problem.kinds],
-            "counts": [rows.count for rows in problem.kinds],
+            "lengths": [rows.length for rows in problem.load_cases],
+            "counts": [rows.count for rows in problem.load_cases],
         }  # fmt: skip
     unchanged(found, rtol=1e-4, atol=1e-6)
 

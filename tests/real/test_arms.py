@@ -67,7 +67,7 @@ def of_pinocchio(path: Path, robot: Robot, states: States) -> np.ndarray:
     import pinocchio as pin
 
     found = load(path)
-    model = pin.buildModelFromUrdf(str(path)) if path.suffix == ".urdf" else found.model
+    model = pin.buildModelFromUrdf(str(path)) if path.suffix == ".urdf" else found.pin_model
     model.gravity.linear = robot.gravity
     data, rest = model.createData(), rests(path, robot)
     joints = [model.joints[model.getJointId(frame.name)] for frame in robot.tree]
@@ -89,7 +89,7 @@ def of_pinocchio(path: Path, robot: Robot, states: States) -> np.ndarray:
 def rests(path: Path, robot: Robot) -> dict[str, float]:
     """Positions of the joints that do not move, with their followers."""
     found = load(path)
-    places = found.rest | robot.description.locked
+    places = found.rest_positions | robot.description.locked
     moving = {frame.name for frame in robot.tree}
     for name, (leader, slope, offset) in found.followers.items():
         if name not in moving:

@@ -55,11 +55,11 @@ def test_backward_currents_of_a_tiago_are_found_from_its_urdf_alone() -> None:
     if not folder.is_dir():
         pytest.skip(f"measured logs are not next to the repository, in {SHARED}")
     found = inspect_logs([folder / "tiago_excitation.csv"], folder / "tiago_arm.urdf")
-    gains = found.robot.log.torque_per_ampere
+    gains = found.description.log.torque_per_ampere
     assert gains is not None
     assert [gain < 0.0 for gain in gains] == [False] * 3 + [True] * 2 + [False] * 3
     np.testing.assert_allclose(gains[3:5], [-8.7, -8.7], rtol=0.1)
-    assert found.robot.log.units.q == "rad"
+    assert found.description.log.units.q == "rad"
     assert found.reasons["log.torque_per_ampere"].startswith("guess: ")
     checks = {finding.check for finding in found.examination.findings}
     assert checks == {"impossible-inertia", "torque-signal"}

@@ -68,7 +68,7 @@ class Pinocchio:
         import pinocchio as pin
 
         found = load(path)
-        model = pin.buildModelFromUrdf(str(path)) if path.suffix == ".urdf" else found.model
+        model = pin.buildModelFromUrdf(str(path)) if path.suffix == ".urdf" else found.pin_model
         model.gravity.linear = robot.gravity
         self._pin, self.model, self.data = pin, model, model.createData()
         self.state = pin.neutral(model)

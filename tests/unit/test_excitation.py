@@ -11,7 +11,7 @@ from hesr_model.errors import ConfigError, FitError, RobotError
 from hesr_model.motions.excitation import (
     Excitation,
     ExcitationSettings,
-    Search,
+    FourierSearch,
     condition,
     design,
     random_motions,
@@ -150,7 +150,7 @@ def test_gradient_matches_differences_of_the_value(arm_model: Robot) -> None:
             torque=(0.5, 3.0, 1.0),
         ),
     )
-    search = Search(model=arm_model, limits=limits, harmonics=3, period=(4.0, 9.0))
+    search = FourierSearch(robot=arm_model, limits=limits, harmonics=3, period=(4.0, 9.0))
     x = np.random.default_rng(2).uniform(-0.9, 0.9, len(search.bounds))
     x[-1] = np.log(6.0)
     value, gradient = search.value_and_gradient(x, 10.0)
@@ -166,7 +166,7 @@ def test_gradient_matches_differences_of_the_value(arm_model: Robot) -> None:
 
 def test_coordinates_map_to_motions(arm_model: Robot) -> None:
     limits = Limits.from_settings(arm_model, SLOW)
-    search = Search(model=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
+    search = FourierSearch(robot=arm_model, limits=limits, harmonics=3, period=(5.0, 12.0))
     motion = random_motions(arm_model, QUICK, 1, seed=0)[0]
     back = search.unpack(search.pack(motion))
     for name in ("offset", "a", "b", "period"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import LogError
-from hesr_model.logs.guess import Guess, guess
+from hesr_model.logs.guess import ColumnGuess, guess_columns
 from hesr_model.logs.log_table import build_table
 
 PLAIN = "time,q1,q2,dq1,dq2,tau1,tau2"
@@ -14,12 +14,12 @@ PLAIN = "time,q1,q2,dq1,dq2,tau1,tau2"
 
 def guessed(
     header: str, joints: tuple[str, ...] = (), *, period: float = 0.01, jitter: float = 0.0
-) -> Guess:
+) -> ColumnGuess:
     rows = np.arange(40)
     names = header.split(",")
     columns = {names[0]: period * rows + jitter * (rows % 2)}
     columns |= {name: np.full(40, 1.5) for name in names[1:]}
-    return guess(build_table(Path("run.csv"), columns), joints)
+    return guess_columns(build_table(Path("run.csv"), columns), joints)
 
 
 # Header, joints, columns by quantity, units that are not SI.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hesr_model.errors import LogError
-from hesr_model.logs.guess import guess
+from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.log_format import LogColumns, LogCylinder, LogFormat, LogUnits
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table, write_table
@@ -173,7 +173,7 @@ def test_temperature_columns_are_guessed(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     values = np.column_stack([rows(), 2.0 * rows()[:, 5:], rows()[:, 5:]])
     path.write_text(written(values, names), encoding="utf-8")
-    found = guess(read_table(path)).columns
+    found = guess_columns(read_table(path)).columns
     assert found["temperature"] == ("joint_temperatures_0", "joint_temperatures_1")
     assert found["q"] == ("actual_q_0", "actual_q_1")
 
@@ -250,14 +250,14 @@ def test_names_of_single_motors_are_guessed(
     path = tmp_path / "motor.csv"
     rows = [",".join([f"{0.01 * k:.2f}", *["0.5"] * header.count(",")]) for k in range(20)]
     path.write_text("\n".join([header, *rows]), encoding="utf-8")
-    assert guess(read_table(path)).columns == columns
+    assert guess_columns(read_table(path)).columns == columns
 
 
 def test_a_column_of_dates_is_the_time(tmp_path: Path) -> None:
     path = tmp_path / "motor.csv"
     rows = [f"2026-01-02T03:04:{k:02d}.5,0.1,0.2" for k in range(20)]
     path.write_text("\n".join(["datetime,q,tau", *rows]), encoding="utf-8")
-    assert guess(read_table(path)).columns["t"] == "datetime"
+    assert guess_columns(read_table(path)).columns["t"] == "datetime"
 
 
 def test_types_follow_from_all_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

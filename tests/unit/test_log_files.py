@@ -185,7 +185,7 @@ def test_inspect_proposes_to_sort(tmp_path: Path) -> None:
     values[[400, 401]] = values[[401, 400]]
     (tmp_path / "run.csv").write_text(text(values), encoding="utf-8")
     proposal = inspect_logs([tmp_path / "run.csv"])
-    assert proposal.robot.log.sort
+    assert proposal.description.log.sort
     assert len(proposal.logs[0].t) == 600
 
 

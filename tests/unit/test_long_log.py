@@ -120,7 +120,7 @@ def test_identify_reads_long_logs_in_pieces(
         long_log, "LongLog", lambda *given: used.append(make(*given, rows=500)) or used[-1]
     )
     found = hesr.identify(paths, robot=file)
-    assert [len(log.stretches) for log in used] == [4, 4]
+    assert [len(log.checked_pieces) for log in used] == [4, 4]
     assert_same(found, expected)
     assert found.provenance == expected.provenance
     from_memory = hesr.identify([Log.read(path, robot) for path in paths])
@@ -193,7 +193,7 @@ def test_arrays_stored_by_column_are_read_as_a_whole(
     np.save(tmp_path / "log.npy", np.asfortranarray(table))
     log = LongLog(tmp_path / "log.npy", robot, rows=400)
     np.testing.assert_array_equal(np.concatenate([m.t for m in log.motions()]), table[:, 0])
-    assert log.stretches[0].rows(slice(0, 3)).path == tmp_path / "log.npy"
+    assert log.checked_pieces[0].rows(slice(0, 3)).path == tmp_path / "log.npy"
 
 
 def test_dates_and_rates_go_on_from_piece_to_piece(tmp_path: Path) -> None:
@@ -278,7 +278,7 @@ def test_rows_without_numbers_are_left_out(robot: RobotDescription, tmp_path: Pa
     table[:199, 1] = np.nan
     path = written(tmp_path / "log.csv", table)
     assert Log.read(path, drop).dropped == 199
-    assert sum(log.dropped for log in LongLog(path, drop, rows=200).stretches) == 199
+    assert sum(log.dropped for log in LongLog(path, drop, rows=200).checked_pieces) == 199
     table[:, 1] = np.nan
     path = written(tmp_path / "log.csv", table)
     for read in (Log.read, LongLog):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.motions.excitation import Search, _excess, _log_condition
+from hesr_model.motions.excitation import FourierSearch, _bound_condition, _compute_excess
 from hesr_model.motions.limits import Limits, MotionLimits, peak_torque
 from hesr_model.motions.trajectories import Fourier, sample_one_period
 from hesr_model.robots.robot import Robot
@@ -91,7 +91,7 @@ def test_peak_torque_comes_from_the_model_file(motion: Fourier, arm_model: Robot
 
 def test_the_excess_is_the_mean_square_above_a_limit() -> None:
     values = np.array([[1.0, -3.0], [-2.5, 0.0], [2.0, 1.0], [0.0, 0.0]])
-    excess, slope = _excess(values, np.array([2.0, 1.0]))
+    excess, slope = _compute_excess(values, np.array([2.0, 1.0]))
     assert excess == pytest.approx((0.25**2 + 2.0**2) / 4)
     expected = [[0.0, -2 * 2.0 / 1.0 / 4], [-2 * 0.25 / 2.0 / 4, 0.0], [0.0, 0.0], [0.0, 0.0]]
     np.testing.assert_allclose(slope, expected)
@@ -101,7 +101,7 @@ def test_norms_of_order_eight_bound_the_condition() -> None:
     """Squared singular values are 9, 4 and 1."""
     columns = np.zeros((2, 2, 3))
     columns.reshape(4, 3)[:3] = np.diag([3.0, 2.0, 1.0])
-    value, slopes = _log_condition(columns)
+    value, slopes = _bound_condition(columns)
     squares = np.array([9.0, 4.0, 1.0])
     high, low = np.sum(squares**8), np.sum(squares**-8)
     assert value == pytest.approx(0.5 * np.log(high * low) / 8, rel=1e-12)
@@ -114,7 +114,7 @@ def test_the_objective_weights_every_excess_over_a_cycle(
     motion: Fourier, limits: Limits, arm_model: Robot
 ) -> None:
     tight = replace(limits, torque=np.array([3.0, 8.0, 1.0]))
-    search = Search(model=arm_model, limits=tight, harmonics=3, period=(3.0, 9.0))
+    search = FourierSearch(robot=arm_model, limits=tight, harmonics=3, period=(3.0, 9.0))
     x = search.pack(motion)
     assert search.bounds == [(None, None)] * 12 + [(-1.0, 1.0)] * 3 + [(np.log(3.0), np.log(9.0))]
     np.testing.assert_allclose(x[12:], [(0.3 - 0.1) / 0.5, 0.0, -0.2, np.log(4.0)])
@@ -125,5 +125,5 @@ def test_the_objective_weights_every_excess_over_a_cycle(
     excess = sum(np.sum(np.maximum(np.abs(v) / b - 1, 0) ** 2) / 120 for v, b in bounded)
     bare, _ = search.value_and_gradient(x, 0.0)
     assert search.value_and_gradient(x, 7.0)[0] - bare == pytest.approx(7.0 * excess, rel=1e-9)
-    more = Search(model=arm_model, limits=tight, harmonics=11, period=(3.0, 9.0))
+    more = FourierSearch(robot=arm_model, limits=tight, harmonics=11, period=(3.0, 9.0))
     assert len(more._series[0]) == 12 * 11

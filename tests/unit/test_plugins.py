@@ -58,7 +58,7 @@ def test_duplicate_names_are_refused(install_plugin: InstallPlugin) -> None:
 @pytest.mark.parametrize("group", plugins.GROUPS)
 def test_own_plugins_can_be_loaded(group: str) -> None:
     for plugin in plugins.load(group).values():
-        assert plugin.own
+        assert plugin.is_built_in
         plugin.load()
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hesr_model.logs.sample import Sample
+from hesr_model.logs.sample import MotionSample
 from hesr_model.logs.signals import Motion, moving, reversals
 from hesr_model.support.arrays import get_arrays
 
@@ -15,7 +15,7 @@ RATE = 200
 
 
 def sampled(motions: list[Motion], most: int, seed: int = 0) -> list[Motion]:
-    sample = Sample(most, seed)
+    sample = MotionSample(most, seed)
     for motion in motions:
         sample.add(motion)
     return sample.motions()
@@ -86,7 +86,7 @@ def test_the_same_seed_draws_the_same_sample(days: list[Motion]) -> None:
 def test_memory_is_limited_to_the_sample(days: list[Motion]) -> None:
     for motion in sampled(days, 4000):
         assert motion.tau.base is None or motion.tau.base.nbytes <= 4000 * 8
-    one = Sample(400, 0)
+    one = MotionSample(400, 0)
     one.add(cruise("long", 100.0))
     assert all(w.motion.tau.base is None for w in one._windows)
     assert sum(len(w.motion.t) for w in one._windows) <= 400

@@ -12,7 +12,7 @@ from hesr_model.health.examine import examine
 from hesr_model.health.joints import remove_joints
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
-from hesr_model.rigid_body.accumulation import Streamed
+from hesr_model.rigid_body.accumulation import StreamedProblem
 from hesr_model.rigid_body.base_parameters import base_columns, unknown_columns
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.rigid_body.observations import friction_columns
@@ -114,7 +114,7 @@ def test_springs_are_identified_with_the_body(
 ) -> None:
     forward, backward = (wide(make_motion(reverse=r), sprung, 3.0) for r in (False, True))
     if kind == "streamed":
-        streamed = Streamed(sprung)
+        streamed = StreamedProblem(sprung)
         streamed.add(forward)
         body = streamed.body([forward], "log")
     else:

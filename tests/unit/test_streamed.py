@@ -9,7 +9,7 @@ import pytest
 from hesr_model.errors import FitError
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body import identification
-from hesr_model.rigid_body.accumulation import Streamed
+from hesr_model.rigid_body.accumulation import StreamedProblem
 from hesr_model.rigid_body.identification import RigidBody, identify_motions
 from hesr_model.robots.robot import Robot
 
@@ -25,14 +25,14 @@ def motions(make_motion: MakeMotion) -> list[Motion]:
 
 
 def of(model: Robot, motions: list[Motion]) -> RigidBody:
-    stream = Streamed(model)
+    stream = StreamedProblem(model)
     for motion in motions:
         stream.add(motion)
-    if not stream.fits:
-        again = Streamed(model, stream.slow)
+    if not stream.is_consistent:
+        again = StreamedProblem(model, stream.min_speeds)
         for motion in motions:
             again.add(motion)
-        assert again.fits
+        assert again.is_consistent
         stream = again
     return stream.body(motions, "the logs")
 
@@ -63,17 +63,17 @@ def test_the_body_equals_that_of_the_batch_with_a_slow_joint(
     """Its slow rows are known only at the end."""
     slow = np.array([1.0, 0.1, 1.0])
     slower = [replace(m, dq=m.dq * slow) for m in motions]
-    stream = Streamed(arm_model)
+    stream = StreamedProblem(arm_model)
     for motion in slower:
         stream.add(motion)
-    assert not stream.fits
+    assert not stream.is_consistent
     assert_alike(of(arm_model, slower), identify_motions(slower, arm_model))
 
 
 def test_the_covariance_of_a_sample_is_conservative(
     arm_model: Robot, motions: list[Motion]
 ) -> None:
-    stream = Streamed(arm_model)
+    stream = StreamedProblem(arm_model)
     for motion in motions:
         stream.add(motion)
     whole = stream.body(motions, "the logs")
@@ -83,11 +83,11 @@ def test_the_covariance_of_a_sample_is_conservative(
 
 
 def test_too_few_rows_are_refused(arm_model: Robot, motions: list[Motion]) -> None:
-    stream = Streamed(arm_model)
+    stream = StreamedProblem(arm_model)
     stream.add(motions[0].rows(slice(0, 20)))
     with pytest.raises(FitError, match="robot 'R7': 20 samples cannot determine"):
         stream.body([motions[0]], "robot 'R7'")
-    still = Streamed(arm_model)
+    still = StreamedProblem(arm_model)
     still.add(replace(motions[0], dq=0.0 * motions[0].dq))
     with pytest.raises(FitError, match="robot 'R7': joint 'j1' is never faster than"):
         still.body([motions[0]], "robot 'R7'")

@@ -10,7 +10,7 @@ from hesr_model.errors import ArtifactError, ConfigError, RobotError
 from hesr_model.fitting.fit import fit
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import find_excess
-from hesr_model.health.evidence import Torques, smooth_parts, to_logged_side
+from hesr_model.health.evidence import ModelTorques, smooth_parts, to_logged_side
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.rigid_body.identification import identify_motions
@@ -98,7 +98,7 @@ def test_motor_logs_convert_to_joint_logs(
     for found, expected in ((read.q, arm_log.q), (read.dq, arm_log.dq), (read.tau, arm_log.tau)):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
     [part] = smooth_parts(read, 15.0)
-    torques = Torques.from_motion(Robot(robot), part.q, part.v, part.a)
+    torques = ModelTorques.from_motion(Robot(robot), part.q, part.v, part.a)
     logged, _ = to_logged_side(part, torques, robot.logged)
     np.testing.assert_allclose(logged.v, part.v @ C.T, atol=1e-12)
     assert coupled.logged is None

@@ -26,9 +26,9 @@ from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import predict_record, rmse
 from hesr_model.health.examine import check_body, check_laws, examine, merge_findings
 from hesr_model.logs.robot_log import Log
-from hesr_model.logs.sample import Sample
+from hesr_model.logs.sample import MotionSample
 from hesr_model.logs.signals import Motion, smooth
-from hesr_model.rigid_body.accumulation import Streamed
+from hesr_model.rigid_body.accumulation import StreamedProblem
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import motion_records, transform_records
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -117,8 +117,8 @@ class _Robot:
         if not member.logs:
             raise LogError(f"{self._label}: its folders contain no log.")
         stream, sample = self._collect(None)
-        if not stream.fits:  # a joint that is always slow
-            stream, sample = self._collect(stream.slow)
+        if not stream.is_consistent:  # a joint that is always slow
+            stream, sample = self._collect(stream.min_speeds)
         body = stream.body(sample, self._label)
         records = transpose_records(
             [motion_records(motion, self._robot, body) for motion in sample]
@@ -157,9 +157,9 @@ class _Robot:
             joints=(_summarise_body(body), *self._evaluate_joints(models, body)),
         )
 
-    def _collect(self, slow: Any) -> tuple[Streamed, list[Motion]]:
-        stream = Streamed(self._robot, slow)
-        sample = Sample(self._study.rows, self._study.seed)
+    def _collect(self, slow: Any) -> tuple[StreamedProblem, list[Motion]]:
+        stream = StreamedProblem(self._robot, slow)
+        sample = MotionSample(self._study.rows, self._study.seed)
         for parts in self._read_motions(check=slow is None):
             for part in parts:
                 stream.add(part)

@@ -35,16 +35,16 @@ def build_array_table(path: Path, arrays: Mapping[str, Array], time: str) -> Log
             code="log.no_arrays",
             where=path,
         )
-    rows = max(length_counts, key=lambda length: (length_counts[length], length))
+    row_count = max(length_counts, key=lambda length: (length_counts[length], length))
     if time in arrays and arrays[time].ndim == 1 and arrays[time].size:
-        rows = len(arrays[time])
+        row_count = len(arrays[time])
     columns: dict[str, Array] = {}
     other_arrays = []
     for name, array in arrays.items():
-        if rows not in array.shape:
+        if row_count not in array.shape:
             other_arrays.append(f"{name} ({' x '.join(map(str, array.shape)) or '1'})")
             continue
-        columns |= _split_columns(name, np.moveaxis(array, array.shape.index(rows), 0))
+        columns |= _split_columns(name, np.moveaxis(array, array.shape.index(row_count), 0))
     return build_table(path, columns, other_arrays)
 
 
@@ -74,16 +74,16 @@ def load_arrays(path: Path) -> dict[str, Any]:
     """Return the arrays of a NumPy file by name, an only one as `data`; raises LogError."""
     require_content(path)
     with readable(path, _KIND), path.open("rb") as file:
-        content = np.load(file, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            return {"": content} if content.dtype.names else {"data": content}
-        if sum(member.file_size for member in content.zip.infolist()) > compute_max_bytes(path):
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return {"": loaded} if loaded.dtype.names else {"data": loaded}
+        if sum(member.file_size for member in loaded.zip.infolist()) > compute_max_bytes(path):
             raise LogError(
                 f"{path}: claims more data than fits into the file.",
                 code="log.too_large",
                 where=path,
             )
-        return {name: content[name] for name in content.files}
+        return {name: loaded[name] for name in loaded.files}
 
 
 def load_table(path: Path, time: str = "t") -> LogTable:
@@ -92,41 +92,52 @@ def load_table(path: Path, time: str = "t") -> LogTable:
     return build_array_table(path, dict(chain.from_iterable(arrays)), time)
 
 
-def _read_pieces(path: Path, _log: LogFormat, rows: int) -> Iterator[LogTable]:
+def _read_pieces(path: Path, _log_format: LogFormat, max_rows: int) -> Iterator[LogTable]:
     """Yield tables of successive rows; none of arrays that are not stored row by row."""
     require_content(path)
     with readable(path, _KIND), ExitStack() as files:
         if path.suffix.lower() == ".npy":
             open_files: dict[str, Any] = {"": files.enter_context(path.open("rb"))}
         else:
-            packed = files.enter_context(ZipFile(path))
-            names = [name.removesuffix(".npy") for name in packed.namelist()]
-            open_files = {k: files.enter_context(packed.open(f"{k}.npy")) for k in names}
-        heads = {name: _read_head(file) for name, file in open_files.items()}
-        longest = max((shape[0] for shape, *_ in heads.values() if shape), default=0)
-        longest_heads = {name: head for name, head in heads.items() if head[0][:1] == (longest,)}
-        if any(fortran for _, fortran, _ in longest_heads.values()):
+            archive = files.enter_context(ZipFile(path))
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            open_files = {k: files.enter_context(archive.open(f"{k}.npy")) for k in names}
+        headers = {name: _read_head(file) for name, file in open_files.items()}
+        longest_length = max((shape[0] for shape, *_ in headers.values() if shape), default=0)
+        longest_headers = {
+            name: head for name, head in headers.items() if head[0][:1] == (longest_length,)
+        }
+        if any(fortran for _, fortran, _ in longest_headers.values()):
             return
-        for first in range(0, longest, rows):
+        for first in range(0, longest_length, max_rows):
             columns: dict[str, Array] = {}
-            for name, (shape, _, kind) in longest_heads.items():
-                count = min(rows, longest - first)
-                content = open_files[name].read(count * kind.itemsize * math.prod(shape[1:]))
-                piece_shape = [count, *(length for length in shape[1:] if length > 1)]
-                array = np.frombuffer(content, kind).reshape(piece_shape)
+            for name, (shape, _, dtype) in longest_headers.items():
+                row_count = min(max_rows, longest_length - first)
+                content = open_files[name].read(row_count * dtype.itemsize * math.prod(shape[1:]))
+                piece_shape = [row_count, *(length for length in shape[1:] if length > 1)]
+                array = np.frombuffer(content, dtype).reshape(piece_shape)
                 for column, values in find_number_arrays(
-                    array, name or ("" if kind.names else "data")
+                    array, name or ("" if dtype.names else "data")
                 ):
                     columns |= _split_columns(column, values)
-            yield build_table(path, columns, [name for name in heads if name not in longest_heads])
+            yield build_table(
+                path, columns, [name for name in headers if name not in longest_headers]
+            )
 
 
 def _read_head(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    npy = np.lib.format
-    old = npy.read_magic(file) == (1, 0)
-    return npy.read_array_header_1_0(file) if old else npy.read_array_header_2_0(file)
+    npy_format = np.lib.format
+    is_version_1 = npy_format.read_magic(file) == (1, 0)
+    return (
+        npy_format.read_array_header_1_0(file)
+        if is_version_1
+        else npy_format.read_array_header_2_0(file)
+    )
 
 
 FORMAT = table_format(
-    "NumPy file", {".npz", ".npy"}, lambda path, log: load_table(path, log.columns.t), _read_pieces
+    "NumPy file",
+    {".npz", ".npy"},
+    lambda path, log_format: load_table(path, log_format.columns.t),
+    _read_pieces,
 )

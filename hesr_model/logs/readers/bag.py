@@ -29,7 +29,7 @@ _END = pack("<BQI", 0x0F, 4, 0) + pack("<BQQQI", 0x02, 20, 0, 0, 0) + _MAGIC
 
 
 @contextmanager
-def complete(path: Path) -> Iterator[Path]:
+def open_complete(path: Path) -> Iterator[Path]:
     """Yield a bag, or a copy of a truncated MCAP file with its complete records."""
     if path.suffix.lower() != ".mcap" or not _is_truncated(path):
         yield path
@@ -37,21 +37,26 @@ def complete(path: Path) -> Iterator[Path]:
     with scratch_folder() as folder:
         copy = folder / path.name
         with path.open("rb") as file, copy.open("wb") as copy_file:
-            size = path.stat().st_size
-            end = _find_last_record(file, len(_MAGIC), size)
-            file.seek(end)
-            head = file.read(9 + 28 + 4 + 8)
-            uncompressed = len(head) == 49 and head[:1] == b"\x06" and not any(head[37:41])
-            inner = end + len(head) if uncompressed else end
-            last = _find_last_record(file, inner, size)
-            for start, stop, place in ((0, end, 0), (inner, last, end)):
-                file.seek(start)
-                copy_file.seek(place)
+            file_size = path.stat().st_size
+            outer_end = _find_last_record(file, len(_MAGIC), file_size)
+            file.seek(outer_end)
+            chunk_head = file.read(9 + 28 + 4 + 8)
+            is_uncompressed = (
+                len(chunk_head) == 49 and chunk_head[:1] == b"\x06" and not any(chunk_head[37:41])
+            )
+            inner_start = outer_end + len(chunk_head) if is_uncompressed else outer_end
+            inner_end = _find_last_record(file, inner_start, file_size)
+            for first_byte, last_byte, target_offset in (
+                (0, outer_end, 0),
+                (inner_start, inner_end, outer_end),
+            ):
+                file.seek(first_byte)
+                copy_file.seek(target_offset)
                 shutil.copyfileobj(file, copy_file)
-                copy_file.truncate(place + stop - start)
+                copy_file.truncate(target_offset + last_byte - first_byte)
             copy_file.seek(0, SEEK_END)
             copy_file.write(_END)
-        lost_bytes = size - max(end, last)
+        lost_bytes = file_size - max(outer_end, inner_end)
         _log.warning(
             "%s: the recording was cut off; its last %d bytes are ignored.", path, lost_bytes
         )
@@ -66,13 +71,13 @@ def _is_truncated(path: Path) -> bool:
         return file.read() != _MAGIC
 
 
-def _find_last_record(file: BinaryIO, start: int, size: int) -> int:
+def _find_last_record(file: BinaryIO, start: int, file_size: int) -> int:
     """Return where the last complete record from `start` on ends."""
     end = start
-    while end + 9 <= size:
+    while end + 9 <= file_size:
         file.seek(end)
         (length,) = unpack("<xQ", file.read(9))
-        if end + 9 + length > size:
+        if end + 9 + length > file_size:
             break
         end += 9 + length
     return end
@@ -89,7 +94,7 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     Joints that no message lists together are interpolated at the stamps of the slowest one.
     """
     bag = description.log.bag
-    drop = description.log.missing == "drop"
+    allows_missing = description.log.missing == "drop"
     joints = bag.joints or description.joints
     where = f"{path}: topic{'s' * (len(bag.topics) > 1)} {', '.join(map(repr, bag.topics))}"
     messages = list(_read_messages(path, bag.topics))
@@ -97,17 +102,24 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
     groups = (
         {joints: shared_messages} if shared_messages else _group_messages(where, joints, messages)
     )
-    series = [_Series.from_messages(where, *group, missing=drop) for group in groups.items()]
-    base = min(series, key=lambda s: len(s.messages))
-    rows = np.flatnonzero(np.logical_and.reduce([s.covers(base.t) for s in series]))
+    joint_series = [
+        _Series.from_messages(where, *group, allows_missing=allows_missing)
+        for group in groups.items()
+    ]
+    slowest_series = min(joint_series, key=lambda series: len(series.messages))
+    rows = np.flatnonzero(
+        np.logical_and.reduce([series.covers(slowest_series.t) for series in joint_series])
+    )
     if not len(rows):
         raise LogError(
             f"{where}: the messages of the joints do not overlap in time.",
             code="bag.overlap",
             where=where,
         )
-    t = base.t[rows]
-    q, dq, effort = (_join_series(series, f, t) for f in ("position", "velocity", "effort"))
+    t = slowest_series.t[rows]
+    q, dq, effort = (
+        _join_series(joint_series, field, t) for field in ("position", "velocity", "effort")
+    )
     if effort is None:
         raise LogError(
             f"{where}: its messages have no effort; record torques or currents as effort.",
@@ -131,7 +143,7 @@ def read_bag(path: Path, description: RobotDescription) -> LogSamples:
         effort=effort,
         is_current=bag.effort == "current",
         time=where.removeprefix(f"{path}: "),
-        place=lambda k: f"message {base.messages[rows[k]].number}",
+        place=lambda k: f"message {slowest_series.messages[rows[k]].number}",
     )
 
 
@@ -151,7 +163,12 @@ class _Series:
 
     @classmethod
     def from_messages(
-        cls, where: str, joints: Sequence[str], messages: Sequence[_Message], *, missing: bool
+        cls,
+        where: str,
+        joints: Sequence[str],
+        messages: Sequence[_Message],
+        *,
+        allows_missing: bool,
     ) -> Self:
         """Read the fields of joints; raises LogError."""
         stamps = np.array([message.stamp for message in messages])
@@ -166,7 +183,10 @@ class _Series:
         return cls(
             t=stamps,
             messages=messages,
-            values={f: _read_field(where, messages, joints, f, missing=missing) for f in fields},
+            values={
+                field: _read_field(where, messages, joints, field, allows_missing=allows_missing)
+                for field in fields
+            },
         )
 
     def covers(self, t: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -174,10 +194,12 @@ class _Series:
         stamps = np.sort(self.t)
         after = np.searchsorted(stamps, t)
         before = np.searchsorted(stamps, t, side="right") - 1
-        inside = (after < len(stamps)) & (before >= 0)
+        is_inside = (after < len(stamps)) & (before >= 0)
         steps = np.zeros(len(t))
-        steps[inside] = stamps[after[inside]] - stamps[before[inside]]
-        return inside & (steps <= 10 * np.median(np.diff(stamps))) if len(stamps) > 1 else inside
+        steps[is_inside] = stamps[after[is_inside]] - stamps[before[is_inside]]
+        return (
+            is_inside & (steps <= 10 * np.median(np.diff(stamps))) if len(stamps) > 1 else is_inside
+        )
 
     def interpolate(self, field: str, t: NDArray[np.int64]) -> Array | None:
         """Return a field at times [ns], interpolated where no message has them."""
@@ -202,7 +224,7 @@ def _group_messages(
     bag_joints = dict.fromkeys(name for message in messages for name in message.state.name)
     groups: dict[tuple[str, ...], Sequence[_Message]] = {}
     for joint in joints:
-        groups[joint,] = [m for m in messages if joint in m.state.name]
+        groups[joint,] = [message for message in messages if joint in message.state.name]
         if not groups[joint,]:
             raise LogError(
                 f"{where}: has no joint '{joint}'; its messages list {', '.join(bag_joints)}; map "
@@ -214,9 +236,13 @@ def _group_messages(
     return groups
 
 
-def _join_series(series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
-    columns = [column for column in [s.interpolate(field, t) for s in series] if column is not None]
-    return np.column_stack(columns) if len(columns) == len(series) else None
+def _join_series(joint_series: Sequence[_Series], field: str, t: NDArray[np.int64]) -> Array | None:
+    columns = [
+        column
+        for column in [series.interpolate(field, t) for series in joint_series]
+        if column is not None
+    ]
+    return np.column_stack(columns) if len(columns) == len(joint_series) else None
 
 
 def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
@@ -241,7 +267,7 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[_Message]:
     try:
         # bags older than ROS 2 Iron lack definitions
         with (
-            complete(path) as complete_path,
+            open_complete(path) as complete_path,
             AnyReader([complete_path], default_typestore=get_typestore(Stores.LATEST)) as reader,
         ):
             connections = [c for topic in topics for c in _find_connections(path, reader, topic)]
@@ -285,7 +311,12 @@ def _find_connections(path: Path, reader: Any, topic: str) -> list[Any]:
 
 
 def _read_field(
-    where: str, messages: Sequence[_Message], joints: Sequence[str], field: str, *, missing: bool
+    where: str,
+    messages: Sequence[_Message],
+    joints: Sequence[str],
+    field: str,
+    *,
+    allows_missing: bool,
 ) -> Array | None:
     """Return one field of all joints (N, n), if any message has it."""
     if not any(len(getattr(message.state, field)) for message in messages):
@@ -303,7 +334,7 @@ def _read_field(
                 key=field,
             )
         row[:] = [entries[names.index(joint)] for joint in joints]
-    is_bad = np.isinf(values) if missing else ~np.isfinite(values)
+    is_bad = np.isinf(values) if allows_missing else ~np.isfinite(values)
     if np.any(is_bad):
         k, joint = np.argwhere(is_bad)[0]
         raise LogError(

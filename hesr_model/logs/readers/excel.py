@@ -26,8 +26,8 @@ def _read(path: Path, log_format: LogFormat) -> LogTable:
             where=path,
         ) from error
     with readable(path, "an Excel workbook"):
-        with zipfile.ZipFile(path) as packed:
-            if sum(part.file_size for part in packed.infolist()) > compute_max_bytes(path):
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > compute_max_bytes(path):
                 raise LogError(
                     f"{path}: claims more data than fits into the file.",
                     code="log.too_large",
@@ -40,9 +40,9 @@ def _read(path: Path, log_format: LogFormat) -> LogTable:
 
 
 def _format_rows(rows: list[tuple[Any, ...]]) -> bytes:
-    width = max(map(len, rows), default=0)
+    column_count = max(map(len, rows), default=0)
     filled_columns = [
-        k for k in range(width) if any(k < len(row) and row[k] is not None for row in rows)
+        k for k in range(column_count) if any(k < len(row) and row[k] is not None for row in rows)
     ]
     file = io.StringIO()
     writer = csv.writer(file, delimiter="\t", lineterminator="\n")

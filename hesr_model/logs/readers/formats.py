@@ -25,12 +25,14 @@ def read_samples(table: LogTable, description: RobotDescription) -> LogSamples:
     """Read the columns of the robot file; errors as `Log.read`."""
     log_format = description.log
     columns = description.log.columns
-    drop = log_format.missing == "drop"
+    allows_missing = log_format.missing == "drop"
     if log_format.rate and columns.t not in table.names:
-        t = (table.before + np.arange(table.rows)) / log_format.rate
+        t = (table.rows_before + np.arange(table.rows)) / log_format.rate
         time = f"rate {log_format.rate:g} Hz"
     else:
-        t = table.times(columns.t, float(log_format.units.factors("t", 1)[0]), missing=drop)
+        t = table.times(
+            columns.t, float(log_format.units.factors("t", 1)[0]), missing=allows_missing
+        )
         time = f"column '{columns.t}'"
     q = _read_joints(table, columns.q, description)
     dq = _read_joints(table, columns.dq, description) if columns.dq else None
@@ -78,10 +80,10 @@ def _read_joints(table: LogTable, columns: Columns, description: RobotDescriptio
 
 def _read_optional(table: LogTable, quantity: str, description: RobotDescription) -> Array | None:
     columns = getattr(description.log.columns, quantity)
-    default = columns == OPTIONAL[quantity]
-    if default and not set(column_names(columns, description.joints)) & set(table.names):
+    is_default = columns == OPTIONAL[quantity]
+    if is_default and not set(column_names(columns, description.joints)) & set(table.names):
         return None
-    if not default or quantity == "temperature":
+    if not is_default or quantity == "temperature":
         return _read_joints(table, columns, description)
     with suppress(LogError):  # commands that were not asked for must not make a log unreadable
         if np.isfinite(signal := _read_joints(table, columns, description)).all():
@@ -95,26 +97,26 @@ def _read_effort(table: LogTable, description: RobotDescription) -> tuple[Array,
     if description.log.cylinder is not None:
         names = [name for pair in description.log.cylinder.pressures for name in pair]
         return table.numbers(names, missing=description.log.missing == "drop"), False
-    torque = column_names(columns.tau, description.joints)[0]
-    current = column_names(columns.current, description.joints)[0]
-    if gains is not None and current in table.names:
+    torque_name = column_names(columns.tau, description.joints)[0]
+    current_name = column_names(columns.current, description.joints)[0]
+    if gains is not None and current_name in table.names:
         return _read_joints(table, columns.current, description), True
-    if torque in table.names:
+    if torque_name in table.names:
         return _read_joints(table, columns.tau, description), False
-    if current in table.names:
+    if current_name in table.names:
         raise LogError(
-            f"{table.path}: column '{torque}' is missing; for the currents in '{current}' add "
-            "'log.torque_per_ampere' to the robot file.",
+            f"{table.path}: column '{torque_name}' is missing; for the currents in "
+            f"'{current_name}' add 'log.torque_per_ampere' to the robot file.",
             code="log.torque_per_ampere",
             where=table.path,
             key="log.torque_per_ampere",
         )
     raise LogError(
-        f"{table.path}: column '{torque}' (torque) or '{current}' (current) is missing; "
+        f"{table.path}: column '{torque_name}' (torque) or '{current_name}' (current) is missing; "
         f"it has {table.listing}.",
         code="log.no_torque",
         where=table.path,
-        key=torque,
+        key=torque_name,
     )
 
 
@@ -155,7 +157,7 @@ def table_format(
     return FileFormat(
         name=name,
         recognises=lambda path: not suffixes or path.suffix.lower() in suffixes,
-        read=lambda path, robot: read_samples(open_table(path, robot.log), robot),
+        read=lambda path, description: read_samples(open_table(path, description.log), description),
         table=open_table,
         pieces=pieces,
     )
@@ -165,44 +167,50 @@ BAG = FileFormat(name="ROS bag", recognises=is_bag, read=read_bag)
 COLUMNS = table_format(
     "table",
     (),
-    lambda path, log: read_table(path, log.columns.names),
-    lambda path, log, rows: table_pieces(path, log.columns.names, rows),
+    lambda path, log_format: read_table(path, log_format.columns.names),
+    lambda path, log_format, rows: table_pieces(path, log_format.columns.names, rows),
 )  # Fallback for every file: CSV, Parquet and Feather
 
 
 def read_sample_pieces(
-    path: Path, description: RobotDescription, rows: int
+    path: Path, description: RobotDescription, max_rows: int
 ) -> Iterator[LogSamples]:
     """Yield the samples of successive rows; none of a format that is read as a whole."""
-    first = None
-    before = 0
+    first_table = None
+    rows_before = 0
     pieces = find_format(path).pieces
-    for piece in pieces(path, description.log, rows) if pieces else ():
+    for piece in pieces(path, description.log, max_rows) if pieces else ():
         table = replace(
-            piece.rename_columns(description.log.columns.names), first=first, before=before
+            piece.rename_columns(description.log.columns.names),
+            first_piece=first_table,
+            rows_before=rows_before,
         )
         yield read_samples(table, description)
-        first, before = first or table, before + table.rows
+        first_table, rows_before = first_table or table, rows_before + table.rows
 
 
 @cache
 def formats() -> tuple[FileFormat, ...]:
     """Return all formats in order of precedence, other packages first."""
-    loaded = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
-    for plugin, file_format in loaded.items():
+    formats_by_plugin = {plugin: plugin.load() for plugin in plugins.load(GROUP).values()}
+    for plugin, file_format in formats_by_plugin.items():
         if not isinstance(file_format, FileFormat):
             raise ConfigError(
                 f"{plugin.label} is a {type(file_format).__name__}; the entry point must name a "
                 "FileFormat."
             )
-    ours = [
+    built_in_formats = [
         file_format
-        for plugin, file_format in loaded.items()
-        if plugin.own and file_format is not COLUMNS
+        for plugin, file_format in formats_by_plugin.items()
+        if plugin.is_built_in and file_format is not COLUMNS
     ]
     return (
-        *(file_format for plugin, file_format in loaded.items() if not plugin.own),
-        *ours,
+        *(
+            file_format
+            for plugin, file_format in formats_by_plugin.items()
+            if not plugin.is_built_in
+        ),
+        *built_in_formats,
         COLUMNS,
     )
 

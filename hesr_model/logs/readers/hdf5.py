@@ -26,23 +26,23 @@ def read_hdf5_arrays(path: Path, kind: str, *, transposed: bool = False) -> dict
         ) from error
 
     arrays: dict[str, Array] = {}
-    left = compute_max_bytes(path)
+    bytes_left = compute_max_bytes(path)
 
-    def visit(name: str, item: Any) -> None:
+    def visit(name: str, dataset: Any) -> None:
         # Characters are numbers; '#refs#' holds targets of references in struct arrays.
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+        if not isinstance(dataset, h5py.Dataset) or name.startswith("#"):
             return
-        is_number = item.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
-        if is_number and item.dtype.kind in "fiuV" and "MATLAB_empty" not in item.attrs:
-            nonlocal left
-            left -= max(8, item.dtype.itemsize) * item.size
-            if left < 0:
+        is_number = dataset.attrs.get("MATLAB_class", b"") not in (b"char", b"cell")
+        if is_number and dataset.dtype.kind in "fiuV" and "MATLAB_empty" not in dataset.attrs:
+            nonlocal bytes_left
+            bytes_left -= max(8, dataset.dtype.itemsize) * dataset.size
+            if bytes_left < 0:
                 raise LogError(
                     f"{path}: claims more data than fits into the file.",
                     code="log.too_large",
                     where=path,
                 )
-            array = np.asarray(item)
+            array = np.asarray(dataset)
             arrays.update(
                 find_number_arrays(array.T if transposed else array, name.replace("/", "."))
             )

@@ -39,14 +39,14 @@ def require_sound(path: Path, max_bytes: int) -> None:
         _require_version_4(content)
         return
     order: Order = "<" if bytes(content[126:128]) == b"IM" else ">"
-    place = _HEADER_SIZE
-    while place + 8 <= len(content):
-        kind, length = struct.unpack_from(f"{order}II", content, place)
-        end = place + 8 + length
+    offset = _HEADER_SIZE
+    while offset + 8 <= len(content):
+        kind, length = struct.unpack_from(f"{order}II", content, offset)
+        end = offset + 8 + length
         if kind != _COMPRESSED_TYPE:
-            end = _require_element(content, place, order, 0)
+            end = _require_element(content, offset, order, 0)
         else:
-            packed = content[place + 8 : end]
+            packed = content[offset + 8 : end]
             unpacker = zlib.decompressobj()
             try:
                 unpacked = unpacker.decompress(packed, max(max_bytes, 1))
@@ -56,43 +56,43 @@ def require_sound(path: Path, max_bytes: int) -> None:
                 raise OverflowError
             max_bytes -= len(unpacked)
             _require_element(memoryview(unpacked), 0, order, 0)
-        place = end
+        offset = end
 
 
 def _require_version_4(content: memoryview) -> None:
-    place = 0
-    while place < len(content):
-        if place + 20 > len(content):
+    offset = 0
+    while offset < len(content):
+        if offset + 20 > len(content):
             raise ValueError("a matrix is truncated")
-        little = struct.unpack_from("<I", content, place)[0] < 5000  # the byte order
-        header = struct.unpack_from(f"{'<' if little else '>'}IiiII", content, place)
-        digits, rows, columns, imaginary, name = header
+        is_little_endian = struct.unpack_from("<I", content, offset)[0] < 5000  # the byte order
+        header = struct.unpack_from(f"{'<' if is_little_endian else '>'}IiiII", content, offset)
+        digits, rows, columns, imaginary, name_length = header
         size = _NUMBER_SIZES.get(digits // 10 % 10)
-        if size is None or rows < 0 or columns < 0 or imaginary > 1 or name == 0:
+        if size is None or rows < 0 or columns < 0 or imaginary > 1 or name_length == 0:
             raise ValueError("a matrix is malformed")
-        place += 20 + name + rows * columns * size * (1 + imaginary)
-    if place > len(content):
+        offset += 20 + name_length + rows * columns * size * (1 + imaginary)
+    if offset > len(content):
         raise ValueError("a matrix extends past the file")
 
 
-def _require_element(content: memoryview, place: int, order: Order, depth: int) -> int:
-    if place + 8 > len(content):
+def _require_element(content: memoryview, offset: int, order: Order, depth: int) -> int:
+    if offset + 8 > len(content):
         raise ValueError("an element is truncated")
-    kind, length = struct.unpack_from(f"{order}II", content, place)
+    kind, length = struct.unpack_from(f"{order}II", content, offset)
     if kind >> 16:  # short: length in the upper half, data in the tag
-        kind, length, start, after = kind & 0xFFFF, kind >> 16, place + 4, place + 8
+        kind, length, data_offset, next_offset = kind & 0xFFFF, kind >> 16, offset + 4, offset + 8
         if length > 4:
             raise ValueError("a short element has too many bytes")
     else:
-        start = place + 8
-        after = start + length + -length % 8
+        data_offset = offset + 8
+        next_offset = data_offset + length + -length % 8
     if kind not in _KNOWN_TYPES:
         raise ValueError(f"an element is of the unknown type {kind}")
-    if start + length > len(content):
+    if data_offset + length > len(content):
         raise ValueError("an element extends past its container")
     if kind == _MATRIX_TYPE and length:
-        _require_matrix(content[start : start + length], order, depth + 1)
-    return after
+        _require_matrix(content[data_offset : data_offset + length], order, depth + 1)
+    return next_offset
 
 
 def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
@@ -102,9 +102,9 @@ def _require_matrix(content: memoryview, order: Order, depth: int) -> None:
         raise ValueError("a matrix lacks its flags")
     if struct.unpack_from(f"{order}I", content, 8)[0] & 0xFF not in _CLASSES:
         raise ValueError("a matrix has an unknown class")
-    place = 16
-    while place < len(content):
-        place = _require_element(content, place, order, depth)
+    offset = 16
+    while offset < len(content):
+        offset = _require_element(content, offset, order, depth)
 
 
 def read_matlab(path: Path, *, time: str) -> LogTable:
@@ -142,5 +142,5 @@ def _read_classic(path: Path) -> dict[str, Array]:
 
 
 FORMAT = table_format(
-    "MATLAB file", {".mat"}, lambda path, log: read_matlab(path, time=log.columns.t)
+    "MATLAB file", {".mat"}, lambda path, log_format: read_matlab(path, time=log_format.columns.t)
 )

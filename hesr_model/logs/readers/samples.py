@@ -25,15 +25,15 @@ class LogSamples:
     q_cmd: Array | None = None
     dq_cmd: Array | None = None
 
-    def sort_samples(self, log_format: LogFormat, after: float = -np.inf) -> "LogSamples":
-        """Sort rows by time, and drop rows that lack a number or repeat a stamp, or `after`."""
+    def sort_samples(self, log_format: LogFormat, previous_stamp: float = -np.inf) -> "LogSamples":
+        """Sort rows by time; drop those that lack a number or repeat a stamp, or `previous_stamp`."""
         rows = np.arange(len(self.t))
-        drop = log_format.missing == "drop"
-        if drop:
+        drops_missing = log_format.missing == "drop"
+        if drops_missing:
             is_finite = np.isfinite(np.column_stack(list(get_arrays(self).values())))
             rows = np.flatnonzero(np.all(is_finite, axis=1))
         if log_format.sort:
             rows = rows[np.argsort(self.t[rows], kind="stable")]
-        if drop or log_format.duplicates == "first":
-            rows = rows[np.diff(self.t[rows], prepend=after) != 0.0]
+        if drops_missing or log_format.duplicates == "first":
+            rows = rows[np.diff(self.t[rows], prepend=previous_stamp) != 0.0]
         return replace(select_rows(self, rows), place=lambda k: self.place(int(rows[k])))

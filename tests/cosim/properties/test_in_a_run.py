@@ -82,7 +82,7 @@ def test_other_robots_use_the_inertia_of_their_identified_mass_matrix(
     trained = tuple(replace(law.trained[0], q=(q - 0.1, q + 0.1)) for q in places)
     three = replace(law, joints=("a", "b", "c"), laws=law.laws * 3, trained=trained)
     found = compute_standing_inertia(model, body_of(model, "other"), three)
-    own = model._model  # without the rotors, which are separate parameters
+    own = model._pin_model  # without the rotors, which are separate parameters
     matrix = pinocchio.crba(own, own.createData(), np.array(places))
     assert found == pytest.approx(np.diag(matrix) + model.rotor_nominal, rel=1e-9)
     assert compute_standing_inertia(model, body_of(model, "uf850"), three) == INERTIA["uf850"]

@@ -32,7 +32,10 @@ def test_open_findings_follow_all_others(
 ) -> None:
     examination = replace(proposal.examination, findings=left)
     changed = replace(
-        proposal, first=[ERROR, WARNING], reasons={"units": "a guess"}, examination=examination
+        proposal,
+        first_findings=[ERROR, WARNING],
+        reasons={"units": "a guess"},
+        examination=examination,
     )
     page = page_of(changed, tmp_path)
     assert "<p>1 error, 1 warning.</p>" in page

@@ -8,7 +8,7 @@ import pytest
 from faulty_logs import SOUND_TORQUE, two_joints, with_units
 
 from hesr_model.findings import Finding
-from hesr_model.health.evidence import Estimate, JointTorque
+from hesr_model.health.evidence import Estimate, TorqueFit
 from hesr_model.health.examine import (
     HealthError,
     _remove_followers,
@@ -144,7 +144,7 @@ GRAVITY = replace(
 )
 
 
-def of_gravity(value: float, error: float = 0.01) -> JointTorque:
+def of_gravity(value: float, error: float = 0.01) -> TorqueFit:
     return replace(GRAVITY, gravity=Estimate(value=value, error=error))
 
 
@@ -152,7 +152,7 @@ def test_torque_constants_are_proposed_from_gravity(arm: RobotDescription) -> No
     """A joint without gravity gets the median of the others."""
     amperes = apply_changes(arm, {"log.torque_per_ampere": (1.0, 2.0, -3.0)})
 
-    def constants(*explained: dict[int, JointTorque]) -> tuple[float, ...] | None:
+    def constants(*explained: dict[int, TorqueFit]) -> tuple[float, ...] | None:
         found = _estimate_constants(amperes, SimpleNamespace(explained=explained), {})
         return found.get("log.torque_per_ampere")
 

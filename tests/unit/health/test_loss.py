@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from hesr_model.health.examine import HealthError, check_logs
-from hesr_model.health.positions import share_of_long_steps
+from hesr_model.health.positions import compute_share_of_long_steps
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion
 from hesr_model.robots.robot import Robot
@@ -46,7 +46,7 @@ def test_irregular_stamps_are_not_missing_rows(
     stamps = np.cumsum(steps[np.cumsum(steps) < log.t[-1]])
     rows = {name: CubicSpline(log.t, getattr(log, name))(stamps) for name in ("q", "dq", "tau")}
     irregular = Log(name="run", t=stamps, **rows)
-    assert share_of_long_steps(irregular) > 0.07
+    assert compute_share_of_long_steps(irregular) > 0.07
     assert check_logs([irregular], arm_model) == []
 
 
@@ -65,7 +65,7 @@ def test_uncertainty_matches_the_effect_of_missing_rows(
     noisy: Callable[[float], Log], arm_model: Robot
 ) -> None:
     """Estimates from other halves of the rows scatter as predicted by one log's own halves."""
-    from hesr_model.health.evidence import Torques, smooth_parts
+    from hesr_model.health.evidence import ModelTorques, smooth_parts
     from hesr_model.health.positions import _estimate_sliding_torque
 
     log = noisy(2.0)
@@ -75,7 +75,7 @@ def test_uncertainty_matches_the_effect_of_missing_rows(
         part = max(smooth_parts(log.rows(np.sort(rows)), 15.0), key=lambda part: len(part.t))
         found.append(
             _estimate_sliding_torque(
-                part, Torques.from_motion(arm_model, part.q, part.v, part.a), 1
+                part, ModelTorques.from_motion(arm_model, part.q, part.v, part.a), 1
             )
         )
     torques, deviations = (np.array([one[k] for one in found]) for k in (1, 2))

@@ -296,17 +296,19 @@ def test_a_remedy_is_offered_only_where_it_helps(
     robot, path = arm_model.description, tmp_path / "log.csv"
     MISTAKES[what][0](log).write(path)
     found = propose([path], robot, has_model=True)
-    first = {(f.check, joint): f for f in found.first for joint in f.joints or ("",)}
-    assert all(f.changes for f in found.first if "; set " in f.remedy)
-    again = examine([Log.read(path, found.robot)], found.robot, Robot(found.robot)).findings
+    first = {(f.check, joint): f for f in found.first_findings for joint in f.joints or ("",)}
+    assert all(f.changes for f in found.first_findings if "; set " in f.remedy)
+    again = examine(
+        [Log.read(path, found.description)], found.description, Robot(found.description)
+    ).findings
     assert {f.check for f in again} == {f.check for f in found.examination.findings}
     for finding in found.examination.findings:
         assert set(first) & {(finding.check, joint) for joint in finding.joints or ("",)}
         offered = "; set " in finding.remedy
         assert offered == (what in REMAINS)
         assert offered or not finding.changes
-    fixed = {f.check for f in found.first if f.changes} - {f.check for f in again}
-    assert bool(fixed) == (found.robot != robot), (found.reasons, found.examination.findings)
+    fixed = {f.check for f in found.first_findings if f.changes} - {f.check for f in again}
+    assert bool(fixed) == (found.description != robot), (found.reasons, found.examination.findings)
 
 
 @pytest.mark.parametrize("what", MISTAKES)

@@ -23,7 +23,7 @@ from faulty_logs import (
 )
 
 from hesr_model.findings import Finding
-from hesr_model.health.evidence import Estimate, JointTorque
+from hesr_model.health.evidence import Estimate, TorqueFit
 from hesr_model.health.positions import (
     check_columns,
     check_jumps,
@@ -220,7 +220,7 @@ def of(value: float, error: float = 0.01) -> Estimate:
     return Estimate(value=value, error=error)
 
 
-def fit(**changes: object) -> dict[int, JointTorque]:
+def fit(**changes: object) -> dict[int, TorqueFit]:
     return {1: replace(SOUND_TORQUE, **changes)}
 
 
@@ -230,7 +230,7 @@ UNSEEN = {"gravity": of(1.0, 1.0)}
 EXACT = {"friction": of(0.01), "residual": 0.1}
 """A torque that model and friction explain completely."""
 
-TORQUES: dict[str, tuple[str, Callable[[float], dict[int, JointTorque]], float, float]] = {
+TORQUES: dict[str, tuple[str, Callable[[float], dict[int, TorqueFit]], float, float]] = {
     "too small": ("torque-scale", lambda x: fit(gravity=of(x)), 0.3, 0.26),
     "too large": ("torque-scale", lambda x: fit(gravity=of(x)), 2.9, 3.2),
     "too small and turned": ("torque-scale", lambda x: fit(gravity=of(x)), -0.3, -0.26),
@@ -261,7 +261,7 @@ TORQUES: dict[str, tuple[str, Callable[[float], dict[int, JointTorque]], float, 
 }  # fmt: skip
 
 
-def of_torque(model: Robot, fits: dict[int, JointTorque], peak: float = 3.0) -> list[Finding]:
+def of_torque(model: Robot, fits: dict[int, TorqueFit], peak: float = 3.0) -> list[Finding]:
     tau = np.linspace(0.0, 1.0, 1001)[:, None] * [60.0, peak]
     return list(check_torque(as_part(two_joints(1001), tau=tau), fits, model, ()))
 
