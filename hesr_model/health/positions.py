@@ -82,13 +82,9 @@ def check_jumps(log: Log, description: RobotDescription) -> Iterator[Finding]:
     """Check raw positions for lost turns and single outliers."""
     is_near = np.diff(log.t) <= 3.0 * log.period
     for j, joint in enumerate(description.joints):
-        position_steps = np.where(is_near, np.diff(log.q[:, j]), 0.0)
-        turn_rows = np.flatnonzero(np.abs(np.abs(position_steps) - _TURN) < 0.1 * _TURN)
-        usual_step = (
-            np.median(np.abs(position_steps[position_steps != 0.0]))
-            if np.any(position_steps)
-            else 0.0
-        )
+        steps = np.where(is_near, np.diff(log.q[:, j]), 0.0)
+        turn_rows = np.flatnonzero(np.abs(np.abs(steps) - _TURN) < 0.1 * _TURN)
+        usual_step = np.median(np.abs(steps[steps != 0.0])) if np.any(steps) else 0.0
         if len(turn_rows) and usual_step < 0.05 * _TURN:
             observation = (
                 f"its position jumps by a full turn at t = {log.t[turn_rows[0] + 1]:.4g} s"
@@ -96,7 +92,7 @@ def check_jumps(log: Log, description: RobotDescription) -> Iterator[Finding]:
             remedy = "the log wraps angles; unwrap them first (numpy.unwrap)"
             yield build_joint_finding("wrap", joint, observation, remedy)
             continue
-        step_changes = np.abs(position_steps[1:] - position_steps[:-1])
+        step_changes = np.abs(steps[1:] - steps[:-1])
         threshold = (
             max(_MIN_SPIKE_TO_USUAL * float(np.quantile(step_changes, 0.99)), _MIN_SPIKE)
             if len(step_changes)

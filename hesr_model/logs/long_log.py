@@ -147,7 +147,7 @@ class LongLog:
         parts = list(self._parts)
         held_log = None
         next_row = 0
-        first_held = 0  # rows held from number `at`
+        first_held = 0  # number of the first row in `held_log`
         for log in self._read_pieces():
             held_log = join_records([held_log, log]) if held_log else log
             held_end = first_held + len(held_log.t)

@@ -60,8 +60,13 @@ class MotionSample:
 
     def motions(self) -> list[Motion]:
         """Return the kept motions in order; adjacent windows are joined."""
-        # Successive numbers less their places in the list are equal.
-        groups = groupby(enumerate(self._windows), lambda at: (at[1].part, at[1].number - at[0]))
+
+        def find_run(entry: tuple[int, _Window]) -> tuple[int, int]:
+            # Successive numbers less their places in the list are equal.
+            place, window = entry
+            return window.part, window.number - place
+
+        groups = groupby(enumerate(self._windows), find_run)
         return [join_records([window.motion for _, window in group]) for _, group in groups]
 
     def _cut(self, motion: Motion) -> Iterator[tuple[Motion, dict[Stratum, int]]]:

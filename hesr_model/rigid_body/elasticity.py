@@ -161,7 +161,7 @@ def add_gears(
     robot: Robot,
     link_columns: Integers,
 ) -> list[Block]:
-    """Return blocks with motor friction; `link_columns` (n, 2) are those of each link's friction."""
+    """Return blocks with motor friction; `link_columns` (n, 2) are those of link friction."""
     body_count = blocks[0].matrix.shape[1]
     first_columns = body_count + np.cumsum([0, *(form.columns.shape[1] for form in forms)])
     body_blocks = []

@@ -90,8 +90,8 @@ class ModelFile:
         shared_names = [name for name in joints if name in locked]
         if shared_names:
             raise RobotError(
-                f"{path}: joint '{shared_names[0]}' is in both 'joints' and 'locked'; remove it from "
-                "one."
+                f"{path}: joint '{shared_names[0]}' is in both 'joints' and 'locked'; remove it "
+                "from one."
             )
         if tuple(name for name in known_names if name in joints) != joints:
             raise RobotError(

@@ -153,7 +153,7 @@ def test_torque_constants_are_proposed_from_gravity(arm: RobotDescription) -> No
     amperes = apply_changes(arm, {"log.torque_per_ampere": (1.0, 2.0, -3.0)})
 
     def constants(*explained: dict[int, TorqueFit]) -> tuple[float, ...] | None:
-        found = _estimate_constants(amperes, SimpleNamespace(explained=explained), {})
+        found = _estimate_constants(amperes, SimpleNamespace(fits=explained), {})
         return found.get("log.torque_per_ampere")
 
     assert constants({0: of_gravity(0.2), 1: of_gravity(-0.5)}, {0: of_gravity(0.3)}) == (
