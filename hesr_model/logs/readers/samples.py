@@ -26,7 +26,7 @@ class LogSamples:
     dq_cmd: Array | None = None
 
     def sort_samples(self, log_format: LogFormat, previous_stamp: float = -np.inf) -> "LogSamples":
-        """Sort rows by time; drop those that lack a number or repeat a stamp, `previous_stamp` too."""
+        """Sort rows by time; drop those that lack a number or repeat a stamp (`previous_stamp`)."""
         rows = np.arange(len(self.t))
         drops_missing = log_format.missing == "drop"
         if drops_missing:
