@@ -24,7 +24,7 @@ Followers = dict[str, tuple[str, float, float]]  # by name: leader, multiplier, 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ModelFile:
+class RobotModelFile:
     """A model file: Pinocchio's `pin_model` of all its joints, and what else it states.
 
     `rest_positions` are those of joints that do not move; `bodies_below` are the bodies between
@@ -153,7 +153,7 @@ def dynamics_engine() -> Any:
     return pinocchio
 
 
-def load(path: Path) -> ModelFile:
+def load(path: Path) -> RobotModelFile:
     """Read a URDF, or an MJCF (``.xml``), and compare its torques with MuJoCo's."""
     pin = dynamics_engine()
     if not path.is_file():
@@ -172,7 +172,7 @@ def load(path: Path) -> ModelFile:
         if name in names:
             pin_model.armature[pin_model.joints[pin_model.getJointId(name)].idx_v] = armature
     chains = {link: _trace_chain(link, urdf.parents) for link in urdf.parents}
-    file = ModelFile(
+    file = RobotModelFile(
         path=path,
         pin_model=pin_model,
         gravity=tuple(compiled.get("gravity", (0.0, 0.0, -9.81))),
@@ -225,7 +225,7 @@ def _resolve_followers(path: Path, followers: Followers, names: set[str]) -> Fol
     return resolved
 
 
-def _require_agreement(file: ModelFile, reference: Mapping[str, Any]) -> None:
+def _require_agreement(file: RobotModelFile, reference: Mapping[str, Any]) -> None:
     import pinocchio as pin  # slow to import
 
     pin_model = file.pin_model.copy()
