@@ -68,7 +68,7 @@ def test_a_correct_fit_does_not_drift(law) -> None:
     record = steady(law(), 60.0)
     found = followed(record, law())
     worse = np.mean((found.outputs["tau"] - record.tau) ** 2) / np.mean(
-        (found.fixed - record.tau) ** 2
+        (found.tau_fixed - record.tau) ** 2
     )
     assert worse < 1.01
     assert set(found.outputs["drift"]) == set(found.outputs["shift"]) == {0.0}
