@@ -51,7 +51,7 @@ def ratios(
     follower = Follower(fit(law, *training))
     found = [
         [
-            rmse(one.outputs["tau"] - one.record.tau) / rmse(one.fixed - one.record.tau)
+            rmse(one.outputs["tau"] - one.record.tau) / rmse(one.tau_fixed - one.record.tau)
             for one in follower.follow(day)
         ]
         for day in days

@@ -35,7 +35,7 @@ def warming(law: FrictionLaw, seconds: float, *, begin: float) -> tuple[np.ndarr
     clean = noisy.tau - coloured(len(t), STEP, 0.1, NOISE, 3)
     [found] = Follower(model(law)).follow([noisy])
     late = t > 60.0
-    return (found.fixed - clean)[late], (found.outputs["tau"] - clean)[late]
+    return (found.tau_fixed - clean)[late], (found.outputs["tau"] - clean)[late]
 
 
 @pytest.mark.parametrize("law", [lugre, stops])
@@ -54,7 +54,7 @@ def worked(
     """Return the signals of a joint with a time-varying friction level and coloured noise."""
     t, dq, q, load = motion(seconds, seed, step=step)
     clean = FrictionRecord(log="", joint="j1", t=t, dq=dq, q=q, tau_load=load, tau=t)
-    torque = FACTORED.torque(clean, level(t), np.ones_like(t))
+    torque = FACTORED.compute_torque(clean, level(t), np.ones_like(t))
     return replace(clean, tau=torque + coloured(len(t), step, correlation, NOISE, seed))
 
 
