@@ -72,7 +72,7 @@ def assert_same(found: RigidBody, expected: RigidBody) -> None:
 def test_a_body_identified_in_pieces(kind: str, robot: RobotDescription, tmp_path: Path) -> None:
     path = written(tmp_path / f"log.{kind}", with_gap(robot, tmp_path, 2500))
     whole, model = Log.read(path, robot), Robot(robot)
-    log = LongLog(path, robot, rows=400)
+    log = LongLog(path, robot, max_rows=400)
     motions, expected = list(log.motions()), smooth_logs([whole], model)
     assert len(motions) > len(expected) == 2
     for name in get_arrays(expected[0]):
@@ -94,7 +94,9 @@ def test_six_joints_in_pieces(kind: str, tmp_path: Path) -> None:
         else:
             np.savez(paths[-1], t=log.t, q=log.q, dq=log.dq, tau=log.tau)
     whole = identify([Log.read(path, robot) for path in paths], model)
-    assert_same(identify_long([LongLog(path, robot, rows=3000) for path in paths], model), whole)
+    assert_same(
+        identify_long([LongLog(path, robot, max_rows=3000) for path in paths], model), whole
+    )
 
 
 def written_six(folder: Path, seed: int) -> Path:
@@ -117,7 +119,7 @@ def test_identify_reads_long_logs_in_pieces(
     used: list[LongLog] = []
     make = long_log.LongLog
     monkeypatch.setattr(
-        long_log, "LongLog", lambda *given: used.append(make(*given, rows=500)) or used[-1]
+        long_log, "LongLog", lambda *given: used.append(make(*given, max_rows=500)) or used[-1]
     )
     found = hesr.identify(paths, robot=file)
     assert [len(log.checked_pieces) for log in used] == [4, 4]
@@ -140,7 +142,7 @@ def test_fit_takes_whole_stretches_of_long_logs(
     path = written(tmp_path / "log.npz", with_gap(robot, tmp_path, 2500))
     file, body = tmp_path / "robot.toml", hesr.identify(path, robot=robot)
     make = long_log.LongLog
-    monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, rows=400))
+    monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, max_rows=400))
 
     def records() -> list[list[FrictionRecord]]:
         return arguments.read_checked_logs([path], file, (), in_pieces=True).compute_records(body)
@@ -171,7 +173,7 @@ def test_laws_are_tested_on_long_logs(
     path = written(tmp_path / "log.npz", with_gap(robot, tmp_path, 2500))
     body, make = hesr.identify(path, robot=robot), long_log.LongLog
     law = hesr.fit(path, law="stribeck", robot=robot, rigid_body=body)
-    monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, rows=400))
+    monkeypatch.setattr(long_log, "LongLog", lambda *given: make(*given, max_rows=400))
 
     def errors() -> list[float]:
         found = hesr.test({"law": law}, on=path, kind="prediction", robot=robot, rigid_body=body)
@@ -191,7 +193,7 @@ def test_arrays_stored_by_column_are_read_as_a_whole(
 ) -> None:
     table = long_table(tmp_path / "robot.toml", 1500)
     np.save(tmp_path / "log.npy", np.asfortranarray(table))
-    log = LongLog(tmp_path / "log.npy", robot, rows=400)
+    log = LongLog(tmp_path / "log.npy", robot, max_rows=400)
     np.testing.assert_array_equal(np.concatenate([m.t for m in log.motions()]), table[:, 0])
     assert log.checked_pieces[0].rows(slice(0, 3)).path == tmp_path / "log.npy"
 
@@ -205,12 +207,12 @@ def test_dates_and_rates_go_on_from_piece_to_piece(tmp_path: Path) -> None:
         for stamp, row in zip(dated, table, strict=True):
             log.write(",".join([str(stamp), *map(repr, row[1:].tolist())]) + "\n")
     robot = RobotDescription.read(file)
-    motions = LongLog(tmp_path / "dated.csv", robot, rows=300).motions()
+    motions = LongLog(tmp_path / "dated.csv", robot, max_rows=300).motions()
     np.testing.assert_allclose(np.concatenate([m.t for m in motions]), table[:, 0], atol=1e-9)
     text = file.read_text(encoding="utf-8").replace("[log]\n", "[log]\nrate = 250.0\n")
     file.write_text(text.replace("'t'", "'time'"), encoding="utf-8")
     np.save(tmp_path / "even.npy", table)
-    motions = LongLog(tmp_path / "even.npy", RobotDescription.read(file), rows=300).motions()
+    motions = LongLog(tmp_path / "even.npy", RobotDescription.read(file), max_rows=300).motions()
     np.testing.assert_allclose(np.concatenate([m.t for m in motions]), table[:, 0], atol=1e-12)
 
 
@@ -230,7 +232,7 @@ def test_errors_name_the_row_of_the_file(
     change(table)
     path = written(tmp_path / "log.csv", table)
     with pytest.raises(LogError, match=message):
-        identify_long([LongLog(path, robot, rows=300)], Robot(robot))
+        identify_long([LongLog(path, robot, max_rows=300)], Robot(robot))
 
 
 def test_the_median_of_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,12 +265,12 @@ def test_the_rate_is_that_of_the_whole_log(robot: RobotDescription, tmp_path: Pa
     rate = 1.0 / float(table[1, 0] - table[0, 0])
     same = with_settings(robot, sample_rate=rate)
     assert len(Log.read(path, same).t) == 801
-    assert LongLog(path, same, rows=200).gaps == 0
+    assert LongLog(path, same, max_rows=200).gaps == 0
     other = with_settings(robot, sample_rate=2.0 * rate)
     with pytest.raises(LogError) as expected:
         Log.read(path, other)
     with pytest.raises(LogError) as found:
-        LongLog(path, other, rows=200)
+        LongLog(path, other, max_rows=200)
     assert str(found.value) == str(expected.value)
 
 
@@ -278,7 +280,7 @@ def test_rows_without_numbers_are_left_out(robot: RobotDescription, tmp_path: Pa
     table[:199, 1] = np.nan
     path = written(tmp_path / "log.csv", table)
     assert Log.read(path, drop).dropped == 199
-    assert sum(log.dropped for log in LongLog(path, drop, rows=200).checked_pieces) == 199
+    assert sum(log.dropped for log in LongLog(path, drop, max_rows=200).checked_pieces) == 199
     table[:, 1] = np.nan
     path = written(tmp_path / "log.csv", table)
     for read in (Log.read, LongLog):
@@ -289,7 +291,7 @@ def test_rows_without_numbers_are_left_out(robot: RobotDescription, tmp_path: Pa
 def test_a_log_that_changes_is_refused(robot: RobotDescription, tmp_path: Path) -> None:
     table = long_table(tmp_path / "robot.toml", 1001)
     path = written(tmp_path / "log.csv", table)
-    log = LongLog(path, robot, rows=200)
+    log = LongLog(path, robot, max_rows=200)
     written(path, table[:700])
     with pytest.raises(LogError, match=r"log\.csv: was changed while"):
         list(log.motions())
