@@ -23,7 +23,7 @@ _WIDTH = 92  # of a text within a class
 
 
 @dataclass(frozen=True, kw_only=True)
-class SourceKind:
+class ExportSource:
     """Kind of things that can be exported.
 
     Attributes
@@ -46,8 +46,10 @@ class SourceKind:
     refusals: Mapping[str, str] = field(default_factory=dict)
 
 
-LAW = SourceKind(group="hesr.exports", noun="a friction law", owner="friction laws", default="fmu")
-ARM = SourceKind(
+LAW = ExportSource(
+    group="hesr.exports", noun="a friction law", owner="friction laws", default="fmu"
+)
+ARM = ExportSource(
     group="hesr.exports.arm",
     noun="a robot",
     owner="an MJCF (.xml)",
@@ -55,7 +57,7 @@ ARM = SourceKind(
     suffixes=(".xml", ".urdf"),
     product="an FMU",
 )
-SYSTEM = SourceKind(
+SYSTEM = ExportSource(
     group="hesr.exports.system",
     noun="a system",
     owner="a system",
@@ -67,7 +69,7 @@ SYSTEM = SourceKind(
         "of its own. docs/exports.md names tools that build one from the SSP."
     },
 )
-RESULTS = SourceKind(
+RESULTS = ExportSource(
     group="hesr.exports.results",
     noun="results or a study",
     owner="a closed loop",
@@ -77,7 +79,7 @@ RESULTS = SourceKind(
 KINDS = (LAW, ARM, SYSTEM, RESULTS)
 
 
-def find_kind(source: LawArg, format_name: str | None) -> SourceKind:
+def find_kind(source: LawArg, format_name: str | None) -> ExportSource:
     """Return the kind of a source: results by the format, others by the suffix."""
     if format_name in plugins.names(RESULTS.group):
         return RESULTS
@@ -105,7 +107,7 @@ def load_exporter(plugin: plugins.Plugin) -> Exporter:
     return exporter
 
 
-def load_exporters(kind: SourceKind) -> dict[str, Exporter]:
+def load_exporters(kind: ExportSource) -> dict[str, Exporter]:
     """Import all formats of a kind of sources."""
     return {name: load_exporter(plugin) for name, plugin in plugins.load(kind.group).items()}
 
@@ -114,7 +116,7 @@ def load_exporters(kind: SourceKind) -> dict[str, Exporter]:
 class ExportFormat:
     """Format of an export, by the kind of its source; whether it is HESR's own."""
 
-    kind: SourceKind
+    kind: ExportSource
     name: str
     exporter: Exporter
     is_own: bool
@@ -206,7 +208,7 @@ def choose_format(source: LawArg, format_name: str | None, output: Path) -> Expo
     return ExportFormat(kind=kind, name=name, exporter=exporter, is_own=formats[name].is_built_in)
 
 
-def _refuse_format(kind: SourceKind, name: str, formats: Sequence[str]) -> NoReturn:
+def _refuse_format(kind: ExportSource, name: str, formats: Sequence[str]) -> NoReturn:
     if not formats:
         plugins.find(kind.group, name)  # says that none is installed
     if kind is LAW:
@@ -264,7 +266,7 @@ def _require_equal_types(
             )
 
 
-def _format_section(kind: SourceKind, exporters: Mapping[str, Exporter]) -> HelpSection:
+def _format_section(kind: ExportSource, exporters: Mapping[str, Exporter]) -> HelpSection:
     suffixes = f" ({', '.join(kind.suffixes)})" if kind.suffixes else ""
     rows = []
     for name, exporter in exporters.items():
@@ -276,7 +278,9 @@ def _format_section(kind: SourceKind, exporters: Mapping[str, Exporter]) -> Help
     return HelpSection(title=f"Formats of {kind.noun}{suffixes}", formats=tuple(rows))
 
 
-def _option_sections(kind: SourceKind, exporters: Mapping[str, Exporter]) -> Iterator[HelpSection]:
+def _option_sections(
+    kind: ExportSource, exporters: Mapping[str, Exporter]
+) -> Iterator[HelpSection]:
     """Yield sections of the options that the same formats have with the same meaning."""
     formats_of_option: dict[ExportOption, list[str]] = {}
     for name, exporter in exporters.items():
