@@ -101,7 +101,7 @@ def twin() -> ErrorsOnTests:
         robot,
         reversed_logs=[logs[name] for name in study.logs.reversed],
     )
-    found = partial(friction_records, model=robot, rigid_body=body)
+    found = partial(friction_records, robot=robot, body=body)
     return ErrorsOnTests.of(
         [found(logs[n]) for n in study.logs.training], [found(log) for log in tests]
     )
@@ -116,7 +116,7 @@ def ur10e() -> ErrorsOnTests:
     description = RobotDescription.read(study.robot)
     robot, logs = Robot(description), [Log.read(file, description) for file in files]
     tests = [Log.read(files[0].with_name(f"{name}.csv"), description) for name in FOURIER]
-    found = partial(friction_records, model=robot, rigid_body=identify(logs, robot))
+    found = partial(friction_records, robot=robot, body=identify(logs, robot))
     return ErrorsOnTests.of([found(log) for log in logs], [found(log) for log in tests])
 
 

@@ -81,7 +81,7 @@ def test_the_next_motion_pays_more_than_the_first_one_again(tmp_path: Path) -> N
             found = []
             for j, one in enumerate(known):
                 law, then = one.laws["lugre"], fits["second"]["lugre"].laws[j].standard_errors
-                expected = one.expected(law, planned[j])
+                expected = one.predict_ratios(law, planned[j])
                 found += [
                     then[name] / (error * expected[name])
                     for name, error in law.standard_errors.items()

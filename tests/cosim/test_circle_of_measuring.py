@@ -149,10 +149,10 @@ def test_a_better_law_promises_larger_errors_of_the_others() -> None:
     fast, slow = rows(0.8), rows(0.04)  # the laws differ at slow speeds
     known = known_of(law, fast)
     shrinking = known.predict_shrinkage(law, slow)
-    assert known.expected(law, slow) == shrinking  # no law is better
-    assert known.expected(lugre(), slow) == {}
+    assert known.predict_ratios(law, slow) == shrinking  # no law is better
+    assert known.predict_ratios(lugre(), slow) == {}
     wrong = replace(known_of(truth, fast), laws={"lugre": law, "other": truth})
-    for name, ratio in wrong.expected(law, slow).items():
+    for name, ratio in wrong.predict_ratios(law, slow).items():
         assert ratio > 2.0 * shrinking[name]
 
 
