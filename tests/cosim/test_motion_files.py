@@ -254,7 +254,11 @@ def test_the_command_writes_motions_for_all_purposes_and_a_page(tmp_path: Path) 
     assert "friction, pose 2: " in done.output
     assert HEAD in done.output
     page = (tmp_path / "m.html").read_text(encoding="utf-8")
-    for text in ("not run on a controller", "capsules around the links", 'id="friction-motion"'):
+    for text in (
+        "not run on a controller",
+        "capsules around the links",
+        'id="motion-for-friction"',
+    ):
         assert text in page
     for more, message in (
         (["--for", "friction", "--time", "12"], "s are too short for strokes"),

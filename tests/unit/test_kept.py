@@ -30,7 +30,7 @@ def records() -> list[list[FrictionRecord]]:
 
 
 def fitted(kept: Path | None, **more: object) -> object:
-    settings = {"robot": "r", "seed": 1, "workers": 1, "kept": kept} | more
+    settings = {"robot": "r", "seed": 1, "workers": 1, "checkpoints": kept} | more
     models = fit_models(LAWS, records(), **settings)  # type: ignore[arg-type]
     return {law: model.laws for law, model in models.items()}
 
