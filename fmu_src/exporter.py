@@ -7,6 +7,7 @@ the group `hesr.exports` gives its name, see docs/add-an-export-format.md.
 from __future__ import annotations
 
 import json
+import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -39,7 +40,7 @@ class ExportOption:
     choices : allowed values.
     per_joint : whether there is one number per joint; a single one serves all.
     repeatable : whether several values of type float, str, path or log may be given.
-    required_as : what the option is for the user, if the format cannot do without.
+    required_as : description in the refusal of a request without it; empty for an optional one.
     requires : another option without which it must not be given.
     cached : whether model and value alone determine the output, and no other file is written, so
         that a copy from the cache serves as well.
@@ -137,6 +138,19 @@ class Exporter:
     def option_names(self) -> set[str]:
         """Return the names of its options."""
         return {option.name for option in self.options}
+
+
+def defer_writer(function: str) -> Callable[..., None]:
+    """Return a writer that imports `function` ("module:name") when it is called.
+
+    The help imports the exporters of all formats, but not what they need to write. The result of
+    the function is no remark for the user, and is dropped.
+    """
+
+    def write(source: Any, output: Path, **options: Any) -> None:
+        pkgutil.resolve_name(function)(source, output, **options)
+
+    return write
 
 
 FMI = ExportOption(

@@ -1,5 +1,8 @@
 """Packages with plug-ins, as installed in a folder of `sys.path`."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
@@ -29,3 +32,18 @@ def lay_package(
     for module, text in (modules or {}).items():
         (site / f"{module}.py").write_text(text, encoding="utf-8")
     return site
+
+
+def run_python(
+    site: Path, *arguments: object, cwd: Path, columns: int = 120
+) -> subprocess.CompletedProcess[str]:
+    """Run Python with the packages of a folder installed."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+        env=environment | {"PYTHONPATH": str(site), "COLUMNS": str(columns)},
+    )

@@ -81,8 +81,7 @@ def list_logs(name: str, logs: Logs) -> list[LogSource]:
     from hesr_model.logs.robot_log import Log  # slow to import
 
     expected = "a Log or a path, or a sequence of these"
-    items = list_items(name, logs, (Log, str, PathLike), expected)
-    return [item if isinstance(item, Log) else Path(item) for item in items]
+    return _to_sources(list_items(name, logs, (Log, str, PathLike), expected))
 
 
 def list_laws(name: str, laws: Laws) -> list[LawSource]:
@@ -90,8 +89,7 @@ def list_laws(name: str, laws: Laws) -> list[LawSource]:
     from hesr_model.friction.model import FrictionModel  # slow to import
 
     expected = "a FrictionModel or a path, or a sequence of these"
-    items = list_items(name, laws, (FrictionModel, str, PathLike), expected)
-    return [item if isinstance(item, FrictionModel) else Path(item) for item in items]
+    return _to_sources(list_items(name, laws, (FrictionModel, str, PathLike), expected))
 
 
 def list_numbers(name: str, numbers: PerJoint) -> list[float]:
@@ -109,7 +107,7 @@ def list_items(name: str, value: object, kinds: tuple[type, ...], expected: str)
         return [value]
     # Iterating over text gives letters, over a mapping its keys.
     if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected {expected}.")
+        raise _refuse_kind(name, value, expected)
     items = list(value)
     for item in items:
         if not isinstance(item, kinds):
@@ -126,7 +124,12 @@ def logs_unless_table(data: object) -> list[LogSource] | None:
     items: list[Any] = list(data) if isinstance(data, list | tuple | Iterator) else [data]
     if not items or not all(isinstance(item, Log | str | PathLike) for item in items):
         return None
-    return [item if isinstance(item, Log) else Path(item) for item in items]
+    return _to_sources(items)
+
+
+def _to_sources(items: Iterable[Any]) -> list[Any]:
+    """Return items with text and path objects as paths; others stay."""
+    return [Path(item) if isinstance(item, str | PathLike) else item for item in items]
 
 
 def require_items(name: str, items: Sequence[object]) -> None:
@@ -137,20 +140,26 @@ def require_items(name: str, items: Sequence[object]) -> None:
 
 def require_mapping(name: str, value: object) -> None:
     """Raise ArgumentError unless an argument is a mapping or None."""
-    if value is not None and not isinstance(value, Mapping):
-        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected a mapping.")
+    _require_kind(name, value, Mapping, "a mapping")
 
 
 def require_text(name: str, value: object) -> None:
     """Raise ArgumentError unless an argument is text or None."""
-    if value is not None and not isinstance(value, str):
-        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected text.")
+    _require_kind(name, value, str, "text")
 
 
 def require_number(name: str, value: object) -> None:
     """Raise ArgumentError unless an argument is a number or None."""
-    if value is not None and not isinstance(value, Real):
-        raise ArgumentError(f"'{name}' is given as {type(value).__name__}; expected a number.")
+    _require_kind(name, value, Real, "a number")
+
+
+def _require_kind(name: str, value: object, kind: type, expected: str) -> None:
+    if value is not None and not isinstance(value, kind):
+        raise _refuse_kind(name, value, expected)
+
+
+def _refuse_kind(name: str, value: object, expected: str) -> ArgumentError:
+    return ArgumentError(f"'{name}' is given as {type(value).__name__}; expected {expected}.")
 
 
 def paths_among(*arguments: object) -> list[Path]:
@@ -316,10 +325,17 @@ def require_healthy(logs: Sequence[Log], robot: Robot, accept: Sequence[str]) ->
 
 def find_body(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
     """Return the given rigid body, by default one identified from the logs."""
-    from hesr_model.rigid_body.identification import RigidBody, identify
+    if body is not None:
+        return read_body(body)
+    from hesr_model.rigid_body.identification import identify
 
-    if body is None:
-        return identify(logs, robot)
+    return identify(logs, robot)
+
+
+def read_body(body: BodyArg) -> RigidBody:
+    """Return a rigid body; a path is read."""
+    from hesr_model.rigid_body.identification import RigidBody
+
     return body if isinstance(body, RigidBody) else RigidBody.read(to_path(body, "'rigid_body'"))
 
 
@@ -328,10 +344,7 @@ def build_plant_body(robot: RobotArg, body: BodyArg | None) -> PlantBody:
     from fmu_src.plant.plant_fmu import PlantBody
     from hesr_model.robots.robot import to_robot
 
-    loaded_robot = to_robot(robot)
-    return PlantBody.from_robot(
-        loaded_robot, None if body is None else find_body(body, (), loaded_robot)
-    )
+    return PlantBody.from_robot(to_robot(robot), None if body is None else read_body(body))
 
 
 def read_model(law: LawArg) -> FrictionModel:

@@ -18,6 +18,7 @@ from cosim.workflow.arguments import (
     list_names,
     list_numbers,
     list_paths,
+    read_body,
     require_text,
 )
 from cosim.workflow.export_formats import LAW, ExportFormat, choose_format, find_title
@@ -201,7 +202,6 @@ def _prepare(exporter: Exporter, request: ExportRequest) -> Mapping[str, Any]:
 
 def read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any:
     """Return the value of an option with files read, and several items as a list."""
-    from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.robots.robot import to_robot
 
     if option.per_joint:
@@ -209,7 +209,7 @@ def read_option(option: ExportOption, value: Any, request: ExportRequest) -> Any
     if option.type == "robot":
         return to_robot(value)
     if option.type == "rigid_body":
-        return value if isinstance(value, RigidBody) else RigidBody.read(value)
+        return read_body(value)
     if option.repeatable:
         return _LISTS[option.type](option.name, value)
     return to_path(value, f"'{option.name}'") if option.type == "path" else value
@@ -229,9 +229,9 @@ def answer(path: Path, output: PathArg | None) -> Answer:
     size = sum(file.stat().st_size for file in files) / 1024.0
     suffix = path.suffix.lower()
     lines = [f"{_TOOLS.get(suffix) or find_title(suffix)}, {size:.0f} KiB."]
-    if path.suffix.lower() == ".fmu":
+    if suffix == ".fmu":
         lines.append(_platform_line(path))
-    elif path.suffix.lower() == ".ssp":
+    elif suffix == ".ssp":
         lines.append(_coupling_line(path))
     elif path.is_dir():
         lines.append(_coupling_line(path / "closed_loop.toml", _DELAY_OF_LOOP))

@@ -13,6 +13,7 @@ from cosim.workflow.arguments import require_choice
 from fmu_src.exporter import Exporter, ExportOption
 from hesr_model.errors import ArgumentError, ConfigError
 from hesr_model.support import plugins
+from hesr_model.support.text import join_with_and
 
 if TYPE_CHECKING:
     from cosim.workflow.arguments import LawArg
@@ -29,10 +30,10 @@ class ExportSource:
     Attributes
     ----------
     group : group of plug-ins with its formats.
-    noun : what one is, in messages.
+    noun : name of one source, in messages.
     owner : whose an option or a format is, in messages.
     default : its default format.
-    suffixes : of its files, if these tell it from other kinds.
+    suffixes : suffixes of files that identify the kind, if there are any.
     product : what it becomes.
     refusals : sentence for formats that users expect, but that do not exist.
     """
@@ -255,7 +256,7 @@ def help_sections() -> list[HelpSection]:
 def _require_equal_types(
     format_name: str, exporter: Exporter, annotations: dict[str, tuple[str, str]]
 ) -> None:
-    """Refuse one option with two types; the command line could not tell which is meant."""
+    """Refuse one option with two types; the command line could not distinguish them."""
     for option in exporter.options:
         annotation = option.annotation
         other_format, expected = annotations.setdefault(option.name, (format_name, annotation))
@@ -290,15 +291,10 @@ def _option_sections(
     for option, formats in formats_of_option.items():
         groups.setdefault(tuple(formats), []).append(option)
     for names, options in groups.items():
-        title = f"Options of {_join_names(names)}"
+        title = f"Options of {join_with_and(names)}"
         if kind is not LAW:
             title += f" of {kind.noun}"
         yield HelpSection(title=title, options=tuple(options))
-
-
-def _join_names(names: tuple[str, ...]) -> str:
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 _HEADER = '''\

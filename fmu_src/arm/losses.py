@@ -45,7 +45,7 @@ def level_steps() -> Definitions:
 
 
 def renewal_rate() -> sympy.Expr:
-    """Return the rate [1/s] at which contacts are renewed."""
+    """Return the renewal rate of the contacts [1/s]."""
     return absolute(SPEED) / SLIP + 1 / LONGEST
 
 

@@ -36,7 +36,7 @@ def _test_law(request: ExportRequest) -> Properties:
 
 
 def write(model: FrictionModel, output: Path, **options: Any) -> None:
-    """Write the FMU, and with a band its coefficients and covariance beside it."""
+    """Write the FMU; for a band also its coefficients and covariance, as NAME.ssv."""
     from fmu_src.friction.friction_fmu import export_fmu
 
     export_fmu(model, output, **options)

@@ -31,6 +31,7 @@ from hesr_model.friction.predict import predict
 from hesr_model.friction.trained_range import TrainedRange
 from hesr_model.robots.description import statements
 from hesr_model.support.arrays import Array
+from hesr_model.support.text import join_with_and
 from hesr_model.units import unit_of_joints
 
 _CRAWL_SPEED = 1e-9
@@ -178,7 +179,7 @@ def model_title(model: FrictionModel) -> str:
     if model.law != MIXED and model.law not in {law.name for law in model.laws}:
         return model.law
     titles = list(dict.fromkeys(title(law) for law in model.laws))
-    return " and ".join([*filter(None, [", ".join(titles[:-1])]), titles[-1]])
+    return join_with_and(titles)
 
 
 def _explain_intervals(law: FrictionLaw) -> str:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from fmu_src.exporter import FMI, RIGID_BODY, ROBOT, Exporter, ExportOption, ExportRequest
-
-if TYPE_CHECKING:
-    from hesr_model.friction.model import FrictionModel
+from fmu_src.exporter import (
+    FMI,
+    RIGID_BODY,
+    ROBOT,
+    Exporter,
+    ExportOption,
+    ExportRequest,
+    defer_writer,
+)
 
 
 def prepare(request: ExportRequest) -> Mapping[str, Any]:
@@ -23,17 +27,10 @@ def prepare(request: ExportRequest) -> Mapping[str, Any]:
     return options
 
 
-def write(model: FrictionModel, output: Path, **options: Any) -> None:
-    """Write the FMU."""
-    from fmu_src.plant.plant_fmu import export_plant
-
-    export_plant(model, output, **options)
-
-
 PLANT = Exporter(
     title="FMU of the whole robot: torque in, motion out",
     suffixes=(".fmu",),
-    write=write,
+    write=defer_writer("fmu_src.plant.plant_fmu:export_plant"),
     prepare=prepare,
     platforms="common",
     options=(

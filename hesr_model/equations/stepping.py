@@ -116,16 +116,18 @@ class ComponentRun:
     def begin(self, *inputs: float) -> Sequence[float]:
         """Return the observed equations before the first step."""
         self._set_inputs(inputs)
+        observed_values: Sequence[float]
         observed_values, self.remembered = self._steps.begin(self._values, self.states)
-        return observed_values  # type: ignore[no-any-return]
+        return observed_values
 
     def step(self, dt: float, *inputs: float) -> Sequence[float]:
         """Hold the inputs over dt [s] and return the observed equations at its end."""
         self._set_inputs(inputs)
+        observed_values: Sequence[float]
         observed_values, self.remembered, self.states = self._steps.step(
             self._values, self.states, self.remembered, (float(dt),)
         )
-        return observed_values  # type: ignore[no-any-return]
+        return observed_values
 
 
 def numpy_function(
@@ -140,8 +142,9 @@ def numpy_function(
     evaluate = _compile_assignments([arguments], assignments, [targets], lanes=True)
 
     def evaluate_targets(*values: ArrayLike) -> Sequence[Array]:
+        results: Sequence[Array]
         [results] = evaluate(values)
-        return results  # type: ignore[no-any-return]
+        return results
 
     return evaluate_targets
 

@@ -25,7 +25,7 @@ from hesr_model.robots.transmission import transform_motion
 from hesr_model.support.arrays import Array, Mask
 
 _STOP_WIDTHS = 2.5e-4 * 2.0 ** np.arange(9)  # break-away deflections [rad or m]
-_SLOW_SHARE = 0.5  # share of the peak speed in which friction falls
+_SLOW_SHARE = 0.5  # decay speed of shapes that fall with speed, over the peak speed
 _MAX_DELAY = 0.25  # largest delay searched [s]
 _SEARCH_STEP = 0.005  # [s]
 _SHIFTS = _SEARCH_STEP * np.arange(
@@ -280,7 +280,7 @@ def estimate_delays(rows: LagRows, j: int) -> tuple[Estimate, Estimate]:
 
 
 def _fit_delay(shapes: Array, torques: Array, fitted_count: int) -> Estimate:
-    """Return the lag at which friction (N, K) fits torques (N, S) best.
+    """Return the lag that best fits friction (N, K) to torques (N, S).
 
     Other unknowns, `fitted_count` of them, were eliminated before.
     """

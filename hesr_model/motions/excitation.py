@@ -192,7 +192,7 @@ def _bound_condition(columns: Array) -> tuple[float, Array]:
     return 0.5 * float(span), slopes.reshape(columns.shape)
 
 
-_SAMPLES_PER_PERIOD = 400  # from 100 on, the condition number of W_b changes by a per cent
+_SAMPLES_PER_PERIOD = 400  # above 100, the condition number of W_b changes by 1 %
 _COARSE_WEIGHT = 1e2  # weight of exceeded limits in the first descents
 _FINE_WEIGHT = 1e4  # in the last one
 _COARSE_STEPS = 100

@@ -3,7 +3,7 @@
 import json
 import os
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,6 +40,12 @@ def quote_names(names: Iterable[str], max_count: int = 5) -> str:
 def count_noun(count: int, noun: str) -> str:
     """Return a count with its noun: "1 gap", "2 gaps"."""
     return f"1 {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def join_with_and(words: Sequence[str]) -> str:
+    """Return words as a list in a sentence: "a", "a and b", "a, b and c"."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def join_few(words: Iterable[str], max_count: int = 5) -> str:

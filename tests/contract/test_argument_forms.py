@@ -32,7 +32,7 @@ READERS = {
 
 
 class FilePath(os.PathLike[str]):
-    """A path object that is no Path."""
+    """A path object of another class than Path."""
 
     def __fspath__(self) -> str:
         return "some.json"

@@ -5,19 +5,19 @@ installed by `pip install`.
 """
 
 import csv
-import os
 import re
 import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from containing import OneSentence
 from documents import block
-from plugin_packages import lay_package
+from plugin_packages import lay_package, run_python
 
 import cosim.workflow.export_options as types_of_options
 from cosim.workflow.export_formats import KINDS, export_options_code, load_exporters
@@ -38,17 +38,7 @@ def install(folder: Path, module: str = MODULE) -> Path:
     return lay_package(folder, points, name=PROJECT["name"], modules={name: module})
 
 
-def run(site: Path, *command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run Python with the package installed."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
-    return subprocess.run(
-        [sys.executable, *map(str, command)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-        env=environment | {"PYTHONPATH": str(site), "COLUMNS": "80"},
-    )
+run = partial(run_python, columns=80)
 
 
 def export(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -6,17 +6,15 @@ The package is the example of docs/add-a-law.md, with a module and entry points 
 
 import html
 import json
-import os
 import re
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from containing import OneSentence
 from documents import ROOT, block
-from plugin_packages import lay_package
+from plugin_packages import lay_package, run_python
 from small_twin import ALONE, GAINS, MOTIONS
 
 from fmu_src.check.run import check
@@ -63,22 +61,9 @@ def installed(folder: Path, *, module: str = MODULE, law: str = LAW) -> Path:
     return lay_package(folder, points, name=PROJECT["name"], modules={value: module})
 
 
-def run(site: Path, *command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run Python with the package installed."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
-    return subprocess.run(
-        [sys.executable, *map(str, command)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-        env=environment | {"PYTHONPATH": str(site), "COLUMNS": "120"},
-    )
-
-
 def hesr(site: Path, *arguments: object, cwd: Path) -> str:
     """Run the command line with the package installed; return its output."""
-    answer = run(site, "-c", "from hesr.cli import main; main()", *arguments, cwd=cwd)
+    answer = run_python(site, "-c", "from hesr.cli import main; main()", *arguments, cwd=cwd)
     assert answer.returncode == 0, answer.stderr
     return answer.stdout
 
@@ -176,13 +161,13 @@ def test_the_law_fulfils_the_contract_of_all_laws(site: Path) -> None:
     tests = [ROOT / "tests" / "contract" / f"test_{name}.py" for name in ("laws", "lowerings")]
     options = ("-q", "-m", "not soak", "-p", "no:cacheprovider", "-p", "no:xdist")
     options += ("-p", "no:benchmark")
-    answer = run(site, "-m", "pytest", *tests, *options, "-k", LAW, cwd=ROOT)
+    answer = run_python(site, "-m", "pytest", *tests, *options, "-k", LAW, cwd=ROOT)
     assert answer.returncode == 0, answer.stdout
     passed = re.search(r"(\d+) passed", answer.stdout)
     assert passed
     skipped = re.search(r"(\d+) skipped", answer.stdout)  # lowerings without their tools
     # As many tests as for any other law without needs.
-    listed = run(site, "-m", "pytest", *tests, *options, "-k", "stribeck", "--co", cwd=ROOT)
+    listed = run_python(site, "-m", "pytest", *tests, *options, "-k", "stribeck", "--co", cwd=ROOT)
     count = int(passed[1]) + int(skipped[1] if skipped else 0)
     assert count == listed.stdout.count("[stribeck")
     assert int(passed[1]) > 10
@@ -210,7 +195,9 @@ def test_the_law_fulfils_the_contract_of_all_laws(site: Path) -> None:
 )
 def test_a_broken_package_is_named(module: str, law: str, sentence: str, tmp_path: Path) -> None:
     broken = installed(tmp_path / "site", module=module, law=law)
-    answer = run(broken, "-c", "from hesr.cli import main; main()", "fit", "--list", cwd=tmp_path)
+    answer = run_python(
+        broken, "-c", "from hesr.cli import main; main()", "fit", "--list", cwd=tmp_path
+    )
     assert answer.returncode == 2
     assert answer.stderr == OneSentence("hesr: ", sentence)
 
@@ -241,7 +228,7 @@ def study(tmp_path: Path) -> Path:
 def ran(study: Path, text: str) -> subprocess.CompletedProcess[str]:
     study.write_text(text, encoding="utf-8")
     site = study.parent / "site"
-    return run(site, "-c", ALONE, "run", study.name, "-o", "results", cwd=study.parent)
+    return run_python(site, "-c", ALONE, "run", study.name, "-o", "results", cwd=study.parent)
 
 
 @pytest.mark.ci

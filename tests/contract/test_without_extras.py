@@ -1,14 +1,13 @@
 """The core without `hesr.extras` and without optional packages: laws, verbs and a quick run."""
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from containing import OneSentence
+from plugin_packages import run_python
 from small_twin import ALONE, MOTIONS
 
 from hesr_model.fitting.estimator import laws_of_paper, registry
@@ -92,20 +91,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def python(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
-    return subprocess.run(
-        [sys.executable, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-        env=environment | {"PYTHONPATH": str(site), "COLUMNS": "120"},
-    )
-
-
 def hesr(site: Path, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return python(site, "-c", ALONE, *arguments, cwd=cwd)
+    return run_python(site, "-c", ALONE, *arguments, cwd=cwd)
 
 
 def core_laws() -> list[str]:
@@ -115,7 +102,7 @@ def core_laws() -> list[str]:
 
 def test_only_laws_of_the_core_are_listed(site: Path, tmp_path: Path) -> None:
     code = "import json, hesr; print(json.dumps(list(hesr.laws())))"
-    found = python(site, "-c", code, cwd=tmp_path)
+    found = run_python(site, "-c", code, cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     assert json.loads(found.stdout) == core_laws()
     assert set(laws_of_paper()) <= set(core_laws())
@@ -123,7 +110,7 @@ def test_only_laws_of_the_core_are_listed(site: Path, tmp_path: Path) -> None:
 
 
 def test_help_of_every_core_verb(site: Path, tmp_path: Path) -> None:
-    found = python(site, "-c", HELP, cwd=tmp_path)
+    found = run_python(site, "-c", HELP, cwd=tmp_path)
     assert found.returncode == 0, found.stderr
 
 
@@ -132,7 +119,7 @@ def test_verbs_and_formats_of_extras_are_unknown(site: Path, tmp_path: Path) -> 
     assert found.returncode == 2
     assert "No such command 'monitor'" in found.stderr
     code = "import hesr; hesr.export('uf850-table1', 'f.mo', format='modelica')"
-    found = python(site, "-c", code, cwd=tmp_path)
+    found = run_python(site, "-c", code, cwd=tmp_path)
     assert "'format' is modelica; allowed are" in found.stderr.splitlines()[-1]
     found = hesr(site, "check", "F.fmu", "--kind", "hostile", cwd=tmp_path)
     assert found.returncode == 2

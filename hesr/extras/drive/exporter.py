@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmu_src.exporter import FMI, Exporter, ExportOption, ExportRequest
+from fmu_src.exporter import FMI, Exporter, ExportOption, ExportRequest, defer_writer
 from hesr_model.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from hesr_model.friction.model import FrictionModel
     from hesr_model.rigid_body.identification import RigidBody
 
 
@@ -38,17 +36,10 @@ def _read_gears(rigid_body: RigidBody) -> dict[str, list[float]]:
     return properties
 
 
-def write(model: FrictionModel, output: Path, **options: Any) -> None:
-    """Write the FMU."""
-    from hesr.extras.drive.drive_fmu import export_drive
-
-    export_drive(model, output, **options)
-
-
 DRIVE = Exporter(
     title="FMU with the rotor: torque in, velocity out",
     suffixes=(".fmu",),
-    write=write,
+    write=defer_writer("hesr.extras.drive.drive_fmu:export_drive"),
     prepare=prepare,
     platforms="common",
     options=(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from fmu_src.exporter import FMI, RIGID_BODY, ROBOT, Exporter, ExportOption, ExportRequest
-
-if TYPE_CHECKING:
-    from hesr_model.friction.model import FrictionModel
+from fmu_src.exporter import (
+    FMI,
+    RIGID_BODY,
+    ROBOT,
+    Exporter,
+    ExportOption,
+    ExportRequest,
+    defer_writer,
+)
 
 
 def prepare(request: ExportRequest) -> Mapping[str, Any]:
@@ -22,17 +26,10 @@ def prepare(request: ExportRequest) -> Mapping[str, Any]:
     return options
 
 
-def write(model: FrictionModel, output: Path, **options: Any) -> None:
-    """Write the FMU, or the header for an output in .h."""
-    from hesr.extras.observer.observation import export_observer
-
-    export_observer(model, output, **options)
-
-
 OBSERVER = Exporter(
     title="FMU or one C header: motion and motor torque in, external torque and contact out",
     suffixes=(".fmu", ".h"),
-    write=write,
+    write=defer_writer("hesr.extras.observer.observation:export_observer"),
     prepare=prepare,
     platforms="common",
     options=(

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from fmu_src.exporter import Exporter, ExportOption
-
-if TYPE_CHECKING:
-    from hesr_model.friction.model import FrictionModel
+from fmu_src.exporter import Exporter, ExportOption, defer_writer
 
 
 def write_system(system_path: Path, output: Path, **options: Any) -> list[str]:
@@ -19,13 +16,6 @@ def write_system(system_path: Path, output: Path, **options: Any) -> list[str]:
     with open_system(system_path) as system:
         remark = export_ssp(system, system_path, output, **options)
     return [remark] if remark else []
-
-
-def write_parameters(model: FrictionModel, output: Path) -> None:
-    """Write the parameter set of a friction model."""
-    from hesr.extras.ssp.parameter_set import export_ssv
-
-    export_ssv(model, output)
 
 
 SSP = Exporter(
@@ -42,5 +32,5 @@ SSP = Exporter(
 SSV = Exporter(
     title="coefficients and covariance as a parameter set of SSP",
     suffixes=(".ssv",),
-    write=write_parameters,
+    write=defer_writer("hesr.extras.ssp.parameter_set:export_ssv"),
 )

@@ -126,7 +126,7 @@ class _Reader:
         self.apply_parameters(system, ())
         for name, value in start_values.items():
             if not self.assign((), name, ParameterValue(value=value)):
-                raise self.build_error(f"--set '{name}' is no variable of the system.")
+                raise self.build_error(f"--set '{name}' is not a variable of the system.")
         # Names of elements may contain dots.
         names = safe_names("\0".join(element_path) for element_path in self.fmus)
         component_names = {

@@ -1,4 +1,4 @@
-"""The page that every result can have: its order, and what it does with missing parts."""
+"""Pages of results: the order of their parts, and missing parts."""
 
 import re
 from dataclasses import dataclass
