@@ -150,9 +150,9 @@ class Setting:
     noise: PerJoint = ()  # standard deviation of tau_meas per joint [N.m]
 
 
-def preview(scheme: Scheme, gains: Gains, step: float) -> float:
+def preview(scheme: Scheme, gains: Gains, step_size: float) -> float:
     """Return the preview [s] of servo inversion: latency and half a step, as commands are held."""
-    return gains.latency + 0.5 * step if scheme.compensation == "servo_inversion" else 0.0
+    return gains.latency + 0.5 * step_size if scheme.compensation == "servo_inversion" else 0.0
 
 
 def build_system(

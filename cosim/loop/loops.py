@@ -165,14 +165,14 @@ class StudyLoop:
     checkpoints: Path | None = None  # finished rows of a resumed study
     progress: Stages = silent
 
-    def setting(self, law: str, scheme: Scheme) -> Setting:
+    def setting(self, law_name: str, scheme: Scheme) -> Setting:
         """Return the loop of a law in a scheme."""
         fmus = self.fmus
-        if law == StandIn.ORACLE:
+        if law_name == StandIn.ORACLE:
             fmus = replace(fmus, friction=self.oracle, body=self.true_body)
-        elif law in self.friction:
-            fmus = replace(fmus, friction=self.friction[law])
-        if law == StandIn.BODY_ONLY:
+        elif law_name in self.friction:
+            fmus = replace(fmus, friction=self.friction[law_name])
+        if law_name == StandIn.BODY_ONLY:
             scheme = replace(scheme, friction_gain=0.0)
         return Setting(
             fmus=fmus, scheme=scheme, gains=self.tracking.gains, step=self.step, noise=self.noise
@@ -191,9 +191,9 @@ class StudyLoop:
         ):
             yield self.row(law_name, Scheme(compensation=compensation, source=source))
 
-    def row(self, law: str, scheme: Scheme) -> LoopRow:
+    def row(self, law_name: str, scheme: Scheme) -> LoopRow:
         """Return one row."""
-        return LoopRow(scheme=scheme, law=law, setting=self.setting(law, scheme))
+        return LoopRow(scheme=scheme, law=law_name, setting=self.setting(law_name, scheme))
 
     def track(
         self,
@@ -249,12 +249,12 @@ def build(
     platforms: Sequence[str] = HOST,
 ) -> None:
     """Write the FMUs of a loop, without arm and laws, for the true friction `true_model`."""
-    step = 1.0 / plant.sample_rate
-    dynamics = partial(inverse_dynamics, robot, step=step)
+    step_size = 1.0 / plant.sample_rate
+    dynamics = partial(inverse_dynamics, robot, step=step_size)
     contents: dict[str, Callable[[], Content]] = {
-        "Trajectory": partial(trajectory, robot.n, step=step),
-        "Controller": partial(controller, robot.n, step=step),
-        "Velocity": partial(velocity, robot.n, step=step),
+        "Trajectory": partial(trajectory, robot.n, step=step_size),
+        "Controller": partial(controller, robot.n, step=step_size),
+        "Velocity": partial(velocity, robot.n, step=step_size),
         "InverseDynamics": partial(dynamics, body.parameters),
         "TrueInverseDynamics": partial(dynamics, robot.nominal_parameters),
     }

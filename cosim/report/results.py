@@ -63,9 +63,9 @@ class Results:
         names = zip(self.joints, self.run.joints, strict=True)
         return [(k, short, name) for k, (short, name) in enumerate(names, start=1)]
 
-    def unit(self, unit: str, joint: int | None = None) -> str:
+    def unit(self, unit: str, j: int | None = None) -> str:
         """Return a unit for all joints, or for one by index."""
-        sliding = self.sliding if joint is None else self.sliding[joint : joint + 1]
+        sliding = self.sliding if j is None else self.sliding[j : j + 1]
         return unit_of_joints(unit, sliding)
 
     @property
@@ -77,7 +77,7 @@ class Results:
     @property
     def laws(self) -> list[str]:
         """Laws without variants."""
-        return [law for law in self.models if law not in self.run.variants]
+        return [law_name for law_name in self.models if law_name not in self.run.variants]
 
     @cached_property
     def verdict(self) -> Verdict | None:
@@ -89,26 +89,26 @@ class Results:
         """Laws of the verdict by joint, or else the best one."""
         return self.verdict.laws if self.verdict else (self.best,) * len(self.joints)
 
-    def compare_to_reference(self, joint: int) -> tuple[str, str, dict[str, float | None]]:
+    def compare_to_reference(self, j: int) -> tuple[str, str, dict[str, float | None]]:
         """Return recommended law and strongest reference of a joint, and ratios of their errors.
 
         Ratios are those of the first test set by `AREAS`, None where the run has no such errors.
         """
         test = self.tests[0]
         comparison = self.comparisons[test]
-        law = self.recommended[joint]
-        law_names = law, comparison.ratios.find_reference(law, joint)
+        recommended = self.recommended[j]
+        law_names = recommended, comparison.ratios.find_reference(recommended, j)
         law_scores = [comparison.laws[law_name] for law_name in law_names]
         models = [self.models[law_name] for law_name in law_names]
         has_days = sum("training" in log.roles for log in self.run.logs) > 1
         simulated = self.simulated.get(test)
         errors = (
-            [scores.rmse[joint : joint + 1] for scores in law_scores],
-            [scores.rmse_rest[joint : joint + 1] for scores in law_scores],
-            [scores.rmse_reversal[joint : joint + 1] for scores in law_scores],
-            [_simulated_errors(simulated, law_name, joint) for law_name in law_names],
+            [scores.rmse[j : j + 1] for scores in law_scores],
+            [scores.rmse_rest[j : j + 1] for scores in law_scores],
+            [scores.rmse_reversal[j : j + 1] for scores in law_scores],
+            [_simulated_errors(simulated, law_name, j) for law_name in law_names],
             [
-                model.left_out_rmse[joint : joint + 1] if has_days and not model.coupling else ()
+                model.left_out_rmse[j : j + 1] if has_days and not model.coupling else ()
                 for model in models
             ],
         )
@@ -125,7 +125,9 @@ class Results:
         """Law with the lowest error over the size of friction, on the first test set."""
         comparison = self.comparisons[self.tests[0]]
         laws = (
-            law for law in comparison.laws if law != ORACLE and not law.endswith(MEASURED_START)
+            law_name
+            for law_name in comparison.laws
+            if law_name != ORACLE and not law_name.endswith(MEASURED_START)
         )
         return min(laws, key=comparison.size)
 
@@ -133,7 +135,11 @@ class Results:
     def key_laws(self) -> list[str]:
         """Laws of figures."""
         paper, *other_laws = laws_of_paper()
-        return [law for law in dict.fromkeys((paper, self.best, *other_laws)) if law in self.models]
+        return [
+            law_name
+            for law_name in dict.fromkeys((paper, self.best, *other_laws))
+            if law_name in self.models
+        ]
 
     @cached_property
     def audits(self) -> Mapping[str, ModelAudit]:
@@ -141,15 +147,15 @@ class Results:
         if self.audited is not None:
             return self.audited
         audits = {}
-        for law, model in self.models.items():
+        for law_name, model in self.models.items():
             with suppress(SimulationError):
                 if model.trained:
-                    audits[law] = ModelAudit.from_model(model, model.trained)
+                    audits[law_name] = ModelAudit.from_model(model, model.trained)
         return audits
 
     def find_fitted(self, *laws: str) -> list[str]:
         """Return the fitted ones of some laws."""
-        return [law for law in dict.fromkeys(laws) if law in self.models]
+        return [law_name for law_name in dict.fromkeys(laws) if law_name in self.models]
 
     def find_log(self, role: str) -> SavedLog | None:
         """Return the first log of a role whose torques are saved."""
@@ -183,7 +189,10 @@ class Results:
             folder=folder,
             run=run,
             body=body,
-            models={law: FrictionModel.read(folder / "laws" / f"{law}.json") for law in run.inputs},
+            models={
+                law_name: FrictionModel.read(folder / "laws" / f"{law_name}.json")
+                for law_name in run.inputs
+            },
             comparisons=comparisons,
             properties=read_properties(properties_path)
             if properties_path.is_file() and not run.quick
@@ -206,13 +215,13 @@ class Results:
 
 
 def _simulated_errors(
-    position_errors: PositionErrors | None, law: str, joint: int
+    position_errors: PositionErrors | None, law_name: str, j: int
 ) -> tuple[float | None, ...]:
     """Return the position error [rad; m] of whole logs, or else of the longest windows."""
-    if position_errors is None or law not in position_errors.windows:
+    if position_errors is None or law_name not in position_errors.windows:
         return ()
-    return (position_errors.open_loop.get(law) or position_errors.windows[law][-1])[
-        joint : joint + 1
+    return (position_errors.open_loop.get(law_name) or position_errors.windows[law_name][-1])[
+        j : j + 1
     ]
 
 

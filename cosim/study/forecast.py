@@ -30,13 +30,13 @@ class Forecast:
     def ratios(self, models: Mapping[str, FrictionModel]) -> dict[tuple[str, str, str], float]:
         """Return the standard errors of fits over the expected ones, by law, joint, coefficient."""
         ratios = {}
-        for law, joints in self.widths.items():
-            model = models.get(law)
+        for law_name, joints in self.widths.items():
+            model = models.get(law_name)
             for joint, friction_law in zip(model.joints, model.laws, strict=True) if model else ():
                 for name, error in friction_law.standard_errors.items():
                     expected = joints.get(joint, {}).get(name)
                     if expected and error > 0.0:
-                        ratios[law, joint, name] = error / expected
+                        ratios[law_name, joint, name] = error / expected
         return ratios
 
     def sentence(

@@ -61,26 +61,27 @@ def simulate_tests(
     with parallel.results_of(jobs, names=list(models)) as results:
         law_errors = list(results)
     iterators = {}
-    for law, errors in zip(models, law_errors, strict=True):
+    for law_name, errors in zip(models, law_errors, strict=True):
         if isinstance(errors, SimulationError):
             _warn(errors)
             return {}
-        iterators[law] = iter(errors)
+        iterators[law_name] = iter(errors)
     joints = tuple(robot.description.joints)
     length_count = len(LENGTHS)
     errors_by_test = {}
     for test, test_windows in windows_by_test.items():
         errors_by_law = {
-            law: tuple(islice(iterator, len(test_windows))) for law, iterator in iterators.items()
+            law_name: tuple(islice(iterator, len(test_windows)))
+            for law_name, iterator in iterators.items()
         }
         log_windows = test_windows[length_count:]
         errors_by_test[test] = PositionErrors(
             joints=joints,
             lengths=LENGTHS,
-            windows={law: errors[:length_count] for law, errors in errors_by_law.items()},
+            windows={law_name: errors[:length_count] for law_name, errors in errors_by_law.items()},
             open_loop={
-                law: _average_logs(errors[length_count:], log_windows)
-                for law, errors in errors_by_law.items()
+                law_name: _average_logs(errors[length_count:], log_windows)
+                for law_name, errors in errors_by_law.items()
                 if log_windows
             },
         )

@@ -145,7 +145,7 @@ def save_run(folder: Path, run: ScoredRun, *, command: str, quick: bool) -> None
             for name, log in run.logs.items()
         ),
         bands=study.bands,
-        inputs={law: name_inputs(model) for law, model in run.models.items()},
+        inputs={law_name: name_inputs(model) for law_name, model in run.models.items()},
         variants={name: variant.law for name, variant in study.variants.items()},
         left_out=run.left_out,
         controller=study.tracking.model_dump(mode="json") if study.tracking else {},
@@ -179,8 +179,8 @@ def _save_torques(folder: Path, run: ScoredRun) -> dict[str, str]:
     }
     for test, names in logs.test.items():
         torques_by_log[names[0]] = {
-            law: [joint_torques[0] for joint_torques in predicted]
-            for law, predicted in run.predictions[test].items()
+            law_name: [joint_torques[0] for joint_torques in predicted]
+            for law_name, predicted in run.predictions[test].items()
         }
     traces = {}
     for k, (name, predicted) in enumerate(torques_by_log.items(), start=1):
@@ -208,8 +208,8 @@ def write_torques(
         }
         if record.tau_body is not None:
             columns[f"tau_load{k}"] = record.tau_load[rows]
-        for law, torques in predicted.items():
-            columns[f"{law}.tau_f{k}"] = torques[k - 1][rows]
+        for law_name, torques in predicted.items():
+            columns[f"{law_name}.tau_f{k}"] = torques[k - 1][rows]
     path.parent.mkdir(parents=True, exist_ok=True)
     # Single precision exceeds the resolution of any figure.
     write_table(path, {name: values.astype(np.float32) for name, values in columns.items()})

@@ -95,7 +95,9 @@ def run_study(
                 folder / SIMULATION,
                 {test: to_json(test_errors) for test, test_errors in position_errors.items()},
             )
-            truths = job.score_truths([law for law in models if law not in study.variants])
+            truths = job.score_truths(
+                [law_name for law_name in models if law_name not in study.variants]
+            )
             if truths:
                 write_json(folder / TRUTHS, truths)
             loop = job.closed_loop(run, folder, quick=quick)
@@ -126,7 +128,7 @@ def run_study(
             _report(folder, audits, job.progress, brief=quick)
             record_files(folder)
         shutil.rmtree(checkpoints, ignore_errors=True)
-    fmus = {law: output / "fmus" / f"{law}.fmu" for law in final_models}
+    fmus = {law_name: output / "fmus" / f"{law_name}.fmu" for law_name in final_models}
     return Outcome(
         **vars(replace(run, models=final_models, fmus=fmus)),
         properties=properties,
@@ -147,7 +149,7 @@ def _shorten_study(study: Study) -> Study:
     tracking = study.tracking and study.tracking.model_copy(
         update={
             "seeds": study.tracking.seeds[:1],
-            "sources": tuple(law for law in study.tracking.sources if law in laws),
+            "sources": tuple(law_name for law_name in study.tracking.sources if law_name in laws),
         }
     )
     shorter: dict[str, Any] = {"laws": laws, "variants": {}, "refinement": None}
@@ -160,7 +162,7 @@ def _report(
     from cosim.report.page import REPORT, compose_report  # slow to import
     from cosim.report.results import Results
 
-    known_audits = {law: audit for law, audit in audits.items() if audit}
+    known_audits = {law_name: audit for law_name, audit in audits.items() if audit}
     results = replace(Results.read(folder), audited=known_audits)
     compose_report(results, folder, folder / REPORT, folder, brief=brief, progress=progress)
 
@@ -181,13 +183,13 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     extended_records = _records_with_history(job, files, logs, robot, body)
     records = _records_of_logs(logs, extended_records)
     models, left_out = job.fit_all(records, source)
-    for law, model in refined_models.items():
-        if law in models:
-            models[law] = replace(model, provenance=source)
+    for law_name, model in refined_models.items():
+        if law_name in models:
+            models[law_name] = replace(model, provenance=source)
     refined: dict[str, RefinementResult] = {}
     if study.refinement is not None and not study.refinement.law:  # all laws are refined
         refined = job.refine(logs, robot, body, models)
-        models |= {law: refinement.model for law, refinement in refined.items()}
+        models |= {law_name: refinement.model for law_name, refinement in refined.items()}
     findings += log_findings(check_laws(models, select_records(study.logs.training, records)))
     write_findings(folder, findings)
 
@@ -264,9 +266,9 @@ def _records_of_logs(logs: Mapping[str, Log], extended_records: LogRecords) -> L
 
 def _write_laws(job: Job, models: Mapping[str, FrictionModel], folder: Path) -> dict[str, Path]:
     """Write laws and FMUs without documentation; return the FMUs."""
-    for law, model in models.items():
-        model.write(folder / "laws" / f"{law}.json")
-    fmus = {law: folder / "fmus" / f"{law}.fmu" for law in models}
+    for law_name, model in models.items():
+        model.write(folder / "laws" / f"{law_name}.json")
+    fmus = {law_name: folder / "fmus" / f"{law_name}.fmu" for law_name in models}
     map_models(
         models,
         lambda law, model: export_bare(model, fmus[law]),
@@ -278,14 +280,16 @@ def _write_laws(job: Job, models: Mapping[str, FrictionModel], folder: Path) -> 
 def _document_fmu(
     fmus: Mapping[str, Path],
     properties: Mapping[str, Properties],
-    law: str,
+    law_name: str,
     model: FrictionModel,
     **export_options: Any,
 ) -> ModelAudit | None:
     audit = None
     with suppress(SimulationError):
         audit = ModelAudit.from_model(model, model.trained)
-    export_fmu(model, fmus[law], properties=properties.get(law), audit=audit, **export_options)
+    export_fmu(
+        model, fmus[law_name], properties=properties.get(law_name), audit=audit, **export_options
+    )
     return audit
 
 
@@ -300,10 +304,10 @@ def write_mixed_model(
     """Write and return the model with the recommended laws, if joints differ."""
     if run_verdict.law != MIXED:
         return {}
-    model = mix_models([models[law] for law in run_verdict.laws])
+    model = mix_models([models[law_name] for law_name in run_verdict.laws])
     model.write(folder / "laws" / f"{MIXED}.json")
     audit = None
-    law_audits = [audits.get(law) for law in run_verdict.laws]
+    law_audits = [audits.get(law_name) for law_name in run_verdict.laws]
     if all(law_audits):
         joints = list(enumerate(audit for audit in law_audits if audit))
         audit = ModelAudit(

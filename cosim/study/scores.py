@@ -56,11 +56,11 @@ class Ratios:
         """Whether each law has a reference of the same inputs or fewer."""
         return bool(self.references or self.by_joint)
 
-    def find_reference(self, law: str, joint: int) -> str:
+    def find_reference(self, law_name: str, j: int) -> str:
         """Return the reference of a law on a joint."""
-        if law in self.by_joint:
-            return self.by_joint[law][joint]
-        return self.references.get(law, self.reference)
+        if law_name in self.by_joint:
+            return self.by_joint[law_name][j]
+        return self.references.get(law_name, self.reference)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ class Comparison:
 
     def combine_scores(self, laws: Sequence[str]) -> LawScores:
         """Return the errors of a law per joint."""
-        scores_by_joint = list(enumerate(self.laws[law] for law in laws))
+        scores_by_joint = list(enumerate(self.laws[law_name] for law_name in laws))
         return LawScores(
             **{
                 measure: tuple(getattr(law_scores, measure)[k] for k, law_scores in scores_by_joint)
@@ -114,19 +114,23 @@ class Comparison:
         """Return errors by joint over the standard deviation of its friction."""
         return tuple(e / max(std, 1e-300) for e, std in zip(errors, self.tau_std, strict=True))
 
-    def size(self, law: str) -> float:
+    def size(self, law_name: str) -> float:
         """Return the unexplained share of friction, averaged over joints."""
-        return fmean(self.unexplained_shares(self.laws[law].rmse))
+        return fmean(self.unexplained_shares(self.laws[law_name].rmse))
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all measures [N.m; `r2` has none] by law and joint."""
-        rows = [(law, k, joint) for law in self.laws for k, joint in enumerate(self.joints)]
-        names = {"law": [law for law, *_ in rows], "joint": [joint for *_, joint in rows]}
-        scores = {m: [getattr(self.laws[law], m)[k] for law, k, _ in rows] for m in MEASURES}
+        rows = [
+            (law_name, k, joint) for law_name in self.laws for k, joint in enumerate(self.joints)
+        ]
+        names = {"law": [law_name for law_name, *_ in rows], "joint": [joint for *_, joint in rows]}
+        scores = {
+            m: [getattr(self.laws[law_name], m)[k] for law_name, k, _ in rows] for m in MEASURES
+        }
         return pandas_frame(names | scores).set_index(["law", "joint"])
 
     def _repr_html_(self) -> str:
-        rows = ((law, *law_scores.rmse) for law, law_scores in self.laws.items())
+        rows = ((law_name, *law_scores.rmse) for law_name, law_scores in self.laws.items())
         spread = ("(standard deviation)", *self.tau_std)
         return html_table(
             "RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows)
@@ -161,39 +165,45 @@ def compare(
     predictions of a `zero_phase` velocity.
     """
     scores = {
-        law: [score(*pair) for pair in zip(records, torques, strict=True)]
-        for law, torques in predictions.items()
+        law_name: [score(*pair) for pair in zip(records, torques, strict=True)]
+        for law_name, torques in predictions.items()
     }
     fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
-    ranked = [law for law in predictions if law != ORACLE and not law.endswith(MEASURED_START)]
+    ranked = [
+        law_name
+        for law_name in predictions
+        if law_name != ORACLE and not law_name.endswith(MEASURED_START)
+    ]
     error_tables = [
         _joint_errors(joint_records, predictions, j, ranked)
         for j, joint_records in enumerate(records)
     ]
     references = [
         {
-            law: _choose_reference(law, j, scores, inputs or {}, models or {}, fallback)
-            for law in scores
+            law_name: _choose_reference(law_name, j, scores, inputs or {}, models or {}, fallback)
+            for law_name in scores
         }
         for j in range(len(records))
     ]
     ratios = [_error_ratios(*pair) for pair in zip(error_tables, references, strict=True)]
-    rated_laws = [law for law in scores if any(law in joint_ratios for joint_ratios in ratios)]
+    rated_laws = [
+        law_name for law_name in scores if any(law_name in joint_ratios for joint_ratios in ratios)
+    ]
     itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
     rankings = [_find_leaders(error_table, ranked) for error_table in error_tables if ranked]
     return Comparison(
         joints=tuple(joint_records[0].joint for joint_records in records),
         tau_std=tuple(score.tau_std for score in scores[fallback]),
-        laws={law: _law_scores(joint_scores) for law, joint_scores in scores.items()},
+        laws={law_name: _law_scores(joint_scores) for law_name, joint_scores in scores.items()},
         ratios=Ratios(
             reference=fallback,
             laws={
-                law: tuple(joint_ratios.get(law, itself) for joint_ratios in ratios)
-                for law in rated_laws
+                law_name: tuple(joint_ratios.get(law_name, itself) for joint_ratios in ratios)
+                for law_name in rated_laws
             },
             by_joint={
-                law: tuple(joint_references[law] for joint_references in references)
-                for law in rated_laws
+                law_name: tuple(joint_references[law_name] for joint_references in references)
+                for law_name in rated_laws
                 if inputs
             },
         ),
@@ -202,8 +212,8 @@ def compare(
         detectable=tuple(detectable for _, detectable, _ in rankings),
         seconds=tuple(seconds for *_, seconds in rankings),
         zero_phase={
-            law: tuple(score(*pair).rmse for pair in zip(records, torques, strict=True))
-            for law, torques in (zero_phase or {}).items()
+            law_name: tuple(score(*pair).rmse for pair in zip(records, torques, strict=True))
+            for law_name, torques in (zero_phase or {}).items()
         },
     )
 
@@ -222,12 +232,12 @@ def _law_scores(joint_scores: Sequence[Score]) -> LawScores:
 def _joint_errors(
     joint_records: Sequence[FrictionRecord],
     predictions: Mapping[str, Sequence[Sequence[Array]]],
-    joint: int,
+    j: int,
     ranked: Sequence[str],
 ) -> LawErrors:
     errors = {
-        law: [tau - record.tau for record, tau in zip(joint_records, torques[joint], strict=True)]
-        for law, torques in predictions.items()
+        law_name: [tau - record.tau for record, tau in zip(joint_records, torques[j], strict=True)]
+        for law_name, torques in predictions.items()
     }
     return law_errors(
         errors, [float(np.median(np.diff(record.t))) for record in joint_records], ranked
@@ -235,15 +245,15 @@ def _joint_errors(
 
 
 def _error_ratios(error_table: LawErrors, references: Mapping[str, str]) -> dict[str, ErrorRatio]:
-    compared_laws = [law for law in error_table.laws if references[law] != law]
+    compared_laws = [law_name for law_name in error_table.laws if references[law_name] != law_name]
     ratios = {reference: error_table.ratios(reference) for reference in set(references.values())}
-    law_ratios = {law: ratios[references[law]][law] for law in compared_laws}
+    law_ratios = {law_name: ratios[references[law_name]][law_name] for law_name in compared_laws}
     adjusted_p = adjust_by_holm(
-        {law: ratio.p for law, ratio in law_ratios.items() if ratio.p is not None}
+        {law_name: ratio.p for law_name, ratio in law_ratios.items() if ratio.p is not None}
     )
     return {
-        law: replace(ratio, p=adjusted_p.get(law), detectable=None)
-        for law, ratio in law_ratios.items()
+        law_name: replace(ratio, p=adjusted_p.get(law_name), detectable=None)
+        for law_name, ratio in law_ratios.items()
     }
 
 
@@ -252,16 +262,21 @@ def _find_leaders(
 ) -> tuple[tuple[str, ...], dict[str, float], float]:
     """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
     # One family per joint; one over all would have little power.
-    best = min(ranked, key=lambda law: error_table.log_rmse[error_table.laws.index(law)])
-    rivals = [law for law in ranked if law != best]
+    best = min(ranked, key=lambda law_name: error_table.log_rmse[error_table.laws.index(law_name)])
+    rivals = [law_name for law_name in ranked if law_name != best]
     if not rivals or error_table.too_short:
         return (best, *rivals), {}, MIN_SECONDS
     ratios = error_table.ratios(best, len(rivals))
-    adjusted_p = adjust_by_holm({law: p for law in rivals if (p := ratios[law].p) is not None})
-    tied = [law for law in rivals if adjusted_p[law] >= SIGNIFICANCE]
-    detectable = {law: ratio for law in rivals if (ratio := ratios[law].detectable) is not None}
+    adjusted_p = adjust_by_holm(
+        {law_name: p for law_name in rivals if (p := ratios[law_name].p) is not None}
+    )
+    tied = [law_name for law_name in rivals if adjusted_p[law_name] >= SIGNIFICANCE]
+    detectable = {
+        law_name: ratio for law_name in rivals if (ratio := ratios[law_name].detectable) is not None
+    }
     durations = [
-        error_table.required_seconds(law, best, RECORDED, len(rivals)) for law in tied or rivals
+        error_table.required_seconds(law_name, best, RECORDED, len(rivals))
+        for law_name in tied or rivals
     ]
     return (best, *tied), detectable, float(np.median(durations))
 
@@ -299,8 +314,8 @@ def _band_scores(
 
 
 def _choose_reference(
-    law: str,
-    joint: int,
+    law_name: str,
+    j: int,
     scores: Mapping[str, Sequence[Score]],
     inputs: Mapping[str, str],
     models: Mapping[str, FrictionModel],
@@ -310,16 +325,16 @@ def _choose_reference(
 
     It has the lowest error on left-out training logs, or on the test if that is unknown.
     """
-    if law not in inputs:
+    if law_name not in inputs:
         return fallback
-    law_inputs = set(inputs[law].split(", "))
-    suffix = MEASURED_START * law.endswith(MEASURED_START)
+    law_inputs = set(inputs[law_name].split(", "))
+    suffix = MEASURED_START * law_name.endswith(MEASURED_START)
 
     def error(row: str) -> float:
         model = models.get(row.removesuffix(MEASURED_START))
         if model is None or model.coupling or not model.left_out_rmse:
-            return scores[row][joint].rmse
-        return model.left_out_rmse[joint]
+            return scores[row][j].rmse
+        return model.left_out_rmse[j]
 
     classic = [
         row

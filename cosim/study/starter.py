@@ -213,13 +213,13 @@ def start_bench(
     """
     require_new(folder)
     with folder_written_whole(folder) as temporary:
-        model, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))
-        model.write_text(bench.urdf(), encoding="utf-8")
+        model_path, file = (temporary.resolve() / name for name in ("bench.urdf", "robot.toml"))
+        model_path.write_text(bench.urdf(), encoding="utf-8")
         description = RobotDescription.from_data(
             folder / "robot.toml",
             {
                 "name": project_name(folder),
-                "model": str(model),
+                "model": str(model_path),
                 "joints": bench.joints,
                 "known": bench.known,
                 "rotor_inertia": False,

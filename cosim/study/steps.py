@@ -63,10 +63,10 @@ def map_models(
     progress: Progress,
 ) -> dict[str, Returned]:
     """Return the results of a function of each law and model, called in processes."""
-    jobs = [partial(do, law, model) for law, model in models.items()]
+    jobs = [partial(do, law_name, model) for law_name, model in models.items()]
     costs = [model.size for model in models.values()]
     with parallel.results_of(jobs, None, costs, list(models)) as results:
-        return {law: next(results) for law in report_progress(list(models), progress)}
+        return {law_name: next(results) for law_name in report_progress(list(models), progress)}
 
 
 class _ReplayCase(NamedTuple):
@@ -91,10 +91,10 @@ class Job:
 
     def __post_init__(self) -> None:
         study = self.study
-        for law in study.laws:
-            self._require_law("laws", law)
-        for law, options in study.options.items():
-            self._require_law(f"options.{law}", law, options)
+        for law_name in study.laws:
+            self._require_law("laws", law_name)
+        for law_name, options in study.options.items():
+            self._require_law(f"options.{law_name}", law_name, options)
         for name, variant in study.variants.items():
             if name in (*registry(), MIXED):
                 raise self._error(
@@ -106,11 +106,12 @@ class Job:
             self._require_law(f"variants.{name}.options", variant.law, variant.options)
         if study.refinement and study.refinement.law:
             self._require_law("refinement.law", study.refinement.law)
-        for law in study.tracking.sources if study.tracking else ():
-            if law not in self.laws:
+        for law_name in study.tracking.sources if study.tracking else ():
+            if law_name not in self.laws:
                 law_list = ", ".join(self.laws)
                 raise self._error(
-                    f"key 'tracking.sources': law '{law}' is not in the study; it has {law_list}.",
+                    f"key 'tracking.sources': law '{law_name}' is not in the study; it has "
+                    f"{law_list}.",
                     code="study.tracking_source",
                     key="tracking.sources",
                 )
@@ -118,15 +119,17 @@ class Job:
     def _error(self, text: str, *, code: str, key: str) -> ConfigError:
         return ConfigError(f"{self.path}: {text}", code=code, where=self.path, key=key)
 
-    def _require_law(self, key: str, law: str, options: Mapping[str, Any] | None = None) -> None:
-        if law not in registry():
+    def _require_law(
+        self, key: str, law_name: str, options: Mapping[str, Any] | None = None
+    ) -> None:
+        if law_name not in registry():
             raise self._error(
-                f"key '{key}': law '{law}' is unknown; known are {', '.join(registry())}.",
+                f"key '{key}': law '{law_name}' is unknown; known are {', '.join(registry())}.",
                 code="study.law",
                 key=key,
             )
         options = options or {}
-        allowed = signature(estimator(law)).parameters
+        allowed = signature(estimator(law_name)).parameters
         unknown = [name for name in options if name not in allowed]
         if unknown:
             raise self._error(
@@ -135,7 +138,7 @@ class Job:
                 key=f"{key}.{unknown[0]}",
             )
         try:
-            estimator(law)(**options)
+            estimator(law_name)(**options)
         except (HesrError, TypeError) as error:
             raise self._error(
                 f"table '{key}': {str(error).rstrip('.')}.", code="study.options", key=key
@@ -256,18 +259,18 @@ class Job:
         return outcome
 
     def following(
-        self, run: ScoredRun, models: Mapping[str, FrictionModel], law: str, folder: Path
+        self, run: ScoredRun, models: Mapping[str, FrictionModel], law_name: str, folder: Path
     ) -> Following:
-        """Predict and write the following error with feed-forward, at last of `law`, if offered."""
+        """Predict and write the following error with feed-forward, if offered; `law_name` last."""
         predict = plugins.load("hesr.studies").get("following")
         if predict is None:
             return Following()
         names = [*(name for test in self.study.logs.test.values() for name in test), *run.logs]
         logs = [run.logs[name] for name in names]
         models_by_law = {name: models[name] for name in select_laws("quick") if name in models}
-        models_by_law[law] = models_by_law.pop(law, models[law])
+        models_by_law[law_name] = models_by_law.pop(law_name, models[law_name])
         following_errors: Following = predict.load()(
-            logs, run.robot, run.rigid_body, models_by_law, models[law]
+            logs, run.robot, run.rigid_body, models_by_law, models[law_name]
         )
         write_json(folder / FOLLOWING, to_json(following_errors))
         return following_errors
@@ -312,25 +315,25 @@ class Job:
             records = self._training_records(logs, robot, body)
             models = self.fit(records, laws, _REFINING, {}, left_out=lambda *_: None)
             refined = self.refine(logs, robot, body, models, with_body=True)
-            law = min(refined, key=lambda law: refined[law].size)
-            body = refined[law].body
-            laws = (law,)
+            law_name = min(refined, key=lambda law: refined[law].size)
+            body = refined[law_name].body
+            laws = (law_name,)
         return body
 
     def _refine_with_law(
         self, refinement: RefinementStudy, logs: Mapping[str, Log], robot: Robot, body: RigidBody
     ) -> tuple[RigidBody, dict[str, FrictionModel]]:
         """Refine the body with the law of the study; return it with the law refined, if it is."""
-        law = refinement.law
+        law_name = refinement.law
         models = {}
         for _ in range(refinement.rounds):
             records = self._training_records(logs, robot, body)
-            model = self.fit(records, (law,), _REFINING, {})[law]
+            model = self.fit(records, (law_name,), _REFINING, {})[law_name]
             if refinement.kind == "output_error":
                 motions = smooth_logs(self._training_logs(logs), robot)
                 refined_law = refine(robot, body, model, motions)
                 body = refined_law.body
-                models[law] = refined_law.model
+                models[law_name] = refined_law.model
             else:
                 forward_logs = [logs[name] for name in self.study.logs.identification]
                 backward_logs = [logs[name] for name in self.study.logs.reversed]
@@ -400,11 +403,11 @@ class Job:
         """
         left_out: dict[str, str] = {}
 
-        def leave_out(law: str, error: FitError) -> None:
-            if self.study.tracking and law in self.study.tracking.sources:
+        def leave_out(law_name: str, error: FitError) -> None:
+            if self.study.tracking and law_name in self.study.tracking.sources:
                 raise error
-            left_out[law] = str(error)
-            _log.warning("law '%s' is left out: %s", law, error)
+            left_out[law_name] = str(error)
+            _log.warning("law '%s' is left out: %s", law_name, error)
 
         models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
         return models, left_out
@@ -483,7 +486,7 @@ class Job:
 
         names = [f"tau_f{number}" for number in range(1, len(self.robot.joints) + 1)]
         torques = [read_table(truth_path(file)).numbers(names) for file in files]
-        return [[tau[:, joint] for tau in torques] for joint in range(len(names))]
+        return [[tau[:, j] for tau in torques] for j in range(len(names))]
 
 
 def _select_part(log: Log, name: str, part: Part) -> Log:
@@ -504,9 +507,9 @@ def _select_part(log: Log, name: str, part: Part) -> Log:
 def _list_replays(tests: Iterable[str], models: Mapping[str, FrictionModel]) -> list[_ReplayCase]:
     cases = []
     for test in tests:
-        for row, (law, measured_start) in table_rows(models).items():
-            cases.append(_ReplayCase(test, row, law, True, measured_start))
-            cases.append(_ReplayCase(test, row, law, False, measured_start))
+        for row, (law_name, measured_start) in table_rows(models).items():
+            cases.append(_ReplayCase(test, row, law_name, True, measured_start))
+            cases.append(_ReplayCase(test, row, law_name, False, measured_start))
     return cases
 
 
@@ -527,8 +530,8 @@ def _compare_with_nuisances(
 ) -> Comparison:
     """Compare laws after fitting the nuisances of each log."""
     fitted_torques = {}
-    for law, law_torques in torques.items():
-        fitted_torques[law] = [
+    for law_name, law_torques in torques.items():
+        fitted_torques[law_name] = [
             add_fitted_nuisances(joint_torques, joint_records, per_log)
             for joint_torques, joint_records in zip(law_torques, test_records, strict=True)
         ]
@@ -543,8 +546,8 @@ def _compare_in_band(
 ) -> Comparison:
     """Compare laws on the rows of a band of a test."""
     band_torques = {}
-    for law, law_torques in torques.items():
-        band_records, band_torques[law] = select_window(
+    for law_name, law_torques in torques.items():
+        band_records, band_torques[law_name] = select_window(
             test_records, law_torques, band.start, band.stop
         )
     return compare(band_records, band_torques, inputs)

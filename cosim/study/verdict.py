@@ -62,15 +62,17 @@ class ForSimulation:
     def from_refined(cls, refined: Mapping[str, RefinementResult]) -> "ForSimulation | None":
         """Return the law with the lowest error; None without windows."""
         errors = {
-            law: refinement.size
-            for law, refinement in refined.items()
+            law_name: refinement.size
+            for law_name, refinement in refined.items()
             if np.isfinite(refinement.size)
         }
         if not errors:
             return None
-        law = min(errors, key=errors.__getitem__)
-        improved = tuple(law for law, refinement in refined.items() if refinement.ratio < 1.0)
-        return cls(law=law, fmu=f"fmus/{law}.fmu", errors=errors, refined=improved)
+        law_name = min(errors, key=errors.__getitem__)
+        improved = tuple(
+            law_name for law_name, refinement in refined.items() if refinement.ratio < 1.0
+        )
+        return cls(law=law_name, fmu=f"fmus/{law_name}.fmu", errors=errors, refined=improved)
 
     def sentence(self, feed_forward: str) -> str:
         """Return the recommendation, next to that for feed-forward."""
@@ -140,7 +142,7 @@ def judge_run(
     """
     test, comparison = next(iter(comparisons.items()))
     laws, reason = recommend(comparison, models)
-    law = laws[0] if len(set(laws)) == 1 else MIXED
+    recommended = laws[0] if len(set(laws)) == 1 else MIXED
     shares = comparison.unexplained_shares(comparison.combine_scores(laws).rmse)
     percent = {joint: 100.0 * share for joint, share in zip(comparison.joints, shares, strict=True)}
     joints = tuple(
@@ -154,15 +156,17 @@ def judge_run(
         if joint_separation.detectable
     }
     return Verdict(
-        law=law,
+        law=recommended,
         planned=expected.sentence(models, detectable_ratios) if expected else "",
-        fmu=f"fmus/{law}.fmu",
+        fmu=f"fmus/{recommended}.fmu",
         test=test,
         why=reason,
         unexplained=percent,
         weak=tuple(
             _list_weaknesses(
-                comparison.combine_scores(laws), percent, combine_results(law, properties, laws)
+                comparison.combine_scores(laws),
+                percent,
+                combine_results(recommended, properties, laws),
             )
         ),
         improve=(
@@ -184,7 +188,9 @@ def find_separations(comparison: Comparison) -> Iterator[Separation]:
         comparison.leading, comparison.detectable, comparison.seconds, strict=True
     ):
         best, *tied = leaders
-        ratios = [detectable[law] for law in tied if law in detectable] or [*detectable.values()]
+        ratios = [detectable[law_name] for law_name in tied if law_name in detectable] or [
+            *detectable.values()
+        ]
         yield Separation(
             best=best,
             tied=tuple(tied),
@@ -273,9 +279,9 @@ def recommend(
     )
 
 
-def simplicity(model: FrictionModel, joint: int | None = None) -> tuple[int, int, int]:
+def simplicity(model: FrictionModel, j: int | None = None) -> tuple[int, int, int]:
     """Return numbers of inputs, states and coefficients of a joint, or the largest of all."""
-    laws = model.laws if joint is None else model.laws[joint : joint + 1]
+    laws = model.laws if j is None else model.laws[j : j + 1]
     inputs = {symbol for law in laws for symbol in law.form.inputs}
     return len(inputs), max(len(law.start) for law in laws), max(len(law.values) for law in laws)
 

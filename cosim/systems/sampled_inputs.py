@@ -76,10 +76,10 @@ class SampledInputs:
             self._set_slopes = slaves[self._target].slopes(self._linear)
             self._pass_slopes()
 
-    def step(self, time: float, step: float) -> None:
+    def step(self, time: float, step_size: float) -> None:
         """Go to the next communication point; see `Slave`."""
         self._k = min(self._k + 1, len(self._points) - 1)
-        self.time = time + step
+        self.time = time + step_size
         self._pass_slopes()
 
     def _pass_slopes(self) -> None:

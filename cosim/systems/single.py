@@ -83,15 +83,15 @@ def _read_time(
 
 def _choose_step(length: float) -> float:
     """Return a round step that divides a length [s] into 500 to 1000 rows, as FMPy does."""
-    step = float(10.0 ** (np.round(np.log10(length)) - 3.0))
-    count = length / step
+    step_size = float(10.0 ** (np.round(np.log10(length)) - 3.0))
+    count = length / step_size
     for smallest_count, factor in ((2500, 5), (2000, 4), (1000, 2)):
         if count >= smallest_count:
-            return step * factor
+            return step_size * factor
     for largest_count, divisor in ((200, 5), (250, 4), (500, 2)):
         if count <= largest_count:
-            return step / divisor
-    return step
+            return step_size / divisor
+    return step_size
 
 
 def find_communication_points(

@@ -98,18 +98,19 @@ class SystemSpec(Config):
         return round((component.step or self.step) / self.step)
 
 
-def _require_multiple(time: float, step: float, subject: str, key: str) -> None:
-    if not time / step <= _MAX_STEPS:
+def _require_multiple(time: float, step_size: float, subject: str, key: str) -> None:
+    if not time / step_size <= _MAX_STEPS:
         raise RuleError(
-            f"{subject} is {time:g} s, {time / step:.3g} communication steps of {step:g} s; at "
-            f"most {_MAX_STEPS:g} are allowed",
+            f"{subject} is {time:g} s, {time / step_size:.3g} communication steps of "
+            f"{step_size:g} s; at most {_MAX_STEPS:g} are allowed",
             code="system.most_steps",
             key=key,
         )
-    step_count = round(time / step)
-    if step_count < 1 or abs(time - step_count * step) > _MULTIPLE_TOLERANCE * time:
+    step_count = round(time / step_size)
+    if step_count < 1 or abs(time - step_count * step_size) > _MULTIPLE_TOLERANCE * time:
         raise RuleError(
-            f"{subject} is {time:g} s; it must be a multiple of the communication step, {step:g} s",
+            f"{subject} is {time:g} s; it must be a multiple of the communication step, "
+            f"{step_size:g} s",
             code="system.multiple",
             key=key,
         )

@@ -143,7 +143,7 @@ class RunResult(Answer):
         outcome = self.outcome
         return {
             "folder": str(self.folder),
-            "fmus": {law: str(path) for law, path in outcome.fmus.items()},
+            "fmus": {law_name: str(path) for law_name, path in outcome.fmus.items()},
             "left_out": dict(outcome.left_out),
             "verdict": to_json(outcome.verdict),
             "evaluation": {
@@ -354,12 +354,12 @@ def build_draw_tables(draws: Seeds) -> Iterator[ResultTable]:
             (f"RMSE over that of {reference} on '{test}'", scores.ratios),
         ):
             rows = []
-            for law, spreads in laws.items():
+            for law_name, spreads in laws.items():
                 cells = []
                 for spread in spreads:
                     text = f"{spread.mean:.3f} [{spread.low:.3f}, {spread.high:.3f}]"
                     cells.append(TableCell(text=text, value=spread.mean))
-                rows.append(make_row(title(law), *cells))
+                rows.append(make_row(title(law_name), *cells))
             yield ResultTable(
                 caption=f"{caption}, {sample}",
                 head=("law", *joints(len(draws.joints))),

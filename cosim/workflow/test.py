@@ -395,7 +395,7 @@ def _failed_checks(properties: Properties) -> str:
     """Return the failed physics checks of a law with their joints."""
     failed = []
     for title, joints in properties.failed.items():
-        names = ", ".join(f"J{joint}" for joint in joints)
+        names = ", ".join(f"J{j}" for j in joints)
         failed.append(f"{title} ({names})")
     return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
 

@@ -167,7 +167,7 @@ typedef struct {{ /* summand of an output */
 
 
 def export_mjcf(
-    model: Path,
+    model_path: Path,
     path: Path,
     *,
     table: Path | SignalTable | ArmSignals | None = None,
@@ -176,11 +176,11 @@ def export_mjcf(
 ) -> Path:
     """Write an MJCF as an FMI 2.0 FMU for co-simulation, simulated by MuJoCo."""
     targets = check_request(path, platforms)
-    signals = table if isinstance(table, ArmSignals) else read_signals(model, table)
+    signals = table if isinstance(table, ArmSignals) else read_signals(model_path, table)
     content = arm(
         signals,
-        name=model_name(signals.model, model),
-        source=model.read_bytes(),
+        name=model_name(signals.model, model_path),
+        source=model_path.read_bytes(),
         platforms=[target.folder for target in targets],
     )
     return write_fmu(content, path, platforms=platforms, progress=progress)

@@ -199,10 +199,10 @@ class _Lookup:
             raise self._error(f"{observation}; expected exactly one.")
 
     def _position(self, name: str) -> int:
-        joint = self._find("joint", name)
-        if mujoco.mjtJoint(self._model.jnt_type[joint]) not in SCALAR_JOINT_TYPES:
+        joint_id = self._find("joint", name)
+        if mujoco.mjtJoint(self._model.jnt_type[joint_id]) not in SCALAR_JOINT_TYPES:
             raise self._error(f"joint '{name}' is not a hinge or slide.")
-        return int(self._model.jnt_qposadr[joint])
+        return int(self._model.jnt_qposadr[joint_id])
 
     def _activation(self, name: str) -> tuple[int, float]:
         actuator = self._find("actuator", name)
@@ -244,8 +244,10 @@ def build_all_signals(model: Any) -> ArmSignals:
             unit = "rad" if kind == _J.mjJNT_HINGE else "m"
             address = int(model.jnt_qposadr[i])
             starts.append(ArmStart(name, unit, address, float(model.qpos0[address])))
-    step = float(model.opt.timestep)
-    return ArmSignals(model=model, inputs=inputs, outputs=outputs, starts=tuple(starts), step=step)
+    step_size = float(model.opt.timestep)
+    return ArmSignals(
+        model=model, inputs=inputs, outputs=outputs, starts=tuple(starts), step=step_size
+    )
 
 
 class _Names:

@@ -120,12 +120,12 @@ class ArmSignals:
         if len(times) != 1:
             return None
         time = times.pop()
-        step = float(model.opt.timestep)
+        step_size = float(model.opt.timestep)
         samples, interpolation = model.actuator_history[delayed].T
         if not interpolation.any():
-            time = float(np.ceil(time / step - 1e-6)) * step
+            time = float(np.ceil(time / step_size - 1e-6)) * step_size
         return Delay(
-            usual=time, longest=float(samples.min()) * step, actuators=tuple(delayed.tolist())
+            usual=time, longest=float(samples.min()) * step_size, actuators=tuple(delayed.tolist())
         )
 
 

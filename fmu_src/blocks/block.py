@@ -117,9 +117,9 @@ def block(
     )
 
 
-def _names(component: Component, joint: int) -> dict[str, str]:
+def _names(component: Component, number: int) -> dict[str, str]:
     joint_quantities = (*component.inputs, *component.parameters, *component.outputs)
-    return {quantity.name: f"{quantity.name}[{joint}]" for quantity in joint_quantities} | {
+    return {quantity.name: f"{quantity.name}[{number}]" for quantity in joint_quantities} | {
         quantity.name: quantity.name for quantity in component.shared
     }
 

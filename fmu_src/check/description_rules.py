@@ -72,17 +72,22 @@ def _identity(model_description: ParsedDescription) -> Iterator[Problem]:
 
 
 def _experiment(model_description: ParsedDescription) -> Iterator[Problem]:
-    start, stop, step, tolerance = (
+    start, stop, step_size, tolerance = (
         real(model_description.experiment.get(n))
         for n in ("startTime", "stopTime", "stepSize", "tolerance")
     )
     if start is not None and stop is not None and stop <= start:
         text = f"DefaultExperiment has stopTime {stop:.15g}, not after its startTime {start:.15g}."
         yield "experiment-times", text
-    elif start is not None and stop is not None and step is not None and step > stop - start:
-        text = f"DefaultExperiment has stepSize {step:.15g}, longer than the experiment."
+    elif (
+        start is not None
+        and stop is not None
+        and step_size is not None
+        and step_size > stop - start
+    ):
+        text = f"DefaultExperiment has stepSize {step_size:.15g}, longer than the experiment."
         yield "experiment-step", text
-    for name, value in (("stepSize", step), ("tolerance", tolerance)):
+    for name, value in (("stepSize", step_size), ("tolerance", tolerance)):
         if value is not None and value <= 0:
             text = f"DefaultExperiment has {name} {value:.15g}; it must be positive."
             yield "experiment-times", text

@@ -34,9 +34,11 @@ def software() -> str:
     return key.hexdigest()
 
 
-def _inputs(model: Path, options: Mapping[str, object], output: Path) -> tuple[str, ...] | None:
+def _inputs(
+    model_path: Path, options: Mapping[str, object], output: Path
+) -> tuple[str, ...] | None:
     try:
-        text = read_text(model)
+        text = read_text(model_path)
     except (OSError, ValueError):  # reported by `write`
         return None
     # A law of another package can change without a new version.
@@ -46,9 +48,9 @@ def _inputs(model: Path, options: Mapping[str, object], output: Path) -> tuple[s
     return text, json.dumps(options, sort_keys=True), output.suffix, date, software()
 
 
-def copy_from_cache(model: Path, options: Mapping[str, object], output: Path) -> bool:
+def copy_from_cache(model_path: Path, options: Mapping[str, object], output: Path) -> bool:
     """Copy an FMU that was exported with the same options, if there is one."""
-    inputs = _inputs(model, options, output)
+    inputs = _inputs(model_path, options, output)
     data = find_result("fmus", inputs) if inputs else None
     if data is None:
         return False
@@ -58,10 +60,10 @@ def copy_from_cache(model: Path, options: Mapping[str, object], output: Path) ->
 
 
 def export_with_cache(
-    model: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
+    model_path: Path, options: Mapping[str, object], output: Path, write: Callable[[], None]
 ) -> None:
     """Write an FMU to `output`, or copy it from the cache; `options` are all other settings."""
-    inputs = _inputs(model, options, output)
+    inputs = _inputs(model_path, options, output)
     if inputs is None:
         write()
         return

@@ -237,7 +237,7 @@ def _array_key(variable: Variable) -> tuple[str, object]:
     return array, (len(indices), variable.role, *kind)
 
 
-def to_c(interface: Interface, guid: str, step: float) -> str:
+def to_c(interface: Interface, guid: str, step_size: float) -> str:
     """Return interface.h: GUID, preferred step [s] and the table of variables for the C side."""
     variables = interface.variables
     places = interface.places
@@ -276,7 +276,7 @@ def to_c(interface: Interface, guid: str, step: float) -> str:
     derivatives = [places[variable.name] for variable in interface.derivatives]
     return _INTERFACE.format(
         guid=guid,
-        step=literal(step),
+        step=literal(step_size),
         own=interface,
         derivable=interface.directional_derivatives,
         variables=len(rows),

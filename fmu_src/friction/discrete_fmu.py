@@ -84,10 +84,10 @@ def _stimuli(model: FrictionModel, interface: Interface, about: Description) -> 
 
     The difference grows with the speed, so that the factors of an adaptive law change.
     """
-    step = about.step
+    step_size = about.step
     motion = reference_motion(
         model,
-        frequency=1.0 / (ROWS * step),
+        frequency=1.0 / (ROWS * step_size),
         periods=(ROWS + 1) / ROWS,
         rows=ROWS + 1,
         phase=_PHASE,
@@ -105,7 +105,7 @@ def _stimuli(model: FrictionModel, interface: Interface, about: Description) -> 
         )
     names = {variable.name for variable in interface.variables if variable.role == "input"}
     stimulus_inputs = {name: round_stimulus(rows) for name, rows in inputs.items() if name in names}
-    return Stimuli(step=step, inputs=stimulus_inputs)
+    return Stimuli(step=step_size, inputs=stimulus_inputs)
 
 
 _PHASE = 0.35  # lead of each joint over the one before it [rad]

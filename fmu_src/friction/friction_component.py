@@ -91,21 +91,21 @@ def is_exposed(law: FrictionLaw) -> bool:
     return len(law.values) <= MAX_PARAMETERS
 
 
-def place(law: FrictionLaw, joint: int) -> Place:
+def place(law: FrictionLaw, number: int) -> Place:
     """Return the names of a joint's variables; joints count from 1."""
     return Place(
-        states=tuple(f"{element.name}[{joint}]" for element in law.form.memory),
-        derivatives=tuple(f"der({element.name}[{joint}])" for element in law.form.memory),
-        starts=tuple(f"{element.name}_start[{joint}]" for element in law.form.memory),
-        parameters=tuple(f"joint[{joint}].{name}" for name in law.values)
+        states=tuple(f"{element.name}[{number}]" for element in law.form.memory),
+        derivatives=tuple(f"der({element.name}[{number}])" for element in law.form.memory),
+        starts=tuple(f"{element.name}_start[{number}]" for element in law.form.memory),
+        parameters=tuple(f"joint[{number}].{name}" for name in law.values)
         if is_exposed(law)
         else (),
     )
 
 
-def scale_names(joint: int) -> tuple[str, ...]:
+def scale_names(number: int) -> tuple[str, ...]:
     """Return the names of a joint's factors on Coulomb and viscous friction."""
-    return tuple(f"{scale.name}[{joint}]" for scale in SCALES)
+    return tuple(f"{scale.name}[{number}]" for scale in SCALES)
 
 
 def component(
@@ -204,11 +204,11 @@ def find_joint_signals(name: str, coordinate: int, coupling: Coupling | None) ->
     )
 
 
-def find_added_coordinates(joint: int, coupling: Coupling | None) -> tuple[int, ...]:
+def find_added_coordinates(number: int, coupling: Coupling | None) -> tuple[int, ...]:
     """Return the friction coordinates whose torques add to that of a joint."""
     if coupling is None:
-        return (joint,)
-    return tuple(int(i) + 1 for i in np.flatnonzero(coupling.forward[:, joint - 1]))
+        return (number,)
+    return tuple(int(i) + 1 for i in np.flatnonzero(coupling.forward[:, number - 1]))
 
 
 def _find_joint_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, tuple[str, ...]]:
@@ -219,10 +219,10 @@ def _find_joint_inputs(coupling: Coupling | None, coordinate: int) -> dict[str, 
 
 
 def _output_dependencies(
-    model: FrictionModel, joints: tuple[Joint, ...], joint: int, output: Equation
+    model: FrictionModel, joints: tuple[Joint, ...], number: int, output: Equation
 ) -> tuple[str, ...]:
     added = output.name in (TORQUE, LOWER, UPPER)
-    coordinates = find_added_coordinates(joint, model.coupling) if added else (joint,)
+    coordinates = find_added_coordinates(number, model.coupling) if added else (number,)
     names = [
         name
         for i in coordinates
@@ -234,14 +234,14 @@ def _output_dependencies(
 
 
 def build_joint_variable(
-    model: FrictionModel, quantity: Quantity, joint: int, role: Role, **attributes: Any
+    model: FrictionModel, quantity: Quantity, number: int, role: Role, **attributes: Any
 ) -> Variable:
     """Return a variable that every joint has, for the joint with this number from 1."""
-    slides = model.slides[joint - 1]
+    slides = model.slides[number - 1]
     text = quantity.description.format(
-        joint=model.joints[joint - 1], effort=_EFFORT[slides], number=joint
+        joint=model.joints[number - 1], effort=_EFFORT[slides], number=number
     )
-    name = f"{quantity.name}[{joint}]"
+    name = f"{quantity.name}[{number}]"
     return replace(typed_variable(quantity, name, role, text, slides=slides), **attributes)
 
 
@@ -264,8 +264,8 @@ def typed_variable(
     return Variable(name, role, f"{text}: {meanings}", integer=True, least=lower, greatest=upper)
 
 
-def _trained_size(model: FrictionModel, quantity: Quantity, joint: int) -> float:
-    trained_range = model.trained[joint - 1] if model.trained else None
+def _trained_size(model: FrictionModel, quantity: Quantity, number: int) -> float:
+    trained_range = model.trained[number - 1] if model.trained else None
     return _round_nominal(max(map(abs, getattr(trained_range, quantity.name, (0.0,)))))
 
 
@@ -322,7 +322,7 @@ def build_joints(
     joints = []
     # C has no units, the only difference between revolute and prismatic forms.
     laws = [replace(law, form=law.form.sliding) for law in model.laws]
-    for joint, law in enumerate(laws, start=1):
+    for number, law in enumerate(laws, start=1):
         joint_component = component(
             law, extra_outputs, band=band, coupled=model.coupling is not None, events=events
         )
@@ -334,14 +334,14 @@ def build_joints(
                 *joint_component.outputs,
             )
         } | (names or {})
-        joint_names = {name: f"{stem}[{joint}]" for name, stem in stems.items()}
+        joint_names = {name: f"{stem}[{number}]" for name, stem in stems.items()}
         joints.append(
             Joint(
                 component=joint_component,
                 names=joint_names | ({COVERAGE.name: COVERAGE.name} if band else {}),
-                **vars(place(law, joint)),
+                **vars(place(law, number)),
                 constants=() if is_exposed(law) else tuple(law.values.values()),
-                slope="" if names else f"{SLOPE.name}[{joint}]",
+                slope="" if names else f"{SLOPE.name}[{number}]",
             )
         )
     return tuple(joints)
@@ -381,7 +381,7 @@ def dependencies(
 
 def law_variables(
     law: FrictionLaw,
-    joint: int,
+    number: int,
     joint_equations: Joint,
     inputs: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Iterator[Variable]:
@@ -393,7 +393,7 @@ def law_variables(
         yield Variable(
             state,
             "state",
-            f"friction state {element.name} of joint {joint}",
+            f"friction state {element.name} of joint {number}",
             unit=element.unit,
             nominal=nominal(law, element) if element.name in law_elements else 1.0,
             initial_dependencies=(

@@ -192,12 +192,12 @@ def describe_friction_fmu(model: FrictionModel, kind: str, text: str) -> Descrip
         name=f"{_TITLES[kind]} of {model.robot} by {model_title(model)}",
         identifier=f"{kind}_{model.law}",
         text=f"Joint friction torque of {len(model.joints)} joints {text}.",
-        step=model.sample_time,
+        step_size=model.sample_time,
     )
 
 
 def describe_fmu(
-    model: FrictionModel, *, name: str, identifier: str, text: str, step: float
+    model: FrictionModel, *, name: str, identifier: str, text: str, step_size: float
 ) -> Description:
     """Return the model description of an FMU, with the model's date and owner."""
     return Description(
@@ -205,7 +205,7 @@ def describe_fmu(
         identifier=re.sub(r"\W", "_", identifier, flags=re.ASCII),
         text=" ".join([text, *statements(model.provenance, "guessed")]),
         created=fmu_date(model).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        step=step,
+        step=step_size,
         owner=Owner.from_provenance(model.provenance),
     )
 

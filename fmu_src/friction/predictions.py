@@ -32,7 +32,7 @@ def predict_model(
         model.predict(log_records, measured_start=measured_start)
         for log_records in zip(*records, strict=True)
     ]
-    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
+    return [[torque[:, j] for torque in torques] for j in range(len(records))]
 
 
 def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) -> list[list[Array]]:
@@ -72,4 +72,4 @@ def predict_fmu(fmu: Path, records: Records, *, measured_start: bool = False) ->
         torques.append(
             replay(fmu, log_records[0].t, dq, q, tau_load, start=start, temperature=temperature)
         )
-    return [[torque[:, joint] for torque in torques] for joint in range(len(records))]
+    return [[torque[:, j] for torque in torques] for j in range(len(records))]

@@ -206,8 +206,8 @@ def reference_motion(
     the velocity grows from rest over `lead_in` [s].
     """
     count = round(periods / (frequency * model.sample_time)) if rows is None else rows
-    step = model.sample_time if rows is None else periods / (frequency * rows)
-    t = np.round(step * np.arange(count), 12)
+    step_size = model.sample_time if rows is None else periods / (frequency * rows)
+    t = np.round(step_size * np.arange(count), 12)
     columns = [
         _build_joint_motion(t, trained_range, 2.0 * np.pi * frequency, i * phase, lead_in)
         for i, trained_range in enumerate(model.trained or (None,) * len(model.joints), start=1)
@@ -257,14 +257,14 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     reference_run = _co_simulation(model)
     if reference_run is None:
         return {"extra/README.txt": _MISSING_TEXT.encode()}
-    step, motion, torque = reference_run
+    step_size, motion, torque = reference_run
     shown = torques(model, motion, SHOWN)
     # In motion from the start: no row coincides with a reversal, where laws may jump.
-    smooth = _motion(model, step)
+    smooth = _motion(model, step_size)
     fine = torques(model, smooth, CONTINUOUS, substeps=_SUBSTEPS)
     text = _README.format(
         name=identifier,
-        step=f"{step:.9g}",
+        step=f"{step_size:.9g}",
         same=_ROUNDING_TOLERANCE,
         close=_INTEGRATION_TOLERANCE,
         substeps=_SUBSTEPS,
@@ -273,7 +273,7 @@ def reference_files(model: FrictionModel, identifier: str) -> dict[str, bytes]:
     co_simulation_files = ExperimentFiles(
         runs=RUNS,
         t=motion.t,
-        step=step,
+        step=step_size,
         tolerance=_ROUNDING_TOLERANCE,
         stem=f"extra/co_simulation/{identifier}",
     )
@@ -314,8 +314,8 @@ def _units(sliding: Sequence[bool]) -> str:
     )
 
 
-def _motion(model: FrictionModel, step: float, lead_in: float = 0.0) -> ReferenceMotion:
-    frequency = 1.0 / (_ROWS * step)
+def _motion(model: FrictionModel, step_size: float, lead_in: float = 0.0) -> ReferenceMotion:
+    frequency = 1.0 / (_ROWS * step_size)
     motion = reference_motion(
         model, frequency=frequency, periods=1.0, rows=_ROWS, phase=_PHASE, lead_in=lead_in
     )

@@ -224,16 +224,16 @@ def _band_rows(model: FrictionModel, units: Mapping[str, str]) -> dict[str, list
     return rows
 
 
-def _joint(joint: int, name: str, law: FrictionLaw) -> dict[str, Any]:
+def _joint(number: int, name: str, law: FrictionLaw) -> dict[str, Any]:
     return {
-        "number": joint,
+        "number": number,
         "name": name,
         "law": title(law),
         "equations": equations(law),
         "text": form_lines(law.form),
         # Equations of networks with numbers are not readable.
         "numbers": equations_with_numbers(law) if is_exposed(law) else [],
-        "rows": _rows(law, joint),
+        "rows": _rows(law, number),
         "exposed": is_exposed(law),
         "intervals": bool(law.standard_errors),
         "uncertainty": _explain_intervals(law),
@@ -258,8 +258,8 @@ def _half_jump(law: FrictionLaw, z: sympy.Expr) -> float:
     return abs(ahead - back) / 2.0
 
 
-def _rows(law: FrictionLaw, joint: int) -> list[dict[str, str]]:
-    prefix = f"joint[{joint}]." if is_exposed(law) else ""
+def _rows(law: FrictionLaw, number: int) -> list[dict[str, str]]:
+    prefix = f"joint[{number}]." if is_exposed(law) else ""
     errors = law.standard_errors
     return [
         {

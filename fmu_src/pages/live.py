@@ -132,17 +132,19 @@ def live_data(model: FrictionModel, interface: Interface, module: bytes) -> dict
     return {"module": pack_module(module), "step": model.sample_time, "joints": joints}
 
 
-def _motion(law: FrictionLaw, trained_range: TrainedRange | None, step: float) -> Iterator[Knob]:
+def _motion(
+    law: FrictionLaw, trained_range: TrainedRange | None, step_size: float
+) -> Iterator[Knob]:
     speed = trained_speed(trained_range)
     digits = 2 - floor(log10(speed))
     amplitude = floor(speed * 10.0**digits) / 10.0**digits  # short, and within the trained range
     low = _round_number(speed / 200.0)
     high = _round_number(2.0 * speed)
     yield Knob("amplitude", "velocity amplitude", "rad/s", amplitude, low, high, "log", least=0.0)
-    fastest = max(min(_MAX_FREQUENCY, 1.0 / (_MIN_SLIDER_ROWS * step)), 2.0 * _MIN_FREQUENCY)
+    fastest = max(min(_MAX_FREQUENCY, 1.0 / (_MIN_SLIDER_ROWS * step_size)), 2.0 * _MIN_FREQUENCY)
     high = _round_number(fastest)
-    field_min = min(_MIN_FREQUENCY, _round_number(1.0 / (_MAX_CYCLE_ROWS * step)))
-    field_max = max(high, _round_number(1.0 / (_MIN_FIELD_ROWS * step)))
+    field_min = min(_MIN_FREQUENCY, _round_number(1.0 / (_MAX_CYCLE_ROWS * step_size)))
+    field_max = max(high, _round_number(1.0 / (_MIN_FIELD_ROWS * step_size)))
     start_frequency = min(_DEFAULT_FREQUENCY, fastest)
     yield Knob(
         "frequency",
@@ -171,9 +173,9 @@ def _motion(law: FrictionLaw, trained_range: TrainedRange | None, step: float) -
         yield Knob("load", "load torque, constant", "N.m", middle, low, high)
 
 
-def _coefficients(law: FrictionLaw, joint: int, interface: Interface) -> Iterator[Knob]:
-    parameter_names = place(law, joint).parameters
-    names = (*parameter_names, *scale_names(joint))
+def _coefficients(law: FrictionLaw, number: int, interface: Interface) -> Iterator[Knob]:
+    parameter_names = place(law, number).parameters
+    names = (*parameter_names, *scale_names(number))
     for name, coefficient in zip_longest(names, law.form.coefficients if parameter_names else ()):
         reference = interface.places[name]
         variable = interface.variables[reference]

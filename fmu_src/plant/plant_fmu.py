@@ -253,10 +253,10 @@ class ServoGains:
 
     def __post_init__(self) -> None:
         for name, gains in (("kv", self.kv), ("ki", self.ki), ("kp", self.kp)):
-            for joint, gain in enumerate(gains, start=1):
+            for number, gain in enumerate(gains, start=1):
                 if not (np.isfinite(gain) and gain >= 0.0):
                     raise ExportError(
-                        f"plant: '{name}' of joint {joint} is {gain:g}; it must not be negative."
+                        f"plant: '{name}' of joint {number} is {gain:g}; it must not be negative."
                     )
 
     def parameters(self) -> Iterator[Variable]:
@@ -456,7 +456,7 @@ def content(
         name=f"Plant of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"plant_{model.law}",
         text=f"Robot with {len(model.joints)} joints under friction: torque in, motion out.",
-        step=SUBSTEP,
+        step_size=SUBSTEP,
     )
     plant_sources = ("plant.c", "plant_flow.h", "plant_servo.h", "plant_solver.h")
     shared_sources = ("balance.h", "coupling.h", "law_math.h", "regroup.h", "root.h", "wide.h")

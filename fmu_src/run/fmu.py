@@ -198,11 +198,11 @@ class FmuInstance:
         self._instance.exit_initialisation()
         self._stepping = True
 
-    def step(self, time: float, step: float) -> None:
+    def step(self, time: float, step_size: float) -> None:
         """Step from a time [s] by a step [s]."""
         self.time = time
-        self._instance.step(time, step)
-        self.time = time + step
+        self._instance.step(time, step_size)
+        self.time = time + step_size
 
     def reset(self) -> None:
         """Return to the state before the initialisation."""

@@ -42,7 +42,7 @@ class Slave(Protocol):
 
     time: float
 
-    def step(self, time: float, step: float) -> None:
+    def step(self, time: float, step_size: float) -> None:
         """Step from a time [s] by a step [s]."""
 
 
@@ -67,18 +67,22 @@ class Station:
                 self.inputs.values[place] = convert(self.inputs.values[place])
             self.inputs.write()
 
-    def step(self, k: int, step: float) -> None:
-        """Step to the end of communication step k of size `step` [s]."""
-        self.slave.step(self.start(k, step), self.every * step)
+    def step(self, k: int, step_size: float) -> None:
+        """Step to the end of communication step k of size `step_size` [s]."""
+        self.slave.step(self.start(k, step_size), self.every * step_size)
 
-    def start(self, k: int, step: float) -> float:
+    def start(self, k: int, step_size: float) -> float:
         """Return the start [s] of its step that ends with communication step k."""
-        return self.begin + (k + 1 - self.every) * step
+        return self.begin + (k + 1 - self.every) * step_size
 
-    def compute_time(self, steps: int, step: float) -> float:
+    def compute_time(self, steps: int, step_size: float) -> float:
         """Return its time [s] after a number of communication steps."""
         done_steps = steps - steps % self.every
-        return self.start(done_steps - 1, step) + self.every * step if done_steps else self.begin
+        return (
+            self.start(done_steps - 1, step_size) + self.every * step_size
+            if done_steps
+            else self.begin
+        )
 
     def read_outputs(self) -> None:
         """Read the outputs."""

@@ -56,11 +56,11 @@ class _Slave:
     progress: "StepRecord"
     time: float = 0.0
 
-    def step(self, time: float, step: float) -> None:
+    def step(self, time: float, step_size: float) -> None:
         from fmu_src.run.native import End
 
         self.progress.station, self.progress.call = self.number, End.STEP_FAILED
-        self.instance.step(time, step)
+        self.instance.step(time, step_size)
 
 
 class _Host:

@@ -339,9 +339,11 @@ def combine_results(
     name: str, properties_by_law: Mapping[str, Properties], laws: Sequence[str]
 ) -> Properties | None:
     """Return the results of a model that has the law `laws[k]` on joint k; None if unknown."""
-    if not all(law in properties_by_law for law in laws):
+    if not all(law_name in properties_by_law for law_name in laws):
         return None
-    joint_properties = tuple(properties_by_law[law].joints[j] for j, law in enumerate(laws))
+    joint_properties = tuple(
+        properties_by_law[law_name].joints[j] for j, law_name in enumerate(laws)
+    )
     return replace(properties_by_law[laws[0]], law=name, joints=joint_properties)
 
 

@@ -141,8 +141,8 @@ def _split_by_name(values: Array, names: Sequence[str]) -> dict[str, Array]:
         match = _COLUMN_NAME.fullmatch(name)
         if name != "t" and not match:
             raise TableError(f"X has the unknown column '{name}'; {_EXPECTED_COLUMNS}.")
-        kind, joint = (match[1], int(match[2] or 1)) if match else ("t", 1)
-        columns.setdefault(kind.removeprefix("tau_"), {})[joint] = column
+        kind, number = (match[1], int(match[2] or 1)) if match else ("t", 1)
+        columns.setdefault(kind.removeprefix("tau_"), {})[number] = column
     return {
         kind: np.column_stack([joint_columns[k] for k in sorted(joint_columns)])
         for kind, joint_columns in columns.items()

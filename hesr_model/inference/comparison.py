@@ -119,9 +119,9 @@ class LawErrors:
         values = np.exp(self.log_rmse - self.log_rmse[k])
         if self.too_short:
             return {
-                law: ErrorRatio(value=float(value), low=None, high=None)
-                for law, value in zip(self.laws, values, strict=True)
-                if law != other
+                law_name: ErrorRatio(value=float(value), low=None, high=None)
+                for law_name, value in zip(self.laws, values, strict=True)
+                if law_name != other
             }
         errors = np.maximum(self.standard_errors(k), 1e-300)
         factor = calibration(self._count_comparisons(comparison_count), self.degrees)
@@ -135,7 +135,7 @@ class LawErrors:
             )
         )
         return {
-            law: ErrorRatio(
+            law_name: ErrorRatio(
                 value=float(values[i]),
                 low=float(values[i] / interval_factors[i]),
                 high=float(values[i] * interval_factors[i]),
@@ -145,15 +145,15 @@ class LawErrors:
                 if other_factors is None
                 else (float(values[i] / other_factors[i]), float(values[i] * other_factors[i])),
             )
-            for i, law in enumerate(self.laws)
-            if law != other
+            for i, law_name in enumerate(self.laws)
+            if law_name != other
         }
 
     def required_seconds(
-        self, law: str, other: str, ratio: float, comparison_count: int | None = None
+        self, law_name: str, other: str, ratio: float, comparison_count: int | None = None
     ) -> float:
         """Return the duration [s] of such logs, up to `MAX_SECONDS`, that would show a ratio."""
-        difference = self.rows[:, self.laws.index(law)] - self.rows[:, self.laws.index(other)]
+        difference = self.rows[:, self.laws.index(law_name)] - self.rows[:, self.laws.index(other)]
         error = float(self._estimate_deviations(difference[:, None])[0])
 
         def surplus(seconds: float) -> float:
@@ -210,7 +210,9 @@ def law_errors(
     among : laws whose correlation time counts; by default all.
     """
     laws = tuple(errors)
-    squares = [np.stack([errors[law][k] ** 2 for law in laws]) for k in range(len(periods))]
+    squares = [
+        np.stack([errors[law_name][k] ** 2 for law_name in laws]) for k in range(len(periods))
+    ]
     total = sum(square.sum(axis=1) for square in squares) / sum(
         square.shape[1] for square in squares
     )
@@ -219,7 +221,7 @@ def law_errors(
         _average_over_bins(square / (2.0 * mean[:, None]), period)
         for square, period in zip(squares, periods, strict=True)
     ]
-    counted_laws = [laws.index(law) for law in among] or list(range(len(laws)))
+    counted_laws = [laws.index(law_name) for law_name in among] or list(range(len(laws)))
     rows = []
     is_slow = []
     for psi, square, period in zip(binned, squares, periods, strict=True):

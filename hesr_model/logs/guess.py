@@ -201,12 +201,12 @@ def _rises(table: LogTable, name: str) -> bool:
 
 def _guess_time_unit(table: LogTable, name: str) -> tuple[str, str]:
     stamps = table.times(name, 1.0, missing=True)
-    step = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
+    period = float(np.median(np.diff(stamps[np.isfinite(stamps)])))
     lowest_rate, highest_rate = _PLAUSIBLE_RATES
     plausible_units = [
         candidate
         for candidate, factor in COMMON_UNITS["t"].items()
-        if lowest_rate <= 1.0 / max(step * factor, 1e-300) <= highest_rate
+        if lowest_rate <= 1.0 / max(period * factor, 1e-300) <= highest_rate
     ]
     named_unit = _recognise_unit("t", name)
     if named_unit in plausible_units:
@@ -215,6 +215,6 @@ def _guess_time_unit(table: LogTable, name: str) -> tuple[str, str]:
         return "s", "no unit gives a plausible sample rate"
     unit = min(
         plausible_units,
-        key=lambda candidate: abs(np.log(step * COMMON_UNITS["t"][candidate] * 200.0)),
+        key=lambda candidate: abs(np.log(period * COMMON_UNITS["t"][candidate] * 200.0)),
     )
-    return unit, f"rows are then {step * COMMON_UNITS['t'][unit] * 1e3:.3g} ms apart"
+    return unit, f"rows are then {period * COMMON_UNITS['t'][unit] * 1e3:.3g} ms apart"

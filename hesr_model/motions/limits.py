@@ -40,13 +40,13 @@ class MotionLimits(Config):
 
     @model_validator(mode="after")
     def _require_open_ranges(self) -> Self:
-        for joint, (lowest, highest) in enumerate(self.position or (), start=1):
+        for number, (lowest, highest) in enumerate(self.position or (), start=1):
             if not lowest < highest:
                 raise RuleError(
-                    f"position of joint {joint} goes from {lowest:g} to {highest:g}; the first "
+                    f"position of joint {number} goes from {lowest:g} to {highest:g}; the first "
                     "must be the lower",
                     code="limits.position",
-                    key=f"position.{joint - 1}",
+                    key=f"position.{number - 1}",
                 )
         return self
 

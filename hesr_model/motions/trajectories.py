@@ -83,11 +83,11 @@ class Fourier(Trajectory):
         scale = max(float(np.abs(self.a).max()), float(np.abs(orders * self.b).max()))
         end_mismatch = np.maximum(np.abs(self.a.sum(axis=1)), np.abs(self.b @ orders))
         if np.any(end_mismatch > _AT_REST * scale):
-            joint = int(np.argmax(end_mismatch)) + 1
+            number = int(np.argmax(end_mismatch)) + 1
             raise ConfigError(
-                f"Fourier motion: joint {joint} does not start at rest (sum of a_k is "
-                f"{self.a[joint - 1].sum():.3g}, sum of k b_k is {self.b[joint - 1] @ orders:.3g} "
-                "rad/s); both must be zero."
+                f"Fourier motion: joint {number} does not start at rest (sum of a_k is "
+                f"{self.a[number - 1].sum():.3g}, sum of k b_k is "
+                f"{self.b[number - 1] @ orders:.3g} rad/s); both must be zero."
             )
 
     @classmethod

@@ -118,7 +118,7 @@ def provenance(results: Results) -> dict[str, Any]:
     for file in results.provenance.get("files", ()):
         if file["sha256"] not in logs:
             files[file["name"], file["sha256"]] = None
-    fmus = dict.fromkeys((results.fmu, *(f"fmus/{law}.fmu" for law in results.models)))
+    fmus = dict.fromkeys((results.fmu, *(f"fmus/{law_name}.fmu" for law_name in results.models)))
     return {
         "run": run,
         "versions": ", ".join(f"{name} {number}" for name, number in run.versions.items()),

@@ -54,19 +54,19 @@ def equations(results: Results) -> dict[str, Any]:
     """Typeset the recommended law and ParFam-H; return the coefficients of all."""
     entries = [
         {
-            "title": title(law),
+            "title": title(law_name),
             "joints": [
                 (short, typeset(friction_law, numbers=is_exposed(friction_law)))
                 for short, friction_law in zip(
-                    results.joints, results.models[law].laws, strict=True
+                    results.joints, results.models[law_name].laws, strict=True
                 )
             ],
         }
-        for law in results.find_fitted(*results.recommended, papers_law())
+        for law_name in results.find_fitted(*results.recommended, papers_law())
     ]
     coefficients = {
-        law: _coefficients(results, model)
-        for law, model in results.models.items()
+        law_name: _coefficients(results, model)
+        for law_name, model in results.models.items()
         if all(map(is_exposed, model.laws))
     }
     return {"laws": entries, "coefficients": coefficients}
@@ -180,7 +180,9 @@ def ablation(results: Results) -> dict[str, Any] | None:
             caption=f"{test}: RMSE [{results.unit('N.m')}] of the variants, each with one part "
             "more than that above it",
             head=("variant", *results.joints),
-            rows=[make_row(title(law), *map(number, laws[law].rmse)) for law in ladder],
+            rows=[
+                make_row(title(law_name), *map(number, laws[law_name].rmse)) for law_name in ladder
+            ],
         )
     if steps:
         tables["steps"] = ResultTable(
@@ -210,10 +212,12 @@ def _changes(before: Sequence[float], after: Sequence[float]) -> list[str]:
 def live(results: Results) -> dict[str, Any] | None:
     """Return the interactive plots of the recommended law, ParFam-H and the reference."""
     laws = dict.fromkeys((Path(results.fmu).stem, *results.find_fitted(papers_law(), REFERENCE)))
-    data_by_law = {law: _live_data(results.folder / "fmus" / f"{law}.fmu") for law in laws}
+    data_by_law = {
+        law_name: _live_data(results.folder / "fmus" / f"{law_name}.fmu") for law_name in laws
+    }
     lives = [
-        (law, title(law), Markup(live_section(data, key=f"live-{law}")))
-        for law, data in data_by_law.items()
+        (law_name, title(law_name), Markup(live_section(data, key=f"live-{law_name}")))
+        for law_name, data in data_by_law.items()
         if data is not None
     ]
     return {"lives": lives, "assets": Markup(live_assets())} if lives else None
@@ -246,7 +250,7 @@ def audit(results: Results) -> dict[str, Any] | None:
         ),
         rows=[
             make_row(
-                title(law),
+                title(law_name),
                 *(
                     TableCell(text="none", value=0.0)
                     if joint_audit.generated < _ROUNDING
@@ -255,17 +259,20 @@ def audit(results: Results) -> dict[str, Any] | None:
                 ),
                 *(fixed_cell(joint_audit.chatter, 2) for joint_audit in model_audit.audits),
             )
-            for law, model_audit in audits.items()
+            for law_name, model_audit in audits.items()
         ],
     )
     proofs = ResultTable(
         caption="Passivity of each law and joint",
         head=("law", "joint", "certificate"),
         rows=[
-            make_row(title(law), joint, describe_certificate(certificate, slides=slides))
-            for law, model_audit in audits.items()
+            make_row(title(law_name), joint, describe_certificate(certificate, slides=slides))
+            for law_name, model_audit in audits.items()
             for joint, certificate, slides in zip(
-                results.joints, model_audit.certificates, results.models[law].slides, strict=True
+                results.joints,
+                model_audit.certificates,
+                results.models[law_name].slides,
+                strict=True,
             )
         ],
         numeric=False,
@@ -283,8 +290,8 @@ def audit(results: Results) -> dict[str, Any] | None:
             for model_audit in audits.values()
         ),
         "audits": [
-            (law, audit_table(law, model_audit.audits, results.sliding))
-            for law, model_audit in audits.items()
+            (law_name, audit_table(law_name, model_audit.audits, results.sliding))
+            for law_name, model_audit in audits.items()
         ],
     }
 

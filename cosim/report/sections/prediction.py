@@ -39,7 +39,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
     test = results.tests[0]
     law_ratios = results.comparisons[test].ratios
     reference = "its reference" if law_ratios.fair else title(law_ratios.reference)
-    laws = {title(law): row for law, row in law_ratios.laws.items()}
+    laws = {title(law_name): row for law_name, row in law_ratios.laws.items()}
     return {
         "test": test,
         "reference": reference,
@@ -128,8 +128,8 @@ def _chart(
     for k, short, name in results.numbered:
         unit = results.unit("N.m", k - 1)
         measured = torques[f"tau{k}"] - torques[f"tau_rb{k}"]
-        predicted = {law: torques[f"{law}.tau_f{k}"] for law in laws}
-        errors = {law: moving_rms(t, tau - measured) for law, tau in predicted.items()}
+        predicted = {law_name: torques[f"{law_name}.tau_f{k}"] for law_name in laws}
+        errors = {law_name: moving_rms(t, tau - measured) for law_name, tau in predicted.items()}
         error_lines = _lines(t, errors, styles)
         friction_lines = (
             *(band(results, results.best, k, torques) if results.best in laws else ()),
@@ -148,7 +148,10 @@ def _chart(
 
 
 def _lines(t: Array, laws: Mapping[str, Array], styles: Mapping[str, Stroke]) -> tuple[Line, ...]:
-    return tuple(Line(name=title(law), x=t, y=y, stroke=styles[law]) for law, y in laws.items())
+    return tuple(
+        Line(name=title(law_name), x=t, y=y, stroke=styles[law_name])
+        for law_name, y in laws.items()
+    )
 
 
 def moving_rms(t: Array, error: Array) -> Array:
@@ -158,13 +161,15 @@ def moving_rms(t: Array, error: Array) -> Array:
     return np.asarray(np.sqrt((total[last] - total[first]) / np.maximum(last - first, 1)))
 
 
-def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -> tuple[Line, ...]:
+def band(
+    results: Results, law_name: str, number: int, torques: Mapping[str, Array]
+) -> tuple[Line, ...]:
     """Return both ends of a law's 95 % band as lines, if it has one."""
-    model = results.models.get(law)
+    model = results.models.get(law_name)
     if model is None or not model.banded:
         return ()
     load = "tau_load" if "tau_load1" in torques else "tau_rb"
-    names = {"dq": "dq", "q": "q", "tau_load": load, "torque": f"{law}.tau_f"}
+    names = {"dq": "dq", "q": "q", "tau_load": load, "torque": f"{law_name}.tau_f"}
     joints = range(1, len(results.joints) + 1)
     ends = compute_band(
         model,
@@ -175,8 +180,8 @@ def band(results: Results, law: str, joint: int, torques: Mapping[str, Array]) -
             for name, column in names.items()
         },
     )
-    name = f"95 % band of {title(law)}"
-    k = joint - 1
+    name = f"95 % band of {title(law_name)}"
+    k = number - 1
     return tuple(Line(name=name, x=torques["t"], y=end[:, k], stroke=_EDGE) for end in ends)
 
 
@@ -194,15 +199,17 @@ def loops(results: Results) -> dict[str, Any] | None:
         dq = torques[f"dq{k}"][is_shown]
         measured = (torques[f"tau{k}"] - torques[f"tau_rb{k}"])[is_shown]
         laws = {
-            law: (dq, torques[f"{law}.tau_f{k}"][is_shown])
-            for law in (*results.laws, ORACLE)
-            if f"{law}.tau_f{k}" in torques
+            law_name: (dq, torques[f"{law_name}.tau_f{k}"][is_shown])
+            for law_name in (*results.laws, ORACLE)
+            if f"{law_name}.tau_f{k}" in torques
         }
-        key_laws = {law: laws[law] for law in (*results.key_laws, ORACLE) if law in laws}
+        key_laws = {
+            law_name: laws[law_name] for law_name in (*results.key_laws, ORACLE) if law_name in laws
+        }
         page_figure, file_figure = (
             loop_panels(
                 (dq, measured),
-                {title(law): line for law, line in chosen_laws.items()},
+                {title(law_name): line for law_name, line in chosen_laws.items()},
                 x=f"dq of {short} [{results.unit('rad/s', k - 1)}]",
                 y=f"friction [{results.unit('N.m', k - 1)}]",
                 points=max_points,
@@ -265,20 +272,27 @@ def _select_rows(scheme: Scheme, rows: Sequence[Tracked]) -> list[Tracked]:
 
 
 def _figure(results: Results, scheme: Scheme) -> Chart | None:
-    laws = [law for law in results.key_laws if results.models[law].laws[0].form.memory]
-    keys = [(scheme, law) for law in (StandIn.BODY_ONLY, *laws)]
+    laws = [
+        law_name for law_name in results.key_laws if results.models[law_name].laws[0].form.memory
+    ]
+    keys = [(scheme, law_name) for law_name in (StandIn.BODY_ONLY, *laws)]
     paths = {key[1]: results.paths[key] for key in keys if key in results.paths}
     if not paths:
         return None
     styles = {StandIn.BODY_ONLY: Stroke(colour=SOFT), **strokes(results.key_laws)}
     first_path = next(iter(paths.values()))
-    complete_paths = {law: path for law, path in paths.items() if len(path.t) == len(first_path.t)}
+    complete_paths = {
+        law_name: path for law_name, path in paths.items() if len(path.t) == len(first_path.t)
+    }
     make_lines = partial(_lines, first_path.t, styles=styles)
     rows = []
     for k, short in enumerate(results.joints):
         desired_line = Line(name="desired", x=first_path.t, y=first_path.q_d[:, k], stroke=DESIRED)
-        position = {law: path.q[:, k] for law, path in complete_paths.items()}
-        error = {law: 1e3 * np.abs(path.q - path.q_d)[:, k] for law, path in complete_paths.items()}
+        position = {law_name: path.q[:, k] for law_name, path in complete_paths.items()}
+        error = {
+            law_name: 1e3 * np.abs(path.q - path.q_d)[:, k]
+            for law_name, path in complete_paths.items()
+        }
         rows.append(
             (
                 Panel(title=short, y="q [rad]", lines=(*make_lines(position), desired_line)),

@@ -96,18 +96,21 @@ def _reference(
 ) -> tuple[Sequence[str], Sequence[ErrorRatio], str] | None:
     law_ratios = comparison.ratios
     joints = list(enumerate(laws))
-    if any(law in law_ratios.laws for law in laws):
+    if any(law_name in law_ratios.laws for law_name in laws):
         itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
-        has_ratio = [law in law_ratios.laws for law in laws]
+        has_ratio = [law_name in law_ratios.laws for law_name in laws]
         references = [
-            law_ratios.find_reference(law, k) if has_ratio[k] else law for k, law in joints
+            law_ratios.find_reference(law_name, k) if has_ratio[k] else law_name
+            for k, law_name in joints
         ]
-        ratios = [law_ratios.laws[law][k] if has_ratio[k] else itself for k, law in joints]
+        ratios = [
+            law_ratios.laws[law_name][k] if has_ratio[k] else itself for k, law_name in joints
+        ]
         return references, ratios, "the strongest reference"
     rivals = [
         other
         for other in law_ratios.laws
-        if all(law_ratios.find_reference(other, k) == law for k, law in joints)
+        if all(law_ratios.find_reference(other, k) == law_name for k, law_name in joints)
         and other != ORACLE
         and not other.endswith(MEASURED_START)
     ]
@@ -134,23 +137,25 @@ def _plot(results: Results, laws: Sequence[str]) -> dict[str, Any] | None:
     if log is None:
         return None
     worst = int(np.argmax(comparison.unexplained_shares(comparison.combine_scores(laws).rmse)))
-    (k, short, name), law = results.numbered[worst], laws[worst]
+    (k, short, name), law_name = results.numbered[worst], laws[worst]
     torques = results.torques(log)
     t = torques["t"]
-    predicted = torques[f"{law}.tau_f{k}"]
+    predicted = torques[f"{law_name}.tau_f{k}"]
     lines = (
-        *(replace(line, name="95 % band") for line in band(results, law, k, torques)),
+        *(replace(line, name="95 % band") for line in band(results, law_name, k, torques)),
         Line(name="measured", x=t, y=torques[f"tau{k}"] - torques[f"tau_rb{k}"], stroke=MEASURED),
         Line(name="predicted", x=t, y=predicted, stroke=Stroke(colour=SERIES[0])),
     )
     unit = results.unit("N.m", k - 1)
-    panel = Panel(title=f"{short}: {name}, {table.title(law)}", y=f"friction [{unit}]", lines=lines)
+    panel = Panel(
+        title=f"{short}: {name}, {table.title(law_name)}", y=f"friction [{unit}]", lines=lines
+    )
     chart = Chart(x="t [s]", rows=((panel,),), height=_HEIGHT, window=(0.0, WINDOW))
     return {
         "figure": draw_chart(chart, _WIDTH),
         "joint": name,
         "short": short,
-        "law": table.title(law),
+        "law": table.title(law_name),
         "log": log.name,
     }
 

@@ -36,7 +36,10 @@ def table_ii(joints: Sequence[str]) -> ResultTable:
     return ResultTable(
         caption="Table II of the paper: RMSE of the predicted torque [N.m] on the measured robot",
         head=("law", *joints),
-        rows=[make_row(title(law), *(number(v, 4) for v in row)) for law, row in TABLE_II.items()],
+        rows=[
+            make_row(title(law_name), *(number(v, 4) for v in row))
+            for law_name, row in TABLE_II.items()
+        ],
     )
 
 
@@ -45,7 +48,10 @@ def table_iii(joints: Sequence[str]) -> ResultTable:
     return ResultTable(
         caption="Table III of the paper: RMSE of tracking [mrad] on the measured robot",
         head=("torque model", *joints),
-        rows=[make_row(title(law), *(mrad(v, 1) for v in row)) for law, row in TABLE_III.items()],
+        rows=[
+            make_row(title(law_name), *(mrad(v, 1) for v in row))
+            for law_name, row in TABLE_III.items()
+        ],
     )
 
 

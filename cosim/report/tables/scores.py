@@ -41,7 +41,7 @@ def errors(
 
     Bold: significantly better than all others that users can run.
     """
-    values = {law: getattr(scores, measure) for law, scores in comparison.laws.items()}
+    values = {law_name: getattr(scores, measure) for law_name, scores in comparison.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
     covers_all_rows = measure == "rmse"
     ratios = comparison.ratios.laws if covers_all_rows else {}
@@ -63,21 +63,25 @@ def errors(
         cells += [fixed_cell(None, 2)] * bool(zero_phase)
         rows.append(make_row("(std of friction)", *cells, quiet=True))
 
-    def cell(law: str, k: int, value: float | None) -> TableCell:
-        notes = ratio_notes(ratios[law][k]) if law in ratios else ()
-        return fixed_cell(value, places[k], best=law == best[k], notes=notes)
+    def cell(law_name: str, k: int, value: float | None) -> TableCell:
+        notes = ratio_notes(ratios[law_name][k]) if law_name in ratios else ()
+        return fixed_cell(value, places[k], best=law_name == best[k], notes=notes)
 
-    ranked = sorted(values, key=lambda law: (law == ORACLE, comparison.size(law)))
+    ranked = sorted(values, key=lambda law_name: (law_name == ORACLE, comparison.size(law_name)))
     for label, laws in _group_by_inputs(ranked, inputs).items():
         if label is not None:
             rows.append(make_row(f"inputs {label}" if label else "for comparison"))
         rows += [
             make_row(
-                title(law),
-                *(cell(law, k, value) for k, value in enumerate(values[law])),
-                *([_zero_phase_cell(values[law], zero_phase.get(law))] if zero_phase else []),
+                title(law_name),
+                *(cell(law_name, k, value) for k, value in enumerate(values[law_name])),
+                *(
+                    [_zero_phase_cell(values[law_name], zero_phase.get(law_name))]
+                    if zero_phase
+                    else []
+                ),
             )
-            for law in laws
+            for law_name in laws
         ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
     reference = title(comparison.ratios.reference)
@@ -115,7 +119,7 @@ def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> 
             else "too short"
         )
         names = ", ".join(map(title, joint_separation.tied)) or "none"
-        recommended = [title(law) for law in laws[k : k + 1]]
+        recommended = [title(law_name) for law_name in laws[k : k + 1]]
         rows.append(
             make_row(
                 short,
@@ -145,7 +149,9 @@ def cross_validation(
     models: Mapping[str, FrictionModel], sliding: Sequence[bool] = ()
 ) -> ResultTable | None:
     """Return the errors on training logs left out in turn, by law and joint; None if unknown."""
-    validated_models = {law: model for law, model in models.items() if model.left_out_rmse}
+    validated_models = {
+        law_name: model for law_name, model in models.items() if model.left_out_rmse
+    }
     if not validated_models:
         return None
     columns = list(zip(*(model.left_out_rmse for model in validated_models.values()), strict=True))
@@ -155,8 +161,8 @@ def cross_validation(
         + ", of friction coordinates" * any(model.coupling for model in validated_models.values()),
         head=("law", *joints(len(columns))),
         rows=[
-            make_row(title(law), *map(fixed_cell, model.left_out_rmse, places))
-            for law, model in validated_models.items()
+            make_row(title(law_name), *map(fixed_cell, model.left_out_rmse, places))
+            for law_name, model in validated_models.items()
         ],
     )
 
@@ -173,12 +179,16 @@ def bands(name: str, comparison: Comparison) -> ResultTable:
         width = "–" if band.width is None else f"× {band.width:.2f}"
         return fixed_cell(100.0 * band.held, 1, notes=(*notes, width))
 
-    ranked = sorted(comparison.bands, key=lambda law: (law == ORACLE, comparison.size(law)))
+    ranked = sorted(
+        comparison.bands, key=lambda law_name: (law_name == ORACLE, comparison.size(law_name))
+    )
     return ResultTable(
         caption=f"{name}: rows within the 95\u00a0% band [%]; small: moving, near reversals, and "
         "width over that of a constant band of the same coverage",
         head=("law", *joints(len(comparison.joints))),
-        rows=[make_row(title(law), *map(cell, comparison.bands[law])) for law in ranked],
+        rows=[
+            make_row(title(law_name), *map(cell, comparison.bands[law_name])) for law_name in ranked
+        ],
     )
 
 
@@ -189,31 +199,33 @@ def compare_truths(
 ) -> ResultTable:
     """Return errors over the reference's by plant of a twin; `run_truth` is that of the run."""
     first_errors = next(iter(errors_by_truth.values()))
-    laws = list(dict.fromkeys(law for errors in first_errors.values() for law in errors))
+    laws = list(dict.fromkeys(law_name for errors in first_errors.values() for law_name in errors))
     scores = {test: comparisons[test].laws for test in first_errors}
     run_errors = {
-        test: {law: law_scores[law].rmse for law in laws if law in law_scores}
+        test: {law_name: law_scores[law_name].rmse for law_name in laws if law_name in law_scores}
         for test, law_scores in scores.items()
     }
     truths: Mapping[str, Errors] = {run_truth or "MJCF": run_errors, **errors_by_truth}
     reference = REFERENCE if REFERENCE in laws else laws[0]
     means = {
-        law: [_mean_ratio(truth_errors, law, reference) for truth_errors in truths.values()]
-        for law in laws
+        law_name: [
+            _mean_ratio(truth_errors, law_name, reference) for truth_errors in truths.values()
+        ]
+        for law_name in laws
     }
     ranked = sorted(
         means,
-        key=lambda law: (
-            law == ORACLE,
-            sum(mean_ratio or float("inf") for mean_ratio in means[law]),
+        key=lambda law_name: (
+            law_name == ORACLE,
+            sum(mean_ratio or float("inf") for mean_ratio in means[law_name]),
         ),
     )
     lowest = [
         min(
             (
                 mean_ratio
-                for law in laws
-                if law != ORACLE and (mean_ratio := means[law][k]) is not None
+                for law_name in laws
+                if law_name != ORACLE and (mean_ratio := means[law_name][k]) is not None
             ),
             default=0.0,
         )
@@ -225,13 +237,13 @@ def compare_truths(
         head=("law", *truths),
         rows=[
             make_row(
-                title(law),
+                title(law_name),
                 *(
                     fixed_cell(mean_ratio, 3, best=mean_ratio == best)
-                    for mean_ratio, best in zip(means[law], lowest, strict=True)
+                    for mean_ratio, best in zip(means[law_name], lowest, strict=True)
                 ),
             )
-            for law in ranked
+            for law_name in ranked
         ],
     )
 
@@ -247,16 +259,16 @@ def describe_true_friction(truth: str) -> str:
 
 def find_leader(errors: Errors) -> str:
     """Return the law with the lowest geometric mean error."""
-    laws = [law for law in next(iter(errors.values())) if law != ORACLE]
-    return min(laws, key=lambda law: _mean_ratio(errors, law, laws[0]) or math.inf)
+    laws = [law_name for law_name in next(iter(errors.values())) if law_name != ORACLE]
+    return min(laws, key=lambda law_name: _mean_ratio(errors, law_name, laws[0]) or math.inf)
 
 
-def _mean_ratio(errors: Errors, law: str, reference: str) -> float | None:
+def _mean_ratio(errors: Errors, law_name: str, reference: str) -> float | None:
     log_ratios = [
         math.log(law_error / reference_error)
         for row in errors.values()
-        if law in row and reference in row
-        for law_error, reference_error in zip(row[law], row[reference], strict=True)
+        if law_name in row and reference in row
+        for law_error, reference_error in zip(row[law_name], row[reference], strict=True)
     ]
     return math.exp(math.fsum(log_ratios) / len(log_ratios)) if log_ratios else None
 
@@ -269,17 +281,19 @@ def position_errors(
 ) -> ResultTable:
     """Return errors of laws by joint: torque for feed-forward, position for simulation."""
     laws = list(simulated_errors.windows)
-    errors: list[list[Sequence[float | None]]] = [[comparison.laws[law].rmse for law in laws]]
+    errors: list[list[Sequence[float | None]]] = [
+        [comparison.laws[law_name].rmse for law_name in laws]
+    ]
     errors += [
-        [simulated_errors.windows[law][k] for law in laws]
+        [simulated_errors.windows[law_name][k] for law_name in laws]
         for k in range(len(simulated_errors.lengths))
     ]
     heads = [f"{length:g} s" for length in simulated_errors.lengths]
     if simulated_errors.open_loop:
         errors.append(
             [
-                simulated_errors.open_loop.get(law, (None,) * len(simulated_errors.joints))
-                for law in laws
+                simulated_errors.open_loop.get(law_name, (None,) * len(simulated_errors.joints))
+                for law_name in laws
             ]
         )
         heads.append("open loop")
@@ -297,13 +311,13 @@ def position_errors(
         rows += [make_row(joint)] * (len(simulated_errors.joints) > 1)
         rows += [
             make_row(
-                title(law),
+                title(law_name),
                 *(
                     fixed_cell(error, decimal_count, best=error == best)
                     for error, decimal_count, best in zip(row, places, lowest, strict=True)
                 ),
             )
-            for law, *row in zip(laws, *columns, strict=True)
+            for law_name, *row in zip(laws, *columns, strict=True)
         ]
     torque = unit_of_joints("N.m", sliding)
     position = unit_of_joints("mrad", sliding)
@@ -344,6 +358,6 @@ def _group_by_inputs(
     if inputs is None:
         return {None: list(laws)}
     classes: dict[str | None, list[str]] = {}
-    for law in laws:
-        classes.setdefault(inputs.get(law, ""), []).append(law)
+    for law_name in laws:
+        classes.setdefault(inputs.get(law_name, ""), []).append(law_name)
     return dict(sorted(classes.items(), key=lambda c: (not c[0], str(c[0]).count(","))))

@@ -86,22 +86,23 @@ def joints(count: int) -> tuple[str, ...]:
 def join_law_titles(laws: Sequence[str]) -> str:
     """Return the titles of laws with the short names of their joints; one law of all alone."""
     joints_by_title: dict[str, list[str]] = {}
-    for law, name in zip(laws, joints(len(laws)), strict=True):
-        joints_by_title.setdefault(title(law), []).append(name)
+    for law_name, name in zip(laws, joints(len(laws)), strict=True):
+        joints_by_title.setdefault(title(law_name), []).append(name)
     if len(joints_by_title) == 1:
         return next(iter(joints_by_title))
     return "; ".join(
-        f"{law} on {', '.join(joint_names)}" for law, joint_names in joints_by_title.items()
+        f"{law_name} on {', '.join(joint_names)}"
+        for law_name, joint_names in joints_by_title.items()
     )
 
 
-def title(law: str) -> str:
+def title(law_name: str) -> str:
     """Return the title of a law; a variant keeps its name."""
-    if law in set(StandIn):
-        return StandIn(law).words
+    if law_name in set(StandIn):
+        return StandIn(law_name).words
     laws = registry()
-    name = law.removesuffix(MEASURED_START)
-    return laws[name].title + law[len(name) :] if name in laws else law
+    name = law_name.removesuffix(MEASURED_START)
+    return laws[name].title + law_name[len(name) :] if name in laws else law_name
 
 
 def number(value: float | None, digits: int = 3, *, notes: tuple[str, ...] = ()) -> TableCell:

@@ -55,9 +55,9 @@ class LossState:
     def advance(self, model: Any, data: Any) -> None:
         """Advance by the last step of the simulation."""
         speed = data.qvel[self._dof]
-        step = float(model.opt.timestep)
+        step_size = float(model.opt.timestep)
         [self.ages] = age_function()(
-            speed, self.ages, step, self._numbers["slip"], self._numbers["longest"]
+            speed, self.ages, step_size, self._numbers["slip"], self._numbers["longest"]
         )
         self._update(model, data)
 
@@ -254,12 +254,12 @@ class Simulation:
         model.dof_damping[[loss.dof for loss in signals.losses]] *= scale
         self._losses = LossState(signals.losses, scale)
         for actuator in signals.delay.actuators if signals.delay else ():
-            step = float(model.opt.timestep)
+            step_size = float(model.opt.timestep)
             interpolated = model.actuator_history[actuator, 1] > 0
             model.actuator_delay[actuator] = (
                 parameters[LATENCY]
                 if interpolated
-                else max(np.ceil(parameters[LATENCY] / step - 1e-6) - 0.5, 0.0) * step
+                else max(np.ceil(parameters[LATENCY] / step_size - 1e-6) - 0.5, 0.0) * step_size
             )
         self._data = mujoco.MjData(model)
         if signals.payload is not None:

@@ -80,10 +80,10 @@ class PythonArm(Fmi2Slave):  # type: ignore[misc] # PythonFMU is not typed
         self._running = True
         self._steps = 0
 
-    def do_step(self, time: float, step: float) -> bool:
+    def do_step(self, time: float, step_size: float) -> bool:
         """Simulate to the last multiple of the simulation's own step; log a failure's reason."""
         timestep = self._simulation.timestep
-        due = math.floor((time + step - self._start) / timestep + _ROUNDING) - self._steps
+        due = math.floor((time + step_size - self._start) / timestep + _ROUNDING) - self._steps
         if due < 1:
             return True
         try:

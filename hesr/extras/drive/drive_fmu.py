@@ -254,7 +254,7 @@ def content(model: FrictionModel, motors: Motors, *, bare: bool = False) -> Cont
         identifier=f"drive_{model.law}",
         text=f"Motors of {len(model.joints)} joints under friction: torque in, speed and angle "
         "out.",
-        step=SUBSTEP,
+        step_size=SUBSTEP,
     )
     source_names = ("balance.h", "coupling.h", "drive.c", "drive_step.h", "law_math.h", "root.h")
     sources = {name: read_c_source(name) for name in source_names}

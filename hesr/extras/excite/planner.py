@@ -110,12 +110,12 @@ class Clearance:
         ends += [(k + 1, f"{tree[k].name} (end)", 2.0 * robot.bodies[k][1]) for k in tips]
         lengths = [float(np.linalg.norm(end)) for _, _, end in ends]
         capsule_radius = radius or max(_CAPSULE_RADIUS_RATIO * sum(lengths), 1e-3)
-        for (joint, name, end), length in zip(ends, lengths, strict=True):
+        for (joint_id, name, end), length in zip(ends, lengths, strict=True):
             rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end)
             placement = pin.SE3(rotation.matrix() if length else np.eye(3), 0.5 * end)
             shape = pin.coal.Capsule(capsule_radius, length)
             geometry.addGeometryObject(
-                pin.GeometryObject(f"link to {name}", joint, placement, shape)
+                pin.GeometryObject(f"link to {name}", joint_id, placement, shape)
             )
         return geometry
 

@@ -106,8 +106,10 @@ class _Master:
         self._outputs = [variable for variable in reals if variable.causality == "output"]
         self._simulation = simulation = kinds.get("CoSimulation")
         self._exchange = exchange = kinds.get("ModelExchange")
-        step = real(model_description.experiment.get("stepSize"))
-        self._step = _DEFAULT_STEP if step is None or not 0.0 < step < math.inf else step
+        step_size = real(model_description.experiment.get("stepSize"))
+        self._step = (
+            _DEFAULT_STEP if step_size is None or not 0.0 < step_size < math.inf else step_size
+        )
         self._varies = bool(simulation and simulation.can("canHandleVariableCommunicationStepSize"))
         self.skipped: list[str] = []
         self._plan = {
@@ -303,13 +305,13 @@ def _measure_scale(rows: Array) -> Array:
 
 
 def _find_extremes_around(
-    run: _Run, references: Sequence[_Run], step: float
+    run: _Run, references: Sequence[_Run], step_size: float
 ) -> tuple[Array, Array]:
     """Return minimum and maximum (N, outputs) of references around the times of a run."""
     lowest = np.full_like(run.rows, np.inf)
     highest = np.full_like(run.rows, -np.inf)
     for k, (time, last_step) in enumerate(zip(run.times, run.steps, strict=True)):
-        reach = 1.01 * (step + max(step, float(last_step)))
+        reach = 1.01 * (step_size + max(step_size, float(last_step)))
         for reference in references:
             first, last = np.searchsorted(reference.times, (time - reach, time + reach))
             rows = reference.rows[min(first, len(reference.rows) - 1) : max(last, first + 1)]

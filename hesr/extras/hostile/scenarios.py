@@ -104,50 +104,50 @@ class _Run:
         self.recorded["times"].append(self.time)
         self.recorded["steps"].append(self.last_step)
 
-    def do_step(self, step: float) -> None:
+    def do_step(self, step_size: float) -> None:
         """Step with the present inputs; repeat the step if it is discarded."""
         for repeat in range(1, MAX_REPEATS + 1):
             try:
-                self.instance.step(self.time, step)
+                self.instance.step(self.time, step_size)
             except RefusedError as error:
                 if error.status == _DISCARD_STATUS and repeat < MAX_REPEATS:
                     continue
-                call = f"fmi2DoStep of {step:.9g} s at {self.time:.9g} s"
+                call = f"fmi2DoStep of {step_size:.9g} s at {self.time:.9g} s"
                 repetition = f" each of {repeat} times" if error.status == _DISCARD_STATUS else ""
                 text = str(error).replace("fmi2DoStep", call, 1)
                 raise RefusedError(f"{text}{repetition}") from error
             break
-        self.time += step
-        self.last_step = step
+        self.time += step_size
+        self.last_step = step_size
 
-    def advance(self, step: float) -> None:
+    def advance(self, step_size: float) -> None:
         self.set_inputs(self.time)
-        self.do_step(step)
+        self.do_step(step_size)
         self.record()
 
 
 def _take_steps(run: _Run, scenario: str) -> None:
-    for step in _choose_steps(scenario, run.step, run.plan["steps"]):
-        run.advance(step)
+    for step_size in _choose_steps(scenario, run.step, run.plan["steps"]):
+        run.advance(step_size)
 
 
-def _choose_steps(scenario: str, step: float, step_count: int) -> Iterator[float]:
+def _choose_steps(scenario: str, step_size: float, step_count: int) -> Iterator[float]:
     """Yield the steps [s] of a scenario."""
     if scenario in ("nominal", "dense", "fifth", "double"):
         share = {"nominal": 1.0, "dense": 0.125, "fifth": 0.2, "double": 2.0}[scenario]
         # References run longer: the last inputs of others count at their end.
         reference_count = step_count + 2 if scenario in ("nominal", "dense") else step_count
-        yield from [share * step] * round(reference_count / share)
+        yield from [share * step_size] * round(reference_count / share)
     elif scenario == "irrational":
         shares = [math.sqrt(0.5), math.pi / 3.0, math.e - 2.0, math.sqrt(2.0) - 1.0, math.pi / 7.0]
-        yield from [share * step for share in shares] * round(step_count / math.fsum(shares))
+        yield from [share * step_size for share in shares] * round(step_count / math.fsum(shares))
     elif scenario == "summed":  # as if the stop time were one round-off further
-        yield from [step] * step_count
+        yield from [step_size] * step_count
         yield ROUNDING_STEP
     elif scenario == "tiny":
         for _ in range(step_count):
             yield ROUNDING_STEP
-            yield step - ROUNDING_STEP
+            yield step_size - ROUNDING_STEP
 
 
 def _hold_inputs(run: _Run, _scenario: str) -> None:

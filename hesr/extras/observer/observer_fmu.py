@@ -329,7 +329,7 @@ def content(
         name=f"Observer of {plant_body.robot.name} with {model_title(model)}",
         identifier=f"observer_{model.law}",
         text=f"External torque of {len(laws)} joints from their motion and motors. {limits.text}",
-        step=model.sample_time,
+        step_size=model.sample_time,
     )
     if bare:
         return package.Content(table=interface, about=about, sources=sources, members={})

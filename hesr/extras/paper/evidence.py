@@ -85,23 +85,23 @@ class Case:
     tests: Mapping[str, Records]
     torques: Mapping[str, Mapping[str, list[list[Array]]]]  # [joint][log] by test and law
 
-    def errors(self, law_name: str, test: str, joint: int) -> list[Array]:
+    def errors(self, law_name: str, test: str, j: int) -> list[Array]:
         """Return the errors (N,) [N.m] of a law on every log."""
-        pairs = zip(self.torques[test][law_name][joint], self.tests[test][joint], strict=True)
+        pairs = zip(self.torques[test][law_name][j], self.tests[test][j], strict=True)
         return [tau_predicted - record.tau for tau_predicted, record in pairs]
 
     def ratio(
-        self, law_name: str, rivals: Sequence[str], test: str, joint: int, *, reversals: bool
+        self, law_name: str, rivals: Sequence[str], test: str, j: int, *, reversals: bool
     ) -> Number:
         """Return the RMSE of a law over the lowest one of others, of all rows or at reversals."""
-        joint_records = self.tests[test][joint]
+        joint_records = self.tests[test][j]
         errors = {}
         row_weights = [
             near_reversals(record.t, record.dq) if reversals else np.ones(len(record.t))
             for record in joint_records
         ]
         for name in (law_name, *rivals):
-            law_residuals = self.errors(name, test, joint)
+            law_residuals = self.errors(name, test, j)
             errors[name] = [
                 weights * error for weights, error in zip(row_weights, law_residuals, strict=True)
             ]

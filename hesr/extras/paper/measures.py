@@ -39,8 +39,8 @@ def _measure_joints(measure_joint: Callable[..., float | Number]) -> Callable[..
     def measure(*evidence_and_case: Any, **options: Any) -> Values:
         numbered_joints = enumerate(joints(evidence_and_case[0].robot.n))
         return {
-            name: _as_number(measure_joint(*evidence_and_case, joint, **options))
-            for joint, name in numbered_joints
+            name: _as_number(measure_joint(*evidence_and_case, j, **options))
+            for j, name in numbered_joints
         }
 
     return measure
@@ -62,15 +62,15 @@ def _measure_cases(measure_case: Callable[..., float | Number]) -> Callable[...,
     return measure
 
 
-def _literal_law(evidence: Evidence, case: Case, joint: int) -> FrictionLaw:
-    return case.models[evidence.study.literal].laws[joint]
+def _literal_law(evidence: Evidence, case: Case, j: int) -> FrictionLaw:
+    return case.models[evidence.study.literal].laws[j]
 
 
 @_measure_cases
 def errors(
     evidence: Evidence,
     case: Case,
-    joint: int,
+    j: int,
     *,
     others: Sequence[str],
     law: str = "",
@@ -78,32 +78,28 @@ def errors(
     reversals: bool = False,
 ) -> Number:
     """Return the RMSE of a law, by default the literal one, over the lowest one of others."""
-    return case.ratio(law or evidence.study.literal, others, test, joint, reversals=reversals)
+    return case.ratio(law or evidence.study.literal, others, test, j, reversals=reversals)
 
 
 @_measure_cases
-def level(_: Evidence, case: Case, joint: int, *, law: str, test: str = "fourier") -> float:
+def level(_: Evidence, case: Case, j: int, *, law: str, test: str = "fourier") -> float:
     """Return the RMSE [N.m] of a law."""
-    return rmse(np.concatenate(case.errors(law, test, joint)))
+    return rmse(np.concatenate(case.errors(law, test, j)))
 
 
 @_measure_cases
-def rise(
-    evidence: Evidence, case: Case, joint: int, *, low: str, high: str, law: str = ""
-) -> float:
+def rise(evidence: Evidence, case: Case, j: int, *, low: str, high: str, law: str = "") -> float:
     """Return the RMSE of a law on a band over that on a lower band."""
-    band_residuals = (
-        case.errors(law or evidence.study.literal, band, joint) for band in (low, high)
-    )
+    band_residuals = (case.errors(law or evidence.study.literal, band, j) for band in (low, high))
     lower_rmse, upper_rmse = (rmse(np.concatenate(band_errors)) for band_errors in band_residuals)
     return upper_rmse / lower_rmse
 
 
 @_measure_cases
-def training(evidence: Evidence, case: Case, joint: int, *, other: str) -> float:
+def training(evidence: Evidence, case: Case, j: int, *, other: str) -> float:
     """Return the training error of the literal law over that of another one."""
     literal_error, other_error = (
-        case.models[law_name].training_rmse[joint] for law_name in (evidence.study.literal, other)
+        case.models[law_name].training_rmse[j] for law_name in (evidence.study.literal, other)
     )
     return literal_error / other_error
 
@@ -166,19 +162,19 @@ def conditioning(evidence: Evidence, *, motion: str, seeds: int) -> Values:
 
 
 @_measure_joints
-def body_error(evidence: Evidence, joint: int, *, test: str) -> float:
+def body_error(evidence: Evidence, j: int, *, test: str) -> float:
     """Return the RMS error of the rigid-body torque over the RMS of friction."""
     truth = evidence.recordings[test].truth
-    record = evidence.records[test][0][joint]
-    friction = truth.tau_f_true[:, joint]
-    return rmse(record.tau_load - truth.tau_meas[:, joint] + friction) / rmse(friction)
+    record = evidence.records[test][0][j]
+    friction = truth.tau_f_true[:, j]
+    return rmse(record.tau_load - truth.tau_meas[:, j] + friction) / rmse(friction)
 
 
 @_measure_joints
-def explained(evidence: Evidence, joint: int, *, log: str, by: str) -> float:
+def explained(evidence: Evidence, j: int, *, log: str, by: str) -> float:
     """Return the share of a variance: of torque by the body, or of the residual by friction."""
-    truth = evidence.recordings[log].truth.tau_f_true[:, joint]
-    record = evidence.records[log][0][joint]
+    truth = evidence.recordings[log].truth.tau_f_true[:, j]
+    record = evidence.records[log][0][j]
     unexplained, total = (
         (record.tau, record.tau + record.tau_load)
         if by == "body"
@@ -188,20 +184,20 @@ def explained(evidence: Evidence, joint: int, *, log: str, by: str) -> float:
 
 
 @_measure_cases
-def euler_factor(evidence: Evidence, case: Case, joint: int) -> float:
+def euler_factor(evidence: Evidence, case: Case, j: int) -> float:
     """Return 1 - alpha dt of the literal law."""
     return (
         1.0
-        - _literal_law(evidence, case, joint).values["alpha"]
+        - _literal_law(evidence, case, j).values["alpha"]
         * case.models[evidence.study.literal].sample_time
     )
 
 
 @_measure_cases
-def memory(evidence: Evidence, case: Case, joint: int, *, rest: float) -> float:
+def memory(evidence: Evidence, case: Case, j: int, *, rest: float) -> float:
     """Return the gap of the torques after sliding both ways and a rest [s], over that before it."""
-    law = _literal_law(evidence, case, joint)
-    trained_range = case.models[evidence.study.literal].trained[joint]
+    law = _literal_law(evidence, case, j)
+    trained_range = case.models[evidence.study.literal].trained[j]
     dq = np.repeat(
         [0.5 * trained_range.speed, 0.0], [400, 1 + round(rest / trained_range.sample_time)]
     )
@@ -211,50 +207,47 @@ def memory(evidence: Evidence, case: Case, joint: int, *, rest: float) -> float:
 
 
 @_measure_cases
-def audited(evidence: Evidence, case: Case, joint: int, *, what: str) -> float:
+def audited(evidence: Evidence, case: Case, j: int, *, what: str) -> float:
     """Return a result of the passivity audit of the literal law: energy [J] or step [N.m]."""
-    trained_range = case.models[evidence.study.literal].trained[joint]
-    return float(getattr(audit(_literal_law(evidence, case, joint), trained_range), what))
+    trained_range = case.models[evidence.study.literal].trained[j]
+    return float(getattr(audit(_literal_law(evidence, case, j), trained_range), what))
 
 
 @_measure_joints
-def published(evidence: Evidence, joint: int) -> float:
+def published(evidence: Evidence, j: int) -> float:
     """Return the largest energy [J] that a cycle of the law of Table I generates."""
     trained_range = (
-        next(iter(evidence.cases[TWIN].values())).models[evidence.study.literal].trained[joint]
+        next(iter(evidence.cases[TWIN].values())).models[evidence.study.literal].trained[j]
     )
-    return audit(
-        FrictionModel.read(model_file("uf850-table1")).laws[joint], trained_range
-    ).generated
+    return audit(FrictionModel.read(model_file("uf850-table1")).laws[j], trained_range).generated
 
 
 @_measure_cases
-def moved(evidence: Evidence, case: Case, joint: int) -> float:
+def moved(evidence: Evidence, case: Case, j: int) -> float:
     """Return alpha after stage 3 over that of stage 1."""
-    rows = JointRows.from_records(case.training_records[joint], coefficients=COEFFICIENTS)
+    rows = JointRows.from_records(case.training_records[j], coefficients=COEFFICIENTS)
     features = HysteresisFeatures(rows=rows, discretisation="euler")
     return (
-        _literal_law(evidence, case, joint).values["alpha"]
-        / calibrate.estimate_from_loop(features)[0]
+        _literal_law(evidence, case, j).values["alpha"] / calibrate.estimate_from_loop(features)[0]
     )
 
 
 @_measure_cases
-def kept(evidence: Evidence, case: Case, joint: int, *, feature: str = "") -> int:
+def kept(evidence: Evidence, case: Case, j: int, *, feature: str = "") -> int:
     """Return the number of coefficients of the literal law, of 9, or of those of a feature."""
     names = [
-        name for name in _literal_law(evidence, case, joint).values if name not in ("alpha", "beta")
+        name for name in _literal_law(evidence, case, j).values if name not in ("alpha", "beta")
     ]
     return sum(name.endswith(feature) for name in names)
 
 
 @_measure_cases
-def recovery(evidence: Evidence, case: Case, joint: int, *, noise: Sequence[float]) -> float:
+def recovery(evidence: Evidence, case: Case, j: int, *, noise: Sequence[float]) -> float:
     """Return the RMSE of the law found on torques of Table I, over their standard deviation."""
-    record = case.training_records[joint][0]
-    law = FrictionModel.read(model_file("uf850-table1")).laws[joint]
+    record = case.training_records[j][0]
+    law = FrictionModel.read(model_file("uf850-table1")).laws[j]
     true_torque = predict(law, t=record.t, dq=record.dq)
-    tau = true_torque + noise[joint] * np.random.default_rng(evidence.study.seed).normal(
+    tau = true_torque + noise[j] * np.random.default_rng(evidence.study.seed).normal(
         size=len(true_torque)
     )
     variant = evidence.study.variants[evidence.study.literal]
@@ -267,13 +260,13 @@ def recovery(evidence: Evidence, case: Case, joint: int, *, noise: Sequence[floa
 
 
 @_measure_cases
-def starts(evidence: Evidence, case: Case, joint: int, *, count: int, within: float) -> float:
+def starts(evidence: Evidence, case: Case, j: int, *, count: int, within: float) -> float:
     """Return the share of random starts whose local search finds the best fit of LuGre."""
-    rows = JointRows.from_records(case.training_records[joint], coefficients=COEFFICIENTS)
+    rows = JointRows.from_records(case.training_records[j], coefficients=COEFFICIENTS)
     problem = Separable(LuGre.core({}), LuGre().space(), rows)
     lower, upper = problem.bounds.T
     points = np.random.default_rng(evidence.study.seed).uniform(lower, upper, (count, len(lower)))
     final_costs = (problem.solve(problem.polish(point, evaluations=60))[1] for point in points)
     final_errors = np.sqrt(np.array([*final_costs]) / len(rows.tau))
-    best_error = min(case.models["lugre"].training_rmse[joint], float(final_errors.min()))
+    best_error = min(case.models["lugre"].training_rmse[j], float(final_errors.min()))
     return float(np.mean(final_errors <= within * best_error))

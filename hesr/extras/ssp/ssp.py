@@ -167,8 +167,8 @@ def _build_component(
         bindings_node = ET.SubElement(node, "ssd:ParameterBindings")
         ET.SubElement(bindings_node, "ssd:ParameterBinding", source=resource(name, ".ssv"))
     if contents.system.find_step_multiple(component) > 1:
-        step = contents.system.find_step_multiple(component) * contents.system.step
-        ET.SubElement(_add_annotation(node, OSP), "osp:StepSizeHint", value=repr(step))
+        step_size = contents.system.find_step_multiple(component) * contents.system.step
+        ET.SubElement(_add_annotation(node, OSP), "osp:StepSizeHint", value=repr(step_size))
     return node
 
 

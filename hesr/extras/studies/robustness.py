@@ -147,7 +147,7 @@ def _vary_setting(
 
 
 def _export_payload_bodies(
-    robot: Robot, body: RigidBody, folder: Path, step: float
+    robot: Robot, body: RigidBody, folder: Path, step_size: float
 ) -> dict[float, Path]:
     model_path = robot.description.model
     paths = {}
@@ -157,7 +157,7 @@ def _export_payload_bodies(
         payload_path.write_text(text.replace('pos="0 0 0" mass="0"', f'pos="0 0 0" mass="{mass}"'))
         description = robot.description.model_copy(update={"model": payload_path})
         parameter_change = Robot(description).nominal_parameters - robot.nominal_parameters
-        content = inverse_dynamics(robot, body.parameters + parameter_change, step=step)
+        content = inverse_dynamics(robot, body.parameters + parameter_change, step=step_size)
         paths[mass] = write_fmu(content, folder / f"InverseDynamics_{mass:g}kg.fmu")
         payload_path.unlink()
     return paths
