@@ -17,7 +17,9 @@ ALLOWED = (
     ),
     AllowedSkip("^needs hesr\\[mutation\\]", "`make mutate` installs it"),
     AllowedSkip("^JAX is not installed", "only the environment of all tests has it"),
-    AllowedSkip("^MODELICAPATH names no folder", "`.ci/modelica` installs compilers only"),
+    AllowedSkip(
+        "^MODELICAPATH names no folder", "no registry has the library; see docs/exports.md"
+    ),
     AllowedSkip("^rumoca holds its end points", "a limit of the compiler"),
     AllowedSkip("`make soak` runs it$", "it takes minutes"),
     AllowedSkip("^fmi-sim is not there", "`make interop` builds it"),

@@ -1,8 +1,9 @@
 """Third-party compilers read an exported package, and one simulates it: results are the law's.
 
-The Modelica Standard Library is in no registry. The bearings and the examples use a replacement
-(library/Modelica.mo) with the names and equations of the few classes needed, or the real library
-if MODELICAPATH, as used by Modelica tools, names a folder that has it.
+Neither PyPI, npm, Maven Central nor Debian has the Modelica Standard Library (PyPI's
+rtc-tools-standard-library has its units only). The bearings and the examples use a replacement
+(library/Modelica.mo) with the names and equations of the few classes needed. Ten cases use the
+real library if MODELICAPATH, as used by Modelica tools, names a folder that has it; CI skips them.
 """
 
 import os
