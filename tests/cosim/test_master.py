@@ -65,6 +65,16 @@ def test_components_step_in_their_order_by_a_step_counter(fakes):
 
 
 @pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
+def test_steps_end_at_given_communication_points(fakes, order):
+    times = np.array([0.0, 0.25, 0.5, 2.0])
+    spec = fakes({"clock": "clock"}, stop=0.3, observe=["clock.y"], order=order)
+    with Master(spec, times=times) as master:
+        result = master.run().require_success()
+    assert steps_of("clock") == [(0.0, 0.25), (0.25, 0.25), (0.5, 1.5)]
+    assert result.t.tolist() == result.signals["clock.y"].tolist() == times.tolist()
+
+
+@pytest.mark.parametrize("order", ["gauss_seidel", "jacobi"])
 def test_components_may_have_different_rates(fakes, order):
     spec = fakes(
         {
