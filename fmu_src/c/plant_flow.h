@@ -89,7 +89,7 @@ static bool flow(Component *component, Solver *solver, Message *why) {
     for (int i = 0; i < JOINTS; i++) {
         const Joint *joint = &joints[i];
         double u[MAX_INPUTS], *dx = &v[joint->first_state + joint->states];
-        double load = solver->bias[i];
+        const double load = solver->bias[i];
         Step step;
         Motion from;
         if (starting && joint->states > 0) {
@@ -103,8 +103,6 @@ static bool flow(Component *component, Solver *solver, Message *why) {
             for (int j = 0; j < joint->states; j++) {
                 solver->x[j][i] = from.x[j];
             }
-        } else if (SERVO && !starting) {
-            load = mixed_at(component, true, TAU_LOAD, i, 0.0);
         }
         if (!rub(solver, i, load, dx, why)) {
             return false;

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_src.export.package import Content, write_fmu
-from fmu_src.plant.plant_fmu import PlantBody, content
+from fmu_src.plant.plant_fmu import PlantBody, ServoGains, content
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
@@ -22,7 +22,13 @@ def stribeck() -> FrictionLaw:
     return FrictionLaw(name="stribeck", form=Stribeck.core({}), values=values)
 
 
-def content_of(robot: Robot, laws: Sequence[FrictionLaw], *, tool: bool = False) -> Content:
+def content_of(
+    robot: Robot,
+    laws: Sequence[FrictionLaw],
+    *,
+    servo: ServoGains | None = None,
+    tool: bool = False,
+) -> Content:
     """Return the plant of a robot with the masses of its model file."""
     model = FrictionModel(
         law="by_hand",
@@ -33,7 +39,7 @@ def content_of(robot: Robot, laws: Sequence[FrictionLaw], *, tool: bool = False)
         sliding=robot.slides if any(robot.slides) else (),
         coupling=robot.description.coupling,
     )
-    return content(model, PlantBody.from_robot(robot), tool=tool, bare=True)
+    return content(model, PlantBody.from_robot(robot), servo=servo, tool=tool, bare=True)
 
 
 def plant(robot: Robot, laws: Sequence[FrictionLaw], folder: Path) -> Path:

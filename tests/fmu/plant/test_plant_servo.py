@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plant_robots import UF850, coupled
+from plant_robots import UF850, chain, coupled
 from plant_runs import content_of
 from registry_models import everyday
 from scipy.spatial.transform import Rotation
 
 from fmu_src.check.run import check
 from fmu_src.export.package import write_fmu
-from fmu_src.plant.plant_fmu import COMMANDS, SUBSTEP, PlantBody, ServoGains, content, export_plant
+from fmu_src.plant.plant_fmu import COMMANDS, SUBSTEP, PlantBody, ServoGains, export_plant
 from fmu_src.run.fmu import FmuInstance
 from hesr_model.errors import ExportError, SimulationError
 from hesr_model.friction.model import FrictionModel
@@ -69,6 +69,26 @@ def test_an_arm_starts_at_rest(share: float, servo_arm: Path) -> None:
     friction = run(servo_arm, np.zeros((1, 3)), "tau_friction", **start)
     np.testing.assert_allclose(torque, load + friction, atol=1e-9)
     assert np.abs(load).max() > 10.0
+
+
+def test_friction_at_the_start_sees_the_load(make_law, tmp_path: Path) -> None:
+    """For a law without states, which nothing but the load and the motion determine."""
+    robot = Robot(chain(tmp_path, 3))
+    servo = ServoGains(kv=(0.0,) * 3, ki=(90.0,) * 3)  # which holds the arm as it moves
+    whole = content_of(robot, [make_law("viscous")] * 3, servo=servo)
+    q, dq = np.array([0.4, -0.7, 0.9]), np.array([0.3, -0.2, 0.1])
+    start = {f"q_start[{i + 1}]": float(q[i]) for i in range(3)}
+    start |= {f"dq_start[{i + 1}]": float(dq[i]) for i in range(3)}
+    with FmuInstance(write_fmu(whole, tmp_path / "Arm.fmu")) as arm:
+        arm.initialise(start=start)
+        friction, load = (
+            np.array(arm.get([f"{name}[{i}]" for i in (1, 2, 3)]))
+            for name in ("tau_friction", "tau_load")
+        )
+    assert np.abs(load).max() > 10.0
+    expected = (4.5 + 0.1 * np.abs(load)) * np.sign(dq) + 12.0 * dq**3
+    expected += 0.5 * np.cos(200.0 * q) ** 2
+    np.testing.assert_allclose(friction, expected, rtol=1e-12)
 
 
 LAWS = tuple(everyday())
@@ -246,16 +266,8 @@ def test_servos_turn_coupled_motors(fmi, make_law, tmp_path: Path) -> None:
     robot = Robot(coupled(tmp_path))
     model = content_of(robot, [make_law("lugre")] * 6)
     assert model.table.places["tau[1]"] == 0
-    laws = FrictionModel(
-        law="by_hand",
-        robot=robot.name,
-        joints=robot.joints,
-        laws=(make_law("lugre"),) * 6,
-        sample_time=STEP,
-        coupling=robot.description.coupling,
-    )
     servo = ServoGains(kv=(100.0,) * 6, ki=(1000.0,) * 6, kp=(5.0,) * 6)
-    whole = content(laws, PlantBody.from_robot(robot), servo=servo, tool=True, bare=True)
+    whole = content_of(robot, [make_law("lugre")] * 6, servo=servo, tool=True)
     path = write_fmu(whole, tmp_path / "Arm.fmu", fmi=fmi)
     assert check(path).problems == ()
     with FmuInstance(path) as arm:
