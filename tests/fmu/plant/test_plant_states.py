@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from c_hosts import LINUX
 from plant_robots import ur_like
-from plant_runs import content_of
+from plant_runs import content_of, stribeck
 from registry_models import everyday, sampled
 
 from fmu_src.export.package import translation_unit
@@ -68,6 +68,50 @@ int main(void) {
 }
 """
 
+HELD = """
+#include "plant.c"
+#include <stdio.h>
+#include <stdlib.h>
+
+static double uniform(double low, double high) { return low + (high - low) * rand() / RAND_MAX; }
+
+int main(void) {
+    static Solver solver;
+    double lower[JOINTS][JOINTS], more[JOINTS], right[JOINTS], change[JOINTS], largest = 0.0;
+    for (int n = 0; n < 1000; n++) {
+        solver.holding = n % 2;
+        for (int i = 0; i < JOINTS; i++) {
+            solver.held[i] = solver.holding && rand() % 2;
+            more[i] = uniform(0.0, 2.0);
+            right[i] = change[i] = uniform(-1.0, 1.0);
+            for (int j = 0; j < JOINTS; j++) {
+                lower[i][j] = j < i ? uniform(-1.0, 1.0) : j == i;
+            }
+        }
+        for (int i = 0; i < JOINTS; i++) {
+            for (int j = 0; j < JOINTS; j++) {
+                solver.mass[i][j] = 0.0;
+                for (int k = 0; k < JOINTS; k++) {
+                    solver.mass[i][j] += lower[i][k] * lower[j][k];
+                }
+            }
+        }
+        if (!solved(&solver, more, change)) {
+            return 1;
+        }
+        for (int i = 0; i < JOINTS; i++) {
+            double left = more[i] * change[i] - right[i];
+            for (int j = 0; j < JOINTS; j++) {
+                left += solver.mass[i][j] * change[j];
+            }
+            largest = fmax(largest, fabs(solver.held[i] ? change[i] : left));
+        }
+    }
+    printf("%g", largest);
+    return 0;
+}
+"""
+
 Host = Callable[..., tuple[int, float, str]]
 
 
@@ -119,15 +163,33 @@ def test_a_million_random_states_have_a_solution(name: str, fitted, host) -> Non
     assert host(fitted[name])(100_000, 10)[::2] == (0, "")
 
 
+@pytest.fixture
+def compiled(tmp_path: Path) -> Callable[[FrictionLaw, str], Path]:
+    """Compile a program with the sources of six joints under a law."""
+
+    def make(law: FrictionLaw, program: str) -> Path:
+        robot = Robot(ur_like(tmp_path))
+        sources = translation_unit(content_of(robot, [law] * robot.n))[1]
+        for file, text in {**sources, "program.c": program}.items():
+            (tmp_path / file).write_text(text, encoding="utf-8")
+        flags = (*LINUX, "-std=gnu99", "-w", "-ffp-contract=off")
+        compile_c(tmp_path / "program.c", flags, tmp_path / "program", ("-lm",))
+        return tmp_path / "program"
+
+    return make
+
+
 @pytest.mark.parametrize("name", ["lugre", "parfam_s"])
-def test_wide_vectors_give_the_same_bits(name: str, fitted, tmp_path: Path) -> None:
-    robot = Robot(ur_like(tmp_path))
-    sources = translation_unit(content_of(robot, [fitted[name]] * robot.n))[1]
-    for file, text in {**sources, "widths.c": WIDTHS}.items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
-    flags = (*LINUX, "-std=gnu99", "-w", "-ffp-contract=off")
-    compile_c(tmp_path / "widths.c", flags, tmp_path / "widths", ("-lm",))
-    code = subprocess.run([tmp_path / "widths"], check=False).returncode
+def test_wide_vectors_give_the_same_bits(name: str, fitted, compiled) -> None:
+    code = subprocess.run([compiled(fitted[name], WIDTHS)], check=False).returncode
     if code == 77:
         pytest.skip("this processor has no vectors of four doubles")
     assert code == 0
+
+
+def test_held_axes_keep_their_speed_in_a_newton_step(compiled) -> None:
+    """The others balance as if these were fixed; a wrong step is repaired by slower ones."""
+    printed = subprocess.run(
+        [compiled(stribeck(), HELD)], check=True, capture_output=True, text=True
+    ).stdout
+    assert float(printed) < 1e-12
