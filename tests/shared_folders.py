@@ -62,7 +62,8 @@ def keep(name: str, fill: Fill, failures: Path) -> Path:
 def key_of(fill: Fill) -> str:
     """Return a key of what determines the content of a folder."""
     code = Path(fill.__code__.co_filename)
-    versions = f"{platform.python_version()} {np.__version__}"
+    kernel = os.environ.get("OPENBLAS_CORETYPE", "")  # fits differ in their last digits
+    versions = f"{platform.python_version()} {np.__version__} {kernel}"
     parts = (hash_of_sources(), code.read_bytes().hex(), versions)
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
