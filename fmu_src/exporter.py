@@ -143,8 +143,8 @@ class Exporter:
 def defer_writer(function: str) -> Callable[..., None]:
     """Return a writer that imports `function` ("module:name") when it is called.
 
-    The help imports the exporters of all formats, but not what they need to write. The result of
-    the function is no remark for the user, and is dropped.
+    The help imports the exporters of all formats, but not what they need to write. What the
+    function returns is dropped: it is not a remark for the user.
     """
 
     def write(source: Any, output: Path, **options: Any) -> None:

@@ -394,8 +394,8 @@ def _scores_lines(comparison: Comparison) -> list[str]:
 def _failed_checks(properties: Properties) -> str:
     """Return the failed physics checks of a law with their joints."""
     failed = []
-    for title, joints in properties.failed.items():
-        names = ", ".join(f"J{j}" for j in joints)
+    for title, numbers in properties.failed.items():
+        names = ", ".join(f"J{number}" for number in numbers)
         failed.append(f"{title} ({names})")
     return f"fails {'; '.join(failed)}." if failed else "passes all physics checks that apply."
 

@@ -55,7 +55,7 @@ def model_png(model: FrictionModel) -> bytes:
         y = top_margin + row * height / rows
         box = [x, y, x + width / columns, y + height / rows]
         inner = (n * sign for n, sign in zip(_INNER, (1, 1, -1, -1), strict=True))
-        _draw(drawing, [b + i for b, i in zip(box, inner, strict=True)], joint_loops, j + 1)
+        _draw(drawing, [b + i for b, i in zip(box, inner, strict=True)], joint_loops, str(j + 1))
     middle = left_margin + width / 2
     _text(drawing, middle, _SIZE[1] - 2, f"dq [{unit_of_joints('rad/s', model.sliding)}]", "md", 12)
     aside = Image.new("RGB", (_OVERSAMPLING * _SIZE[1], _OVERSAMPLING * left_margin), "white")
@@ -104,7 +104,7 @@ def _loops(model: FrictionModel) -> list[list[Loop]]:
     return loops
 
 
-def _draw(drawing: "ImageDraw", box: Sequence[float], loops: Sequence[Loop], j: int) -> None:
+def _draw(drawing: "ImageDraw", box: Sequence[float], loops: Sequence[Loop], label: str) -> None:
     """Draw a panel in a box: left, top, right and bottom [px]."""
     left_edge, top_edge, right_edge, bottom_edge = box
     curves = []
@@ -133,7 +133,7 @@ def _draw(drawing: "ImageDraw", box: Sequence[float], loops: Sequence[Loop], j: 
         _text(drawing, place(np.array([number, 0.0]))[0], bottom_edge + 3, f"{number:g}", "ma", 10)
     for number in _ticks(lowest[1], highest[1]):
         _text(drawing, left_edge - 3, place(np.array([0.0, number]))[1], f"{number:g}", "rm", 10)
-    _text(drawing, left_edge + 6, top_edge + 2, str(j), "la", 14, "black")
+    _text(drawing, left_edge + 6, top_edge + 2, label, "la", 14, "black")
 
 
 def _ticks(low: float, high: float) -> list[float]:
