@@ -33,7 +33,7 @@ Predictions = Mapping[str, Mapping[str, Sequence[Sequence[Array]]]]
 MEASURES = ("rmse", "rmse_reversal", "rmse_moving", "r2")
 
 REFERENCE = "lugre"
-"""Reference of ratios if a class of inputs has none of its own; otherwise the first law."""
+"""Reference of ratios if a class of inputs has none of its own; else the first law, no baseline."""
 BASELINE = "stribeck"  # law without memory, for comparison
 MEASURED_START = " + start"  # row-name suffix: initial state estimated from measured torque
 Errors = Mapping[str, Mapping[str, Sequence[float]]]  # RMSE by test set, law, joint [N.m]
@@ -168,7 +168,7 @@ def compare(
         law_name: [score(*pair) for pair in zip(records, torques, strict=True)]
         for law_name, torques in predictions.items()
     }
-    fallback = REFERENCE if REFERENCE in predictions else next(iter(predictions))
+    fallback = _choose_fallback(predictions)
     ranked = [
         law_name
         for law_name in predictions
@@ -216,6 +216,16 @@ def compare(
             for law_name, torques in (zero_phase or {}).items()
         },
     )
+
+
+def _choose_fallback(laws: Iterable[str]) -> str:
+    """Return `REFERENCE`, else the first law that is no baseline, else the first law."""
+    law_names = list(laws)
+    if REFERENCE in law_names:
+        return REFERENCE
+    baselines = select_laws("baseline")
+    models = [law_name for law_name in law_names if law_name not in baselines]
+    return (models or law_names)[0]
 
 
 def _law_scores(joint_scores: Sequence[Score]) -> LawScores:
@@ -370,10 +380,12 @@ def select_window(
 
 
 def name_inputs(model: FrictionModel) -> str:
-    """Return the inputs that a model uses on any joint."""
+    """Return the inputs that a model uses on any joint; the velocity if it uses none."""
     used_symbols = {symbol for law in model.laws for symbol in law.form.inputs}
     named_symbols = zip(INPUTS, ("v", "q", "load"), strict=True)
-    return ", ".join(name for symbol, name in named_symbols if symbol in used_symbols)
+    names = [name for symbol, name in named_symbols if symbol in used_symbols]
+    # A constant torque competes with the laws that need no more than every FMU gets.
+    return ", ".join(names or ["v"])
 
 
 def table_rows(models: Mapping[str, FrictionModel]) -> dict[str, tuple[str, bool]]:

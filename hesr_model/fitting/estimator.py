@@ -18,7 +18,7 @@ class Estimator(ABC):
 
     Hyper-parameters are arguments of the constructor. To add a law, write a class with `form` and
     `fit`, decorate it with `register` and name its module in an entry point of the group
-    `hesr.laws` (`docs/add-a-law.md`). Subclasses do not inherit `order` and the facts below it.
+    `hesr.laws` (`docs/add-a-law.md`). Subclasses do not inherit `baseline` and the facts below it.
 
     Attributes
     ----------
@@ -28,6 +28,7 @@ class Estimator(ABC):
     needs : optional fields of a `FrictionRecord` that the law requires.
     everyday : True to include it in studies without a list of laws.
     classic : True for laws of the literature; the strongest is the reference in scores.
+    baseline : True for what a user has without a friction model; can be fitted to any log.
     order : position in tables; laws of other packages come last.
     quick : True to include it in quick runs.
     proposed : True to include it in proposed studies.
@@ -41,6 +42,7 @@ class Estimator(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     everyday: ClassVar[bool] = True
     classic: ClassVar[bool] = False
+    baseline: ClassVar[bool] = False
     order: ClassVar[int] = 1000
     quick: ClassVar[bool] = False
     proposed: ClassVar[bool] = False
@@ -49,7 +51,7 @@ class Estimator(ABC):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        for fact in ("order", "quick", "proposed", "paper", "adds"):
+        for fact in ("baseline", "order", "quick", "proposed", "paper", "adds"):
             if fact not in vars(cls):
                 setattr(cls, fact, getattr(Estimator, fact))
 

@@ -80,7 +80,9 @@ def fit_joint(
                 "it to the robot file."
             )
     largest = max(float(np.max(np.abs(record.tau))) for record in joint_records)
-    if not _MIN_TORQUE < largest < 1.0 / _MIN_TORQUE:
+    # Nothing is too small for a baseline.
+    smallest = -1.0 if estimator_class.baseline else _MIN_TORQUE
+    if not smallest < largest < 1.0 / _MIN_TORQUE:
         raise FitError(
             f"joint '{joint_records[0].joint}': its friction torque reaches {largest:g}; law "
             f"'{law_name}' cannot be fitted to it; see 'hesr inspect'."

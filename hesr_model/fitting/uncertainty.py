@@ -53,6 +53,8 @@ def add_standard_errors(
         )
     else:
         coordinates = _build_all_coordinates(law)
+    if not len(coordinates.point):
+        return law
     # Initial states are measured, so they are constant.
     starts = [record_start(law, record) for record in joint_records]
 
@@ -63,6 +65,8 @@ def add_standard_errors(
 
     jacobian, slope = _differentiate(evaluate, coordinates.point)
     is_used = np.abs(jacobian).max(axis=0) > _DERIVATIVE_ROUND_OFF
+    if not np.any(is_used):
+        return law
     jacobian, slope = jacobian[:, is_used], slope[:, is_used]
     tau_predicted = _predict_records(law, joint_records, starts)
     covariance = _estimate_covariance(

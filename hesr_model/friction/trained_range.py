@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from hesr_model.errors import ArtifactError
-from hesr_model.friction.inputs import INPUT_UNITS
+from hesr_model.friction.inputs import INPUT_UNITS, MOVING
 from hesr_model.friction.thermal import TEMPERATURE, Thermal
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -44,11 +44,13 @@ class TrainedRange:
 
     @classmethod
     def from_records(cls, joint_records: Sequence[FrictionRecord]) -> Self:
-        """Return the ranges of a joint's records."""
+        """Return the ranges of a joint's records; of a joint at rest, speeds that count as rest."""
         ranges = {}
         for name in (*INPUT_UNITS, "tau"):
             values = np.concatenate([getattr(record, name) for record in joint_records])
             ranges[name] = float(np.min(values)), float(np.max(values))
+        if ranges["dq"] == (0.0, 0.0):
+            ranges["dq"] = -MOVING, MOVING
         period = float(np.median(np.concatenate([np.diff(record.t) for record in joint_records])))
         return cls(sample_time=round(period, 9), **ranges)
 
