@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.study.results import ScoredRun
 from cosim.study.scores import select_records
-from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, adjust_by_holm, law_errors
+from hesr_model.inference.comparison import SIGNIFICANCE, ErrorRatio, law_errors
 from hesr_model.inference.covariance import Moments, compute_long_run
 
 
@@ -49,12 +49,20 @@ def against(run: ScoredRun, tests: str, laws: Iterable[str], other: str = "lugre
             law: [p - r.tau for p, r in zip(torque[law][j], of_joint, strict=True)]
             for law in dict.fromkeys((*laws, other))
         }
-        ratios = law_errors(errors, [float(np.median(np.diff(r.t))) for r in of_joint]).ratios(
-            other
+        table = law_errors(
+            errors,
+            [float(np.median(np.diff(r.t))) for r in of_joint],
+            log_names=[r.log for r in of_joint],
         )
+        ratios = table.ratios(other)
         found |= {(law, j): ratios[law] for law in laws}
-    known = {key: one.p for key, one in found.items() if one.p is not None}
-    return Against(found=found, adjusted=adjust_by_holm(known))
+    # Holm over the laws of a joint, then Bonferroni over the joints.
+    adjusted = {
+        key: min(1.0, len(records) * ratio.adjusted_p)
+        for key, ratio in found.items()
+        if ratio.adjusted_p is not None
+    }
+    return Against(found=found, adjusted=adjusted)
 
 
 def long_run_of(influences: Sequence[np.ndarray], rows: int = 100) -> list[np.ndarray]:

@@ -15,10 +15,8 @@ from hesr_model.friction.model import FrictionModel, compute_band
 from hesr_model.friction.records import BandScore, Score, score, score_band, time_band
 from hesr_model.inference.comparison import (
     MIN_SECONDS,
-    SIGNIFICANCE,
     ErrorRatio,
     LawErrors,
-    adjust_by_holm,
     law_errors,
 )
 from hesr_model.rigid_body.residual import FrictionRecord
@@ -47,7 +45,7 @@ class Ratios:
     """Ratios of each other law to its reference, one per joint."""
 
     reference: str  # fallback
-    laws: Mapping[str, tuple[ErrorRatio, ...]]  # p adjusted by Holm
+    laws: Mapping[str, tuple[ErrorRatio, ...]]  # adjusted by Holm over the laws of a joint
     references: Mapping[str, str] = field(default_factory=dict)  # in earlier versions
     by_joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # references of laws
 
@@ -75,12 +73,28 @@ class LawScores:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Unseparated:
+    """What a test says of a law on a joint: laws not separated from it, and laws that are better.
+
+    The test would show errors of `detectable` times those of the law: the smallest and the largest
+    such ratio of the laws not separated, or of all if there are none; None if the test is short or
+    its logs are too few.
+    """
+
+    laws: tuple[str, ...]
+    better: tuple[str, ...]  # significantly (Holm)
+    detectable: tuple[float, float] | None
+    seconds: float  # [s] test that finds `RECORDED`, for the median law
+
+
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Scores of several laws on the same logs.
 
     Predictions use a causal velocity, `zero_phase` (RMSE) that of the fits. By joint, `leading` has
     the law with the lowest error and all not significantly worse (Holm), `detectable` the smallest
-    ratio that would show each other law to be worse, if any.
+    ratio that would show each other law to be worse, if any, and `unseparated` what the test says
+    of each law. With several logs all this holds for other logs of the kind, else on this log.
     """
 
     joints: tuple[str, ...]
@@ -93,6 +107,8 @@ class Comparison:
     detectable: tuple[Mapping[str, float], ...] = ()
     seconds: tuple[float, ...] = ()  # [s] test that finds `RECORDED`, median
     zero_phase: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE without lag
+    unseparated: tuple[Mapping[str, Unseparated], ...] = ()  # empty in earlier versions
+    log_count: int = 0  # unknown in earlier versions
 
     @property
     def too_short(self) -> tuple[bool, ...]:
@@ -135,6 +151,27 @@ class Comparison:
         return html_table(
             "RMSE of the predicted friction [N.m]", ("law", *self.joints), (spread, *rows)
         )
+
+
+def find_unseparated(comparison: Comparison, law_name: str, j: int) -> Unseparated | None:
+    """Return what a test says of a law on a joint, counted from 0; None if that is unknown.
+
+    The verdict's sentence and the table of separations both use this.
+    """
+    if j < len(comparison.unseparated) and law_name in comparison.unseparated[j]:
+        return comparison.unseparated[j][law_name]
+    # Earlier versions, and short tests of a law alone, know only the law with the lowest error.
+    if j >= len(comparison.leading) or comparison.leading[j][0] != law_name:
+        return None
+    tied = comparison.leading[j][1:]
+    detectable = comparison.detectable[j]
+    ratios = [detectable[name] for name in tied if name in detectable] or [*detectable.values()]
+    return Unseparated(
+        laws=tied,
+        better=(),
+        detectable=(min(ratios), max(ratios)) if ratios else None,
+        seconds=comparison.seconds[j],
+    )
 
 
 def transpose_records(records: Sequence[Sequence[FrictionRecord]]) -> list[list[FrictionRecord]]:
@@ -190,7 +227,17 @@ def compare(
         law_name for law_name in scores if any(law_name in joint_ratios for joint_ratios in ratios)
     ]
     itself = ErrorRatio(value=1.0, low=1.0, high=1.0, p=1.0)
-    rankings = [_find_leaders(error_table, ranked) for error_table in error_tables if ranked]
+    unseparated: list[dict[str, Unseparated]] = []
+    leading: list[tuple[str, ...]] = []
+    detectable: list[dict[str, float]] = []
+    for error_table in error_tables if ranked else []:
+        best = min(ranked, key=lambda law_name: _find_log_rmse(error_table, law_name))
+        joint_unseparated = {
+            law_name: _compare_with(error_table, law_name, ranked) for law_name in ranked
+        }
+        unseparated.append(joint_unseparated)
+        leading.append((best, *joint_unseparated[best].laws))
+        detectable.append(_detect_worse(error_table, best, ranked))
     return Comparison(
         joints=tuple(joint_records[0].joint for joint_records in records),
         tau_std=tuple(score.tau_std for score in scores[fallback]),
@@ -207,10 +254,15 @@ def compare(
                 if inputs
             },
         ),
-        leading=tuple(leading for leading, *_ in rankings),
+        leading=tuple(leading),
         bands=_band_scores(models or {}, records, predictions),
-        detectable=tuple(detectable for _, detectable, _ in rankings),
-        seconds=tuple(seconds for *_, seconds in rankings),
+        detectable=tuple(detectable),
+        seconds=tuple(
+            joint_unseparated[joint_leaders[0]].seconds
+            for joint_unseparated, joint_leaders in zip(unseparated, leading, strict=True)
+        ),
+        unseparated=tuple(unseparated),
+        log_count=len({record.log for record in records[0]}),
         zero_phase={
             law_name: tuple(score(*pair).rmse for pair in zip(records, torques, strict=True))
             for law_name, torques in (zero_phase or {}).items()
@@ -250,7 +302,10 @@ def _joint_errors(
         for law_name, torques in predictions.items()
     }
     return law_errors(
-        errors, [float(np.median(np.diff(record.t))) for record in joint_records], ranked
+        errors,
+        [float(np.median(np.diff(record.t))) for record in joint_records],
+        ranked,
+        [record.log for record in joint_records],
     )
 
 
@@ -258,37 +313,48 @@ def _error_ratios(error_table: LawErrors, references: Mapping[str, str]) -> dict
     compared_laws = [law_name for law_name in error_table.laws if references[law_name] != law_name]
     ratios = {reference: error_table.ratios(reference) for reference in set(references.values())}
     law_ratios = {law_name: ratios[references[law_name]][law_name] for law_name in compared_laws}
-    adjusted_p = adjust_by_holm(
-        {law_name: ratio.p for law_name, ratio in law_ratios.items() if ratio.p is not None}
-    )
     return {
-        law_name: replace(ratio, p=adjusted_p.get(law_name), detectable=None)
-        for law_name, ratio in law_ratios.items()
+        law_name: replace(ratio, detectable=None)
+        for law_name, ratio in error_table.adjust(law_ratios).items()
     }
 
 
-def _find_leaders(
-    error_table: LawErrors, ranked: Sequence[str]
-) -> tuple[tuple[str, ...], dict[str, float], float]:
-    """Return leading laws, detectable ratios, and the duration [s] of a separating test."""
+def _find_log_rmse(error_table: LawErrors, law_name: str) -> float:
+    return float(error_table.log_rmse[error_table.laws.index(law_name)])
+
+
+def _compare_with(error_table: LawErrors, law_name: str, ranked: Sequence[str]) -> Unseparated:
+    """Return the laws that a test does not separate from a law, and those that are better."""
     # One family per joint; one over all would have little power.
-    best = min(ranked, key=lambda law_name: error_table.log_rmse[error_table.laws.index(law_name)])
-    rivals = [law_name for law_name in ranked if law_name != best]
+    rivals = [rival for rival in ranked if rival != law_name]
     if not rivals or error_table.too_short:
-        return (best, *rivals), {}, MIN_SECONDS
-    ratios = error_table.ratios(best, len(rivals))
-    adjusted_p = adjust_by_holm(
-        {law_name: p for law_name in rivals if (p := ratios[law_name].p) is not None}
+        return Unseparated(laws=tuple(rivals), better=(), detectable=None, seconds=MIN_SECONDS)
+    ratios = error_table.ratios(law_name, len(rivals))
+    rival_ratios = error_table.adjust({rival: ratios[rival] for rival in rivals})
+    alike = [rival for rival in rivals if rival_ratios[rival].verdict == "alike"]
+    by_detectable = sorted(
+        (ratio, rival)
+        for rival in alike or rivals
+        if (ratio := rival_ratios[rival].detectable) is not None
     )
-    tied = [law_name for law_name in rivals if adjusted_p[law_name] >= SIGNIFICANCE]
-    detectable = {
-        law_name: ratio for law_name in rivals if (ratio := ratios[law_name].detectable) is not None
+    # The time grows with the detectable ratio, so that the middle law has the median time.
+    middle_rival = by_detectable[len(by_detectable) // 2][1] if by_detectable else rivals[0]
+    return Unseparated(
+        laws=tuple(alike),
+        better=tuple(rival for rival in rivals if rival_ratios[rival].verdict == "better"),
+        detectable=(by_detectable[0][0], by_detectable[-1][0]) if by_detectable else None,
+        seconds=error_table.required_seconds(middle_rival, law_name, RECORDED, len(rivals)),
+    )
+
+
+def _detect_worse(error_table: LawErrors, best: str, ranked: Sequence[str]) -> dict[str, float]:
+    """Return the smallest ratio that would show each other law to be worse; none if too short."""
+    ratios = error_table.ratios(best, max(1, len(ranked) - 1))
+    return {
+        law_name: ratio.detectable
+        for law_name, ratio in ratios.items()
+        if law_name in ranked and ratio.detectable is not None
     }
-    durations = [
-        error_table.required_seconds(law_name, best, RECORDED, len(rivals))
-        for law_name in tied or rivals
-    ]
-    return (best, *tied), detectable, float(np.median(durations))
 
 
 def _band_scores(

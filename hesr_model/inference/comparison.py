@@ -2,18 +2,20 @@
 
 Since errors are correlated and peak at reversals, the variance of the log ratio of two RMSEs is
 estimated from low-frequency cosines of the squared errors (equally weighted cosines: Müller 2007;
-Lazarus, Lewis and Stock 2021) and from the differences between logs.
+Lazarus, Lewis and Stock 2021). A single log allows statements about itself only. Several logs allow
+statements about other logs of the kind: the variance between logs then decides, with one degree of
+freedom less than logs. It is shrunk to that of the other pairs of laws (Smyth 2004).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
 from scipy.optimize import brentq
-from scipy.special import chdtri, stdtr, stdtrit
+from scipy.special import chdtri, digamma, polygamma, stdtr, stdtrit
 
 from hesr_model.inference.covariance import correlation_length
 from hesr_model.support.arrays import Array, Mask
@@ -23,12 +25,17 @@ BIN_SECONDS = 0.05  # length of a bin, whose rows are averaged [s]
 SECONDS_PER_DEGREE = 8.0  # minimum duration per degree of freedom [s]
 _TIMES_PER_DEGREE = 3.0  # minimum duration per degree of freedom in correlation times
 MIN_DEGREES = 4  # degrees of freedom below which no law is called worse: about 40 s of logs
-# Standard error of a difference between two sets of logs, over that of one.
-_BOTH_SETS_FACTOR = 2.0**0.5
+MIN_BETWEEN_DEGREES = 3  # or degrees of freedom between logs: four logs, also if they are short
+MAX_PRIOR_DEGREES = 3.0  # of the variance between logs, taken from the other pairs of laws
+_MIN_SHOWN = 1e-6  # share of the variance between logs that differences show
+_MAX_LOG_RATIO = 5.0  # intervals end at a factor of 150
+MAX_DETECTABLE = 10.0  # ratio above which the logs are too few to find any difference
+_PRIOR_DEGREES_PER_LAW = 0.25  # of those beyond two; pairs of few laws are no independent draws
+_MIN_PRIOR_PAIRS = 3  # pairs whose spread can be estimated
 MIN_SECONDS = 40.0
 MAX_SECONDS = 1e7
-# Factor on p for up to `CALIBRATED_COMPARISONS` simultaneous comparisons and many degrees of
-# freedom: a level of 5 % is then at most 6.5 % from 40 s of logs on (`tests/benchmarks`).
+# Factor on the p of a single log for up to `CALIBRATED_COMPARISONS` simultaneous comparisons and
+# many degrees of freedom: a level of 5 % is then at most 6.5 % from 40 s on (`tests/benchmarks`).
 CALIBRATION = 5.0
 CALIBRATED_COMPARISONS = 8
 SIGNIFICANCE = 0.05  # level of p after the factor, adjusted for all laws of a table
@@ -39,24 +46,27 @@ POWER = 0.8  # probability with which the smallest detectable difference is foun
 class ErrorRatio:
     """Ratio of the RMSEs of two laws: value and 95 % interval, None if the logs are too short.
 
-    `others` is the interval on as many other logs of this kind: both sets vary within and between
-    logs. It needs several logs. `p` is two-sided, times `calibration`, not adjusted. `detectable`
-    is the smallest ratio above 1 that these logs would show. All but the value are None if the logs
-    are too short.
+    With several logs the interval is that of the mean ratio on other logs of the kind; with one log
+    it is that of its rows. `p` belongs to the interval: below 5 % if and only if that excludes 1.
+    Neither is adjusted for the number of comparisons; `adjusted_p` is (Holm). `detectable` is the
+    smallest ratio above 1 that such logs would show, None above `MAX_DETECTABLE`.
     """
 
     value: float
     low: float | None
     high: float | None
-    p: float | None = None  # also in earlier results
-    others: tuple[float, float] | None = None
+    p: float | None = None  # adjusted in earlier results
+    others: tuple[float, float] | None = None  # only in earlier results
     detectable: Annotated[float | None, Field(exclude=True)] = None  # not in JSON
+    adjusted_p: float | None = None  # None in earlier results
+    on_other_logs: bool = False  # whether the interval is that of other logs of the kind
 
     @property
     def verdict(self) -> str:
         """Comparison of the laws: "better", "worse" or "alike"."""
-        if self.p is not None:
-            is_significant = self.p < SIGNIFICANCE
+        p = self.p if self.adjusted_p is None else self.adjusted_p
+        if p is not None:
+            is_significant = p < SIGNIFICANCE
         else:  # short logs; rule of earlier versions
             low = self.low
             high = self.high
@@ -64,6 +74,13 @@ class ErrorRatio:
         if not is_significant:
             return "alike"
         return "better" if self.value < 1.0 else "worse"
+
+
+class _Deviation(NamedTuple):
+    """Standard errors (L,) of log ratios, and their degrees of freedom."""
+
+    errors: Array
+    degrees: float
 
 
 @dataclass(frozen=True)
@@ -76,8 +93,10 @@ class LawErrors:
     log_rmse : (L,) logarithm of the RMSE over all rows.
     rows : (nu, L) contrasts of the influence of time and of logs on `log_rmse`, scaled to the
         variance of one bin; cosines of rising frequency log by log, then differences between logs.
-    is_slow : (nu,) whether a row is of the lower half of the frequencies or between logs.
+    is_slow : (nu,) whether a row is of the lower half of the frequencies, or a difference between
+        logs or parts of one.
     is_between : (nu,) whether a row is a difference between logs.
+    between_degrees : degrees of freedom between logs, fewer if few logs hold most of the error.
     bins : number of bins.
     seconds : duration of all logs [s].
     """
@@ -87,6 +106,7 @@ class LawErrors:
     rows: Array
     is_slow: Mask
     is_between: Mask
+    between_degrees: float
     bins: int
     seconds: float
 
@@ -98,22 +118,36 @@ class LawErrors:
     @property
     def too_short(self) -> bool:
         """Whether the logs are too short for any statement."""
-        return self.degrees < MIN_DEGREES
+        return self.degrees < MIN_DEGREES and self.is_between.sum() < MIN_BETWEEN_DEGREES
 
     @cached_property
     def best(self) -> int:
         """Number of the law with the lowest error."""
         return int(np.argmin(self.log_rmse))
 
-    def standard_errors(self, other: int) -> Array:
-        """Return the standard errors (L,) of the log ratios to another law."""
-        return self._estimate_deviations(self.rows - self.rows[:, [other]])
+    def deviations(self, other: int) -> list[_Deviation]:
+        """Return the standard errors of log ratios to another law; the one with the largest counts.
+
+        The first is that of the statement: between logs if there are several. The second is a guard
+        against logs that are alike by chance: it is that within logs.
+        """
+        differences = self.rows - self.rows[:, [other]]
+        within = ~self.is_between
+        deviations = []
+        if self.between_degrees:
+            deviations.append(self._estimate_between(other))
+        if within.any():
+            is_slow = self.is_slow[within]
+            squares = differences[within] ** 2
+            largest = np.maximum(squares.mean(axis=0), squares[is_slow].mean(axis=0))
+            deviations.append(_Deviation(np.sqrt(largest / self.bins), float(within.sum())))
+        return deviations
 
     def ratios(self, other: str, comparison_count: int | None = None) -> dict[str, ErrorRatio]:
-        """Return the ratios of all other laws to a law.
+        """Return the ratios of all other laws to a law, with p adjusted for their number.
 
-        `comparison_count` is the number of simultaneous comparisons, by default that of the other
-        laws.
+        `comparison_count` is the number of simultaneous comparisons for which a difference is
+        detectable, by default that of the other laws.
         """
         k = self.laws.index(other)
         values = np.exp(self.log_rmse - self.log_rmse[k])
@@ -123,48 +157,63 @@ class LawErrors:
                 for law_name, value in zip(self.laws, values, strict=True)
                 if law_name != other
             }
-        errors = np.maximum(self.standard_errors(k), 1e-300)
-        factor = calibration(self._count_comparisons(comparison_count), self.degrees)
-        p = np.minimum(1.0, factor * two_sided_probability(np.log(values) / errors, self.degrees))
-        interval_factors = np.exp(stdtrit(self.degrees, 0.975) * errors)
-        other_factors = self._widening_factors(k, interval_factors)
-        detectable_ratios = np.exp(
-            errors
-            * detection_factor(
-                self.degrees, self._find_significance_level(comparison_count, self.degrees)
-            )
-        )
-        return {
+        half_widths = np.zeros(len(self.laws))
+        p = np.zeros(len(self.laws))
+        detectable = np.zeros(len(self.laws))
+        for errors, degrees in self.deviations(k):
+            level = self._find_significance_level(comparison_count, degrees)
+            half_widths = np.maximum(half_widths, stdtrit(degrees, 0.975) * errors)
+            t = np.log(values) / np.maximum(errors, 1e-300)
+            p = np.maximum(p, two_sided_probability(t, degrees))
+            detectable = np.maximum(detectable, errors * detection_factor(degrees, level))
+        half_widths = np.minimum(half_widths, _MAX_LOG_RATIO)
+        max_detectable = np.log(MAX_DETECTABLE)
+        ratios = {
             law_name: ErrorRatio(
                 value=float(values[i]),
-                low=float(values[i] / interval_factors[i]),
-                high=float(values[i] * interval_factors[i]),
+                low=float(values[i] * np.exp(-half_widths[i])),
+                high=float(values[i] * np.exp(half_widths[i])),
                 p=float(p[i]),
-                detectable=float(detectable_ratios[i]),
-                others=None
-                if other_factors is None
-                else (float(values[i] / other_factors[i]), float(values[i] * other_factors[i])),
+                detectable=float(np.exp(detectable[i])) if detectable[i] < max_detectable else None,
+                on_other_logs=self.between_degrees > 0,
             )
             for i, law_name in enumerate(self.laws)
             if law_name != other
+        }
+        return self.adjust(ratios)
+
+    def adjust(self, ratios: Mapping[Key, ErrorRatio]) -> dict[Key, ErrorRatio]:
+        """Return ratios whose `adjusted_p` considers that all of them are compared at once."""
+        if self.too_short:
+            return dict(ratios)
+        factor = self._find_factor(len(ratios), self.degrees)
+        calibrated_p = {
+            key: min(1.0, factor * ratio.p) for key, ratio in ratios.items() if ratio.p is not None
+        }
+        adjusted_p = adjust_by_holm(calibrated_p)
+        return {
+            key: replace(ratio, adjusted_p=adjusted_p.get(key)) for key, ratio in ratios.items()
         }
 
     def required_seconds(
         self, law_name: str, other: str, ratio: float, comparison_count: int | None = None
     ) -> float:
         """Return the duration [s] of such logs, up to `MAX_SECONDS`, that would show a ratio."""
-        difference = self.rows[:, self.laws.index(law_name)] - self.rows[:, self.laws.index(other)]
-        error = float(self._estimate_deviations(difference[:, None])[0])
+        i = self.laws.index(law_name)
+        deviations = self.deviations(self.laws.index(other))
 
         def surplus(seconds: float) -> float:
-            degrees = self.degrees * seconds / self.seconds
-            scaled_error = error * np.sqrt(self.seconds / seconds)
-            factor = detection_factor(
-                degrees, self._find_significance_level(comparison_count, degrees)
-            )
-            return float(np.log(ratio) - scaled_error * factor)
+            growth = seconds / self.seconds
+            detectable = 0.0
+            for errors, degrees in deviations:
+                # More logs of the same length: each adds a degree of freedom between logs.
+                more_degrees = degrees * growth
+                level = self._find_significance_level(comparison_count, more_degrees)
+                error = float(errors[i]) / np.sqrt(growth)
+                detectable = max(detectable, error * detection_factor(more_degrees, level))
+            return float(np.log(ratio) - detectable)
 
-        shortest = max(MIN_SECONDS, MIN_DEGREES * self.seconds / self.degrees)
+        shortest = max(MIN_SECONDS, MIN_DEGREES * self.seconds / max(self.degrees, 1))
         if surplus(shortest) >= 0.0:
             return shortest
         longest = shortest
@@ -174,32 +223,87 @@ class LawErrors:
             return MAX_SECONDS
         return float(brentq(surplus, shortest, longest, rtol=1e-3))
 
-    def _widening_factors(self, other: int, interval_factors: Array) -> Array | None:
-        """Return the factors (L,) of the intervals for other logs; None for a single log."""
-        log_differences = (self.rows - self.rows[:, [other]])[self.is_between]
-        if not len(log_differences):
-            return None
-        between = stdtrit(len(log_differences), 0.975) * np.sqrt(
-            (log_differences**2).mean(axis=0) / self.bins
-        )
-        return np.asarray(np.exp(_BOTH_SETS_FACTOR * np.maximum(np.log(interval_factors), between)))
+    def _estimate_between(self, other: int) -> _Deviation:
+        """Return the deviation between logs of log ratios to a law, shrunk to that of all pairs.
+
+        With few logs the variance of one pair is uncertain. Over that within logs it is similar for
+        all pairs, so that their spread tells how much a pair may borrow (Smyth 2004, "limma").
+        """
+        variance = self._between_variances[:, other]
+        degrees = self.between_degrees
+        prior_degrees, log_inflation = self._between_prior
+        if prior_degrees > 0.0:
+            prior = np.exp(log_inflation) * self._within_variances[:, other]
+            # Only upwards: some pairs do differ more than others from log to log.
+            shrunk = (prior_degrees * prior + degrees * variance) / (prior_degrees + degrees)
+            variance = np.maximum(variance, shrunk)
+        return _Deviation(np.sqrt(variance / self.bins), degrees + prior_degrees)
+
+    @cached_property
+    def _between_variances(self) -> Array:
+        return _pair_variances(self.rows[self.is_between])
+
+    @cached_property
+    def _within_variances(self) -> Array:
+        return _pair_variances(self.rows[~self.is_between])
+
+    @cached_property
+    def _between_prior(self) -> tuple[float, float]:
+        """Degrees of freedom and logarithm of the usual variance between logs over that within."""
+        degrees = self.between_degrees
+        if self.is_between.all():
+            return 0.0, 0.0
+        pairs = np.triu_indices(len(self.laws), 1)
+        between = self._between_variances[pairs]
+        within = self._within_variances[pairs]
+        differs = np.minimum(between, within) > 0.0  # equal predictions have no variance
+        if np.count_nonzero(differs) < _MIN_PRIOR_PAIRS:
+            return 0.0, 0.0
+        # Logarithms of chi-square variables: their mean and variance are known.
+        log_inflations = np.log(between[differs] / within[differs])
+        log_inflations -= digamma(0.5 * degrees) - np.log(0.5 * degrees)
+        excess = float(np.var(log_inflations, ddof=1) - polygamma(1, 0.5 * degrees))
+        most = min(MAX_PRIOR_DEGREES, degrees, _PRIOR_DEGREES_PER_LAW * (len(self.laws) - 2))
+        half = min(_invert_trigamma(excess), 0.5 * most)
+        centre = float(np.mean(log_inflations) + digamma(half) - np.log(half))
+        return 2.0 * half, centre
 
     def _find_significance_level(self, comparison_count: int | None, degrees: float) -> float:
-        comparisons = self._count_comparisons(comparison_count)
-        return SIGNIFICANCE / calibration(comparisons, degrees) / comparisons
+        comparisons = comparison_count or max(1, len(self.laws) - 1)
+        return SIGNIFICANCE / self._find_factor(comparisons, degrees) / comparisons
 
-    def _count_comparisons(self, comparison_count: int | None) -> int:
-        return comparison_count or max(1, len(self.laws) - 1)
+    def _find_factor(self, comparisons: int, degrees: float) -> float:
+        """Return the factor on p before Holm's adjustment."""
+        if not self.between_degrees:
+            return calibration(comparisons, degrees)
+        # The law compared with may be the best of these logs, so that all pairs are candidates.
+        return 0.5 * (comparisons + 1)
 
-    def _estimate_deviations(self, differences: Array) -> Array:
-        squares = differences**2
-        row_sets = (np.ones(self.degrees, dtype=bool), self.is_slow, self.is_between)
-        largest = np.max([squares[rows].mean(axis=0) for rows in row_sets if rows.any()], axis=0)
-        return np.asarray(np.sqrt(largest / self.bins))
+
+def _pair_variances(rows: Array) -> Array:
+    """Return the mean squares (L, L) of differences of all columns of (nu, L)."""
+    return np.asarray(((rows[:, :, None] - rows[:, None, :]) ** 2).mean(axis=0))
+
+
+def _invert_trigamma(value: float) -> float:
+    """Return x with trigamma(x) = value by Newton's method; infinity if there is none."""
+    if value <= 0.0:
+        return np.inf
+    x = 0.5 + 1.0 / value  # below the root; 1/trigamma is convex, so that steps converge
+    for _ in range(50):
+        trigamma = polygamma(1, x)
+        step = trigamma * (1.0 - trigamma / value) / polygamma(2, x)
+        x += step
+        if abs(step) < 1e-10 * x:
+            break
+    return float(x)
 
 
 def law_errors(
-    errors: Mapping[str, Sequence[Array]], periods: Sequence[float], among: Iterable[str] = ()
+    errors: Mapping[str, Sequence[Array]],
+    periods: Sequence[float],
+    among: Iterable[str] = (),
+    log_names: Sequence[str] | None = None,
 ) -> LawErrors:
     """Return the errors of laws on one joint, ready to be compared.
 
@@ -208,6 +312,7 @@ def law_errors(
     errors : errors (N,) [N.m] of each law on each log.
     periods : sample period of each log [s].
     among : laws whose correlation time counts; by default all.
+    log_names : name of each log; parts of one log share it. By default each is a log of its own.
     """
     laws = tuple(errors)
     squares = [
@@ -231,10 +336,23 @@ def law_errors(
         cosines = np.sqrt(2.0 / n) * np.cos(np.pi * m[:, None] * (np.arange(n) + 0.5) / n)
         rows.append(cosines @ psi.T)
         is_slow.append(m <= (degrees + 1) // 2)
-    sizes = np.sqrt([psi.shape[1] for psi in binned])
-    _, _, directions = np.linalg.svd(sizes[None, :])  # the first is that of the sizes
+    names = list(range(len(periods))) if log_names is None else list(log_names)
+    bin_counts = np.array([psi.shape[1] for psi in binned])
     means = np.stack([psi.mean(axis=1) - 0.5 for psi in binned])
-    log_differences = directions[1:] @ (sizes[:, None] * means)
+    weights = bin_counts * (means[:, counted_laws] + 0.5).mean(axis=1)
+    log_counts = []
+    log_means = []
+    log_weights = []
+    for name in dict.fromkeys(names):
+        parts = [k for k, part_name in enumerate(names) if part_name == name]
+        part_differences = _contrast(bin_counts[parts], means[parts])
+        rows.append(part_differences)
+        is_slow.append(np.ones(len(part_differences), dtype=bool))
+        log_counts.append(bin_counts[parts].sum())
+        log_means.append(np.average(means[parts], axis=0, weights=bin_counts[parts]))
+        log_weights.append(weights[parts].sum())
+    inflation, between_degrees = _assess_weights(np.array(log_weights))
+    log_differences = np.sqrt(inflation) * _contrast(np.array(log_counts), np.stack(log_means))
     within = sum(map(len, rows))
     between = len(log_differences)
     return LawErrors(
@@ -243,11 +361,39 @@ def law_errors(
         rows=np.concatenate([*rows, log_differences]),
         is_slow=np.concatenate([*is_slow, np.ones(between, dtype=bool)]),
         is_between=np.arange(within + between) >= within,
-        bins=sum(psi.shape[1] for psi in binned),
+        between_degrees=between_degrees,
+        bins=int(bin_counts.sum()),
         seconds=float(
             sum(square.shape[1] * period for square, period in zip(squares, periods, strict=True))
         ),
     )
+
+
+def _contrast(bin_counts: Array, means: Array) -> Array:
+    """Return the differences (m - 1, L) between means (m, L), with the variance of one bin."""
+    sizes = np.sqrt(bin_counts)
+    _, _, directions = np.linalg.svd(sizes[None, :])  # the first is that of the sizes
+    return np.asarray(directions[1:] @ (sizes[:, None] * means))
+
+
+def _assess_weights(log_weights: Array) -> tuple[float, float]:
+    """Return the factor on the variance between logs, and its degrees of freedom.
+
+    A log that holds most of the squared error pulls the ratio of all rows to its own, so that
+    differences from it are too small. If log ratios of logs have equal variance, that of their
+    weighted mean is the sum of w^2, and w^2 (1 - 2 w + sum of w^2) is what differences show.
+    """
+    count = len(log_weights)
+    if count < 2:
+        return 1.0, 0.0
+    shares = log_weights / max(float(log_weights.sum()), 1e-300)
+    square_sum = float(np.sum(shares**2))
+    shown = float(np.sum(shares**2 * (1.0 - 2.0 * shares + square_sum)))
+    inflation = square_sum / max(shown, _MIN_SHOWN) * (count - 1) / count
+    # Halfway between the number of logs and that of logs of equal weight, 1 / sum of w^2, less 1:
+    # on draws with unequal logs the first is slightly too many, the second too few.
+    degrees = 0.5 * (count + 1.0 / max(square_sum, 1.0 / count)) - 1.0
+    return inflation, degrees
 
 
 def _average_over_bins(values: Array, period: float) -> Array:

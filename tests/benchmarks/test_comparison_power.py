@@ -1,7 +1,8 @@
 """Size and power of the comparison: equal laws, derived from real ones, on twin and UR10e.
 
 The errors of every law are scaled to the same RMSE, per motion or over all motions. A table with
-logs drawn from random motions is wrong if it calls any law worse than the best.
+logs drawn from random motions is wrong if it calls any law worse than the best. Statements about
+logs of other days are checked on drawn errors.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from other_days import KINDS, calibrate_tables, draw_table, shows
 
 from cosim.loop.excite import load_arm, record_directions
 from cosim.loop.motions import FourierMotion, Motions
@@ -20,14 +22,7 @@ from fmu_src.arm.plant import Plant, servo_signals
 from hesr_model.errors import ConfigError
 from hesr_model.fitting.estimator import registry
 from hesr_model.fitting.fit import fit_models
-from hesr_model.inference.comparison import (
-    SIGNIFICANCE,
-    LawErrors,
-    adjust_by_holm,
-    calibration,
-    law_errors,
-    two_sided_probability,
-)
+from hesr_model.inference.comparison import LawErrors, law_errors
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import identify
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
@@ -35,6 +30,7 @@ from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support.files import models_folder
 
 MOTIONS, DRAWS, PERIOD = 60, 1000, 0.005
+OTHER_DRAWS = 400
 NINE = ("lugre", "lugre_textbook", "lugre_load_ripple", "dahl", "dahl_load", "strain_wave",
         "parfam_hx", "parfam_s", "parfam_s_v")  # fmt: skip
 """Laws with memory: errors of laws without it vary by 8 % from motion to motion."""
@@ -156,8 +152,7 @@ def tables(
 def worse(table: LawErrors) -> set[str]:
     """Laws called worse than the best of the sample."""
     ratios = table.ratios(table.laws[table.best])
-    adjusted = adjust_by_holm({law: r.p for law, r in ratios.items() if r.p is not None})
-    return {law for law, p in adjusted.items() if p < SIGNIFICANCE}
+    return {law for law, ratio in ratios.items() if ratio.verdict == "worse"}
 
 
 def size(
@@ -232,18 +227,41 @@ def test_the_stated_smallest_difference_is_found(
 ) -> None:
     """The stated difference of two laws is found in 70 to 90 % of other tables."""
     equal = [table for table, _ in tables(twin, NINE, seconds, logs, each=False)]
-    rng, hits, comparisons = np.random.default_rng(2), [], len(NINE) - 1
+    rng, hits = np.random.default_rng(2), []
     for table, other in zip(equal, equal[3:], strict=False):  # same joint, other motions
         law, best = (str(name) for name in rng.choice(NINE, 2, replace=False))
         stated = table.ratios(best)[law].detectable
         assert stated
-        i, k = other.laws.index(law), other.laws.index(best)
-        error = float(other.standard_errors(k)[i])
-        difference = other.log_rmse[i] - other.log_rmse[k] + np.log(stated)
-        p = calibration(comparisons, other.degrees) * float(
-            two_sided_probability(difference / error, other.degrees)
-        )
-        hits.append(comparisons * p < SIGNIFICANCE)
+        hits.append(shows(other, law, best, stated))
     share = float(np.mean(hits))
     tell(f"{logs} x {seconds} s: the stated difference is found in {100 * share:.0f} %")
     assert 0.7 <= share <= 0.9
+
+
+@pytest.mark.parametrize("common", [0.5, 0.95])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("logs", [2, 3, 4, 8])
+def test_statements_hold_on_logs_of_other_days(
+    logs: int, kind: str, common: float, tell: Callable[[str], None]
+) -> None:
+    """Laws that are equal on average and differ by 2 to 5 % from log to log.
+
+    400 draws have a standard error of 1.1 % in sizes, 1.3 % in coverage: two of them are allowed.
+    """
+    for laws in (2, 6, 24):
+        rng = np.random.default_rng([11, logs, laws])
+        draws = [draw_table(rng, laws, logs, kind, common=common) for _ in range(OTHER_DRAWS)]
+        found = calibrate_tables(draws)
+        shown = "none stated" if found.found is None else f"{100 * found.found:.0f} %"
+        tell(
+            f"{logs} logs, {laws} laws, {kind}, {100 * common:.0f} % common: wrong "
+            f"{100 * found.worse_than_best:.1f} % against the best, {100 * found.not_alike:.1f} % "
+            f"against a given law; intervals hold {100 * found.coverage:.1f} %, width "
+            f"{found.width:.2f}; stated differences found {shown}"
+        )
+        assert max(found.worse_than_best, found.not_alike) <= 0.05 + 0.022
+        assert found.coverage >= 0.93 - 0.026
+        if logs >= 4:
+            assert found.width <= 1.5 + 0.05
+            assert found.found is not None
+            assert 0.7 <= found.found <= 0.95

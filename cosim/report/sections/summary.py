@@ -79,7 +79,9 @@ def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:
         head += ["reference", "ratio"]
         names = table.join_law_titles(references)
         reference_text = f"{names}, {role}" if len(set(references)) == 1 else f"{role} ({names})"
-        caption += f" and of {reference_text}; small: 95\u00a0% interval"
+        is_for_others = any(ratio.on_other_logs for ratio in ratios)
+        scope = "other logs of the kind" if is_for_others else "this log"
+        caption += f" and of {reference_text}; small: 95\u00a0% interval on {scope}"
         columns += [
             [
                 table.fixed_cell(error, places)
@@ -123,6 +125,8 @@ def _reference(
             low=ratio.high and 1.0 / ratio.high,
             high=ratio.low and 1.0 / ratio.low,
             p=ratio.p,
+            adjusted_p=ratio.adjusted_p,
+            on_other_logs=ratio.on_other_logs,
         )
         for ratio in law_ratios.laws[rival]
     ]

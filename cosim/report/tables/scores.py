@@ -15,8 +15,8 @@ from cosim.report.tables.table import (
     title,
 )
 from cosim.study.position_errors import PositionErrors
-from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors
-from cosim.study.verdict import find_separations, format_excess_percent
+from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, find_unseparated
+from cosim.study.verdict import format_excess_percent
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
 from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
@@ -28,6 +28,7 @@ MEASURES = {
     "rmse_reversal": "within 0.1 s of velocity reversals",
 }
 """Measures of a test set, and their names."""
+_FEW_LOGS = 4  # logs below which intervals for other logs are wide
 
 
 def errors(
@@ -87,9 +88,14 @@ def errors(
     reference = title(comparison.ratios.reference)
     if comparison.ratios.fair:
         reference = "the strongest classic law of the same inputs or fewer"
-    small = f"; small: ratio to {reference} with its 95\u00a0% interval" if ratios else ""
-    if any(ratio.others for law_ratios in ratios.values() for ratio in law_ratios):
-        small += " on these logs, then on other logs of the kind"
+    small = ""
+    if ratios:
+        is_for_others = any(ratio.on_other_logs for row in ratios.values() for ratio in row)
+        scope = "other logs of the kind" if is_for_others else "this log"
+        small = (
+            f"; small: ratio to {reference} with its 95\u00a0% interval on {scope}, for each ratio "
+            "alone; bold: after Holm over the laws of a joint"
+        )
     if zero_phase:
         small += "; velocity behind a causal low pass; zero phase: mean ratio of RMSE without lag"
     words = MEASURES[measure].format(speed=speed)
@@ -102,46 +108,60 @@ def errors(
 
 
 def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
-    """Return which laws a test does not separate from the best, and what would show; or None.
+    """Return which laws a test does not separate from others, and what would show; or None.
 
-    `laws` are those recommended for each joint, if any.
+    `laws` are those recommended for each joint; without them it is the law with the lowest error.
     """
     if not comparison.detectable:
         return None
     rows = []
-    shorts = joints(len(comparison.joints))
-    for k, (short, joint_separation) in enumerate(
-        zip(shorts, find_separations(comparison), strict=True)
-    ):
-        detectable_text = (
-            format_excess_percent(*joint_separation.detectable)
-            if joint_separation.detectable
-            else "too short"
-        )
-        names = ", ".join(map(title, joint_separation.tied)) or "none"
-        recommended = [title(law_name) for law_name in laws[k : k + 1]]
-        rows.append(
-            make_row(
-                short,
-                *recommended,
-                title(joint_separation.best),
-                names,
+    for j, short in enumerate(joints(len(comparison.joints))):
+        best = comparison.leading[j][0]
+        law_name = laws[j] if laws else best
+        unseparated = find_unseparated(comparison, law_name, j)
+        cells = [title(law_name)]
+        if laws:
+            better = unseparated.better if unseparated else ()
+            cells += [title(best), ", ".join(map(title, better)) or "none"]
+        if unseparated is None:  # results of earlier versions
+            cells += ["unknown"] * 3
+        else:
+            detectable_text = "too short"
+            if unseparated.detectable:
+                detectable_text = format_excess_percent(*unseparated.detectable)
+            cells += [
+                ", ".join(map(title, unseparated.laws)) or "none",
                 detectable_text,
-                f"{joint_separation.seconds:.0f} s",
-            )
-        )
+                f"{unseparated.seconds:.0f} s",
+            ]
+        rows.append(make_row(short, *cells))
+    judged = "recommended law" if laws else "law with the lowest error"
+    head = ("recommended", "lowest error", "better") if laws else ("lowest error",)
     return ResultTable(
-        caption=f"{name}: laws that the test does not separate from the one with the lowest error",
-        head=(
-            *("joint", "recommended")[: 2 if laws else 1],
-            *("lowest error", "not separated", "would show", "for 10 %"),
-        ),
+        caption=f"{name}: laws that the test does not separate from the {judged}",
+        head=("joint", *head, "not separated", "would show", "for 10 %"),
         rows=rows,
         numeric=False,
-        note="Student's t over cosines of the squared errors and differences between logs, Holm "
-        f"over the laws of a joint; p is multiplied by {CALIBRATION:.0f} (1 + 1.5/degrees of "
-        "freedom), beyond 9 laws by more in proportion, since the nominal level was calibrated. "
-        "The result holds for motions of this kind.",
+        note=_describe_test(comparison.log_count),
+    )
+
+
+def _describe_test(log_count: int) -> str:
+    """Return how a test of so many logs separates laws, and for which logs that holds."""
+    holm = "Holm over the laws of a joint"
+    if log_count > 1:
+        few = ""
+        if log_count < _FEW_LOGS:
+            few = f" {log_count} logs are few: only large differences show."
+        return (
+            f"Student's t over differences between {log_count} logs, {holm} and over all pairs of "
+            "laws, since the logs choose the best. The result holds for other logs of this kind."
+            f"{few}"
+        )
+    return (
+        f"Student's t over cosines of the squared errors, {holm}; p is multiplied by "
+        f"{CALIBRATION:.0f} (1 + 1.5/degrees of freedom), beyond 9 laws by more in proportion, "
+        "since the nominal level was calibrated. The result holds on this log only."
     )
 
 
@@ -345,11 +365,10 @@ def _describe_nuisances(per_log: Sequence[str] | None) -> str:
 
 
 def ratio_notes(ratio: ErrorRatio) -> tuple[str, ...]:
-    """Return a ratio, its interval, and that for other logs if known."""
+    """Return a ratio and its interval."""
     if ratio.low is None or ratio.high is None:
         return f"{ratio.value:.2f}", "too short"
-    other_intervals = ["{:.2f}–{:.2f}".format(*ratio.others)] if ratio.others else []
-    return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}", *other_intervals
+    return f"{ratio.value:.2f}", f"{ratio.low:.2f}–{ratio.high:.2f}"
 
 
 def _group_by_inputs(

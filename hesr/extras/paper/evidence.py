@@ -106,7 +106,9 @@ class Case:
                 weights * error for weights, error in zip(row_weights, law_residuals, strict=True)
             ]
         comparison = law_errors(
-            errors, [float(np.median(np.diff(record.t))) for record in joint_records]
+            errors,
+            [float(np.median(np.diff(record.t))) for record in joint_records],
+            log_names=[record.log for record in joint_records],
         )
         ratio = comparison.ratios(
             min(rivals, key=lambda rival: comparison.log_rmse[comparison.laws.index(rival)])
