@@ -135,7 +135,9 @@ def _inform_robot(robot: Robot, parts: Sequence[SmoothPart]) -> Robot | None:
         for part in parts
     ]
     try:
-        informed_robot.nominal_parameters = identify_motions(motions, robot).parameters
+        # A negative inertia shows a torque that counts backwards.
+        body = identify_motions(motions, robot, holds=False)
+        informed_robot.nominal_parameters = body.parameters
     except FitError:
         return None
     return informed_robot
@@ -353,10 +355,10 @@ def check_body(body: RigidBody, robot: Robot) -> Iterator[Finding]:
         positions_text = ", ".join(f"{position:.2f}" for position in q)
         example = f"{lowest_eigenvalue:.2g}, for instance at q = {positions_text}"
         observation = f"the identified mass matrix is not positive definite (eigenvalue {example})"
-        remedy = "the identified masses are not physically possible; use longer or faster logs, or "
-        yield build_joint_finding(
-            "mass-matrix", joints[j], observation, f"{remedy}--physical", "warning"
-        )
+        remedy = "the identified masses are not physically possible; use longer or faster logs"
+        if not robot.description.known:  # which exclude it
+            remedy += ", or --body physical"
+        yield build_joint_finding("mass-matrix", joints[j], observation, remedy, "warning")
     for joint, (coulomb, _, _), rmse in zip(joints, body.friction, body.rmse, strict=True):
         if -coulomb > _MIN_NEGATIVE_COULOMB * rmse:
             observation = f"its Coulomb friction is identified as {coulomb:.3g} N.m"

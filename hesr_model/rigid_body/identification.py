@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
@@ -27,8 +28,11 @@ from hesr_model.support.typed_files import Numbers, from_json, read_json, to_jso
 RIGID_BODY_FORMAT = "hesr-rigid-body-1"
 Method = Literal["stacked", "paper"]
 Weighting = Literal["wls", "ols"]
+Kind = Literal["nominal", "physical", "free"]
+"""Masses of the model file, physically possible ones, or those of plain least squares."""
 MIN_PEAK_SPEED = 0.02  # peak speed that determines an inertia [rad/s, m/s]
 _MIN_ERROR_SHARE = 1e-2  # share of the largest torque error to propagate
+_STATE_COUNT = 60  # random positions at which an inertia is checked
 ROWS_AT_ONCE = 4096  # samples per evaluation of the regressor
 _log = logging.getLogger(__name__)
 
@@ -52,7 +56,10 @@ class RigidBody:
     rmse : (n,) [N.m] residual at friction coordinates, over the rows used.
     rows : number of samples offered to the fit.
     logs : names of the logs.
-    physical : whether the bodies have positive mass density.
+    kind : whether masses are those of the model file, physically possible, or free.
+    left_out_rmse : (n,) [N.m] residual at friction coordinates over rows that were left out in
+        turn (`rigid_body.choice`); empty if unknown.
+    held : parameters that the motion does not determine, which have the model file's values.
     covariance : covariance of the base parameters; None in results of earlier versions.
     gears : elastic gears, of robots with link encoders.
     provenance : JSON data: input files with hashes, seed and versions.
@@ -72,10 +79,17 @@ class RigidBody:
     logs: tuple[str, ...]
     method: Method
     weighting: Weighting
-    physical: bool = False
+    kind: Kind = "free"
+    left_out_rmse: Numbers = field(default_factory=lambda: np.zeros(0))
+    held: tuple[str, ...] = ()
     covariance: Covariance | None = None
     gears: tuple[ElasticGear, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def physical(self) -> bool:
+        """Whether the bodies were identified with positive mass density."""
+        return self.kind == "physical"
 
     @classmethod
     def read(cls, path: PathArg) -> Self:
@@ -145,7 +159,7 @@ class RigidBody:
     def _by_name(self, serialise: pydantic.SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
-        for name in ("covariance", "gears"):  # as in version 1
+        for name in ("covariance", "gears", "left_out_rmse", "held"):  # as in version 1
             if not data[name]:
                 del data[name]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))
@@ -161,8 +175,12 @@ class RigidBody:
             raise RuleError(
                 "its parameters have no names", code="body.parameters", key="parameters"
             )
-        values = {"parameters": list(parameters.values())} if parameters else {}
-        return data | values | {"names": list(parameters)}
+        values: dict[str, Any] = {"parameters": list(parameters.values())} if parameters else {}
+        values["names"] = list(parameters)
+        if "kind" not in data and "physical" in data:  # of earlier versions
+            values["kind"] = "physical" if data["physical"] is True else "free"
+            data = {key: value for key, value in data.items() if key != "physical"}
+        return data | values
 
     @pydantic.field_validator("base", mode="before")
     @classmethod
@@ -202,6 +220,8 @@ def identify_motions(
     weighting: Weighting | None = None,
     reversed_motions: Sequence[Motion] = (),
     physical: bool = False,
+    warns: bool = True,
+    holds: bool = True,
 ) -> RigidBody:
     """Identify the rigid-body parameters from smooth motions; raises FitError.
 
@@ -214,9 +234,81 @@ def identify_motions(
     deviation, ``"ols"`` (default of the paper's) does not.
 
     With `physical` (`rigid_body.physical`), all standard parameters are weakly pulled towards the
-    model file's.
+    model file's. If `holds`, inertias of a bench that would be negative have the model file's
+    values. Unless `warns`, a poorly determined problem is not logged.
     """
-    if physical and robot.description.known is not None:
+    body = _identify(
+        motions,
+        robot,
+        method=method,
+        weighting=weighting,
+        reversed_motions=reversed_motions,
+        physical=physical,
+        warns=warns,
+    )
+    held_names = _find_impossible_inertias(body, robot) if holds else ()
+    if not held_names:
+        return body
+    known_names = (*(robot.description.known or ()), *held_names)
+    held_body = _identify(
+        motions,
+        fix_parameters(robot, known_names),
+        method=method,
+        weighting=weighting,
+        reversed_motions=reversed_motions,
+        physical=False,
+        warns=warns,
+    )
+    return replace(held_body, held=held_names)
+
+
+def fix_parameters(robot: Robot, names: Sequence[str]) -> Robot:
+    """Return a robot whose named inertial parameters are known to be the model file's."""
+    fixed_robot = copy(robot)
+    fixed_robot.description = robot.description.model_copy(update={"known": tuple(names)})
+    return fixed_robot
+
+
+def _find_impossible_inertias(body: RigidBody, robot: Robot) -> tuple[str, ...]:
+    """Return the identified masses and inertias of a bench's axes whose inertia is not positive.
+
+    Motion that hardly needs torque for acceleration does not determine them: what friction does
+    at each reversal then looks like a mass, of either sign. Robots with masses in their model file
+    have physically possible ones instead.
+    """
+    if robot.description.known is None or body.physical:
+        return ()
+    lower, upper, _ = robot.reach
+    q = np.random.default_rng(0).uniform(lower, upper, (_STATE_COUNT, robot.n))
+    masses, _ = robot.dynamics(body.parameters, q, np.zeros_like(q))
+    lowest_inertias = np.diagonal(masses, axis1=1, axis2=2).min(axis=0)
+    impossible_joints = {
+        joint for joint, inertia in zip(robot.joints, lowest_inertias, strict=True) if inertia <= 0
+    }
+    identified_names = [robot.parameter_names[k] for k in body.base if k < robot.inertial]
+    return tuple(
+        name
+        for name in identified_names
+        if name.rpartition(".")[0] in impossible_joints and not _is_first_moment(name)
+    )
+
+
+def _is_first_moment(name: str) -> bool:
+    """Return whether a parameter is that of gravity on a turning axis, which needs no speed."""
+    return name.endswith((".mx", ".my", ".mz"))
+
+
+def _identify(
+    motions: Sequence[Motion],
+    robot: Robot,
+    *,
+    method: Method,
+    weighting: Weighting | None,
+    reversed_motions: Sequence[Motion],
+    physical: bool,
+    warns: bool,
+) -> RigidBody:
+    if physical and robot.description.known:
         raise FitError(
             f"robot '{robot.name}': 'physical' excludes 'known' of the robot file; remove one."
         )
@@ -235,11 +327,18 @@ def identify_motions(
     all_motions = [*motions, *reversed_motions]
     base = unknown_columns(robot, rotors=bool(forms))
     friction = observations.friction_columns(robot, base) & (method == "stacked")
+    friction[:, 2] &= observations.find_determined_offsets(all_motions, robot)
     where = "log " + ", ".join(motion.name for motion in all_motions)
     link_columns = len(base) + np.cumsum(friction).reshape(friction.shape)[:, :2] - 1
     rows = sum(len(motion.t) for motion in all_motions)
     require_samples(where, rows, len(base) + int(np.sum(friction)))
-    require_speed(where, observations.peak_speeds(all_motions, robot), robot)
+    has_inertia = any(k < robot.inertial for k in base)
+    require_speed(
+        where,
+        observations.peak_speeds(all_motions, robot),
+        robot,
+        MIN_PEAK_SPEED if has_inertia else 0.0,
+    )
 
     def build_blocks(columns: tuple[int, ...]) -> list[Block]:
         if method == "paper":
@@ -254,7 +353,7 @@ def identify_motions(
     is_element = [np.arange(len(size)) >= FIXED for size in gear_sizes]
     is_loose = np.concatenate([find_loose_columns(robot, base, friction), *is_element])
     solution = solve(blocks, scale=scale, weighted=weighting == "wls", is_loose=is_loose)
-    if not physical:
+    if warns and not physical:
         warn_of_ridge(where, solution)
     labels = observations.label_samples(motions if method == "paper" else all_motions)
     covariance = estimate_covariance(blocks, solution, labels)
@@ -294,7 +393,7 @@ def _make_consistent(
         ridge=0.0,
         friction=observations.arrange_by_joint(physical_fit.friction, friction),
         rmse=physical_fit.rmse,
-        physical=True,
+        kind="physical",
     )
 
 
@@ -371,11 +470,11 @@ def require_samples(where: str, row_count: int, unknown_count: int) -> None:
         )
 
 
-def require_speed(where: str, peaks: Array, robot: Robot) -> None:
-    """Raise FitError if a joint's peak speed is too small."""
+def require_speed(where: str, peaks: Array, robot: Robot, min_peak: float = MIN_PEAK_SPEED) -> None:
+    """Raise FitError if a joint's peak speed is not above `min_peak` [rad/s, m/s]."""
     for joint, peak in zip(robot.description.joints, peaks, strict=True):
-        if not peak > MIN_PEAK_SPEED:
+        if not peak > min_peak:
             raise FitError(
                 f"{where}: joint '{joint}' is never faster than {peak:.2g} rad/s; at least one log "
-                f"must exceed {MIN_PEAK_SPEED:g} rad/s."
+                f"must exceed {min_peak:g} rad/s."
             )

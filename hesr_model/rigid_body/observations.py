@@ -16,6 +16,7 @@ from hesr_model.support.arrays import Array, Integers, Mask
 
 _MAX_SHIFT = 0.5  # latency [s] of command and measurement, which reversal keeps
 _MAX_MISMATCH = 0.1  # position mismatch [rad]; 20 mrad are harmless
+_MAX_COSINE = 0.999  # of Coulomb and offset columns that are told apart
 
 
 def match_motions(forward: Motion, backward: Motion) -> tuple[Motion, Motion]:
@@ -110,6 +111,21 @@ def friction_columns(robot: Robot, base: tuple[int, ...]) -> Mask:
     columns = np.ones((robot.n, 3), dtype=bool)
     columns[:, 2] = find_independent_offsets(robot, base)
     return columns
+
+
+def find_determined_offsets(motions: Sequence[Motion], robot: Robot) -> Mask:
+    """Return whether each joint's offset (n,) differs from Coulomb friction: it moves both ways.
+
+    Otherwise least squares can give both any size, with opposite signs.
+    """
+    if not motions:
+        return np.ones(robot.n, dtype=bool)
+    min_speeds = slow_speeds(peak_speeds(motions, robot))
+    dq = friction_speeds(motions, robot)
+    directions = np.where(np.abs(dq) > min_speeds, np.sign(dq), 0.0)
+    row_counts = np.maximum(np.sum(np.abs(directions), axis=0), 1.0)
+    # The cosine of the two columns: the mean direction of motion.
+    return np.asarray(np.abs(np.sum(directions, axis=0)) <= _MAX_COSINE * row_counts)
 
 
 def label_samples(motions: Sequence[Motion]) -> Integers:

@@ -137,7 +137,7 @@ def add_payload(unloaded_body: RigidBody, payload: Payload, robot: Robot) -> Rig
         covariance=None
         if covariance is None
         else replace(covariance, carried=covariance.carried + payload_covariance),
-        physical=False,
+        kind="free" if unloaded_body.physical else unloaded_body.kind,
         friction=payload.friction,
         rmse=payload.rmse,
         rows=payload.rows,

@@ -182,8 +182,10 @@ def test_it_survives_json_and_is_reproducible(arm_model: Robot, make_motion: Mak
     back = from_json(RigidBody, to_json(body), Path("x.json"), "a rigid body")
     assert back.physical
     np.testing.assert_array_equal(back.parameters, body.parameters)
-    older = {key: value for key, value in to_json(body).items() if key != "physical"}
-    assert not from_json(RigidBody, older, Path("x.json"), "a rigid body").physical
+    oldest = {key: value for key, value in to_json(body).items() if key != "kind"}
+    assert from_json(RigidBody, oldest, Path("x.json"), "a rigid body").kind == "free"
+    older = oldest | {"physical": True}
+    assert from_json(RigidBody, older, Path("x.json"), "a rigid body").kind == "physical"
 
 
 def test_base_parameters_become_bodies_of_the_same_torque(arm_model: Robot) -> None:
