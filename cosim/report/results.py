@@ -12,6 +12,7 @@ from cosim.loop.traces import FOLLOWING, Following, LoopOutcome, Trace, read_tra
 from cosim.loop.traces import TRACES as PATHS
 from cosim.report.tables.table import joints
 from cosim.study.position_errors import SIMULATION, PositionErrors
+from cosim.study.replicates import Replicates, read_replicates
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
 from cosim.study.verdict import Verdict, read_verdict
@@ -41,6 +42,7 @@ class Results:
     properties: Mapping[str, Properties] = field(default_factory=dict)
     simulated: Mapping[str, PositionErrors] = field(default_factory=dict)
     truths: Mapping[str, Errors] = field(default_factory=dict)
+    replicates: Mapping[str, Replicates | None] = field(default_factory=dict)
     loop: LoopOutcome | None = None
     following: Following | None = None
     paths: Mapping[tuple[Scheme, str], Trace] = field(default_factory=dict)
@@ -203,6 +205,7 @@ class Results:
             truths=from_json(
                 dict[str, Errors], truths, truths_path, "the errors on alternative plants"
             ),
+            replicates=read_replicates(folder),
             following=from_json(Following, following, following_path, "following errors")
             if following
             else None,

@@ -11,6 +11,7 @@ from typing import Any
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
 from cosim.study.position_errors import SIMULATION, simulate_tests
+from cosim.study.replicates import Replicates, write_replicates
 from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
 from cosim.study.scores import Errors, LogRecords, select_records
 from cosim.study.steps import Job, map_models
@@ -50,6 +51,7 @@ class Outcome(ScoredRun):
     loop: LoopOutcome | None = None
     truths: Mapping[str, Errors] = field(default_factory=dict)  # by alternative plant
     truth: str = ""  # alternative plant
+    replicates: Mapping[str, Replicates | None] = field(default_factory=dict)  # by test set
     platforms: Sequence[str] = HOST  # of the FMUs, except for MuJoCo's arm
     cached: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # hits, requests
 
@@ -90,6 +92,7 @@ def run_study(
             test_records = {
                 test: select_records(names, records) for test, names in study.logs.test.items()
             }
+            replicates = write_replicates(folder, study, records, models, run.predictions)
             position_errors = simulate_tests(models, test_records, run.robot, run.rigid_body)
             write_json(
                 folder / SIMULATION,
@@ -136,6 +139,7 @@ def run_study(
         loop=loop,
         following=following,
         truths=truths,
+        replicates=replicates,
         truth=(study.twin and study.twin.truth) or "",
         platforms=platform_folders,
         cached=count_hits(used_before),

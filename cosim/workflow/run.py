@@ -100,6 +100,7 @@ class RunResult(Answer):
         return tables
 
     def _score_tables(self) -> list[ResultTable | str]:
+        from cosim.report.tables.replicates import build_tables
         from cosim.report.tables.scores import (
             MEASURES,
             compare_truths,
@@ -107,6 +108,7 @@ class RunResult(Answer):
             errors,
             separations,
         )
+        from cosim.study.replicates import TRAINING
         from cosim.study.scores import input_classes
 
         outcome = self.outcome
@@ -116,9 +118,11 @@ class RunResult(Answer):
             tables += [
                 errors(name, comparison, measure, inputs, self._sliding) for measure in MEASURES
             ]
+            tables += build_tables(outcome.replicates, name, outcome.verdict.laws, self._sliding)
             laws = outcome.verdict.laws if name == outcome.verdict.test else ()
             tables.append(separations(name, comparison, laws))
         tables.append(cross_validation(outcome.models, self._sliding))
+        tables += build_tables(outcome.replicates, TRAINING, outcome.verdict.laws, self._sliding)
         if outcome.truths:
             tables.append(compare_truths(outcome.comparisons, outcome.truths, outcome.truth))
         return [table for table in tables if table]
@@ -148,6 +152,9 @@ class RunResult(Answer):
             "verdict": to_json(outcome.verdict),
             "evaluation": {
                 name: to_json(comparison) for name, comparison in outcome.comparisons.items()
+            },
+            "replicates": {
+                name: saved and to_json(saved) for name, saved in outcome.replicates.items()
             },
             "closed_loop": to_json(outcome.loop) if outcome.loop else None,
             "following": to_json(outcome.following),

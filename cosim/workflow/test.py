@@ -32,6 +32,7 @@ from hesr_model.support.progress import Stages, silent
 if TYPE_CHECKING:
     from cosim.report.tables.table import ResultTable
     from cosim.study.position_errors import PositionErrors
+    from cosim.study.replicates import Replicates
     from cosim.study.scores import Comparison
     from cosim.workflow.arguments import (
         BodyArg,
@@ -52,12 +53,16 @@ KINDS = ("prediction", "passivity")  # kinds of the core; others are plug-ins
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LawReport(Answer):
-    """Result of `hesr.test` by law; `scores` and `positions` [rad, m] are None if not predicted."""
+    """Result of `hesr.test` by law; `scores` and `positions` [rad, m] are None if not predicted.
+
+    `replicates` is None if no motion of the logs occurs twice.
+    """
 
     format = "hesr-law-report-1"
     laws: Sequence[Subject]
     scores: Comparison | None = None
     positions: PositionErrors | None = None
+    replicates: Replicates | None = None
     records: Records = ()
     audits: Mapping[str, ModelAudit] = field(default_factory=dict)
     properties: Mapping[str, Properties] = field(default_factory=dict)
@@ -89,6 +94,7 @@ class LawReport(Answer):
         ]
 
     def _scores_tables(self) -> list[ResultTable | str]:
+        from cosim.report.tables.replicates import build_tables
         from cosim.report.tables.scores import MEASURES, bands, errors, position_errors, separations
         from cosim.study.scores import input_classes
 
@@ -99,6 +105,7 @@ class LawReport(Answer):
         shown: list[ResultTable | str] = [
             errors("test", self.scores, measure, inputs, sliding) for measure in MEASURES
         ]
+        shown += build_tables({"test": self.replicates}, "test", (), sliding)
         shown += filter(None, [separations("test", self.scores)])
         if self.scores.bands:
             shown.append(bands("test", self.scores))
@@ -140,6 +147,7 @@ class LawReport(Answer):
 
         return {
             "prediction": self.scores and to_json(self.scores),
+            "replicates": self.replicates and to_json(self.replicates),
             "simulation": self.positions and to_json(self.positions),
             "passivity": {
                 name: [
@@ -274,6 +282,7 @@ def _add_scores(
 ) -> LawReport:
     """Add the scores of the laws on logs: FMUs are replayed, models computed."""
     from cosim.study.position_errors import simulate_tests
+    from cosim.study.replicates import split_by_replicates
     from cosim.study.scores import (
         compare,
         input_classes,
@@ -309,7 +318,12 @@ def _add_scores(
         progress("simulating", 0, 1)
         positions = simulate_tests(models, {"": records}, checked.robot, body).get("")
     return replace(
-        report, scores=comparison, positions=positions, records=records, findings=findings
+        report,
+        scores=comparison,
+        positions=positions,
+        replicates=split_by_replicates(records, torques),
+        records=records,
+        findings=findings,
     )
 
 

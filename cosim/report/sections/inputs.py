@@ -58,7 +58,7 @@ def body(results: Results) -> dict[str, Any]:
     """Return the identified parameters and their torque."""
     body = results.body
     log = results.find_log("identification")
-    weighted = ", weighted by the noise of each joint" if body.weighting == "wls" else ""
+    weighted = ", weighted by the residual of each joint" if body.weighting == "wls" else ""
     return {
         "body": body,
         "rotors": sum(name.endswith(".Ir") for name in body.names),

@@ -15,8 +15,10 @@ from cosim.report.figures.style import DESIRED, MEASURED, SOFT, Stroke, strokes
 from cosim.report.markup import render
 from cosim.report.results import Results
 from cosim.report.tables import loop as loop_tables
+from cosim.report.tables import replicates as replicate_tables
 from cosim.report.tables import scores as tables
 from cosim.report.tables.table import ResultTable, title
+from cosim.study.replicates import TRAINING
 from cosim.study.results import SavedLog
 from cosim.study.scores import BASELINE, ORACLE, input_classes
 from hesr_model.fitting.estimator import papers_law
@@ -47,6 +49,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
         "moving": f"{MOVING:g}",
         "window": f"{WINDOW:g}",
         "tests": [_test(results, test) for test in results.tests],
+        "training": _replicates(results, TRAINING),
         "left_out": tables.cross_validation(results.models, results.sliding),
         "truths": truths and tables.compare_truths(results.comparisons, truths, run.truth),
         "family": tables.describe_true_friction(run.truth),
@@ -68,6 +71,7 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         "name": test,
         "errors": table,
         "parts": parts,
+        "replicates": _replicates(results, test),
         "log": log,
         "laws": ", ".join(map(title, laws)),
         "window": window,
@@ -76,6 +80,21 @@ def _test(results: Results, test: str) -> dict[str, Any]:
         and tables.position_errors(test, simulated, comparison, results.sliding),
         "bands": tables.bands(test, comparison) if comparison.bands else None,
         "separations": tables.separations(test, comparison, recommended_laws),
+    }
+
+
+def _replicates(results: Results, name: str) -> dict[str, Any]:
+    """Return what repeats of the errors on logs with a name."""
+    saved = results.replicates.get(name)
+    laws = results.recommended
+    sentences = replicate_tables.describe_replicates(results.replicates, name, laws)
+    if saved is None:
+        return {"sentences": sentences, "split": None, "shares": None}
+    chosen_laws = replicate_tables.choose_laws(saved, laws)
+    return {
+        "sentences": sentences,
+        "split": replicate_tables.split_of_laws(name, saved, chosen_laws, results.sliding),
+        "shares": replicate_tables.shares_of_laws(name, saved),
     }
 
 
