@@ -79,7 +79,7 @@ def write_replicates(
         replicates[TRAINING] = _split(training_records, torques, repetitions)
     write_json(
         folder / REPLICATES,
-        {name: saved and to_json(saved) for name, saved in replicates.items()},
+        {name: None if saved is None else to_json(saved) for name, saved in replicates.items()},
     )
     return replicates
 
@@ -91,8 +91,9 @@ def read_replicates(folder: Path) -> dict[str, Replicates | None]:
         return {}
     replicates: dict[str, Replicates | None] = {}
     for name, saved in read_json(path).items():
-        replicates[name] = saved and from_json(
-            Replicates, saved, path, f"the replicates in {name!r}"
+        description = f"the replicates in {name!r}"
+        replicates[name] = (
+            None if saved is None else from_json(Replicates, saved, path, description)
         )
     return replicates
 

@@ -152,6 +152,30 @@ def _write_simulations(path: Path) -> None:
     write_json(path, {"test": to_json(found)})
 
 
+def _replicates(folder: Path) -> object:
+    from cosim.study.replicates import read_replicates
+
+    return read_replicates(folder)
+
+
+def _write_replicates(path: Path) -> None:
+    from cosim.study.replicates import Replicates
+    from hesr_model.inference.replicates import ErrorSplit
+    from hesr_model.support.typed_files import to_json, write_json
+
+    split = ErrorSplit(rmse=0.1, repeats=0.8, low=0.7, high=0.9, smooth=0.6)
+    found = Replicates(
+        joints=("a",),
+        count=5,
+        rows=900,
+        all_rows=1000,
+        period=None,
+        laws={"lugre": (split,)},
+        fast={},
+    )
+    write_json(path, {"test": to_json(found), "training logs": None})
+
+
 def _write_verdict(path: Path) -> None:
     from cosim.study.verdict import VERDICT, Verdict, write_verdict
 
@@ -315,6 +339,9 @@ RESULTS = {
         suffix=".json", write=_write_findings, read=_in_place("health.json", _findings)
     ),
     "simulations": Reader(suffix=".json", write=_write_simulations, read=_simulations),
+    "replicates": Reader(
+        suffix=".json", write=_write_replicates, read=_in_place("replicates.json", _replicates)
+    ),
     "verdict": Reader(
         suffix=".json", write=_write_verdict, read=_in_place("verdict.json", _verdict)
     ),

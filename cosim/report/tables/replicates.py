@@ -91,6 +91,12 @@ def describe_gains(replicates: Replicates, laws: Sequence[str]) -> list[str]:
     sentences = []
     for j, (short, law_name) in enumerate(zip(joints(len(laws)), laws, strict=True)):
         split = replicates.laws[law_name][j]
+        if split.low <= 0.0:
+            sentences.append(
+                f"{short}: no part of the squared error of {title(law_name)} repeats "
+                "significantly; these logs show nothing that is left to gain."
+            )
+            continue
         sentences.append(
             f"{short}: {100.0 * split.repeats:.0f} % of the squared error of {title(law_name)} "
             f"repeats {kind}; at most a factor of {split.left_to_gain:.2f} is left to gain."

@@ -23,12 +23,14 @@ from cosim.report.results import Results
 from cosim.report.sections import inputs, laws, prediction, summary
 from cosim.report.tables.loop import table_ii, table_iii
 from cosim.report.tables.table import ResultTable, csv_text
+from cosim.study.replicates import Replicates
 from cosim.study.results import SavedLog, SavedRun, read_torques, write_findings, write_torques
 from cosim.study.scores import ORACLE, Comparison, compare, input_classes, predict_models
 from cosim.study.study import TimeBand
 from hesr_model.findings import Finding
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.inference.replicates import ErrorSplit
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord
 
@@ -102,6 +104,22 @@ def outcome() -> LoopOutcome:
         long=rows[:2],
         sweeps=[replace(rows[0], law="lugre")],
         overcompensation=[Overcompensation(law="lugre", scheme=schemes[1], factor=1.5)],
+    )
+
+
+def replicates(models: dict[str, FrictionModel]) -> Replicates:
+    splits = (
+        ErrorSplit(rmse=2.5, repeats=0.91, low=0.8, high=1.0, smooth=0.75),
+        ErrorSplit(rmse=0.125, repeats=0.0, low=0.0, high=0.0625, smooth=0.03),
+    )
+    return Replicates(
+        joints=JOINTS,
+        count=5.0,
+        rows=1700,
+        all_rows=1800,
+        period=3.5,
+        laws=dict.fromkeys((*models, ORACLE), splits),
+        fast=dict.fromkeys(("stribeck", "lugre"), splits),
     )
 
 
@@ -186,6 +204,7 @@ def results(tmp_path: Path) -> Results:
         body=body,
         models=models,
         comparisons={"unseen": whole, "late": half},
+        replicates={"unseen": replicates(models), "training logs": None},
         truths={"stiff": {"unseen": {"stribeck": (1.0, 2.0), "lugre": (0.5, 0.7)}}},
         loop=outcome(),
         paths=dict.fromkeys(keys, path),

@@ -126,6 +126,14 @@ def test_sentence_states_what_repeats_and_what_is_left(replicates: Replicates) -
     assert len(sentence.split()) <= 25
 
 
+def test_sentence_where_nothing_repeats(replicates: Replicates) -> None:
+    (sentence,) = describe_replicates({"sines": replicates}, "sines", ["lugre"])
+    assert sentence == (
+        "J1: no part of the squared error of LuGre repeats significantly; these logs show nothing "
+        "that is left to gain."
+    )
+
+
 def test_nothing_is_called_noise_without_a_replicate() -> None:
     (sentence,) = build_tables({"test": None}, "test", ["stribeck"])
     assert sentence == "'test': no motion occurs twice, so that the noise in its errors is unknown."
