@@ -31,7 +31,7 @@ _MAX_COARSE_DIFFERENCE = 0.25  # of a sample of the search: half a step apart at
 # Short motions resemble each other by chance, hence a replicate lasts this long.
 MIN_SECONDS = 5.0
 _MAX_LAG_CHANGE = 0.1  # [s] from window to window of a replicate, for periods that drift
-MAX_SEARCHED_SECONDS = 1200.0  # of all logs: the time of the search rises with its square
+MAX_SEARCHED_SECONDS = 600.0  # of all logs: the time of the search rises with its square
 _ALIGNMENT_STEPS = 4
 # Smallest scales of position [rad or m] and velocity [rad/s or m/s]: those of a joint at rest. Its
 # position may then differ by 1 mrad, and its velocity by a tenth of what counts as moving.
@@ -325,11 +325,13 @@ def _find_starts(log: _SearchedLog, row: int, other: _SearchedLog, first_row: in
     limit = 2.0 * log.joint_count * _MAX_COARSE_DIFFERENCE**2
     padded = np.concatenate([[np.inf], distances, [np.inf]])
     is_minimum = (distances <= padded[:-2]) & (distances < padded[2:]) & (distances < limit)
-    starts = []
+    starts: list[float] = []
     for candidate in np.flatnonzero(is_minimum):
         start = _align(window, other, float(other.stamps[candidate]))
         if start is not None and candidate >= first_row:
             starts.append(start)
+        if len(starts) == MAX_PLACES - 1:  # the next ones are the same for neighbouring windows
+            break
     return starts
 
 
