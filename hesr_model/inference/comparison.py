@@ -28,8 +28,8 @@ MIN_DEGREES = 4  # degrees of freedom below which no law is called worse: about 
 MIN_BETWEEN_DEGREES = 3  # or degrees of freedom between logs: four logs, also if they are short
 MAX_PRIOR_DEGREES = 3.0  # of the variance between logs, taken from the other pairs of laws
 _MIN_SHOWN = 1e-6  # share of the variance between logs that differences show
-_MAX_LOG_RATIO = 5.0  # intervals end at a factor of 150
-MAX_DETECTABLE = 10.0  # ratio above which the logs are too few to find any difference
+_MAX_LOG_RATIO = 5.0  # intervals and detectable ratios end at a factor of 150
+MAX_DETECTION_FACTOR = 20.0  # standard errors above which logs are too few to find a difference
 _PRIOR_DEGREES_PER_LAW = 0.25  # of those beyond two; pairs of few laws are no independent draws
 _MIN_PRIOR_PAIRS = 3  # pairs whose spread can be estimated
 MIN_SECONDS = 40.0
@@ -49,7 +49,7 @@ class ErrorRatio:
     With several logs the interval is that of the mean ratio on other logs of the kind; with one log
     it is that of its rows. `p` belongs to the interval: below 5 % if and only if that excludes 1.
     Neither is adjusted for the number of comparisons; `adjusted_p` is (Holm). `detectable` is the
-    smallest ratio above 1 that such logs would show, None above `MAX_DETECTABLE`.
+    smallest ratio above 1 that such logs would show, None if they are too few.
     """
 
     value: float
@@ -136,7 +136,8 @@ class LawErrors:
         deviations = []
         if self.between_degrees:
             deviations.append(self._estimate_between(other))
-        if within.any():
+        # Of short logs few rows are within; they would be no guard but the largest doubt.
+        if within.sum() >= MIN_DEGREES or not deviations:
             is_slow = self.is_slow[within]
             squares = differences[within] ** 2
             largest = np.maximum(squares.mean(axis=0), squares[is_slow].mean(axis=0))
@@ -160,21 +161,26 @@ class LawErrors:
         half_widths = np.zeros(len(self.laws))
         p = np.zeros(len(self.laws))
         detectable = np.zeros(len(self.laws))
+        too_few_logs = False
         for errors, degrees in self.deviations(k):
             level = self._find_significance_level(comparison_count, degrees)
+            standard_error_count = detection_factor(degrees, level)
+            # By the number of logs and laws alone: a limit on the ratio would select small ones.
+            is_too_large = standard_error_count > MAX_DETECTION_FACTOR
+            too_few_logs |= self.between_degrees > 0 and is_too_large
             half_widths = np.maximum(half_widths, stdtrit(degrees, 0.975) * errors)
             t = np.log(values) / np.maximum(errors, 1e-300)
             p = np.maximum(p, two_sided_probability(t, degrees))
-            detectable = np.maximum(detectable, errors * detection_factor(degrees, level))
+            detectable = np.maximum(detectable, errors * standard_error_count)
         half_widths = np.minimum(half_widths, _MAX_LOG_RATIO)
-        max_detectable = np.log(MAX_DETECTABLE)
+        detectable_ratios = np.exp(np.minimum(detectable, _MAX_LOG_RATIO))
         ratios = {
             law_name: ErrorRatio(
                 value=float(values[i]),
                 low=float(values[i] * np.exp(-half_widths[i])),
                 high=float(values[i] * np.exp(half_widths[i])),
                 p=float(p[i]),
-                detectable=float(np.exp(detectable[i])) if detectable[i] < max_detectable else None,
+                detectable=None if too_few_logs else float(detectable_ratios[i]),
                 on_other_logs=self.between_degrees > 0,
             )
             for i, law_name in enumerate(self.laws)

@@ -220,3 +220,21 @@ def test_few_logs_give_wide_intervals() -> None:
         ratios = [table.ratios("law_0")["law_1"] for table in tables]
         widths.append(np.median([np.log(r.high / r.low) for r in ratios if r.low and r.high]))
     assert widths[0] > 2.0 * widths[1] > 2.0 * widths[2] > 2.0 * widths[3]
+
+
+@pytest.mark.parametrize(("logs", "laws", "stated"), [(2, 6, False), (2, 2, False), (3, 6, True)])
+def test_too_few_logs_state_no_detectable_difference(logs: int, laws: int, stated: bool) -> None:
+    rng = np.random.default_rng(5)
+    table = draw_table(rng, laws, logs, "flat", seconds=30.0)
+    ratio = table.ratios("law_0")["law_1"]
+    assert (ratio.detectable is not None) == stated
+    assert ratio.low is not None  # the interval is wide, but known
+
+
+def test_many_short_logs_are_compared_by_their_differences() -> None:
+    """A single longer log among them adds one degree of freedom within, which decides nothing."""
+    rng = np.random.default_rng(6)
+    logs = [[scale * rng.normal(size=600) for scale in (1.0, 1.3)] for _ in range(8)]
+    logs.append([scale * rng.normal(size=900) for scale in (1.0, 1.3)])
+    errors_of_laws = {law: [log[k] for log in logs] for k, law in enumerate(("a", "b"))}
+    assert compared(errors_of_laws).ratios("a")["b"].verdict == "worse"
