@@ -408,18 +408,27 @@ def _choose_reference(
 
     def error(row: str) -> float:
         model = models.get(row.removesuffix(MEASURED_START))
-        if model is None or model.coupling or not model.left_out_rmse:
+        if model is None or not model.left_out_rmse:
             return scores[row][j].rmse
+        # Of a coupled joint that of its own motor: no test error chooses a reference.
         return model.left_out_rmse[j]
 
     classic = [
         row
         for row in scores
-        if row.removesuffix(MEASURED_START) in select_laws("classic")
-        and set(inputs.get(row, "v").split(", ")) <= law_inputs
+        if _is_classic(row, models) and set(inputs.get(row, "v").split(", ")) <= law_inputs
     ]
     with_start = [row for row in classic if suffix and row.endswith(suffix)]
     return min(with_start or classic, key=error, default=fallback)
+
+
+def _is_classic(row: str, models: Mapping[str, FrictionModel]) -> bool:
+    """Return whether a row's law, or that of a variant, is one of the literature."""
+    law_name = row.removesuffix(MEASURED_START)
+    names = {law_name}
+    if law_name in models:
+        names = {law.name for law in models[law_name].laws}
+    return names <= set(select_laws("classic"))
 
 
 def select_window(

@@ -186,6 +186,38 @@ def test_uncertainty_bands_are_scored(records: list[list[FrictionRecord]]) -> No
     assert compare(records, predicted).bands == {}
 
 
+def test_a_relaxed_variant_is_a_reference_by_its_left_out_error(
+    records: list[list[FrictionRecord]],
+) -> None:
+    """On the test it has the largest error; variants of other laws are no references."""
+    laws = {"lugre": "lugre", "lugre_relaxed": "lugre", "hx_bare": "parfam_hx"}
+    sizes = {"lugre": 0.8, "lugre_relaxed": 1.0, "hx_bare": 0.5}
+    left_out = {"lugre": 2.0, "lugre_relaxed": 1.0, "hx_bare": 0.1}
+    form = estimator("lugre").form({})
+    models = {
+        row: FrictionModel(
+            law=law_name,
+            robot="r",
+            joints=tuple(joint_records[0].joint for joint_records in records),
+            laws=(
+                FrictionLaw(
+                    name=law_name,
+                    form=form,
+                    values=dict.fromkeys([c.name for c in form.coefficients], 1.0),
+                ),
+            )
+            * len(records),
+            sample_time=0.01,
+            left_out_rmse=(left_out[row],) * len(records),
+        )
+        for row, law_name in laws.items()
+    }
+    predictions = {row: wrong_by(records, size, k) for k, (row, size) in enumerate(sizes.items())}
+    scores = compare(records, predictions, dict.fromkeys(laws, "v"), models)
+    relaxed = ("lugre_relaxed",) * len(records)
+    assert scores.ratios.by_joint == {"lugre": relaxed, "hx_bare": relaxed}
+
+
 def test_each_class_of_inputs_has_its_strongest_classic_law_as_reference(
     records: list[list[FrictionRecord]],
 ) -> None:
