@@ -288,14 +288,21 @@ def _equations(model: FrictionModel) -> list[str]:
 def _coefficients(model: FrictionModel) -> list[str]:
     """Return the coefficients of each joint with their 95 % intervals."""
     from hesr_model.fitting.uncertainty import MAX_COEFFICIENTS
-    from hesr_model.friction.law import coefficient_lines
+    from hesr_model.friction.law import coefficient_lines, find_held
 
-    head = "95 % intervals (within and between logs; none at bounds or of chosen structures):"
-    return [
-        "\n".join([f"{joint}: {head}", *(f"  {line}" for line in coefficient_lines(law))])
-        for joint, law in zip(model.joints, model.laws, strict=True)
-        if len(law.values) <= MAX_COEFFICIENTS
-    ]
+    paragraphs = []
+    for joint, law in zip(model.joints, model.laws, strict=True):
+        if len(law.values) > MAX_COEFFICIENTS:
+            continue
+        if find_held(law):
+            condition = "conditional on those held at a bound"
+        else:
+            condition = "none of chosen structures"
+        head = f"95 % intervals (within and between logs; of a single log: that day; {condition}):"
+        paragraphs.append(
+            "\n".join([f"{joint}: {head}", *(f"  {line}" for line in coefficient_lines(law))])
+        )
+    return paragraphs
 
 
 def audit_tables(name: str, model: FrictionModel) -> list[ResultTable | str]:

@@ -187,7 +187,10 @@ def _explain_intervals(law: FrictionLaw) -> str:
     if law.standard_errors:
         text = "The 95 % intervals are 1.96 standard errors of linearised least squares."
         if len(law.standard_errors) < len(law.values):
-            text += " A dash marks a coefficient that is fixed or at a bound of its search."
+            text += (
+                " A dash marks a coefficient that is fixed or at a bound of its search; the other "
+                "intervals are conditional on it."
+            )
         return text
     if law.covariance is not None:
         return (

@@ -228,11 +228,23 @@ def format_expression(expression: sympy.Expr) -> str:
 
 
 def coefficient_lines(law: FrictionLaw) -> list[str]:
-    """Return each coefficient with unit and, if known, 95 % interval."""
+    """Return each coefficient with unit and, if known, 95 % interval; held ones are marked."""
+    held_names = find_held(law)
     lines = []
     for quantity in law.form.coefficients:
         error = law.standard_errors.get(quantity.name)
         interval = "" if error is None else f" +- {1.96 * error:.2g}"
         unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-        lines.append(f"{quantity.name} = {law.values[quantity.name]:.5g}{interval}{unit}")
+        mark = " (held)" if quantity.name in held_names else ""
+        lines.append(f"{quantity.name} = {law.values[quantity.name]:.5g}{interval}{unit}{mark}")
     return lines
+
+
+def find_held(law: FrictionLaw) -> tuple[str, ...]:
+    """Return the coefficients at a bound of the search, on which all intervals are conditional.
+
+    Empty for a law without intervals: a chosen structure, or unknown errors.
+    """
+    if not law.standard_errors:
+        return ()
+    return tuple(name for name in law.values if name not in law.standard_errors)

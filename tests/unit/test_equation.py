@@ -10,7 +10,7 @@ import pytest
 from joint_data import GEAR_RATIO, HX_BRISTLE, law
 
 from fmu_src import model_file
-from hesr_model.friction.law import FrictionLaw, coefficient_lines, equations
+from hesr_model.friction.law import FrictionLaw, coefficient_lines, equations, find_held
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
 
@@ -119,16 +119,23 @@ def with_errors(one: FrictionLaw, **errors: float) -> FrictionLaw:
 def test_coefficients_have_interval_and_unit() -> None:
     one = with_errors(LAWS["stribeck"], F_s=0.25, v_s=0.01)
     assert coefficient_lines(one) == [
-        "F_c = 6 N.m",
+        "F_c = 6 N.m (held)",
         "F_s = 9.1235 +- 0.49 N.m",
         "v_s = 0.1 +- 0.02 rad/s",
-        "sigma_2 = 4 N.m.s/rad",
-        "tau_0 = -0.3 N.m",
+        "sigma_2 = 4 N.m.s/rad (held)",
+        "tau_0 = -0.3 N.m (held)",
     ]
+    assert find_held(one) == ("F_c", "sigma_2", "tau_0")
+
+
+def test_nothing_is_held_where_no_interval_is_known() -> None:
+    """Intervals are not conditional on a chosen structure: it has none."""
+    assert find_held(LAWS["stribeck"]) == ()
+    assert not any("held" in line for line in coefficient_lines(LAWS["stribeck"]))
 
 
 def test_dimensionless_coefficients_have_no_unit() -> None:
     lines = coefficient_lines(with_errors(LAWS["parfam_hx"], rho=0.1))
     assert "rho = 1.3 +- 0.2" in lines
-    assert "c_h_load = -0.25" in lines
+    assert "c_h_load = -0.25 (held)" in lines
     assert len(lines) == len(LAWS["parfam_hx"].values)

@@ -84,7 +84,7 @@ def _coefficients(results: Results, model: FrictionModel) -> ResultTable:
 
     return ResultTable(
         caption=f"Coefficients of {title(model.law)}; ± 1.96 standard errors of linearised "
-        "least squares",
+        "least squares, conditional on coefficients without one, which are at a bound",
         words=(1,),
         head=("coefficient", "unit", *results.joints),
         rows=[
