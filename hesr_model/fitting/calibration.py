@@ -93,14 +93,14 @@ def _cross_validate_band(
         return errors, np.zeros_like(errors)
     jacobian = _compute_sensitivities(law, joint_records)
     labels = blocks_of_time(log_of_rows(joint_records))
-    hessian = jacobian.T @ jacobian
+    rows_by_log = [labels == k for k in range(int(labels[-1]) + 1)]
+    hessians = np.array([jacobian[rows].T @ jacobian[rows] for rows in rows_by_log])
     left_out_errors = errors.copy()
-    for k in range(int(labels[-1]) + 1):
-        rows = labels == k
+    for k, rows in enumerate(rows_by_log):
         log_jacobian = jacobian[rows]
-        inverse = np.linalg.pinv(
-            hessian - log_jacobian.T @ log_jacobian, hermitian=True, rcond=_MIN_RELATIVE_VARIANCE
-        )
+        # A sum, as a difference from the total is round-off where only this log moves.
+        other_hessian = np.delete(hessians, k, axis=0).sum(axis=0)
+        inverse = np.linalg.pinv(other_hessian, hermitian=True, rcond=_MIN_RELATIVE_VARIANCE)
         left_out_errors[rows] += log_jacobian @ (inverse @ (log_jacobian.T @ errors[rows]))
     return left_out_errors, np.sum(jacobian**2, axis=1)
 

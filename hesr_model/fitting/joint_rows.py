@@ -29,7 +29,7 @@ class JointRows:
 
     dt: Array  # (N,) [s] since the previous row, 0 at the first of a record
     begins: Mask  # (N,) at the first row of a record
-    log_index: Integers  # (N,) index of the log; of the record for a single log
+    log_index: Integers  # (N,) index of the log; parts of a log have the same one
     dq: Array
     q: Array
     tau_load: Array
@@ -62,7 +62,7 @@ class JointRows:
         return cls(
             dt=np.concatenate([np.diff(record.t, prepend=record.t[0]) for record in joint_records]),
             begins=begins,
-            log_index=log_of_row if log_of_row.any() else np.cumsum(begins) - 1,
+            log_index=log_of_row,
             gear_ratio=joint_records[0].gear_ratio,
             sliding=joint_records[0].sliding,
             **{
@@ -182,8 +182,11 @@ class NormalEquations:
     def cross_validate(self) -> Array:
         """Return the (N,) errors of cross-validation."""
         errors = -self._products.tau[:, 0]
-        remaining_equations = zip(self.gram - self._grams, self.moment - self._moments, strict=True)
-        for fold, (gram, moment) in zip(self._products.folds, remaining_equations, strict=True):
+        for k, fold in enumerate(self._products.folds):
+            # A sum, as a difference from the total is round-off where nearly all of a column is in
+            # the fold, and its matrix need not be positive definite.
+            gram = np.delete(self._grams, k, axis=0).sum(axis=0)
+            moment = np.delete(self._moments, k, axis=0).sum(axis=0)
             coefficients = signed_least_squares(gram, moment, self._free)
             for block, place in zip(self._blocks, self._places, strict=True):
                 errors[fold] += block[fold] @ coefficients[place]

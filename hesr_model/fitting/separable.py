@@ -261,16 +261,16 @@ class Separable:
 
 def left_out_cost(columns: Array, tau: Array, folds: Sequence[Mask]) -> float:
     """Return the mean square error of a linear law by cross-validation over (N,) masks."""
-    gram = columns.T @ columns
-    moment = columns.T @ tau
+    slices = list(map(to_slice, folds))
+    grams = np.array([columns[fold].T @ columns[fold] for fold in slices])
+    moments = np.array([columns[fold].T @ tau[fold] for fold in slices])
     total = 0.0
-    for fold in map(to_slice, folds):
-        fold_columns = columns[fold]
-        fold_tau = tau[fold]
-        x = np.linalg.lstsq(
-            gram - fold_columns.T @ fold_columns, moment - fold_columns.T @ fold_tau, rcond=1e-12
-        )[0]
-        total += float(np.sum((fold_tau - fold_columns @ x) ** 2))
+    for k, fold in enumerate(slices):
+        # Sums, as differences from the totals are round-off where only this fold moves.
+        gram = np.delete(grams, k, axis=0).sum(axis=0)
+        moment = np.delete(moments, k, axis=0).sum(axis=0)
+        x = np.linalg.lstsq(gram, moment, rcond=1e-12)[0]
+        total += float(np.sum((tau[fold] - columns[fold] @ x) ** 2))
     return total / len(tau)
 
 

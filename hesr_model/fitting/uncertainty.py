@@ -10,7 +10,7 @@ from functools import lru_cache, partial
 import numpy as np
 import sympy
 
-from hesr_model.errors import SimulationError
+from hesr_model.errors import ArtifactError, SimulationError
 from hesr_model.fitting.joint_rows import log_of_rows
 from hesr_model.fitting.separable import MIN_COEFFICIENT, SearchSpace
 from hesr_model.friction.law import FrictionLaw
@@ -94,7 +94,7 @@ def add_standard_errors(
         with np.errstate(all="ignore"):  # the law may be undefined there
             try:
                 moved_torque, values = evaluate(point)
-            except SimulationError:  # Euler's step may be unstable
+            except (ArtifactError, SimulationError):  # coefficients or Euler's steps are not finite
                 return 0.0, np.zeros_like(tau_predicted)
         return values[index] - list(law.values.values())[index], moved_torque - tau_predicted
 

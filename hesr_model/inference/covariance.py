@@ -207,7 +207,7 @@ def covariance_of_parts(
     influences = ((labels.index(label), rows @ inverse) for label, rows, _ in parts())
     variances = compute_long_run(moments, influences)
     between, degrees = _compare_logs(
-        moments, variances, [hessians[label] for label in labels], total_hessian
+        moments, variances, [hessians[label] for label in labels], total_hessian, prior_hessian
     )
     within = np.sum(variances, axis=0) * _correct_few_rows(moments)
     return replace(carried_only, within=within, between=between, degrees=degrees, logs=len(labels))
@@ -308,6 +308,7 @@ def _compare_logs(
     log_variances: Sequence[Array],
     hessians: Sequence[Array],
     total_hessian: Array,
+    prior_hessian: Array | None,
 ) -> tuple[float, float]:
     """Compare each log's estimate with that of the others by one Gauss-Newton step each.
 
@@ -318,15 +319,19 @@ def _compare_logs(
         return 1.0, 0.0
     total_variance = np.sum(log_variances, axis=0)
     squares = []
-    for log_moments, log_variance, hessian in zip(moments, log_variances, hessians, strict=True):
+    for k, log_moments in enumerate(moments):
+        # A sum, as a difference from the total is round-off, even negative, where one log alone
+        # determines an unknown.
+        other_hessian = _sum_others(hessians, k)
+        if prior_hessian is not None:
+            other_hessian = other_hessian + prior_hessian
         log_step, other_step = (
-            _inverse(share, total_hessian) @ total_hessian
-            for share in (hessian, total_hessian - hessian)
+            _inverse(share, total_hessian) @ total_hessian for share in (hessians[k], other_hessian)
         )
         difference = (log_step + other_step) @ log_moments.total
         variance = np.diag(
-            log_step @ log_variance @ log_step.T
-            + other_step @ (total_variance - log_variance) @ other_step.T
+            log_step @ log_variances[k] @ log_step.T
+            + other_step @ _sum_others(log_variances, k) @ other_step.T
         )
         squares.append(difference**2 / np.maximum(variance, 1e-300))
     size = np.sqrt(np.maximum(np.diag(total_variance), 1e-300))
@@ -334,6 +339,11 @@ def _compare_logs(
     np.fill_diagonal(correlation, 1.0)
     independent = len(size) ** 2 / float(np.sum(correlation**2))
     return float(np.mean(squares)), (len(moments) - 1) * independent
+
+
+def _sum_others(matrices: Sequence[Array], k: int) -> Array:
+    """Return the sum of all matrices (P, P) but one."""
+    return np.asarray(np.sum([*matrices[:k], *matrices[k + 1 :]], axis=0))
 
 
 def _inverse(hessian: Array, total_hessian: Array) -> Array:
