@@ -2,19 +2,19 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hesr_model.errors import ArtifactError, FitError
+from hesr_model.errors import ArtifactError, FitError, LogError, SimulationError
 from hesr_model.fitting.calibration import calibrate_band
 from hesr_model.fitting.days import Nuisance, estimate_nuisances, remove_nuisances
 from hesr_model.fitting.declarative import OneForm
@@ -87,19 +87,46 @@ def fit_joint(
             f"joint '{joint_records[0].joint}': its friction torque reaches {largest:g}; law "
             f"'{law_name}' cannot be fitted to it; see 'hesr inspect'."
         )
-    with threadpool_limits(1):
-        try:
-            law = law_estimator.fit(joint_records, np.random.default_rng(seed))
-        except (ArtifactError, np.linalg.LinAlgError) as error:
-            reason = str(error).rstrip(".")
-            raise FitError(
-                f"joint '{joint_records[0].joint}': {reason}; its torque does not determine "
-                "the law."
-            ) from error
+    with threadpool_limits(1), _fail_as_fit_error(law_name, joint_records[0].joint):
+        law = law_estimator.fit(joint_records, np.random.default_rng(seed))
         space = (
             law_estimator.build_fitted_space(law) if isinstance(law_estimator, OneForm) else None
         )
-        return add_standard_errors(law, joint_records, space)
+        law = add_standard_errors(law, joint_records, space)
+        _require_finite_errors(law)
+        return law
+
+
+@contextmanager
+def _fail_as_fit_error(law_name: str, joint: str) -> Iterator[None]:
+    """Raise as FitError what a law without a solution raises, and silence NumPy.
+
+    Trials of a search may diverge; that the coefficients, standard errors and torques of the result
+    are finite is checked.
+    """
+    with np.errstate(all="ignore"):
+        try:
+            yield
+        except LogError as error:  # names joint and remedy
+            raise FitError(str(error), code=error.code, key=error.key) from error
+        except (ArtifactError, SimulationError) as error:
+            reason = str(error).rstrip(".")
+            raise FitError(
+                f"joint '{joint}': {reason}; its torque does not determine the law."
+            ) from error
+        except (np.linalg.LinAlgError, ArithmeticError) as error:
+            reason = str(error).rstrip(".")
+            raise FitError(
+                f"joint '{joint}': the equations of law '{law_name}' have no solution ({reason}); "
+                "its torque does not determine the law."
+            ) from error
+
+
+def _require_finite_errors(law: FrictionLaw) -> None:
+    covariances = () if law.covariance is None else (law.covariance.matrix.ravel(),)
+    errors = np.concatenate([list(law.standard_errors.values()), *covariances])
+    if not np.all(np.isfinite(errors)):
+        raise ArtifactError(f"law '{law.name}': its standard errors are not finite.")
 
 
 def fit(
@@ -185,53 +212,111 @@ def fit_models(
             ]
             for law_name in laws
         }
-        fitted_laws = _run_jobs(
+        fitted_laws, failures = _run_jobs(
             jobs,
             [joint_records[0].joint for joint_records in records],
             workers,
             progress,
-            report_left_out,
+            stops_at_failure=report_left_out is None,
         )
-    pooled_laws = {
-        law_name: pool_errors(joint_laws) for law_name, joint_laws in fitted_laws.items()
-    }
-    calibrations = [
-        partial(calibrate_band, law, joint_records)
-        for joint_laws in pooled_laws.values()
-        for law, joint_records in zip(joint_laws, records, strict=True)
-    ]
-    names = [
-        f"{joint_records[0].joint}, {law_name}"
-        for law_name in pooled_laws
-        for joint_records in records
-    ]
-    with parallel.results_of(calibrations, workers, names=names) as results:
-        calibrated = {law_name: tuple(next(results) for _ in records) for law_name in pooled_laws}
+    calibrated, calibration_failures = _calibrate_laws(fitted_laws, records, workers)
+    failures |= calibration_failures
+    for law_name in laws:
+        if law_name in failures:
+            if report_left_out is None or not calibrated:
+                raise failures[law_name]
+            report_left_out(law_name, failures[law_name])
     periods = [
         float(np.median(np.diff(record.t))) for joint_records in records for record in joint_records
     ]
     left_out_errors = {
-        law_name: [error for _, error in calibrated_joints if error is not None]
-        for law_name, calibrated_joints in calibrated.items()
+        law_name: [
+            joint_law.left_out_rmse
+            for joint_law in joint_laws
+            if joint_law.left_out_rmse is not None
+        ]
+        for law_name, joint_laws in calibrated.items()
     }
     return {
         law_name: FrictionModel(
             law=law_name,
             robot=robot,
             joints=tuple(joint_records[0].joint for joint_records in records),
-            laws=tuple(joint_law for joint_law, _ in calibrated[law_name]),
+            laws=tuple(joint_law.law for joint_law in joint_laws),
             sliding=tuple(joint_records[0].sliding for joint_records in records),
             coupling=coupling,
             sample_time=round(float(np.median(periods)), 9),
             trained=tuple(TrainedRange.from_records(joint_records) for joint_records in records),
-            training_rmse=tuple(map(training_error, fitted_laws[law_name], records)),
+            training_rmse=tuple(joint_law.training_rmse for joint_law in joint_laws),
             left_out_rmse=tuple(left_out_errors[law_name])
             if len(left_out_errors[law_name]) == len(records)
             else (),
             provenance=dict(provenance or {}),
         )
-        for law_name in calibrated
+        for law_name, joint_laws in calibrated.items()
     }
+
+
+class _CalibratedLaw(NamedTuple):
+    """Law of a joint with its band, and its errors [N.m]; `left_out_rmse` is None if unknown."""
+
+    law: FrictionLaw
+    training_rmse: float
+    left_out_rmse: float | None
+
+
+def _calibrate_laws(
+    fitted_laws: Mapping[str, Sequence[FrictionLaw]],
+    records: Sequence[Sequence[FrictionRecord]],
+    workers: int | None,
+) -> tuple[dict[str, list[_CalibratedLaw]], dict[str, FitError]]:
+    """Pool the errors of all joints of a law and fit its bands; return laws and failures."""
+    joints = [joint_records[0].joint for joint_records in records]
+    failures: dict[str, FitError] = {}
+    pooled_laws: dict[str, list[FrictionLaw]] = {}
+    for law_name, joint_laws in fitted_laws.items():
+        try:
+            with _fail_as_fit_error(law_name, ", ".join(joints)):
+                pooled_laws[law_name] = pool_errors(joint_laws)
+                for law in pooled_laws[law_name]:
+                    _require_finite_errors(law)
+        except FitError as error:
+            failures[law_name] = error
+            pooled_laws.pop(law_name, None)
+    calibrations = [
+        partial(_calibrate, law_name, law, joint_records)
+        for law_name, joint_laws in pooled_laws.items()
+        for law, joint_records in zip(joint_laws, records, strict=True)
+    ]
+    names = [f"{joint}, {law_name}" for law_name in pooled_laws for joint in joints]
+    calibrated: dict[str, list[_CalibratedLaw]] = {law_name: [] for law_name in pooled_laws}
+    with parallel.results_of(calibrations, workers, names=names) as results:
+        for law_name, calibrated_laws in calibrated.items():
+            for result in islice(results, len(records)):
+                if isinstance(result, FitError):
+                    failures.setdefault(law_name, result)
+                else:
+                    calibrated_laws.append(result)
+    complete_laws = {
+        law_name: calibrated_laws
+        for law_name, calibrated_laws in calibrated.items()
+        if law_name not in failures
+    }
+    return complete_laws, failures
+
+
+def _calibrate(
+    law_name: str, law: FrictionLaw, joint_records: Sequence[FrictionRecord]
+) -> _CalibratedLaw | FitError:
+    try:
+        with _fail_as_fit_error(law_name, joint_records[0].joint):
+            law_with_band, left_out_rmse = calibrate_band(law, joint_records)
+            training_rmse = training_error(law, joint_records)
+            if not np.isfinite(training_rmse):
+                raise ArtifactError(f"law '{law_name}': its torque diverges on the training logs.")
+    except FitError as error:
+        return error
+    return _CalibratedLaw(law_with_band, training_rmse, left_out_rmse)
 
 
 def _run_jobs(
@@ -239,11 +324,13 @@ def _run_jobs(
     joints: Sequence[str],
     workers: int | None,
     progress: Progress,
-    report_left_out: Callable[[str, FitError], None] | None,
-) -> dict[str, list[FrictionLaw]]:
+    *,
+    stops_at_failure: bool,
+) -> tuple[dict[str, list[FrictionLaw]], dict[str, FitError]]:
+    """Return the laws of all joints, and the first failure of each law that has one."""
     all_jobs = [job for law_jobs in jobs.values() for job in law_jobs]
     fitted_laws: dict[str, list[FrictionLaw]] = {law_name: [] for law_name in jobs}
-    failed: dict[str, FitError] = {}
+    failures: dict[str, FitError] = {}
     files = [job.keywords["progress"] for job in all_jobs]
     names = [f"{joint}, {law_name}" for law_name in jobs for joint in joints]
     with watched(files, progress), parallel.results_of(all_jobs, workers, names=names) as results:
@@ -251,19 +338,16 @@ def _run_jobs(
             for result in islice(results, len(law_jobs)):
                 if isinstance(result, FrictionLaw):
                     fitted_laws[law_name].append(result)
-                elif report_left_out is None:
+                elif stops_at_failure:
                     raise result
                 else:
-                    failed.setdefault(law_name, result)
-    for law_name, fit_error in failed.items():
-        if report_left_out is None or len(failed) == len(jobs):
-            raise fit_error
-        report_left_out(law_name, fit_error)
-    return {
+                    failures.setdefault(law_name, result)
+    complete_laws = {
         law_name: joint_laws
         for law_name, joint_laws in fitted_laws.items()
-        if law_name not in failed
+        if law_name not in failures
     }
+    return complete_laws, failures
 
 
 def _load_or_fit(

@@ -65,9 +65,11 @@ def test_a_joint_must_reverse_in_one_of_the_records() -> None:
         JointRows.from_records([one_way], coefficients=3)
 
 
-def test_folds_are_records_or_blocks_of_time() -> None:
+def test_folds_are_logs_or_blocks_of_time() -> None:
     rows = [
-        JointRows.from_records([record(k, seed=k) for k in counts], coefficients=1).folds
+        JointRows.from_records(
+            [record(k, seed=k, log=str(k)) for k in counts], coefficients=1
+        ).folds
         for counts in ((5, 3, 9), (40,), (41,))
     ]
     assert [fold.sum() for fold in rows[0]] == [5, 3, 9]
@@ -138,3 +140,9 @@ def test_the_worst_coefficient_is_scaled_by_its_column() -> None:
     solution, cost = non_negative_least_squares(columns, target, non_negative=2)
     np.testing.assert_allclose(solution, [0.0, 0.3 / fine], rtol=1e-12)
     assert cost == pytest.approx(target @ target - 0.3**2, rel=1e-12)
+
+
+def test_parts_of_one_log_are_no_folds_of_their_own() -> None:
+    parts = [record(36), record(4, seed=1, start=100.0)]
+    folds = JointRows.from_records(parts, coefficients=1).folds
+    assert [fold.sum() for fold in folds] == [10, 10, 10, 10]

@@ -266,7 +266,9 @@ def test_the_first_unknowns_are_not_negative(samples: JointRows) -> None:
 @pytest.mark.parametrize("logs", [1, 2, 3])
 def test_left_out_cost_equals_individual_refits(logs: int) -> None:
     truth = law("lugre", {}, **LUGRE)
-    records = [along(truth, path(k, seconds=4.0 + k), noise=0.5, seed=k) for k in range(logs)]
+    records = [
+        along(truth, path(k, seconds=4.0 + k), noise=0.5, seed=k, log=str(k)) for k in range(logs)
+    ]
     samples = JointRows.from_records(records, coefficients=3)
     problem, point = problem_of("strain_wave", samples)
     columns, tau = problem.columns(point), samples.tau
