@@ -39,7 +39,8 @@ from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import read_table
-from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.choice import identify_from_logs
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -293,8 +294,8 @@ class Job:
         forward_logs = [logs[name] for name in self.study.logs.identification]
         backward_logs = [logs[name] for name in self.study.logs.reversed]
         self.progress("identifying the rigid body", 0, 1)
-        body = identify(
-            forward_logs, robot, reversed_logs=backward_logs, physical=self.study.physical
+        body = identify_from_logs(
+            forward_logs, robot, self.study.body_option, reversed_logs=backward_logs
         )
         self.progress("identifying the rigid body", 1, 1)
         refinement = self.study.refinement

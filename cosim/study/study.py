@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from cosim.loop.closed_loop import Tracking
 from hesr_model.errors import RuleError
 from hesr_model.fitting.days import Nuisance
+from hesr_model.rigid_body.choice import BodyOption
 from hesr_model.support.owner import Owner
 from hesr_model.support.typed_files import Config, RelativePath
 
@@ -124,13 +125,19 @@ class Study(Config):
     options: Mapping[str, Mapping[str, Any]] = {}  # estimator options by law
     variants: Mapping[Annotated[str, Field(pattern=_NAME)], Variant] = {}  # further rows by name
     per_log: tuple[Nuisance, ...] = ()  # quantities that differ by training log
-    physical: bool = False  # masses must be physically possible
+    body: BodyOption = "choose"  # kind of the rigid body
+    physical: bool = False  # the same as `body` "physical"
     refinement: RefinementStudy | None = None
     bands: tuple[TimeBand, ...] = ()
     twin: Twin | None = None
     tracking: Tracking | None = None
     logs: StudyLogs
     owner: Owner = Owner()  # robot file by default
+
+    @property
+    def body_option(self) -> BodyOption:
+        """The kind of the rigid body, or "choose"."""
+        return "physical" if self.physical else self.body
 
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:
@@ -141,11 +148,11 @@ class Study(Config):
                     code="study.band_test",
                     key="bands",
                 )
-        if self.physical and self.refinement and self.refinement.law:
+        if self.physical and self.body in ("nominal", "free"):
             raise RuleError(
-                "'physical' and 'refinement' exclude each other; remove one",
-                code="study.physical",
-                key="physical",
+                f"'physical' and 'body' \"{self.body}\" exclude each other; remove one",
+                code="study.body",
+                key="body",
             )
         rows = {
             ("law", "laws"): [*self.laws, *self.variants],

@@ -324,12 +324,12 @@ def require_healthy(logs: Sequence[Log], robot: Robot, accept: Sequence[str]) ->
 
 
 def find_body(body: BodyArg | None, logs: Sequence[Log], robot: Robot) -> RigidBody:
-    """Return the given rigid body, by default one identified from the logs."""
+    """Return the given rigid body, by default one of the kind that predicts the logs best."""
     if body is not None:
         return read_body(body)
-    from hesr_model.rigid_body.identification import identify
+    from hesr_model.rigid_body.choice import identify_from_logs
 
-    return identify(logs, robot)
+    return identify_from_logs(logs, robot)
 
 
 def read_body(body: BodyArg) -> RigidBody:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from hesr_model.rigid_body.payload import Payload
 
 Method = Literal["stacked", "paper"]
+Body = Literal["choose", "nominal", "physical", "free"]
 
 
 def identify(
@@ -37,6 +38,7 @@ def identify(
     robot: RobotArg | None = None,
     reversed_logs: Logs = (),
     method: Method = "stacked",
+    body: Body = "choose",
     physical: bool = False,
     friction: LawArg | None = None,
     rigid_body: BodyArg | None = None,
@@ -57,8 +59,11 @@ def identify(
         Time-reversed counterparts of the logs; repeatable.
     method : {"stacked", "paper"}
         stacked (least squares with friction columns) or paper (average of forward and reverse).
+    body : {"choose", "nominal", "physical", "free"}
+        Masses of the model file (nominal), physically possible ones, or those of plain least
+        squares (free); choose takes those that predict left-out rows best.
     physical : bool
-        Require physically possible masses and inertias; useful for short logs.
+        The same as `body` physical.
     friction : law or path, optional
         Friction law to subtract first, to refine the body `rigid_body`.
     rigid_body : body or path, optional
@@ -84,9 +89,10 @@ def identify(
 
     Notes
     -----
-    Equations 5 to 7 of the paper; `method` paper is its section II. Logs of more than 4 million
-    numbers are read in pieces, with memory that does not grow with the rows, except with
-    `method` paper, `physical`, `friction` or `payload`; the checks then read eight pieces.
+    Equations 5 to 7 of the paper; `method` paper is its section II, with a free body. Logs of more
+    than 4 million numbers are read in pieces, with memory that does not grow with the rows and a
+    free body, except with `method` paper, `friction`, `payload`, or `body` nominal or physical;
+    the checks then read eight pieces.
 
     Examples
     --------
@@ -101,6 +107,7 @@ def identify(
     from hesr_model.findings import log_findings
     from hesr_model.health.examine import check_body
     from hesr_model.rigid_body.accumulation import identify_long
+    from hesr_model.rigid_body.choice import identify_from_logs
     from hesr_model.rigid_body.identification import identify as identify_body
     from hesr_model.rigid_body.refinement import identify_again
 
@@ -108,10 +115,15 @@ def identify(
     backward_sources = list_logs("reversed_logs", reversed_logs)
     accepted = list_names("accept", accept)
     require_choice("method", method, get_args(Method))
-    _require_compatible(method, friction, rigid_body, payload, physical=physical)
+    require_choice("body", body, get_args(Body))
+    if physical and body in ("nominal", "free"):
+        raise ArgumentError(f"'physical' and 'body' {body} exclude each other; give one of them.")
+    option: Body = "physical" if physical else body
+    _require_compatible(method, friction, rigid_body, payload, option)
 
     # All other ways to identify need all rows at once.
-    in_pieces = method == "stacked" and not physical and friction is None and payload is None
+    all_at_once = option in ("nominal", "physical") or friction is not None or payload is not None
+    in_pieces = method == "stacked" and not all_at_once
     sources = [*forward_sources, *backward_sources]
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=in_pieces)
     forward_logs = checked.logs[: len(forward_sources)]
@@ -120,9 +132,9 @@ def identify(
     progress("identifying", 0, 1)
     carried_payload = None
     if payload is not None:
-        body, carried_payload = _identify_payload(checked, payload)
+        identified_body, carried_payload = _identify_payload(checked, payload)
     elif friction is not None and rigid_body is not None:
-        body = identify_again(
+        identified_body = identify_again(
             forward_logs,
             checked.robot,
             find_body(rigid_body, (), checked.robot),
@@ -130,23 +142,29 @@ def identify(
             reversed_logs=backward_logs,
         )
     elif checked.long_logs:
-        body = identify_long(checked.long_logs, checked.robot)
-    else:
-        body = identify_body(
+        identified_body = identify_long(checked.long_logs, checked.robot)
+    elif method == "paper":
+        identified_body = identify_body(
             forward_logs,
             checked.robot,
             method=method,
             reversed_logs=backward_logs,
-            physical=physical,
+            physical=option == "physical",
+        )
+    else:
+        identified_body = identify_from_logs(
+            forward_logs, checked.robot, option, reversed_logs=backward_logs
         )
 
-    findings = list(check_body(body, checked.robot))
+    findings = list(check_body(identified_body, checked.robot))
     files = [*checked.files, *paths_among(payload, friction, rigid_body)]
-    body = replace(body, provenance=_provenance(checked, findings, files, carried_payload))
+    identified_body = replace(
+        identified_body, provenance=_provenance(checked, findings, files, carried_payload)
+    )
     if output is not None:
-        body.write(to_path(output, "'output'"))
+        identified_body.write(to_path(output, "'output'"))
     log_findings(findings)
-    return body
+    return identified_body
 
 
 def _require_compatible(
@@ -154,18 +172,20 @@ def _require_compatible(
     friction: LawArg | None,
     rigid_body: BodyArg | None,
     payload: BodyArg | None,
-    *,
-    physical: bool,
+    option: Body,
 ) -> None:
     """Raise ArgumentError for options of different ways to identify."""
     if (friction is None) != (rigid_body is None):
         raise ArgumentError("'friction' and 'rigid_body' must be given together.")
-    if payload is not None and (physical or friction is not None or method != "stacked"):
+    is_stated = option != "choose"
+    if payload is not None and (is_stated or friction is not None or method != "stacked"):
         raise ArgumentError(
-            "'payload' excludes 'physical', 'friction' and 'method' paper; give it alone."
+            "'payload' excludes 'body', 'physical', 'friction' and 'method' paper; give it alone."
         )
-    if physical and friction is not None:
-        raise ArgumentError("'physical' excludes 'friction'; give one of them.")
+    if is_stated and friction is not None:
+        raise ArgumentError("'body' and 'physical' exclude 'friction'; give one of them.")
+    if method == "paper" and option == "nominal":
+        raise ArgumentError("'method' paper excludes 'body' nominal; give one of them.")
 
 
 def _identify_payload(checked: CheckedLogs, body: BodyArg) -> tuple[RigidBody, Payload]:

@@ -6,6 +6,7 @@ again; that of a sample of them is conservative.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 
@@ -152,4 +153,5 @@ def identify_long(logs: Sequence[LongLog], robot: Robot) -> identification.Rigid
         if problem.is_consistent:
             break
         min_speeds = problem.min_speeds
-    return problem.body(motions, "log " + ", ".join(log.checked_pieces[0].name for log in logs))
+    body = problem.body(motions, "log " + ", ".join(log.checked_pieces[0].name for log in logs))
+    return replace(body, sentence="Rigid body: free, as from all logs that are read in pieces.")

@@ -60,6 +60,7 @@ class RigidBody:
     left_out_rmse : (n,) [N.m] residual at friction coordinates over rows that were left out in
         turn (`rigid_body.choice`); empty if unknown.
     held : parameters that the motion does not determine, which have the model file's values.
+    sentence : how the kind was chosen, in words.
     covariance : covariance of the base parameters; None in results of earlier versions.
     gears : elastic gears, of robots with link encoders.
     provenance : JSON data: input files with hashes, seed and versions.
@@ -82,6 +83,7 @@ class RigidBody:
     kind: Kind = "free"
     left_out_rmse: Numbers = field(default_factory=lambda: np.zeros(0))
     held: tuple[str, ...] = ()
+    sentence: str = ""
     covariance: Covariance | None = None
     gears: tuple[ElasticGear, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -159,7 +161,7 @@ class RigidBody:
     def _by_name(self, serialise: pydantic.SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = serialise(self)
         names = data.pop("names")
-        for name in ("covariance", "gears", "left_out_rmse", "held"):  # as in version 1
+        for name in ("covariance", "gears", "left_out_rmse", "held", "sentence"):  # as in version 1
             if not data[name]:
                 del data[name]
         data["parameters"] = dict(zip(names, data["parameters"], strict=True))

@@ -6,7 +6,8 @@ from dataclasses import replace
 from hesr_model.errors import ArtifactError
 from hesr_model.friction.model import FrictionModel
 from hesr_model.logs.robot_log import Log, collect_parts
-from hesr_model.rigid_body.identification import RigidBody, identify
+from hesr_model.rigid_body.choice import identify_from_logs
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot
 
@@ -19,7 +20,7 @@ def identify_again(
     *,
     reversed_logs: Sequence[Log] = (),
 ) -> RigidBody:
-    """Identify the rigid body without the torque of `model`, fitted with `body`."""
+    """Identify a rigid body of the same kind without the torque of `model`, fitted with `body`."""
     joints = tuple(robot.description.joints)
     if model.joints != joints:
         raise ArtifactError(
@@ -34,5 +35,6 @@ def identify_again(
     logs, reversed_parts = (
         list(map(without_friction, collect_parts(log_group))) for log_group in (logs, reversed_logs)
     )
+    refined_body = identify_from_logs(logs, robot, body.kind, reversed_logs=reversed_parts)
     # The law is that of both sides of a gear, whose own friction would be left out.
-    return replace(identify(logs, robot, reversed_logs=reversed_parts), gears=body.gears)
+    return replace(refined_body, gears=body.gears, sentence=body.sentence)

@@ -121,9 +121,9 @@ REFUSALS: list[tuple[type[Config], dict[str, Any], dict[str, Any], str, str]] = 
     (
         Study,
         STUDY,
-        {"physical": True, "refinement": {"law": "lugre"}},
-        "study.physical",
-        "physical",
+        {"physical": True, "body": "free"},
+        "study.body",
+        "body",
     ),
     (
         Study,

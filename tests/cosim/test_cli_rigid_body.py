@@ -65,6 +65,25 @@ def test_a_physical_body_is_reported_as_such(
     answer = hesr("identify", logs["excitation"], "--robot", ROBOT, "--physical", "-o", output)
     assert answer.code == 0, answer.err
     assert RigidBody.read(output).physical
+    assert "Rigid body: physically possible." in answer.out
+
+
+def test_the_body_is_chosen_unless_it_is_stated(
+    hesr: Hesr, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    output = tmp_path / "body.json"
+    identify = ("identify", logs["excitation"], "--robot", ROBOT, "-o", output)
+    answer = hesr(*identify)
+    assert answer.code == 0, answer.err
+    body = RigidBody.read(output)
+    assert body.kind in ("nominal", "physical")  # the model file is the truth of the twin
+    assert body.left_out_rmse.shape == (3,)
+    assert body.sentence in answer.out
+    assert hesr(*identify, "--body", "free").code == 0
+    assert RigidBody.read(output).kind == "free"
+    answer = hesr(*identify, "--body", "free", "--physical")
+    assert answer.code == 2
+    assert "--physical and --body free exclude each other" in answer.err
 
 
 @pytest.mark.ci
@@ -126,11 +145,12 @@ def test_a_log_without_payload_gives_a_zero_payload(
     [
         (("--friction", "law.json"), "--friction and --rigid-body must be given together"),
         (("--rigid-body", "b.json"), "--friction and --rigid-body must be given together"),
-        (("--payload", "b.json", "--physical"), "--payload excludes --physical"),
+        (("--payload", "b.json", "--body", "free"), "--payload excludes --body"),
         (("--payload", "b.json", "--method", "paper"), "--payload excludes"),
+        (("--method", "paper", "--body", "nominal"), "--method paper excludes --body nominal"),
         (
             ("--physical", "--friction", "law.json", "--rigid-body", "b.json"),
-            "--physical excludes --friction",
+            "--body and --physical exclude --friction",
         ),
     ],
 )

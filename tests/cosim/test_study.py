@@ -214,6 +214,7 @@ bands = [
   {{ test = "unseen", name = "early", stop = 2.0 }},
   {{ test = "unseen", name = "late", start = 2.0 }},
 ]
+body = "free"
 refinement = {{ law = "{refining}", rounds = 1 }}
 
 [variants.hx]

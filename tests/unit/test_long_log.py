@@ -112,7 +112,7 @@ def test_identify_reads_long_logs_in_pieces(
     for k, path in enumerate(paths):
         written(path, long_table(tmp_path / "robot.toml", 2000, seed=k))
     file = tmp_path / "robot.toml"
-    expected = hesr.identify(paths, robot=file)
+    expected = hesr.identify(paths, robot=file, body="free")
     physical = hesr.identify(paths, robot=file, physical=True)
     monkeypatch.setattr(arguments, "MAX_NUMBERS", 1000)
     monkeypatch.setattr(long_log, "PIECE_ROWS", 500)

@@ -232,7 +232,8 @@ def rigid_body(body: RigidBody, sliding: Sequence[bool] = ()) -> str:
         f"{body.condition:.3g}, from {', '.join(body.logs)}; residual RMSE {errors} "
         f"{unit_of_joints('N.m', sliding)}."
     )
-    return "\n".join([sentence, *map(_gear, body.gears)])
+    choice = [body.sentence] if body.sentence else []
+    return "\n".join([sentence, *choice, *map(_gear, body.gears)])
 
 
 def _gear(gear: ElasticGear) -> str:

@@ -25,7 +25,7 @@ from hesr_model.errors import ConfigError
 from hesr_model.fitting.fit import fit_models
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import score
-from hesr_model.rigid_body.identification import identify
+from hesr_model.rigid_body.choice import identify_from_logs
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
 from hesr_model.support import parallel
@@ -110,11 +110,11 @@ def compute_errors(
     logs = {recording.log.name: recording.log for recording in recordings}
     truths = {recording.log.name: recording.truth.tau_f_true for recording in recordings}
     robot = Robot(RobotDescription.read(study.robot))
-    body = identify(
+    body = identify_from_logs(
         [logs[name] for name in study.logs.identification],
         robot,
+        study.body_option,
         reversed_logs=[logs[name] for name in study.logs.reversed],
-        physical=study.physical,
     )
 
     def select_records(names: Sequence[str]) -> list[list[FrictionRecord]]:
