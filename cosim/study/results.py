@@ -16,6 +16,7 @@ from cosim.study.study import Study, TimeBand
 from hesr_model.findings import Finding
 from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.readers.arrays import load_table
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.tables import read_table, write_table
@@ -93,6 +94,7 @@ class ScoredRun:
     records: LogRecords  # [part][joint] by log
     models: Mapping[str, FrictionModel]
     left_out: Mapping[str, str]  # reasons by law
+    left_out_errors: LeftOutErrors
     source: Mapping[str, Any]  # provenance
     fmus: Mapping[str, Path]
     comparisons: Mapping[str, Comparison]
@@ -117,7 +119,7 @@ def save_run(folder: Path, run: ScoredRun, *, command: str, quick: bool) -> None
     names_by_role = {
         "identification": identification,
         "training": study.logs.training,
-        **study.logs.test,
+        **study.logs.judged,
     }
     saved = SavedRun(
         study=study.name,
@@ -177,7 +179,7 @@ def _save_torques(folder: Path, run: ScoredRun) -> dict[str, str]:
     torques_by_log: dict[str, dict[str, list[Array]]] = {
         name: {} for name in (logs.identification[0], *logs.training)
     }
-    for test, names in logs.test.items():
+    for test, names in logs.judged.items():
         torques_by_log[names[0]] = {
             law_name: [joint_torques[0] for joint_torques in predicted]
             for law_name, predicted in run.predictions[test].items()

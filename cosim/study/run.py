@@ -8,8 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
+from cosim.study.law_choice import choose_from_models
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.replicates import Replicates, write_replicates
 from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
@@ -28,6 +31,8 @@ from hesr_model.fitting.estimator import select_laws
 from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import MIXED, FrictionModel, mix_models
 from hesr_model.health.examine import check_body, check_laws, check_logs
+from hesr_model.inference.folds import MIN_FOLDS
+from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
@@ -90,7 +95,7 @@ def run_study(
             models = run.models
             records = run.records
             test_records = {
-                test: select_records(names, records) for test, names in study.logs.test.items()
+                test: select_records(names, records) for test, names in study.logs.judged.items()
             }
             replicates = write_replicates(folder, study, records, models, run.predictions)
             position_errors = simulate_tests(models, test_records, run.robot, run.rigid_body)
@@ -115,6 +120,7 @@ def run_study(
             run_verdict = judge_run(
                 run.comparisons,
                 models,
+                choose_from_models(models, run.left_out_errors),
                 select_records(study.logs.training, records),
                 next(iter(test_records.values())),
                 properties,
@@ -156,7 +162,12 @@ def _shorten_study(study: Study) -> Study:
             "sources": tuple(law_name for law_name in study.tracking.sources if law_name in laws),
         }
     )
-    shorter: dict[str, Any] = {"laws": laws, "variants": {}, "refinement": None}
+    shorter: dict[str, Any] = {
+        "laws": laws,
+        "variants": {},
+        "refinement": None,
+        "folds": min(study.folds, MIN_FOLDS),
+    }
     return study.model_copy(update=shorter | {"tracking": tracking, "twin": twin})
 
 
@@ -197,9 +208,13 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     findings += log_findings(check_laws(models, select_records(study.logs.training, records)))
     write_findings(folder, findings)
 
+    left_out_errors = job.judge_laws(logs, robot, list(models))
+    models = {
+        law_name: _set_left_out_rmse(model, left_out_errors) for law_name, model in models.items()
+    }
     fmus = _write_laws(job, models, folder)
     comparisons, predictions = job.compare(
-        models, records, files, folder / "fmus", extended_records
+        models, records, files, folder / "fmus", extended_records, left_out_errors
     )
     write_json(
         folder / "evaluation.json",
@@ -213,13 +228,22 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         logs=logs,
         records=records,
         models=models,
-        left_out=left_out,
+        left_out={**left_out, **left_out_errors.failed},
+        left_out_errors=left_out_errors,
         source=source,
         fmus=fmus,
         comparisons=comparisons,
         predictions=predictions,
         refined=refined,
     )
+
+
+def _set_left_out_rmse(model: FrictionModel, errors: LeftOutErrors) -> FrictionModel:
+    """Return a model with its errors on left-out rows, if all joints have them."""
+    if model.law not in errors.laws:
+        return replace(model, left_out_rmse=())
+    rmse = tuple(errors.rmse(model.law, j) for j in range(len(model.joints)))
+    return replace(model, left_out_rmse=rmse if np.all(np.isfinite(rmse)) else ())
 
 
 def _provenance(job: Job, files: Mapping[str, Path]) -> dict[str, Any]:

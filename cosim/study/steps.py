@@ -34,13 +34,16 @@ from hesr_model.findings import log_findings
 from hesr_model.fitting.days import Nuisance, add_fitted_nuisances
 from hesr_model.fitting.estimator import estimator, registry, select_laws
 from hesr_model.fitting.fit import fit_models
+from hesr_model.fitting.left_out import judge_laws
 from hesr_model.forward.output_error import RefinementResult, refine
 from hesr_model.friction.model import MIXED, FrictionModel
+from hesr_model.inference.folds import Fold, split_into_folds
+from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import read_table
 from hesr_model.rigid_body.choice import identify_from_logs
-from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.identification import RigidBody, identify, identify_motions
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
@@ -369,6 +372,20 @@ class Job:
 
         return map_models(models, refine_law, partial(self.progress, "refining by output error"))
 
+    @property
+    def _options(self) -> dict[str, Mapping[str, Any]]:
+        """Options of the laws and variants, by name."""
+        variants = self.study.variants
+        return {
+            **self.study.options,
+            **{name: variant.options for name, variant in variants.items()},
+        }
+
+    @property
+    def _variant_laws(self) -> dict[str, str]:
+        """Law of each variant, by name."""
+        return {name: variant.law for name, variant in self.study.variants.items()}
+
     def fit(
         self,
         records: LogRecords,
@@ -380,14 +397,13 @@ class Job:
     ) -> dict[str, FrictionModel]:
         """Fit laws to the training logs; see `fit_models`."""
         study = self.study
-        options = {name: variant.options for name, variant in study.variants.items()}
         return fit_models(
             laws,
             select_records(study.logs.training, records),
             robot=self.robot.name,
             seed=study.seed,
-            options={**study.options, **options},
-            variants={name: variant.law for name, variant in study.variants.items()},
+            options=self._options,
+            variants=self._variant_laws,
             provenance=source,
             progress=partial(self.progress, stage),
             report_left_out=left_out,
@@ -413,6 +429,45 @@ class Job:
         models = self.fit(records, self.laws, "fitting laws", source, left_out=leave_out)
         return models, left_out
 
+    def judge_laws(
+        self, logs: Mapping[str, Log], robot: Robot, laws: Sequence[str]
+    ) -> LeftOutErrors:
+        """Judge laws on rows of the training logs that neither they nor their body were fitted to.
+
+        Each fold leaves out logs, or a block of time, for the body and the laws alike.
+        """
+        study = self.study
+        motions = [
+            replace(motion, name=name)
+            for name in self.trained_on
+            for motion in smooth_logs([logs[name]], robot)
+        ]
+        folds = split_into_folds(motions, study.folds)
+        return judge_laws(
+            laws,
+            motions,
+            robot,
+            folds,
+            [self._identify_without(fold, robot) for fold in folds],
+            training=study.logs.training,
+            seed=study.seed,
+            options=self._options,
+            variants=self._variant_laws,
+            per_log=study.per_log,
+            checkpoints=self.checkpoints and self.checkpoints / "laws",
+            progress=partial(self.progress, "judging laws on left-out rows"),
+        )
+
+    def _identify_without(self, fold: Fold, robot: Robot) -> RigidBody:
+        """Return the rigid body of the training part of a fold."""
+        logs = self.study.logs
+        return identify_motions(
+            [piece for piece in fold.training if piece.name in logs.identification],
+            robot,
+            reversed_motions=[piece for piece in fold.training if piece.name in logs.reversed],
+            physical=self.study.physical,
+        )
+
     def compare(
         self,
         models: Mapping[str, FrictionModel],
@@ -420,24 +475,29 @@ class Job:
         files: Mapping[str, Path],
         fmus: Path,
         extended_records: LogRecords,
+        left_out: LeftOutErrors,
     ) -> tuple[dict[str, Comparison], Predictions]:
         """Score the FMUs on every test set and its bands; return scores and torques.
 
         Their velocity is causal; all rows of whole tests are also predicted without its lag.
         With `per_log`, a second comparison has the offsets of each test log fitted. `records` are
-        the last rows of `extended_records`.
+        the last rows of `extended_records`. A study without tests has the errors of laws on
+        left-out rows instead.
         """
         study = self.study
         comparisons = {}
         predictions = {}
         inputs = input_classes(models)
         replayed = self._replay_fmus(models, records, fmus, extended_records)
-        for test, names in study.logs.test.items():
+        for test, names in study.logs.judged.items():
             test_records = select_records(names, records)
-            torques = replayed[test, True]
+            if study.logs.test:
+                torques = replayed[test, True]
+            else:
+                torques = _add_left_out_errors(names, test_records, left_out)
             if study.twin:
                 torques[ORACLE] = self._true_friction([files[name] for name in names])
-            comparison = compare(test_records, torques, inputs, models, replayed[test, False])
+            comparison = compare(test_records, torques, inputs, models, replayed.get((test, False)))
             predictions[test] = torques
             if study.per_log:
                 comparisons[test] = replace(comparison, per_log=())
@@ -521,6 +581,28 @@ def _cut_torques(torques: Sequence[Sequence[Array]], test_records: Records) -> l
         pairs = zip(joint_torques, joint_records, strict=True)
         shortened.append([tau[-len(record.t) :] for tau, record in pairs])
     return shortened
+
+
+def _add_left_out_errors(
+    names: Sequence[str], records: Records, left_out: LeftOutErrors
+) -> dict[str, list[list[Array]]]:
+    """Return torques [joint][log] by law that differ from the records by the left-out errors."""
+    torques = {}
+    for law_name, law_errors in left_out.joint_errors.items():
+        ordered_errors = [
+            errors
+            for name in names
+            for log_name, errors in zip(left_out.log_names, law_errors, strict=True)
+            if log_name == name
+        ]
+        torques[law_name] = [
+            [
+                record.tau + errors[:, j]
+                for record, errors in zip(joint_records, ordered_errors, strict=True)
+            ]
+            for j, joint_records in enumerate(records)
+        ]
+    return torques
 
 
 def _compare_with_nuisances(

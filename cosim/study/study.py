@@ -9,9 +9,13 @@ from pydantic import Field, model_validator
 from cosim.loop.closed_loop import Tracking
 from hesr_model.errors import RuleError
 from hesr_model.fitting.days import Nuisance
+from hesr_model.inference.folds import FOLD_COUNT, MIN_FOLDS
 from hesr_model.rigid_body.choice import BodyOption
 from hesr_model.support.owner import Owner
 from hesr_model.support.typed_files import Config, RelativePath
+
+LEFT_OUT = "left-out rows"
+"""Name of the rows of the training logs, each predicted by laws fitted without it."""
 
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"  # names that become file names
 
@@ -50,13 +54,18 @@ class StudyLogs(Config):
     identification: tuple[str, ...] = Field(min_length=1)
     reversed: tuple[str, ...] = ()  # time-reversed counterparts, same order
     friction: tuple[str, ...] = ()  # training logs; `identification` by default
-    test: Mapping[str, tuple[str, ...]] = Field(min_length=1)
+    test: Mapping[str, tuple[str, ...]] = {}  # without, laws are judged on left-out rows only
     parts: Mapping[Annotated[str, Field(pattern=_NAME)], Part] = {}
 
     @property
     def training(self) -> tuple[str, ...]:
         """Logs that train the laws."""
         return self.friction or self.identification
+
+    @property
+    def judged(self) -> Mapping[str, tuple[str, ...]]:
+        """Test sets, or else the left-out rows of the training logs."""
+        return self.test or {LEFT_OUT: self.training}
 
     @model_validator(mode="after")
     def _tests_are_unseen(self) -> Self:
@@ -129,6 +138,7 @@ class Study(Config):
     physical: bool = False  # the same as `body` "physical"
     refinement: RefinementStudy | None = None
     bands: tuple[TimeBand, ...] = ()
+    folds: int = Field(default=FOLD_COUNT, ge=MIN_FOLDS, le=20)  # by which laws are chosen
     twin: Twin | None = None
     tracking: Tracking | None = None
     logs: StudyLogs
@@ -142,7 +152,7 @@ class Study(Config):
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:
         for band in self.bands:
-            if band.test not in self.logs.test:
+            if band.test not in self.logs.judged:
                 raise RuleError(
                     f"band '{band.name}': test set '{band.test}' is unknown",
                     code="study.band_test",
@@ -157,7 +167,7 @@ class Study(Config):
         rows = {
             ("law", "laws"): [*self.laws, *self.variants],
             ("test set or band", "logs.test"): [
-                *self.logs.test,
+                *self.logs.judged,
                 *(band.name for band in self.bands),
             ],
         }

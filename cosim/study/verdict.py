@@ -3,20 +3,21 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import fmean
 
 import numpy as np
 
 from cosim.report.tables.table import join_law_titles, title
 from cosim.report.tables.table import joints as short_names
 from cosim.study.forecast import Forecast
+from cosim.study.law_choice import describe_choice, state_rule
 from cosim.study.scores import RECORDED, Comparison, LawScores
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.inputs import TAU_LOAD
-from hesr_model.friction.model import MIXED, FrictionModel, can_share_fmu
+from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.trained_range import find_excess
+from hesr_model.inference.choice import Choice
 from hesr_model.logs.signals import MOVING
 from hesr_model.rigid_body.residual import transform_all_records
 from hesr_model.robots.description import statements
@@ -25,8 +26,6 @@ from hesr_model.support.typed_files import from_json, read_json, to_json, write_
 VERDICT = "verdict.json"
 VERDICT_FORMAT = "hesr-verdict-1"
 
-CLOSE_RATIO = 1.05  # ratio of errors; smaller ones are due to coefficients
-_SHORT = "the test is too short to compare laws"
 _MAX_UNEXPLAINED = 25.0  # [%] of friction unexplained
 _MAX_REVERSAL_RATIO = 1.5  # error near reversals over that of all rows
 _MAX_UNTRAINED_SHARE = 0.02  # share of test rows outside the trained speeds
@@ -91,12 +90,13 @@ class Verdict:
 
     law: str  # `MIXED` if joints have different laws
     fmu: str  # path in the folder of results
-    test: str  # deciding test set
+    test: str  # first test set
     why: str
     unexplained: Mapping[str, float]  # error over the size of friction by joint [%]
     weak: tuple[str, ...]
     improve: tuple[str, ...]
     joints: tuple[Separation, ...] = ()  # empty in earlier versions
+    choice: Choice | None = None  # None in earlier versions
     limits: tuple[str, ...] = ()  # of the test
     constants: tuple[str, ...] = ()  # of the robot, with sources
     planned: str = ""  # comparison with the plan of the motion
@@ -116,6 +116,7 @@ class Verdict:
         return (
             f"Recommended: {self.fmu} ({join_law_titles(self.laws)}), for feed-forward: {self.why}",
             *([self.simulation.sentence(self.law)] if self.simulation else []),
+            *(describe_choice(self.choice) if self.choice else []),
             *self.constants,
             *self.limits,
             f"Unexplained friction on '{self.test}': {shares_text}.",
@@ -128,6 +129,7 @@ class Verdict:
 def judge_run(
     comparisons: Mapping[str, Comparison],
     models: Mapping[str, FrictionModel],
+    choice: Choice,
     trained_records: Records,
     tested_records: Records,
     properties: Mapping[str, Properties],
@@ -136,12 +138,12 @@ def judge_run(
     expected: Forecast | None = None,
     refined: Mapping[str, RefinementResult] | None = None,
 ) -> Verdict:
-    """Judge a run by its first test set; records are [joint][log].
+    """Judge a run by its choice of laws and its first test set; records are [joint][log].
 
     `refined` are the laws refined by output error, None if the study does not refine.
     """
     test, comparison = next(iter(comparisons.items()))
-    laws, reason = recommend(comparison, models)
+    laws = choice.laws
     recommended = laws[0] if len(set(laws)) == 1 else MIXED
     shares = comparison.unexplained_shares(comparison.combine_scores(laws).rmse)
     percent = {joint: 100.0 * share for joint, share in zip(comparison.joints, shares, strict=True)}
@@ -160,7 +162,7 @@ def judge_run(
         planned=expected.sentence(models, detectable_ratios) if expected else "",
         fmu=f"fmus/{recommended}.fmu",
         test=test,
-        why=reason,
+        why=state_rule(choice),
         unexplained=percent,
         weak=tuple(
             _list_weaknesses(
@@ -177,6 +179,7 @@ def judge_run(
         ),
         simulation=ForSimulation.from_refined(refined or {}),
         joints=joints,
+        choice=choice,
         limits=tuple(describe_limits(f"'{test}'", joints)),
         constants=tuple(statements(models[laws[0]].provenance)),
     )
@@ -197,93 +200,6 @@ def find_separations(comparison: Comparison) -> Iterator[Separation]:
             detectable=(min(ratios), max(ratios)) if ratios else None,
             seconds=seconds,
         )
-
-
-def recommend(
-    comparison: Comparison, models: Mapping[str, FrictionModel]
-) -> tuple[tuple[str, ...], str]:
-    """Return the recommended law of each joint and the rule that decided.
-
-    It is the simplest law with an error within `CLOSE_RATIO` of the lowest and none significantly
-    better. Joints with a short test, and those whose laws one FMU cannot combine, have the law of
-    most joints.
-    """
-    names = [law for law in comparison.laws if law in models]
-    count = len(comparison.joints)
-    long_joints = [j for j in range(count) if not comparison.too_short[j]]
-    if not long_joints:
-        validated_laws = [law for law in names if models[law].left_out_rmse]
-        if not validated_laws:
-            return (min(names, key=comparison.size),) * count, f"{_SHORT}; it has the lowest error."
-        law = min(
-            validated_laws,
-            key=lambda name: fmean(comparison.unexplained_shares(models[name].left_out_rmse)),
-        )
-        return (law,) * count, f"{_SHORT}; it has the lowest error on left-out training logs."
-    lowest = [comparison.laws[leading[0]].rmse[j] for j, leading in enumerate(comparison.leading)]
-    rmse = {law: zip(comparison.laws[law].rmse, lowest, strict=True) for law in names}
-    error_ratios = {
-        law: [error / max(minimum, 1e-300) for error, minimum in pairs]
-        for law, pairs in rmse.items()
-    }
-    close_laws = {
-        j: [
-            law
-            for law in comparison.leading[j]
-            if law in names and error_ratios[law][j] <= CLOSE_RATIO
-        ]
-        for j in long_joints
-    }
-    ranking = {
-        law_name: (
-            -sum(law_name in joint_laws for joint_laws in close_laws.values()),
-            max(error_ratios[law_name]),
-        )
-        for law_name in names
-    }
-    recommended = min(
-        names,
-        key=lambda law_name: (
-            ranking[law_name][0],
-            simplicity(models[law_name]),
-            ranking[law_name][1],
-        ),
-    )
-    laws = [recommended] * count
-    reasons: dict[str, list[str]] = {}
-    for j, short in enumerate(short_names(count)):
-        compatible_laws = [
-            law_name
-            for law_name in close_laws.get(j, ())
-            if law_name == recommended or can_share_fmu(models[law_name], models[recommended])
-        ]
-        if compatible_laws:
-            laws[j] = min(
-                compatible_laws,
-                key=lambda law_name: (simplicity(models[law_name], j), *ranking[law_name]),
-            )
-            minimum = simplicity(models[laws[j]], j)
-            equal = sum(simplicity(models[law_name], j) == minimum for law_name in compatible_laws)
-            fit_text = f"one of {len(compatible_laws)}" + f", {equal} equally simple" * (equal > 1)
-            reasons.setdefault(fit_text if len(compatible_laws) > 1 else "the only one", []).append(
-                short
-            )
-        elif j in close_laws:
-            reasons.setdefault("no such law fits into this FMU", []).append(short)
-    reasons_text = "; ".join(
-        f"{', '.join(joint_names)}: {reason}" for reason, joint_names in reasons.items()
-    )
-    return tuple(laws), (
-        "no law is significantly better, and of those within "
-        f"{100 * (CLOSE_RATIO - 1):.0f} % of the lowest error it is the simplest ({reasons_text})."
-    )
-
-
-def simplicity(model: FrictionModel, j: int | None = None) -> tuple[int, int, int]:
-    """Return numbers of inputs, states and coefficients of a joint, or the largest of all."""
-    laws = model.laws if j is None else model.laws[j : j + 1]
-    inputs = {symbol for law in laws for symbol in law.form.inputs}
-    return len(inputs), max(len(law.start) for law in laws), max(len(law.values) for law in laws)
 
 
 def format_excess_percent(low: float, high: float) -> str:

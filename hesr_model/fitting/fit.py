@@ -200,7 +200,7 @@ def fit_models(
         jobs = {
             law_name: [
                 partial(
-                    _load_or_fit,
+                    load_or_fit,
                     (variants or {}).get(law_name, law_name),
                     joint_records,
                     checkpoints=checkpoints,
@@ -350,7 +350,7 @@ def _run_jobs(
     return complete_laws, failures
 
 
-def _load_or_fit(
+def load_or_fit(
     law_name: str,
     joint_records: Sequence[FrictionRecord],
     *,
@@ -359,6 +359,7 @@ def _load_or_fit(
     seed: int,
     options: Mapping[str, Any] | None,
 ) -> FrictionLaw | FitError:
+    """Return the fitted law of a joint, from its checkpoint if it has one, or why it has none."""
     key = compute_key(law_name, joint_records, seed, options)
     file_name = f"{law_name}.{joint_records[0].joint}.{key}.json"
     path = (

@@ -1,0 +1,98 @@
+"""Choice of the recommended laws of a run, in numbers and in sentences."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+
+from cosim.report.tables.table import joints as short_names
+from cosim.report.tables.table import title
+from hesr_model.audit.certificate import has_proof
+from hesr_model.friction.model import FrictionModel, can_share_fmu
+from hesr_model.inference.choice import PLAIN, Choice, JointChoice, choose_laws
+from hesr_model.inference.left_out import LeftOutErrors
+
+_ROWS = "left-out rows"
+
+
+def choose_from_models(models: Mapping[str, FrictionModel], errors: LeftOutErrors) -> Choice:
+    """Return the choice among fitted models by their errors on left-out rows."""
+
+    @cache
+    def is_proven(law_name: str, j: int) -> bool:
+        return has_proof(models[law_name].laws[j])
+
+    def can_join(law_name: str, other: str) -> bool:
+        return can_share_fmu(models[law_name], models[other])
+
+    return choose_laws(errors, is_proven=is_proven, can_join=can_join)
+
+
+def state_rule(choice: Choice) -> str:
+    """Return why a choice was made, as the end of a sentence."""
+    if all(joint_choice.reason == "short" for joint_choice in choice.joints):
+        return "the logs are too short to judge laws."
+    if choice.guaranteed:
+        return (
+            f"its passivity is proven, and {title(choice.guaranteed)} is not better by a standard "
+            f"error on {_ROWS}."
+        )
+    if all(joint_choice.reason == "base" for joint_choice in choice.joints):
+        return f"it has the lowest mean error on {_ROWS}."
+    return f"{title(choice.base)} has the lowest mean error on {_ROWS}; other joints say why."
+
+
+def describe_choice(choice: Choice) -> Iterator[str]:
+    """Yield what the left-out rows say, one sentence for each class of joints."""
+    names = short_names(len(choice.joints))
+    classes: dict[tuple[str, ...], list[tuple[str, JointChoice]]] = {}
+    for name, joint_choice in zip(names, choice.joints, strict=True):
+        key = (
+            joint_choice.law_name,
+            joint_choice.reason,
+            joint_choice.known,
+            joint_choice.replaced,
+        )
+        classes.setdefault(key, []).append((name, joint_choice))
+    for members in classes.values():
+        joint_names = ", ".join(name for name, _ in members)
+        yield f"{joint_names}: {_describe_class(choice, [one for _, one in members])}"
+    if any(joint_choice.reason != "short" for joint_choice in choice.joints):
+        yield (
+            f"Laws are judged on {choice.fold_count} left-out parts of {choice.seconds:.3g} s and "
+            "fitted on all of them."
+        )
+
+
+def _describe_class(choice: Choice, members: Sequence[JointChoice]) -> str:
+    """Return the sentence of joints that differ only in their figures."""
+    first = members[0]
+    law_title = title(first.law_name)
+    plain = title(PLAIN)
+    if first.reason == "short":
+        return f"too little motion to judge laws; {law_title} is used as on other joints."
+    if first.reason == "unexplained":
+        return (
+            "no law predicts better than a constant; no friction model is recommended. Record "
+            "motion that reverses at several speeds."
+        )
+    if first.reason == "exploded":
+        worst = max(one.worst_fold or 0.0 for one in members)
+        return (
+            f"{title(first.replaced)} explodes on a left-out part ({worst:.2g} times the error of "
+            f"{plain}); {law_title} is used."
+        )
+    figures = _format_ratios(members)
+    if first.known == "law":
+        return f"{law_title}, {figures} of the error of {plain} on {_ROWS}."
+    if first.law_name == PLAIN:
+        return f"{law_title}; no law is better on {_ROWS} by two standard errors."
+    use = "the law of all joints is used" if len(choice.joints) > 1 else "it is used nevertheless"
+    return f"the {_ROWS} do not tell {law_title} from {plain} ({figures}); {use}."
+
+
+def _format_ratios(members: Sequence[JointChoice]) -> str:
+    """Return the ratio of one joint with its interval, or the range of the ratios of several."""
+    ratios = [one.ratio for one in members if one.ratio is not None]
+    if len(members) == 1:
+        return f"{members[0].ratio:.2f} ({members[0].low:.2f} to {members[0].high:.2f})"
+    low, high = f"{min(ratios):.2f}", f"{max(ratios):.2f}"
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,255 @@
+"""Fit of laws without each fold, and their errors on the rows that the fold left out."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hesr_model.errors import FitError, SimulationError
+from hesr_model.fitting.days import (
+    Nuisance,
+    add_fitted_nuisances,
+    estimate_nuisances,
+    remove_nuisances,
+)
+from hesr_model.fitting.fit import load_or_fit
+from hesr_model.friction.model import FrictionModel
+from hesr_model.inference.folds import Fold, thin
+from hesr_model.inference.left_out import LeftOutErrors
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import (
+    FrictionRecord,
+    motion_records,
+    transform_all_records,
+    transform_records,
+)
+from hesr_model.robots.robot import Robot
+from hesr_model.support import parallel
+from hesr_model.support.arrays import Array, Integers, Mask
+from hesr_model.support.files import scratch_folder
+from hesr_model.support.progress import Progress, report_progress, silent
+
+JointRecords = list[FrictionRecord]  # of one joint, by piece of a log
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _FoldData:
+    """What a fold trains laws on, and what it judges them on."""
+
+    training: list[JointRecords]  # by joint, at friction coordinates
+    judged_logs: list[int]
+    judged_records: list[list[FrictionRecord]]  # by judged log and joint, whole logs
+    judged_rows: list[Mask]  # by judged log
+
+
+def judge_laws(
+    laws: Sequence[str],
+    motions: Sequence[Motion],
+    robot: Robot,
+    folds: Sequence[Fold],
+    bodies: Sequence[RigidBody],
+    *,
+    training: Sequence[str] | None = None,
+    seed: int = 0,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    variants: Mapping[str, str] | None = None,
+    per_log: Sequence[Nuisance] = (),
+    checkpoints: Path | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> LeftOutErrors:
+    """Fit laws without each fold and judge them on its rows.
+
+    Laws are predicted over whole logs, so that their states are those of the motion before the
+    judged rows, with the causal velocity that users of an FMU have.
+
+    Parameters
+    ----------
+    laws : laws or variants.
+    motions : smoothed logs of the folds.
+    folds, bodies : folds, each with the rigid body of its training part.
+    training : names of the logs that train and judge laws; by default all.
+    per_log : quantities that differ by log; those of judged rows are fitted to them.
+    options, variants, seed, checkpoints, workers : see `fit.fit_models`.
+    """
+    names = {motion.name for motion in motions} if training is None else set(training)
+    fold_data = [
+        _collect_fold(motions, robot, fold, body, names)
+        for fold, body in zip(folds, bodies, strict=True)
+    ]
+    jobs = []
+    labels = []
+    with scratch_folder() as folder:
+        for law_name in laws:
+            for number, data in enumerate(fold_data):
+                jobs.append(
+                    partial(
+                        _judge_law,
+                        law_name,
+                        (variants or {}).get(law_name, law_name),
+                        data,
+                        seed=seed,
+                        options=(options or {}).get(law_name),
+                        per_log=tuple(per_log),
+                        checkpoints=checkpoints,
+                        progress=folder / f"{law_name}.{number}",
+                    )
+                )
+                labels.append(f"{law_name}, fold {number + 1}")
+        with parallel.results_of(jobs, workers, names=labels) as results:
+            judged = {label: next(results) for label in report_progress(labels, progress)}
+    return _assemble(laws, motions, robot, folds, fold_data, judged, names)
+
+
+def _collect_fold(
+    motions: Sequence[Motion], robot: Robot, fold: Fold, body: RigidBody, names: set[str]
+) -> _FoldData:
+    body = replace(body, covariance=None)  # errors of the load are not needed
+    pieces = [thin(piece) for piece in fold.training if piece.name in names]
+    records = [motion_records(piece, robot, body) for piece in pieces]
+    judged_logs = [
+        k
+        for k, (motion, rows) in enumerate(zip(motions, fold.judged, strict=True))
+        if motion.name in names and rows.any()
+    ]
+    training = [list(joint_records) for joint_records in zip(*records, strict=True)]
+    return _FoldData(
+        training=transform_all_records(training) if training else [],
+        judged_logs=judged_logs,
+        judged_records=[motion_records(motions[k], robot, body) for k in judged_logs],
+        judged_rows=[fold.judged[k] for k in judged_logs],
+    )
+
+
+def _judge_law(
+    law_name: str,
+    estimator_name: str,
+    data: _FoldData,
+    *,
+    seed: int,
+    options: Mapping[str, Any] | None,
+    per_log: tuple[Nuisance, ...],
+    checkpoints: Path | None,
+    progress: Path,
+) -> list[Array] | FitError:
+    """Return the errors (N, n) [N.m] on the judged rows of each judged log, or why not."""
+    if not data.training:
+        return FitError(f"law '{law_name}': a fold leaves nothing to train on.")
+    laws = []
+    for joint_records in data.training:
+        records = joint_records
+        if per_log:
+            records = remove_nuisances(records, estimate_nuisances(records, per_log))
+        law = load_or_fit(
+            estimator_name,
+            records,
+            checkpoints=checkpoints,
+            progress=progress,
+            seed=seed,
+            options=options,
+        )
+        if isinstance(law, FitError):
+            return law
+        laws.append(law)
+    first_records = [joint_records[0] for joint_records in data.training]
+    model = FrictionModel(
+        law=law_name,
+        robot="robot",
+        joints=tuple(record.joint for record in first_records),
+        laws=tuple(laws),
+        sliding=tuple(record.sliding for record in first_records),
+        coupling=data.judged_records[0][0].coupling if data.judged_records else None,
+        sample_time=float(np.median(np.diff(first_records[0].t))),
+    )
+    try:
+        return [
+            _predict_errors(model, log_records, rows, per_log)
+            for log_records, rows in zip(data.judged_records, data.judged_rows, strict=True)
+        ]
+    except SimulationError as error:
+        return FitError(f"law '{law_name}': without a fold {error}")
+
+
+def _predict_errors(
+    model: FrictionModel,
+    log_records: Sequence[FrictionRecord],
+    rows: Mask,
+    per_log: tuple[Nuisance, ...],
+) -> Array:
+    """Return predicted less measured friction at joints, (N, n) [N.m], on some rows of a log."""
+    with np.errstate(all="ignore"):  # a law may diverge; its errors are then not finite
+        torque = model.predict([record.causal for record in log_records])[rows]
+    columns = []
+    for tau, record in zip(torque.T, log_records, strict=True):
+        judged_record = record.rows(rows)
+        if per_log:
+            (tau,) = add_fitted_nuisances([tau], [judged_record], per_log)
+        columns.append(tau - judged_record.tau)
+    return np.column_stack(columns)
+
+
+def _assemble(
+    laws: Sequence[str],
+    motions: Sequence[Motion],
+    robot: Robot,
+    folds: Sequence[Fold],
+    fold_data: Sequence[_FoldData],
+    judged: Mapping[str, list[Array] | FitError],
+    names: set[str],
+) -> LeftOutErrors:
+    log_indices = [k for k, motion in enumerate(motions) if motion.name in names]
+    coupling = robot.description.coupling
+    joint_errors: dict[str, tuple[Array, ...]] = {}
+    failed: dict[str, str] = {}
+    for law_name in laws:
+        results = [judged[f"{law_name}, fold {number + 1}"] for number in range(len(folds))]
+        fit_errors = [result for result in results if isinstance(result, FitError)]
+        if fit_errors:
+            failed[law_name] = str(fit_errors[0])
+            continue
+        errors = {k: np.full((len(motions[k].t), robot.n), np.nan) for k in log_indices}
+        for data, result in zip(fold_data, results, strict=True):
+            assert not isinstance(result, FitError)
+            for k, rows, values in zip(data.judged_logs, data.judged_rows, result, strict=True):
+                errors[k][rows] = values
+        joint_errors[law_name] = tuple(errors[k] for k in log_indices)
+    return LeftOutErrors(
+        joints=robot.description.joints,
+        t=tuple(motions[k].t for k in log_indices),
+        log_names=tuple(motions[k].name for k in log_indices),
+        fold_of_row=tuple(_number_folds(folds, k) for k in log_indices),
+        errors={
+            law_name: tuple(coupling.torque(e) for e in law_errors) if coupling else law_errors
+            for law_name, law_errors in joint_errors.items()
+        },
+        joint_errors=joint_errors,
+        tau=tuple(_collect_friction(fold_data, k, len(motions[k].t), robot.n) for k in log_indices),
+        counts=np.array([[fold.reverses(j, names) for j in range(robot.n)] for fold in folds]),
+        failed=failed,
+    )
+
+
+def _number_folds(folds: Sequence[Fold], log: int) -> Integers:
+    numbers = np.zeros(len(folds[0].judged[log]), dtype=int)
+    for number, fold in enumerate(folds):
+        numbers[fold.judged[log]] = number
+    return numbers
+
+
+def _collect_friction(fold_data: Sequence[_FoldData], log: int, rows: int, n: int) -> Array:
+    """Return the friction (N, n) [N.m] of a log at friction coordinates, by each fold's body."""
+    tau = np.full((rows, n), np.nan)
+    for data in fold_data:
+        for k, log_records, judged in _judged_records(data):
+            if k == log:
+                columns = [record.tau for record in transform_records(log_records)]
+                tau[judged] = np.column_stack(columns)[judged]
+    return tau
+
+
+def _judged_records(data: _FoldData) -> Iterator[tuple[int, list[FrictionRecord], Mask]]:
+    yield from zip(data.judged_logs, data.judged_records, data.judged_rows, strict=True)

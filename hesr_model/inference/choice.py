@@ -1,0 +1,219 @@
+"""Choice of the law of each joint by errors on left-out rows.
+
+One law for all joints is the base. A proven law takes its place where the errors allow. A joint
+leaves the base only for a law that is better by two standard errors. The number of laws does not
+enter, so that further laws do not change the choice among the others.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import stdtrit
+
+from hesr_model.inference.folds import MIN_FOLDS
+from hesr_model.inference.left_out import LeftOutErrors
+
+NONE = "none"
+CONSTANT = "constant"
+PLAIN = "coulomb_viscous"
+PROVEN_LAWS = ("parfam_s", "parfam_s_v")
+"""Laws that take the place of an unproven base, in this order."""
+
+_MIN_SECONDS = 3.0  # [s] of judged rows of a joint, below which nothing is chosen for it
+_MIN_SECONDS_OF_ONE = 8.0  # [s] of logs of a single joint, below which the base is `PLAIN`
+_ERRORS_TO_LEAVE = 2.0  # standard errors by which a law must beat the base on a joint
+_MAX_FOLD_RATIO = 1.5  # of a law's error on a fold over that of `PLAIN`
+
+Known = Literal["law", "level", "nothing"]
+Reason = Literal["base", "better", "exploded", "unexplained", "short"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointChoice:
+    """Law of a joint and what the left-out rows say about it.
+
+    Attributes
+    ----------
+    law_name : recommended law.
+    reason : rule that decided: the base of all joints, a law that is better by two standard
+        errors, a fold on which the law explodes, no law that explains anything, or too few rows.
+    known : whether the rows tell the law from Coulomb + viscous friction, that from a constant, or
+        nothing.
+    ratio, low, high : RMSE over that of Coulomb + viscous friction and its 95 % interval; None
+        without judged rows.
+    unexplained : RMSE over the standard deviation of the friction; None without judged rows.
+    worst_fold : ratio on the worst fold of the law that exploded; None otherwise.
+    replaced : law that exploded or explained nothing; empty otherwise.
+    proven : whether the law's passivity is proven on this joint.
+    """
+
+    law_name: str
+    reason: Reason
+    known: Known
+    ratio: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unexplained: float | None = None
+    worst_fold: float | None = None
+    replaced: str = ""
+    proven: bool = False
+
+    @property
+    def is_recommended(self) -> bool:
+        """Whether the law is better than no friction model."""
+        return self.reason != "unexplained"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Recommended law of each joint."""
+
+    base: str
+    joints: tuple[JointChoice, ...]
+    fold_count: int
+    seconds: float  # [s] of the logs
+    guaranteed: str = ""  # law that `base` replaced because its passivity is proven
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Recommended law of each joint."""
+        return tuple(joint_choice.law_name for joint_choice in self.joints)
+
+
+def choose_laws(
+    errors: LeftOutErrors,
+    *,
+    is_proven: Callable[[str, int], bool],
+    can_join: Callable[[str, str], bool],
+) -> Choice:
+    """Choose the law of each joint.
+
+    Parameters
+    ----------
+    errors : errors of all laws on left-out rows; those of the baselines are among them.
+    is_proven : whether a law's passivity is proven on a joint.
+    can_join : whether one FMU can have both of two laws.
+    """
+    joint_indices = [
+        j
+        for j in range(len(errors.joints))
+        if errors.fold_counts(j) >= MIN_FOLDS and errors.moving_seconds(j) >= _MIN_SECONDS
+    ]
+    candidates = [
+        law_name
+        for law_name in errors.laws
+        if all(np.isfinite(errors.rmse(law_name, j)) for j in joint_indices)
+    ]
+    is_short = len(errors.joints) == 1 and errors.seconds < _MIN_SECONDS_OF_ONE
+    if not joint_indices or is_short:
+        base, replaced = PLAIN, ""
+    else:
+        base, replaced = _choose_base(errors, candidates, joint_indices, is_proven)
+    joints = []
+    for j in range(len(errors.joints)):
+        if j not in joint_indices:
+            joints.append(
+                JointChoice(
+                    law_name=base, reason="short", known="nothing", proven=is_proven(base, j)
+                )
+            )
+            continue
+        joint_candidates = [
+            law_name for law_name in candidates if law_name == base or can_join(law_name, base)
+        ]
+        if replaced:  # the proof is why the base was taken
+            joint_candidates = [name for name in joint_candidates if is_proven(name, j)]
+        joints.append(_choose_joint(errors, j, base, joint_candidates, is_proven))
+    return Choice(
+        base=base,
+        joints=tuple(joints),
+        fold_count=errors.fold_count,
+        seconds=errors.seconds,
+        guaranteed=replaced,
+    )
+
+
+def _choose_base(
+    errors: LeftOutErrors,
+    candidates: Sequence[str],
+    joint_indices: Sequence[int],
+    is_proven: Callable[[str, int], bool],
+) -> tuple[str, str]:
+    """Return the base law, and the law that it replaced because it is proven, if any."""
+
+    def mean_log_ratio(law_name: str, other: str = PLAIN) -> float:
+        return float(np.mean([errors.log_ratio(law_name, other, j) for j in joint_indices]))
+
+    best = min(candidates, key=mean_log_ratio)
+    joints = range(len(errors.joints))
+    if all(is_proven(best, j) for j in joints):
+        return best, ""
+    for law_name in PROVEN_LAWS:
+        if law_name not in candidates:
+            continue
+        worst = max(errors.worst_fold(law_name, PLAIN, j) for j in joint_indices)
+        is_close = mean_log_ratio(law_name, best) <= errors.mean_standard_error(
+            law_name, best, joint_indices
+        )
+        is_fair = mean_log_ratio(law_name) <= 0.0 and worst <= _MAX_FOLD_RATIO
+        if is_close and is_fair and all(is_proven(law_name, j) for j in joints):
+            return law_name, best
+    return best, ""
+
+
+def _choose_joint(
+    errors: LeftOutErrors,
+    j: int,
+    base: str,
+    candidates: Sequence[str],
+    is_proven: Callable[[str, int], bool],
+) -> JointChoice:
+    """Choose the law of a joint whose rows are judged."""
+    law_name = base
+    reason: Reason = "base"
+    replaced = ""
+    worst_fold = None
+    best = min(candidates, key=lambda name: errors.rmse(name, j))
+    if is_better(errors, best, base, j):
+        law_name = best
+        reason = "better"
+    worst_ratio = errors.worst_fold(law_name, PLAIN, j)
+    if worst_ratio > _MAX_FOLD_RATIO and law_name not in (CONSTANT, NONE):
+        law_name, replaced = PLAIN, law_name
+        reason = "exploded"
+        worst_fold = worst_ratio
+    size = errors.friction_size(j)
+    if not errors.rmse(law_name, j) < size:
+        explained = min((CONSTANT, NONE), key=lambda name: errors.rmse(name, j))
+        law_name, replaced = explained, law_name
+        reason = "unexplained"
+    log_ratio = errors.log_ratio(law_name, PLAIN, j)
+    standard_error = 0.0 if law_name == PLAIN else errors.standard_error(law_name, PLAIN, j)
+    margin = float(stdtrit(max(errors.block_count(j) - 1, 1), 0.975)) * standard_error
+    known: Known = "nothing"
+    if is_better(errors, law_name, PLAIN, j):
+        known = "law"
+    elif is_better(errors, law_name, CONSTANT, j) or is_better(errors, PLAIN, CONSTANT, j):
+        known = "level"
+    return JointChoice(
+        law_name=law_name,
+        reason=reason,
+        known=known,
+        ratio=float(np.exp(log_ratio)),
+        low=float(np.exp(log_ratio - margin)),
+        high=float(np.exp(log_ratio + margin)),
+        unexplained=errors.rmse(law_name, j) / max(size, 1e-300),
+        worst_fold=worst_fold,
+        replaced=replaced,
+        proven=is_proven(law_name, j),
+    )
+
+
+def is_better(errors: LeftOutErrors, law_name: str, other: str, j: int) -> bool:
+    """Return whether a law is better than another one on a joint by two standard errors."""
+    if law_name == other:
+        return False
+    advantage = -errors.log_ratio(law_name, other, j)
+    return advantage > _ERRORS_TO_LEAVE * errors.standard_error(law_name, other, j)
