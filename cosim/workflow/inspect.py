@@ -39,7 +39,6 @@ class Inspection(Answer):
     proposal: Proposal
     constants: Sequence[TorqueConstant] = ()
     next_command: str = ""
-    limit: str = ""  # weakness of a short test in the proposed study
     failure: str = ""  # reason why no study can run
     files: Sequence[Path] = field(default_factory=tuple)
 
@@ -79,7 +78,7 @@ class Inspection(Answer):
         lines += [constant.sentence for constant in self.constants]
         text = shorten_lines(lines, self.files)
         next_ = f"Next: {self.next_command}" if self.next_command else ""
-        return "\n".join(filter(None, [text, self.limit, next_]))
+        return "\n".join(filter(None, [text, next_]))
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return one line and one table per log and all findings, or the tables of a robot."""
@@ -117,7 +116,6 @@ class Inspection(Answer):
             "given": [to_json(finding) for finding in self.proposal.first_findings],
             "proposed": [to_json(finding) for finding in self.findings],
             "reasons": dict(self.proposal.reasons),
-            "limit": self.limit,
             "torque_constants": [
                 to_json(constant) for constant in self.constants if constant.determined
             ],
@@ -188,7 +186,6 @@ def inspect(
     >>> hesr.inspect("sweep.csv", robot="robot.toml").passed
     True
     """
-    from cosim.study.proposal import split
     from hesr_model.health.proposal import apply_constants, inspect_logs
 
     sources = list_logs("logs", logs)
@@ -217,7 +214,6 @@ def inspect(
         proposal=proposal,
         constants=constants,
         next_command=_next_command(write, study, is_ready=is_ready),
-        limit=split(proposal.logs).limit if study and is_ready else "",
         failure=failure,
         files=written,
     )

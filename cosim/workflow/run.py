@@ -51,7 +51,7 @@ class RunResult(Answer):
             located_verdict = replace(
                 located_verdict, simulation=replace(verdict.simulation, fmu=fmu)
             )
-        lines = list(located_verdict.sentences)
+        lines = [*located_verdict.sentences, *self._joint_lines()]
         if self.outcome.following.rows:
             lines.append(loop.benefit(self.outcome.following, self._sliding))
         count = len(self.findings)
@@ -75,12 +75,34 @@ class RunResult(Answer):
     def _sliding(self) -> Sequence[bool]:
         return next(iter(self.outcome.models.values())).sliding
 
+    def _recommendation(self) -> Iterator[ResultTable]:
+        """Yield the table of the recommended laws."""
+        from cosim.report.tables.scores import recommendation
+        from hesr_model.audit.properties import combine_results
+
+        outcome = self.outcome
+        verdict = outcome.verdict
+        if verdict.choice:
+            properties = combine_results(verdict.law, outcome.properties, verdict.laws)
+            yield recommendation(verdict.choice, properties)
+
+    def _joint_lines(self) -> Iterator[str]:
+        """Yield the table of the recommended laws as lines of the terminal."""
+        for table in self._recommendation():
+            for row in table.rows:
+                law, ratio, unexplained, passivity, feed_forward = (cell.text for cell in row.cells)
+                yield (
+                    f"  {row.head}: {law}, {ratio} of Coulomb + viscous, {unexplained} unexplained, "
+                    f"{passivity}, feed-forward {feed_forward}"
+                )
+
     def tables(self) -> Sequence[ResultTable | str]:
-        """Return body, scores, closed loop, physics checks, findings and cache use."""
+        """Return laws, body, scores, closed loop, physics checks, findings and cache use."""
         from cosim.report.tables.laws import legend, properties, rigid_body
 
         outcome = self.outcome
         tables: list[ResultTable | str] = [
+            *self._recommendation(),
             rigid_body(outcome.rigid_body, self._sliding),
             *self._score_tables(),
             *self._loop_tables(),

@@ -204,6 +204,9 @@ _ALL_EXPECTATIONS = (
     ),
 )
 
+FEED_FORWARD = ("start", "chatter", "work")
+"""Checks that a law must pass to be fed forward: measured velocity in, torque to the motors."""
+
 EXPECTATIONS = {expectation.key: expectation for expectation in _ALL_EXPECTATIONS}
 
 

@@ -13,10 +13,11 @@ from cosim.report.results import Results
 from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables import table
 from cosim.report.tables.laws import find_most_passing
-from cosim.report.tables.scores import find_leader, ratio_notes
+from cosim.report.tables.scores import find_leader, ratio_notes, recommendation
+from cosim.study.law_choice import describe_choice
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison
-from hesr_model.audit.properties import EXPECTATIONS
+from hesr_model.audit.properties import EXPECTATIONS, combine_results
 from hesr_model.fitting.estimator import papers_law
 from hesr_model.inference.comparison import ErrorRatio
 
@@ -43,6 +44,10 @@ def summary(results: Results) -> dict[str, Any]:
             replace(finding, remedy="").sentence for finding in findings[:_MAX_LISTED_FINDINGS]
         ],
         "errors": errors(results, laws),
+        "recommendation": _recommend(results),
+        "choice": list(describe_choice(results.verdict.choice))
+        if results.verdict and results.verdict.choice
+        else [],
         "plot": _plot(results, laws),
         "laws": len(results.models),
         "tests": len(results.tests),
@@ -56,6 +61,16 @@ def summary(results: Results) -> dict[str, Any]:
         "most": most_passing and (", ".join(map(table.title, most_passing[0])), most_passing[1]),
         "checks": len(EXPECTATIONS),
     }
+
+
+def _recommend(results: Results) -> table.ResultTable | None:
+    """Return the table of the recommended laws; None for results of earlier versions."""
+    verdict = results.verdict
+    if verdict is None or verdict.choice is None:
+        return None
+    return recommendation(
+        verdict.choice, combine_results(verdict.law, results.properties, verdict.laws)
+    )
 
 
 def errors(results: Results, laws: Sequence[str]) -> table.ResultTable:

@@ -17,8 +17,10 @@ from cosim.report.tables.table import (
 from cosim.study.position_errors import PositionErrors
 from cosim.study.scores import ORACLE, REFERENCE, Comparison, Errors, find_unseparated
 from cosim.study.verdict import format_excess_percent
+from hesr_model.audit.properties import EXPECTATIONS, FEED_FORWARD, Properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
+from hesr_model.inference.choice import PLAIN, Choice, JointChoice
 from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
 from hesr_model.units import unit_of_joints
 
@@ -105,6 +107,62 @@ def errors(
         head=("law", *joints(len(comparison.joints)), *(["zero phase"] if zero_phase else [])),
         rows=rows,
     )
+
+
+def recommendation(choice: Choice, properties: Properties | None) -> ResultTable:
+    """Return the law of each joint, its error on left-out rows, and whether it is safe.
+
+    `properties` are the physics checks of the recommended laws, None if they were not run.
+    """
+    rows = []
+    for j, (name, joint_choice) in enumerate(
+        zip(joints(len(choice.joints)), choice.joints, strict=True)
+    ):
+        rows.append(
+            make_row(
+                name,
+                title(joint_choice.law_name),
+                _format_ratio(joint_choice),
+                _format_percent(joint_choice.unexplained),
+                "proven" if joint_choice.proven else "not proven",
+                _describe_feed_forward(properties, j),
+            )
+        )
+    return ResultTable(
+        caption="Recommended laws, judged on rows that neither they nor the body were fitted to",
+        head=(
+            "joint",
+            "law",
+            f"error over that of {title(PLAIN)}",
+            "unexplained",
+            "passivity",
+            "feed-forward",
+        ),
+        rows=rows,
+        numeric=False,
+        note="With 95 % intervals. Unexplained: error over the standard deviation of the friction. "
+        "Feed-forward is safe if the law starts in motion, is quiet at rest and generates no "
+        "energy in a cycle.",
+    )
+
+
+def _format_ratio(joint_choice: JointChoice) -> str:
+    if joint_choice.ratio is None or joint_choice.low is None or joint_choice.high is None:
+        return "\u2013"
+    return f"{joint_choice.ratio:.2f} ({joint_choice.low:.2f} to {joint_choice.high:.2f})"
+
+
+def _format_percent(share: float | None) -> str:
+    return "\u2013" if share is None else f"{100.0 * share:.0f} %"
+
+
+def _describe_feed_forward(properties: Properties | None, j: int) -> str:
+    """Return whether a joint's law passes the checks that feed-forward needs."""
+    if properties is None:
+        return "not checked"
+    results = properties.joints[j].findings
+    failed = [EXPECTATIONS[key].title for key in FEED_FORWARD if results[key].verdict == "fail"]
+    return f"fails: {', '.join(failed)}" if failed else "safe"
 
 
 def separations(name: str, comparison: Comparison, laws: Sequence[str] = ()) -> ResultTable | None:
