@@ -92,8 +92,8 @@ class RunResult(Answer):
             for row in table.rows:
                 law, ratio, unexplained, passivity, feed_forward = (cell.text for cell in row.cells)
                 yield (
-                    f"  {row.head}: {law}, {ratio} of Coulomb + viscous, {unexplained} unexplained, "
-                    f"{passivity}, feed-forward {feed_forward}"
+                    f"  {row.head}: {law}, {ratio} of Coulomb + viscous, {unexplained} "
+                    f"unexplained, {passivity}, feed-forward {feed_forward}"
                 )
 
     def tables(self) -> Sequence[ResultTable | str]:

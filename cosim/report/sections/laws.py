@@ -67,7 +67,7 @@ def equations(results: Results) -> dict[str, Any]:
     coefficients = {
         law_name: _coefficients(results, model)
         for law_name, model in results.models.items()
-        if all(map(is_exposed, model.laws))
+        if model.size and all(map(is_exposed, model.laws))
     }
     return {"laws": entries, "coefficients": coefficients}
 
