@@ -1,7 +1,7 @@
 """Verdict of a run: the recommended FMU, its weaknesses, and helpful data."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from cosim.report.tables.table import join_law_titles, title
 from cosim.report.tables.table import joints as short_names
 from cosim.study.forecast import Forecast
 from cosim.study.law_choice import describe_choice, state_rule
-from cosim.study.scores import RECORDED, Comparison, LawScores
+from cosim.study.scores import RECORDED, Comparison, LawScores, find_unseparated
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.forward.output_error import RefinementResult
@@ -26,6 +26,7 @@ from hesr_model.support.typed_files import from_json, read_json, to_json, write_
 VERDICT = "verdict.json"
 VERDICT_FORMAT = "hesr-verdict-1"
 
+_MAX_LISTED_LAWS = 3
 _MAX_UNEXPLAINED = 25.0  # [%] of friction unexplained
 _MAX_REVERSAL_RATIO = 1.5  # error near reversals over that of all rows
 _MAX_UNTRAINED_SHARE = 0.02  # share of test rows outside the trained speeds
@@ -35,10 +36,10 @@ _MIN_LOAD_SPREAD = 0.5  # spread of the load over that of friction
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """Laws `tied` with the `best` on a joint, which a test cannot distinguish.
+    """Laws that a test does not separate from that of a joint (`tied`), and those `better`.
 
-    The test would find errors of `detectable` times the lowest: the smallest and the largest such
-    ratio of the other laws, None for a short test.
+    The test would find errors of `detectable` times that of the law: the smallest and the largest
+    such ratio of the tied laws, None for a short test. `best` has the lowest error.
     """
 
     best: str
@@ -46,6 +47,7 @@ class Separation:
     detectable: tuple[float, float] | None
     seconds: float  # [s] test that would find `RECORDED`
     law: str = ""  # recommended; empty in earlier versions
+    better: tuple[str, ...] = ()  # significantly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,10 +149,7 @@ def judge_run(
     recommended = laws[0] if len(set(laws)) == 1 else MIXED
     shares = comparison.unexplained_shares(comparison.combine_scores(laws).rmse)
     percent = {joint: 100.0 * share for joint, share in zip(comparison.joints, shares, strict=True)}
-    joints = tuple(
-        replace(joint_separation, law=law_name)
-        for joint_separation, law_name in zip(find_separations(comparison), laws, strict=True)
-    )
+    joints = tuple(find_separations(comparison, laws))
     named_joints = zip(comparison.joints, joints, strict=True)
     detectable_ratios = {
         name: joint_separation.detectable[1]
@@ -185,20 +184,19 @@ def judge_run(
     )
 
 
-def find_separations(comparison: Comparison) -> Iterator[Separation]:
-    """Yield the laws that the test cannot distinguish, by joint."""
-    for leaders, detectable, seconds in zip(
-        comparison.leading, comparison.detectable, comparison.seconds, strict=True
-    ):
-        best, *tied = leaders
-        ratios = [detectable[law_name] for law_name in tied if law_name in detectable] or [
-            *detectable.values()
-        ]
+def find_separations(comparison: Comparison, laws: Sequence[str]) -> Iterator[Separation]:
+    """Yield what a test says of the law of each joint."""
+    if not comparison.leading:
+        return
+    for j, law_name in enumerate(laws):
+        unseparated = find_unseparated(comparison, law_name, j)
         yield Separation(
-            best=best,
-            tied=tuple(tied),
-            detectable=(min(ratios), max(ratios)) if ratios else None,
-            seconds=seconds,
+            law=law_name,
+            best=comparison.leading[j][0],
+            tied=unseparated.laws if unseparated else (),
+            better=unseparated.better if unseparated else (),
+            detectable=unseparated.detectable if unseparated else None,
+            seconds=unseparated.seconds if unseparated else comparison.seconds[j],
         )
 
 
@@ -207,6 +205,13 @@ def format_excess_percent(low: float, high: float) -> str:
     first = f"{100 * (low - 1):.0f}"
     last = f"{100 * (high - 1):.0f}"
     return f"{first} %" if first == last else f"{first} to {last} %"
+
+
+def _format_count(low: int, high: int) -> str:
+    """Return a range of numbers of laws."""
+    if low == high:
+        return f"{low} law{'s' * (low > 1)}"
+    return f"{low} to {high} laws"
 
 
 def describe_limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
@@ -221,26 +226,28 @@ def describe_limits(test: str, joints: Sequence[Separation]) -> Iterator[str]:
         place_text = f" on {', '.join(short_joints)}" if len(short_joints) < len(joints) else ""
         seconds = max(joint_separations[name].seconds for name in short_joints)
         yield f"{test} is too short to compare laws{place_text}; record at least {seconds:.0f} s."
-    parts = []
-    required_seconds = []
-    for name, joint_separation in joint_separations.items():
-        laws = {joint_separation.best, *joint_separation.tied}
-        if (
-            joint_separation.detectable is not None
-            and joint_separation.law in laws
-            and len(laws) > 1
-        ):
-            count = f"{len(laws) - 1} law{'s' if len(laws) > 2 else ''}"
-            parts.append(
-                f"{count} on {name} ({format_excess_percent(*joint_separation.detectable)})"
-            )
-            if joint_separation.detectable[1] > RECORDED:
-                required_seconds.append(joint_separation.seconds)
-    if parts:
+    tied_joints = {
+        name: joint_separation
+        for name, joint_separation in joint_separations.items()
+        if joint_separation.detectable is not None and joint_separation.tied
+    }
+    if tied_joints:
+        counts = [len(joint_separation.tied) for joint_separation in tied_joints.values()]
+        ratios = [ratio for one in tied_joints.values() for ratio in one.detectable or ()]
         yield (
-            f"{test} does not separate it from {', '.join(parts)}; the smallest detectable "
-            "difference is in brackets."
+            f"{test} does not separate it from {_format_count(min(counts), max(counts))} on "
+            f"{', '.join(tied_joints)}; it would show "
+            f"{format_excess_percent(min(ratios), max(ratios))}."
         )
+    for name, joint_separation in joint_separations.items():
+        if joint_separation.better:
+            titles = ", ".join(map(title, joint_separation.better[:_MAX_LISTED_LAWS]))
+            yield f"On {name} {test} shows {titles} to be better."
+    required_seconds = [
+        joint_separation.seconds
+        for joint_separation in tied_joints.values()
+        if joint_separation.detectable and joint_separation.detectable[1] > RECORDED
+    ]
     if required_seconds:
         yield (
             f"To find {100 * (RECORDED - 1):.0f} %, record tests of about "

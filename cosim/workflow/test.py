@@ -401,7 +401,7 @@ def _scores_lines(comparison: Comparison) -> list[str]:
         comparison.joints, comparison.unexplained_shares(comparison.laws[best].rmse), strict=True
     )
     shares = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in pairs)
-    joints = [replace(separated, law=best) for separated in find_separations(comparison)]
+    joints = list(find_separations(comparison, [best] * len(comparison.joints)))
     return [f"Best: {best}. Unexplained friction: {shares}.", *describe_limits("The test", joints)]
 
 
