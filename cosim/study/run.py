@@ -208,7 +208,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
     findings += log_findings(check_laws(models, select_records(study.logs.training, records)))
     write_findings(folder, findings)
 
-    left_out_errors = job.judge_laws(logs, robot, list(models))
+    left_out_errors = job.judge_laws(logs, robot, body, list(models))
     models = {
         law_name: _set_left_out_rmse(model, left_out_errors) for law_name, model in models.items()
     }

@@ -37,12 +37,12 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
 from hesr_model.forward.output_error import RefinementResult, refine
 from hesr_model.friction.model import MIXED, FrictionModel
-from hesr_model.inference.folds import Fold, split_into_folds
+from hesr_model.inference.folds import Fold, split_into_folds, thin
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import read_table
-from hesr_model.rigid_body.choice import identify_from_logs
+from hesr_model.rigid_body.choice import identify_from_logs, identify_kind
 from hesr_model.rigid_body.identification import RigidBody, identify, identify_motions
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
@@ -430,7 +430,7 @@ class Job:
         return models, left_out
 
     def judge_laws(
-        self, logs: Mapping[str, Log], robot: Robot, laws: Sequence[str]
+        self, logs: Mapping[str, Log], robot: Robot, body: RigidBody, laws: Sequence[str]
     ) -> LeftOutErrors:
         """Judge laws on rows of the training logs that neither they nor their body were fitted to.
 
@@ -448,7 +448,7 @@ class Job:
             motions,
             robot,
             folds,
-            [self._identify_without(fold, robot) for fold in folds],
+            [self._identify_without(fold, robot, body) for fold in folds],
             training=study.logs.training,
             seed=study.seed,
             options=self._options,
@@ -458,15 +458,23 @@ class Job:
             progress=partial(self.progress, "judging laws on left-out rows"),
         )
 
-    def _identify_without(self, fold: Fold, robot: Robot) -> RigidBody:
-        """Return the rigid body of the training part of a fold."""
+    def _identify_without(self, fold: Fold, robot: Robot, body: RigidBody) -> RigidBody:
+        """Return the rigid body of the training part of a fold, of the kind of a body.
+
+        It is the body itself if the training part does not determine one.
+        """
         logs = self.study.logs
-        return identify_motions(
-            [piece for piece in fold.training if piece.name in logs.identification],
-            robot,
-            reversed_motions=[piece for piece in fold.training if piece.name in logs.reversed],
-            physical=self.study.physical,
-        )
+        pieces = [thin(piece) for piece in fold.training]
+        try:
+            return identify_kind(
+                [piece for piece in pieces if piece.name in logs.identification],
+                robot,
+                body.kind,
+                reversed_motions=[piece for piece in pieces if piece.name in logs.reversed],
+                warns=False,
+            )
+        except FitError:
+            return body
 
     def compare(
         self,
