@@ -86,7 +86,7 @@ def _describe_class(choice: Choice, members: Sequence[JointChoice]) -> str:
     if first.law_name == PLAIN:
         return f"{law_title}; no law is better on {_ROWS} by two standard errors."
     use = "the law of all joints is used" if len(choice.joints) > 1 else "it is used nevertheless"
-    return f"the {_ROWS} do not tell {law_title} from {plain} ({figures}); {use}."
+    return f"the {_ROWS} do not tell {law_title} from {plain}, {figures}; {use}."
 
 
 def _format_ratios(members: Sequence[JointChoice]) -> str:

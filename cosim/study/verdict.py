@@ -11,6 +11,7 @@ from cosim.report.tables.table import joints as short_names
 from cosim.study.forecast import Forecast
 from cosim.study.law_choice import describe_choice, state_rule
 from cosim.study.scores import RECORDED, Comparison, LawScores, find_unseparated
+from cosim.study.study import LEFT_OUT
 from fmu_src.friction.predictions import Records
 from hesr_model.audit.properties import Properties, combine_results
 from hesr_model.forward.output_error import RefinementResult
@@ -105,6 +106,11 @@ class Verdict:
     simulation: ForSimulation | None = None  # if the study refines by output error
 
     @property
+    def has_test(self) -> bool:
+        """Whether the run has a test set, beside the left-out rows of the training logs."""
+        return self.test != LEFT_OUT
+
+    @property
     def laws(self) -> tuple[str, ...]:
         """Recommended law of each joint."""
         laws = tuple(joint_separation.law or self.law for joint_separation in self.joints)
@@ -121,7 +127,7 @@ class Verdict:
             *(describe_choice(self.choice) if self.choice else []),
             *self.constants,
             *self.limits,
-            f"Unexplained friction on '{self.test}': {shares_text}.",
+            *([f"Unexplained friction on '{self.test}': {shares_text}."] * self.has_test),
             *self.weak,
             *self.improve,
             *filter(None, [self.planned]),
@@ -179,7 +185,7 @@ def judge_run(
         simulation=ForSimulation.from_refined(refined or {}),
         joints=joints,
         choice=choice,
-        limits=tuple(describe_limits(f"'{test}'", joints)),
+        limits=() if test == LEFT_OUT else tuple(describe_limits(f"'{test}'", joints)),
         constants=tuple(statements(models[laws[0]].provenance)),
     )
 
