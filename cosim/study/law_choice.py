@@ -1,14 +1,29 @@
 """Choice of the recommended laws of a run, in numbers and in sentences."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
 
 from cosim.report.tables.table import joints as short_names
 from cosim.report.tables.table import title
+from cosim.study.scores import transpose_records
 from hesr_model.audit.certificate import has_proof
-from hesr_model.friction.model import FrictionModel, can_share_fmu
-from hesr_model.inference.choice import PLAIN, Choice, JointChoice, choose_laws
+from hesr_model.fitting.estimator import estimator, select_laws
+from hesr_model.fitting.fit import fit_models
+from hesr_model.fitting.left_out import judge_laws
+from hesr_model.friction.model import FrictionModel, can_share_fmu, mix_models
+from hesr_model.inference.choice import CHOOSE, PLAIN, Choice, JointChoice, choose_laws
+from hesr_model.inference.folds import split_into_folds
 from hesr_model.inference.left_out import LeftOutErrors
+from hesr_model.logs.signals import Motion
+from hesr_model.rigid_body.choice import identify_without
+from hesr_model.rigid_body.identification import RigidBody
+from hesr_model.rigid_body.residual import motion_records
+from hesr_model.robots.robot import Robot
+from hesr_model.support.progress import Stages, silent
 
 _ROWS = "left-out rows"
 
@@ -96,3 +111,63 @@ def _format_ratios(members: Sequence[JointChoice]) -> str:
         return f"{members[0].ratio:.2f} ({members[0].low:.2f} to {members[0].high:.2f})"
     low, high = f"{min(ratios):.2f}", f"{max(ratios):.2f}"
     return low if low == high else f"{low} to {high}"
+
+
+def fit_chosen_laws(
+    motions: Sequence[Motion],
+    robot: Robot,
+    body: RigidBody,
+    *,
+    identifies_body: bool,
+    seed: int = 0,
+    provenance: Mapping[str, Any] | None = None,
+    progress: Stages = silent,
+) -> tuple[FrictionModel, Choice]:
+    """Fit the proposed laws, choose by left-out rows, and return the chosen model.
+
+    Parameters
+    ----------
+    motions : smoothed logs.
+    body : rigid body of all of them.
+    identifies_body : whether the body was identified from these motions, so that each fold needs
+        one of its own.
+    """
+    folds = split_into_folds(motions)
+    bodies = [identify_without(fold, robot, body) if identifies_body else body for fold in folds]
+    laws = [
+        law_name
+        for law_name in select_laws("proposed")
+        if all(getattr(robot.description, need) is not None for need in estimator(law_name).needs)
+    ]
+    errors = judge_laws(
+        laws,
+        motions,
+        robot,
+        folds,
+        bodies,
+        seed=seed,
+        progress=partial(progress, "judging laws on left-out rows"),
+    )
+    records = transpose_records([motion_records(motion, robot, body) for motion in motions])
+    models = fit_models(
+        errors.laws,
+        records,
+        robot=robot.name,
+        seed=seed,
+        provenance=provenance,
+        progress=partial(progress, "fitting laws"),
+        report_left_out=lambda *_: None,
+    )
+    choice = choose_from_models(models, errors)
+    chosen = [add_left_out_rmse(models[law_name], errors) for law_name in choice.laws]
+    model = chosen[0] if len(set(choice.laws)) == 1 else mix_models(chosen)
+    source = {**model.provenance, CHOOSE: list(describe_choice(choice))}
+    return replace(model, provenance=source), choice
+
+
+def add_left_out_rmse(model: FrictionModel, errors: LeftOutErrors) -> FrictionModel:
+    """Return a model with its errors on left-out rows, if all joints have them."""
+    if model.law not in errors.laws:
+        return replace(model, left_out_rmse=())
+    rmse = tuple(errors.rmse(model.law, j) for j in range(len(model.joints)))
+    return replace(model, left_out_rmse=rmse if np.all(np.isfinite(rmse)) else ())

@@ -8,11 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cosim.loop.traces import Following, LoopOutcome, complete_loops
 from cosim.study.forecast import Forecast
-from cosim.study.law_choice import choose_from_models
+from cosim.study.law_choice import add_left_out_rmse, choose_from_models
 from cosim.study.position_errors import SIMULATION, simulate_tests
 from cosim.study.replicates import Replicates, write_replicates
 from cosim.study.results import TRUTHS, ScoredRun, record_files, save_run, write_findings
@@ -32,7 +30,6 @@ from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.model import MIXED, FrictionModel, mix_models
 from hesr_model.health.examine import check_body, check_laws, check_logs
 from hesr_model.inference.folds import MIN_FOLDS
-from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import friction_records
@@ -210,7 +207,7 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
 
     left_out_errors = job.judge_laws(logs, robot, body, list(models))
     models = {
-        law_name: _set_left_out_rmse(model, left_out_errors) for law_name, model in models.items()
+        law_name: add_left_out_rmse(model, left_out_errors) for law_name, model in models.items()
     }
     fmus = _write_laws(job, models, folder)
     comparisons, predictions = job.compare(
@@ -236,14 +233,6 @@ def score_study(job: Job, folder: Path, *, accepted: Sequence[str] = ()) -> Scor
         predictions=predictions,
         refined=refined,
     )
-
-
-def _set_left_out_rmse(model: FrictionModel, errors: LeftOutErrors) -> FrictionModel:
-    """Return a model with its errors on left-out rows, if all joints have them."""
-    if model.law not in errors.laws:
-        return replace(model, left_out_rmse=())
-    rmse = tuple(errors.rmse(model.law, j) for j in range(len(model.joints)))
-    return replace(model, left_out_rmse=rmse if np.all(np.isfinite(rmse)) else ())
 
 
 def _provenance(job: Job, files: Mapping[str, Path]) -> dict[str, Any]:

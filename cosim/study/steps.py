@@ -37,12 +37,12 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
 from hesr_model.forward.output_error import RefinementResult, refine
 from hesr_model.friction.model import MIXED, FrictionModel
-from hesr_model.inference.folds import Fold, split_into_folds, thin
+from hesr_model.inference.folds import split_into_folds
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import read_table
-from hesr_model.rigid_body.choice import identify_from_logs, identify_kind
+from hesr_model.rigid_body.choice import identify_from_logs, identify_kind, identify_without
 from hesr_model.rigid_body.identification import RigidBody, identify, identify_motions
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
@@ -443,12 +443,18 @@ class Job:
             for motion in smooth_logs([logs[name]], robot)
         ]
         folds = split_into_folds(motions, study.folds)
+        bodies = [
+            identify_without(
+                fold, robot, body, study.logs.identification, reversed_logs=study.logs.reversed
+            )
+            for fold in folds
+        ]
         return judge_laws(
             laws,
             motions,
             robot,
             folds,
-            [self._identify_without(fold, robot, body) for fold in folds],
+            bodies,
             training=study.logs.training,
             seed=study.seed,
             options=self._options,
@@ -457,24 +463,6 @@ class Job:
             checkpoints=self.checkpoints and self.checkpoints / "laws",
             progress=partial(self.progress, "judging laws on left-out rows"),
         )
-
-    def _identify_without(self, fold: Fold, robot: Robot, body: RigidBody) -> RigidBody:
-        """Return the rigid body of the training part of a fold, of the kind of a body.
-
-        It is the body itself if the training part does not determine one.
-        """
-        logs = self.study.logs
-        pieces = [thin(piece) for piece in fold.training]
-        try:
-            return identify_kind(
-                [piece for piece in pieces if piece.name in logs.identification],
-                robot,
-                body.kind,
-                reversed_motions=[piece for piece in pieces if piece.name in logs.reversed],
-                warns=False,
-            )
-        except FitError:
-            return body
 
     def compare(
         self,

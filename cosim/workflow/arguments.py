@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hesr_model.friction.model import FrictionModel
     from hesr_model.logs.long_log import LongLog
     from hesr_model.logs.robot_log import Log
+    from hesr_model.logs.signals import Motion
     from hesr_model.rigid_body.identification import RigidBody
     from hesr_model.rigid_body.residual import FrictionRecord
     from hesr_model.robots.robot import Robot, RobotDescription, RobotLike
@@ -193,12 +194,17 @@ class CheckedLogs:
 
         Of long logs these are up to 10^6 rows, in pieces that cover speed, load and rest.
         """
-        from hesr_model.logs.robot_log import collect_parts
+        from hesr_model.rigid_body.residual import motion_records
+
+        return [motion_records(motion, self.robot, body) for motion in self.collect_motions(seed)]
+
+    def collect_motions(self, seed: int = 0) -> list[Motion]:
+        """Return the smoothed parts of the logs; of long logs those of `compute_records`."""
         from hesr_model.logs.sample import MotionSample
-        from hesr_model.rigid_body.residual import friction_records, motion_records
+        from hesr_model.logs.signals import smooth_logs
 
         if not self.long_logs:
-            return [friction_records(part, self.robot, body) for part in collect_parts(self.logs)]
+            return smooth_logs(self.logs, self.robot)
         sample = MotionSample(MAX_ROWS, seed)
         row_count = 0
         for log in self.long_logs:
@@ -214,7 +220,7 @@ class CheckedLogs:
                 row_count,
                 used_count,
             )
-        return [motion_records(motion, self.robot, body) for motion in motions]
+        return motions
 
 
 def read_logs(

@@ -19,6 +19,7 @@ from cosim.workflow.arguments import (
     require_mapping,
 )
 from hesr_model.errors import ArgumentError, HesrError
+from hesr_model.inference.choice import CHOOSE
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, newest, provenance, to_path
 from hesr_model.support.progress import Stages, silent
@@ -82,7 +83,8 @@ def fit(
         CSV, Parquet or MATLAB files, or ROS bags; in Python also `Log` objects. Of long logs at
         most 10^6 rows are used, in whole stretches that cover speed, load and rest.
     law : str, path or law
-        Name of a law (--list shows them); with --add also a fitted law (.json).
+        Name of a law (--list shows them), or choose: the proposed law of each joint that predicts
+        left-out rows best; with --add also a fitted law (.json).
     robot : robot or path, optional
         Robot file (.toml), URDF or MJCF; by default the robot of the logs.
     rigid_body : body or path, optional
@@ -128,6 +130,7 @@ def fit(
     >>> hesr.fit("sweep.csv", law="stribeck", robot="robot.toml", rigid_body="rigid_body.json")
     FrictionModel('stribeck' of 'arm', 3 joints)
     """
+    from cosim.study.law_choice import fit_chosen_laws
     from cosim.study.scores import transpose_records
     from hesr_model.findings import log_findings
     from hesr_model.fitting.days import adapt
@@ -145,9 +148,21 @@ def fit(
             raise ArgumentError(f"'add' is '{name}'; there are {', '.join(refinements)}.")
     fitted_model = _read_fitted_law(law, additions, options, priors)
     checked = read_checked_logs(sources, robot, accepted, progress, in_pieces=True)
-    records = checked.compute_records(checked.find_body(rigid_body), seed)
+    body = checked.find_body(rigid_body)
+    records = checked.compute_records(body, seed)
     joint_records = transpose_records(records)
-    if fitted_model is None:
+    if fitted_model is None and law == CHOOSE:
+        model, _ = fit_chosen_laws(
+            checked.collect_motions(seed),
+            checked.robot,
+            body,
+            identifies_body=rigid_body is None,
+            seed=seed,
+            provenance=_provenance(checked, rigid_body, seed, {}),
+            progress=progress,
+        )
+        model = _add_health(model, check_laws({model.law: model}, joint_records))
+    elif fitted_model is None:
         law_name = str(law)
         models = fit_models(
             [law_name],
@@ -215,6 +230,10 @@ def _read_fitted_law(
         raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
     if law is None:
         return build_prior([read_model(source) for source in prior])
+    if law == CHOOSE:
+        if options:
+            raise ArgumentError(f"'law' is '{CHOOSE}'; it has no 'options'.")
+        return None
     if not isinstance(law, FrictionModel) and not str(law).lower().endswith(".json"):
         estimator(str(law))  # refuse an unknown law before the logs are read
         return None
@@ -254,7 +273,7 @@ def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     if model.trained:
         certificates = datasheet.certificates(model, model.trained)
         lines.append(f"Passivity: {passivity(model.joints, certificates)}.")
-    for name in ("adaptation", *plugins.names("hesr.refinements")):
+    for name in (CHOOSE, "adaptation", *plugins.names("hesr.refinements")):
         lines += model.provenance.get(name, ())
     return Written(
         format="hesr-friction-model-1",

@@ -18,6 +18,9 @@ from hesr_model.inference.left_out import LeftOutErrors
 NONE = "none"
 CONSTANT = "constant"
 PLAIN = "coulomb_viscous"
+CHOOSE = "choose"
+"""Name that stands for a law to be chosen among the proposed ones."""
+
 PROVEN_LAWS = ("parfam_s", "parfam_s_v")
 """Laws that take the place of an unproven base, in this order."""
 

@@ -4,7 +4,7 @@ The masses of the model file, physically possible ones and those of plain least 
 identified without every fold in turn, with Coulomb, viscous and offset friction, and judged on it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -170,6 +170,36 @@ def identify_kind(
         warns=warns,
     )
     return replace(body, kind=kind)
+
+
+def identify_without(
+    fold: Fold,
+    robot: Robot,
+    body: RigidBody,
+    logs: Collection[str] = (),
+    *,
+    reversed_logs: Collection[str] = (),
+) -> RigidBody:
+    """Return the rigid body that a fold does not judge, of the kind of a body.
+
+    Parameters
+    ----------
+    fold : whose training part identifies it.
+    body : of all rows; it is returned if the training part does not determine one.
+    logs : names of the logs that identify it; by default all.
+    reversed_logs : names of their time-reversed counterparts.
+    """
+    pieces = [thin(piece) for piece in fold.training]
+    try:
+        return identify_kind(
+            [piece for piece in pieces if not logs or piece.name in logs],
+            robot,
+            body.kind,
+            reversed_motions=[piece for piece in pieces if piece.name in reversed_logs],
+            warns=False,
+        )
+    except FitError:
+        return body
 
 
 def has_masses(robot: Robot) -> bool:
