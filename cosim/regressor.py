@@ -23,10 +23,12 @@ from hesr_model.friction.law import equations
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import rmse
 from hesr_model.friction.table import MotionTable, read_motion, read_numbers, read_torques
+from hesr_model.inference.choice import CHOOSE
 from hesr_model.logs.robot_log import Log, collect_parts
+from hesr_model.logs.signals import smooth_logs
 from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.residual import FrictionRecord, friction_records
-from hesr_model.robots.robot import RobotLike, to_robot
+from hesr_model.robots.robot import Robot, RobotLike, to_robot
 from hesr_model.support import plugins
 from hesr_model.support.arrays import Array
 from hesr_model.support.files import to_path
@@ -45,7 +47,8 @@ class FrictionRegressor:
 
     Parameters
     ----------
-    law : name of a law; see `hesr.laws`.
+    law : name of a law, see `hesr.laws`; or "choose", the proposed law of each joint that predicts
+        left-out rows of logs best.
     robot : robot of the logs; by default that of the log.
     rigid_body : rigid body of the robot, or its file; by default identified from the logs of `fit`.
     target : predicted quantity and meaning of y: "friction", or "torque" including load torque.
@@ -119,7 +122,8 @@ class FrictionRegressor:
         FitError
             If the data do not determine the law.
         """
-        estimator(self.law)
+        if self.law != CHOOSE:
+            estimator(self.law)
         if self.target not in _TARGETS:
             raise TableError(
                 f"the target of a friction regressor is '{self.target}'; allowed are "
@@ -133,9 +137,14 @@ class FrictionRegressor:
             self.robot_ = robot.description
             self.rigid_body_ = find_body(self.rigid_body, logs, robot)
             robot_name = robot.description.name
-            records = self._records(collect_parts(logs))
             self.__dict__.pop("n_features_in_", None)
+            if self.law == CHOOSE:
+                self.model_ = self._choose(logs, robot)
+                return self
+            records = self._records(collect_parts(logs))
         else:
+            if self.law == CHOOSE:
+                raise TableError(f"the law '{CHOOSE}' needs logs; name a law to fit a table.")
             values, names = read_numbers(X)
             measured = read_torques(y, len(values))
             table = self._motion(values, names)
@@ -150,6 +159,21 @@ class FrictionRegressor:
             self.law, *records, seed=self.seed, options=self.options, robot=robot_name
         )
         return self
+
+    def _choose(self, logs: Sequence[Log], robot: Robot) -> FrictionModel:
+        """Return the chosen law of each joint."""
+        from cosim.study.law_choice import fit_chosen_laws
+
+        if self.options:
+            raise TableError(f"the law '{CHOOSE}' has no options.")
+        model, _ = fit_chosen_laws(
+            smooth_logs(logs, robot),
+            robot,
+            self.rigid_body_,
+            identifies_body=self.rigid_body is None,
+            seed=self.seed,
+        )
+        return model
 
     def predict(self, X: Any) -> Array:
         """Return the friction torque, or the joint torque if that is the target.
