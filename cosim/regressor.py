@@ -248,9 +248,10 @@ class FrictionRegressor:
         """Return a figure of measured and predicted torque of one log or table over time."""
         from cosim.report.figures.chart import Chart, Line, Panel, draw_chart
         from cosim.report.figures.style import MEASURED, strokes
+        from cosim.report.tables.table import title as law_title
 
         model = self._require_fitted()
-        title = estimator(self.law).title
+        title = law_title(model.law)
         tau_predicted = self.predict(X)
         tau_predicted = tau_predicted.reshape(len(tau_predicted), -1)
         logs = self._logs(X)
