@@ -37,7 +37,7 @@ from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
 from hesr_model.forward.output_error import RefinementResult, refine
 from hesr_model.friction.model import MIXED, FrictionModel
-from hesr_model.inference.folds import split_into_folds
+from hesr_model.inference.folds import split_into_folds, thin
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
@@ -437,25 +437,38 @@ class Job:
         Each fold leaves out logs, or a block of time, for the body and the laws alike.
         """
         study = self.study
-        motions = [
-            replace(motion, name=name)
+        motions_by_log = {
+            name: [replace(motion, name=name) for motion in smooth_logs([logs[name]], robot)]
             for name in self.trained_on
-            for motion in smooth_logs([logs[name]], robot)
-        ]
+        }
+        motions = [motion for name in study.logs.training for motion in motions_by_log[name]]
         folds = split_into_folds(motions, study.folds)
-        bodies = [
-            identify_without(
-                fold, robot, body, study.logs.identification, reversed_logs=study.logs.reversed
-            )
-            for fold in folds
-        ]
+        identifying_logs = {*study.logs.identification, *study.logs.reversed}
+        bodies = [body] * len(folds)
+        if identifying_logs & set(study.logs.training):
+            # Laws are not judged on the other logs, which therefore identify every fold's body.
+            other_motions = [
+                thin(motion)
+                for name in self.trained_on
+                if name not in study.logs.training
+                for motion in motions_by_log[name]
+            ]
+            bodies = [
+                identify_without(
+                    replace(fold, training=(*fold.training, *other_motions)),
+                    robot,
+                    body,
+                    study.logs.identification,
+                    reversed_logs=study.logs.reversed,
+                )
+                for fold in folds
+            ]
         return judge_laws(
             laws,
             motions,
             robot,
             folds,
             bodies,
-            training=study.logs.training,
             seed=study.seed,
             options=self._options,
             variants=self._variant_laws,

@@ -88,13 +88,15 @@ class RunResult(Answer):
 
     def _joint_lines(self) -> Iterator[str]:
         """Yield the table of the recommended laws as lines of the terminal."""
+        from cosim.report.tables.scores import NOT_JUDGED
+
         for table in self._recommendation():
             for row in table.rows:
                 law, ratio, unexplained, passivity, feed_forward = (cell.text for cell in row.cells)
-                yield (
-                    f"  {row.head}: {law}, {ratio} of Coulomb + viscous, {unexplained} "
-                    f"unexplained, {passivity}, feed-forward {feed_forward}"
-                )
+                judged = "not judged"
+                if ratio != NOT_JUDGED:
+                    judged = f"{ratio} of Coulomb + viscous, {unexplained} unexplained"
+                yield f"  {row.head}: {law}, {judged}, {passivity}, feed-forward {feed_forward}"
 
     def tables(self) -> Sequence[ResultTable | str]:
         """Return laws, body, scores, closed loop, physics checks, findings and cache use."""

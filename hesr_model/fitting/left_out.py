@@ -53,7 +53,6 @@ def judge_laws(
     folds: Sequence[Fold],
     bodies: Sequence[RigidBody],
     *,
-    training: Sequence[str] | None = None,
     seed: int = 0,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     variants: Mapping[str, str] | None = None,
@@ -72,14 +71,11 @@ def judge_laws(
     laws : laws or variants.
     motions : smoothed logs of the folds.
     folds, bodies : folds, each with the rigid body of its training part.
-    training : names of the logs that train and judge laws; by default all.
     per_log : quantities that differ by log; those of judged rows are fitted to them.
     options, variants, seed, checkpoints, workers : see `fit.fit_models`.
     """
-    names = {motion.name for motion in motions} if training is None else set(training)
     fold_data = [
-        _collect_fold(motions, robot, fold, body, names)
-        for fold, body in zip(folds, bodies, strict=True)
+        _collect_fold(motions, robot, fold, body) for fold, body in zip(folds, bodies, strict=True)
     ]
     jobs = []
     labels = []
@@ -102,20 +98,15 @@ def judge_laws(
                 labels.append(f"{law_name}, fold {number + 1}")
         with parallel.results_of(jobs, workers, names=labels) as results:
             judged = {label: next(results) for label in report_progress(labels, progress)}
-    return _assemble(laws, motions, robot, folds, fold_data, judged, names)
+    return _assemble(laws, motions, robot, folds, fold_data, judged)
 
 
 def _collect_fold(
-    motions: Sequence[Motion], robot: Robot, fold: Fold, body: RigidBody, names: set[str]
+    motions: Sequence[Motion], robot: Robot, fold: Fold, body: RigidBody
 ) -> _FoldData:
     body = replace(body, covariance=None)  # errors of the load are not needed
-    pieces = [thin(piece) for piece in fold.training if piece.name in names]
-    records = [motion_records(piece, robot, body) for piece in pieces]
-    judged_logs = [
-        k
-        for k, (motion, rows) in enumerate(zip(motions, fold.judged, strict=True))
-        if motion.name in names and rows.any()
-    ]
+    records = [motion_records(thin(piece), robot, body) for piece in fold.training]
+    judged_logs = [k for k, rows in enumerate(fold.judged) if rows.any()]
     training = [list(joint_records) for joint_records in zip(*records, strict=True)]
     return _FoldData(
         training=transform_all_records(training) if training else [],
@@ -199,9 +190,7 @@ def _assemble(
     folds: Sequence[Fold],
     fold_data: Sequence[_FoldData],
     judged: Mapping[str, list[Array] | FitError],
-    names: set[str],
 ) -> LeftOutErrors:
-    log_indices = [k for k, motion in enumerate(motions) if motion.name in names]
     coupling = robot.description.coupling
     joint_errors: dict[str, tuple[Array, ...]] = {}
     failed: dict[str, str] = {}
@@ -211,24 +200,27 @@ def _assemble(
         if fit_errors:
             failed[law_name] = str(fit_errors[0])
             continue
-        errors = {k: np.full((len(motions[k].t), robot.n), np.nan) for k in log_indices}
+        errors = [np.full((len(motion.t), robot.n), np.nan) for motion in motions]
         for data, result in zip(fold_data, results, strict=True):
             assert not isinstance(result, FitError)
             for k, rows, values in zip(data.judged_logs, data.judged_rows, result, strict=True):
                 errors[k][rows] = values
-        joint_errors[law_name] = tuple(errors[k] for k in log_indices)
+        joint_errors[law_name] = tuple(errors)
     return LeftOutErrors(
         joints=robot.description.joints,
-        t=tuple(motions[k].t for k in log_indices),
-        log_names=tuple(motions[k].name for k in log_indices),
-        fold_of_row=tuple(_number_folds(folds, k) for k in log_indices),
+        t=tuple(motion.t for motion in motions),
+        log_names=tuple(motion.name for motion in motions),
+        fold_of_row=tuple(_number_folds(folds, k) for k in range(len(motions))),
         errors={
             law_name: tuple(coupling.torque(e) for e in law_errors) if coupling else law_errors
             for law_name, law_errors in joint_errors.items()
         },
         joint_errors=joint_errors,
-        tau=tuple(_collect_friction(fold_data, k, len(motions[k].t), robot.n) for k in log_indices),
-        counts=np.array([[fold.reverses(j, names) for j in range(robot.n)] for fold in folds]),
+        tau=tuple(
+            _collect_friction(fold_data, k, len(motion.t), robot.n)
+            for k, motion in enumerate(motions)
+        ),
+        counts=np.array([[fold.reverses(j) for j in range(robot.n)] for fold in folds]),
         failed=failed,
     )
 

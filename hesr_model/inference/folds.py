@@ -1,6 +1,6 @@
 """Folds: each leaves out a part of the logs, on which what the rest determines is judged."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,14 +29,9 @@ class Fold:
     training: tuple[Motion, ...]
     judged: tuple[Mask, ...]
 
-    def reverses(self, j: int, names: Iterable[str] | None = None) -> bool:
-        """Return whether a joint reverses in the training pieces, or in those of some logs."""
-        log_names = None if names is None else set(names)
-        return any(
-            len(reversals(piece.dq[:, j])) > 0
-            for piece in self.training
-            if log_names is None or piece.name in log_names
-        )
+    def reverses(self, j: int) -> bool:
+        """Return whether a joint reverses in the training pieces."""
+        return any(len(reversals(piece.dq[:, j])) > 0 for piece in self.training)
 
 
 def split_into_folds(motions: Sequence[Motion], count: int = FOLD_COUNT) -> list[Fold]:

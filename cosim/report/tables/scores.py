@@ -30,6 +30,7 @@ MEASURES = {
     "rmse_reversal": "within 0.1 s of velocity reversals",
 }
 """Measures of a test set, and their names."""
+NOT_JUDGED = "\u2013"
 _FEW_LOGS = 4  # logs below which intervals for other logs are wide
 
 
@@ -148,12 +149,12 @@ def recommendation(choice: Choice, properties: Properties | None) -> ResultTable
 
 def _format_ratio(joint_choice: JointChoice) -> str:
     if joint_choice.ratio is None or joint_choice.low is None or joint_choice.high is None:
-        return "\u2013"
+        return NOT_JUDGED
     return f"{joint_choice.ratio:.2f} ({joint_choice.low:.2f} to {joint_choice.high:.2f})"
 
 
 def _format_percent(share: float | None) -> str:
-    return "\u2013" if share is None else f"{100.0 * share:.0f} %"
+    return NOT_JUDGED if share is None else f"{100.0 * share:.0f} %"
 
 
 def _describe_feed_forward(properties: Properties | None, j: int) -> str:
