@@ -184,7 +184,8 @@ def _choose_joint(
         reason = "better"
     worst_ratio = errors.worst_fold(law_name, PLAIN, j)
     if worst_ratio > _MAX_FOLD_RATIO and law_name not in (CONSTANT, NONE):
-        law_name, replaced = PLAIN, law_name
+        replaced = law_name
+        law_name = _choose_calm_law(errors, j, candidates)
         reason = "exploded"
         worst_fold = worst_ratio
     size = errors.friction_size(j)
@@ -212,6 +213,17 @@ def _choose_joint(
         replaced=replaced,
         proven=is_proven(law_name, j),
     )
+
+
+def _choose_calm_law(errors: LeftOutErrors, j: int, candidates: Sequence[str]) -> str:
+    """Return the best of the laws that explode on no fold if it is better than `PLAIN`."""
+    calm_laws = [
+        law_name
+        for law_name in candidates
+        if not errors.worst_fold(law_name, PLAIN, j) > _MAX_FOLD_RATIO
+    ]
+    best = min(calm_laws, key=lambda law_name: errors.rmse(law_name, j), default=PLAIN)
+    return best if is_better(errors, best, PLAIN, j) else PLAIN
 
 
 def is_better(errors: LeftOutErrors, law_name: str, other: str, j: int) -> bool:
