@@ -155,13 +155,14 @@ class Job:
 
     @cached_property
     def laws(self) -> tuple[str, ...]:
-        """Laws and variants; by default all everyday laws that the robot allows."""
+        """Baselines, laws and variants; by default all everyday laws that the robot allows."""
         possible_laws = (
             name
             for name, law in registry().items()
             if law.everyday and all(getattr(self.robot, need) is not None for need in law.needs)
         )
-        return (*(self.study.laws or possible_laws), *self.study.variants)
+        laws = self.study.laws or possible_laws
+        return tuple(dict.fromkeys((*select_laws("baseline"), *laws, *self.study.variants)))
 
     @property
     def trained_on(self) -> list[str]:

@@ -140,7 +140,8 @@ class RunResult(Answer):
         tables: list[ResultTable | str | None] = []
         for name, comparison in outcome.comparisons.items():
             tables += [
-                errors(name, comparison, measure, inputs, self._sliding) for measure in MEASURES
+                errors(name, comparison, measure, inputs, self._sliding, outcome.left_out)
+                for measure in MEASURES
             ]
             tables += build_tables(outcome.replicates, name, outcome.verdict.laws, self._sliding)
             laws = outcome.verdict.laws if name == outcome.verdict.test else ()

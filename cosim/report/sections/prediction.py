@@ -101,7 +101,7 @@ def _replicates(results: Results, name: str) -> dict[str, Any]:
 def _errors(results: Results, name: str, measure: str = "rmse") -> ResultTable:
     comparison = results.comparisons[name]
     inputs = input_classes(results.models)
-    return tables.errors(name, comparison, measure, inputs, results.sliding)
+    return tables.errors(name, comparison, measure, inputs, results.sliding, results.run.left_out)
 
 
 def _key_laws(results: Results) -> list[str]:

@@ -40,10 +40,12 @@ def errors(
     measure: str = "rmse",
     inputs: Mapping[str, str] | None = None,
     sliding: Sequence[bool] = (),
+    left_out: Mapping[str, str] | None = None,
 ) -> ResultTable:
     """Return one of `MEASURES` by law and joint, the lowest error first, and that without lag.
 
-    Bold: significantly better than all others that users can run.
+    Bold: significantly better than all others that users can run. Laws that were left out come
+    last, with their reasons.
     """
     values = {law_name: getattr(scores, measure) for law_name, scores in comparison.laws.items()}
     places = [decimals(column) for column in zip(*values.values(), strict=True)]
@@ -87,6 +89,10 @@ def errors(
             )
             for law_name in laws
         ]
+    rows += [
+        make_row(f"{title(law_name)} was left out: {reason}")
+        for law_name, reason in (left_out or {}).items()
+    ]
     unit, speed = (unit_of_joints(u, sliding) for u in ("N.m", "rad/s"))
     reference = title(comparison.ratios.reference)
     if comparison.ratios.fair:
