@@ -38,7 +38,9 @@ def choose_from_models(models: Mapping[str, FrictionModel], errors: LeftOutError
     def can_join(law_name: str, other: str) -> bool:
         return can_share_fmu(models[law_name], models[other])
 
-    return choose_laws(errors, is_proven=is_proven, can_join=can_join)
+    # A law that can be fitted without each fold may still fail on all rows.
+    fitted = {name: values for name, values in errors.errors.items() if name in models}
+    return choose_laws(replace(errors, errors=fitted), is_proven=is_proven, can_join=can_join)
 
 
 def state_rule(choice: Choice) -> str:

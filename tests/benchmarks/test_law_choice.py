@@ -101,8 +101,7 @@ def choose(motions: Sequence[Motion], robot: Robot, folder: Path) -> Chosen:
     bodies = [body or body_choice.body for body in fold_bodies]
     errors = judge_laws(LAWS, motions, robot, folds, bodies, checkpoints=folder, workers=1)
     models = fit_laws(errors.laws, motions, robot, body_choice.body, folder)
-    known = {law_name: errors.errors[law_name] for law_name in models}
-    choice = choose_from_models(models, replace(errors, errors=known))
+    choice = choose_from_models(models, errors)
     print(f"  {body_choice.sentence} {', '.join(choice.laws)}")
     return Chosen(body=body_choice.body, choice=choice, models=models)
 
@@ -247,8 +246,7 @@ def test_chosen_law_of_a_synthetic_joint(truth: str, seconds: float, tmp_path: P
         folds = split_into_folds([motion])
         errors = judge_laws(SYNTHETIC_LAWS, [motion], robot, folds, [body] * len(folds), workers=1)
         models = fit_laws(errors.laws, [thin(motion)], robot, body, tmp_path)
-        known = {law_name: errors.errors[law_name] for law_name in models}
-        choice = choose_from_models(models, replace(errors, errors=known))
+        choice = choose_from_models(models, errors)
         (record,) = motion_records(unseen, robot, body)
         rmse = {
             law_name: float(np.std(models[law_name].predict([record.causal])[:, 0] - record.tau))
