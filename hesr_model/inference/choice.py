@@ -113,7 +113,12 @@ def choose_laws(
     if not joint_indices or is_short:
         base, replaced = PLAIN, ""
     else:
-        base, replaced = _choose_base(errors, candidates, joint_indices, is_proven)
+        base_candidates = [
+            law_name
+            for law_name in candidates
+            if can_join(PLAIN, law_name) or _is_calm(errors, law_name, joint_indices)
+        ]
+        base, replaced = _choose_base(errors, base_candidates, joint_indices, is_proven)
     joints = []
     for j in range(len(errors.joints)):
         if j not in joint_indices:
@@ -156,11 +161,10 @@ def _choose_base(
     for law_name in PROVEN_LAWS:
         if law_name not in candidates:
             continue
-        worst = max(errors.worst_fold(law_name, PLAIN, j) for j in joint_indices)
         is_close = mean_log_ratio(law_name, best) <= errors.mean_standard_error(
             law_name, best, joint_indices
         )
-        is_fair = mean_log_ratio(law_name) <= 0.0 and worst <= _MAX_FOLD_RATIO
+        is_fair = mean_log_ratio(law_name) <= 0.0 and _is_calm(errors, law_name, joint_indices)
         if is_close and is_fair and all(is_proven(law_name, j) for j in joints):
             return law_name, best
     return best, ""
@@ -183,13 +187,14 @@ def _choose_joint(
         law_name = best
         reason = "better"
     worst_ratio = errors.worst_fold(law_name, PLAIN, j)
-    if worst_ratio > _MAX_FOLD_RATIO and law_name not in (CONSTANT, NONE):
+    can_replace = PLAIN in candidates  # otherwise no joint can have a law of its own
+    if can_replace and worst_ratio > _MAX_FOLD_RATIO and law_name not in (CONSTANT, NONE):
         replaced = law_name
         law_name = _choose_calm_law(errors, j, candidates)
         reason = "exploded"
         worst_fold = worst_ratio
     size = errors.friction_size(j)
-    if not errors.rmse(law_name, j) < size:
+    if can_replace and not errors.rmse(law_name, j) < size:
         explained = min((CONSTANT, NONE), key=lambda name: errors.rmse(name, j))
         law_name, replaced = explained, law_name
         reason = "unexplained"
@@ -215,13 +220,14 @@ def _choose_joint(
     )
 
 
+def _is_calm(errors: LeftOutErrors, law_name: str, joint_indices: Sequence[int]) -> bool:
+    """Return whether a law explodes on no fold of some joints."""
+    return all(errors.worst_fold(law_name, PLAIN, j) <= _MAX_FOLD_RATIO for j in joint_indices)
+
+
 def _choose_calm_law(errors: LeftOutErrors, j: int, candidates: Sequence[str]) -> str:
     """Return the best of the laws that explode on no fold if it is better than `PLAIN`."""
-    calm_laws = [
-        law_name
-        for law_name in candidates
-        if not errors.worst_fold(law_name, PLAIN, j) > _MAX_FOLD_RATIO
-    ]
+    calm_laws = [law_name for law_name in candidates if _is_calm(errors, law_name, [j])]
     best = min(calm_laws, key=lambda law_name: errors.rmse(law_name, j), default=PLAIN)
     return best if is_better(errors, best, PLAIN, j) else PLAIN
 
