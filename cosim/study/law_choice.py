@@ -15,7 +15,15 @@ from hesr_model.fitting.estimator import estimator, select_laws
 from hesr_model.fitting.fit import fit_models
 from hesr_model.fitting.left_out import judge_laws
 from hesr_model.friction.model import FrictionModel, can_share_fmu, mix_models
-from hesr_model.inference.choice import CHOOSE, PLAIN, Choice, JointChoice, choose_laws
+from hesr_model.inference.choice import (
+    CHOOSE,
+    CONSTANT,
+    NONE,
+    PLAIN,
+    Choice,
+    JointChoice,
+    choose_laws,
+)
 from hesr_model.inference.folds import split_into_folds
 from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.signals import Motion
@@ -47,6 +55,8 @@ def state_rule(choice: Choice) -> str:
     """Return why a choice was made, as the end of a sentence."""
     if all(joint_choice.reason == "short" for joint_choice in choice.joints):
         return "the logs are too short to judge laws."
+    if choice.is_short:
+        return f"logs of {_format_seconds(choice)} of one joint are too short to rank laws."
     if choice.guaranteed:
         return (
             f"its passivity is proven, and {title(choice.guaranteed)} is not better by a standard "
@@ -54,19 +64,22 @@ def state_rule(choice: Choice) -> str:
         )
     if all(joint_choice.reason == "base" for joint_choice in choice.joints):
         return f"it has the lowest mean error on {_ROWS}."
-    return f"{title(choice.base)} has the lowest mean error on {_ROWS}; other joints say why."
+    return (
+        f"{title(choice.base)} has the lowest mean error on {_ROWS}; exceptions are stated below."
+    )
 
 
 def describe_choice(choice: Choice) -> Iterator[str]:
     """Yield what the left-out rows say, one sentence for each class of joints."""
     names = short_names(len(choice.joints))
-    classes: dict[tuple[str, ...], list[tuple[str, JointChoice]]] = {}
+    classes: dict[tuple[str | bool, ...], list[tuple[str, JointChoice]]] = {}
     for name, joint_choice in zip(names, choice.joints, strict=True):
         key = (
             joint_choice.law_name,
             joint_choice.reason,
             joint_choice.known,
             joint_choice.replaced,
+            is_worse(joint_choice),
         )
         classes.setdefault(key, []).append((name, joint_choice))
     for members in classes.values():
@@ -74,8 +87,8 @@ def describe_choice(choice: Choice) -> Iterator[str]:
         yield f"{joint_names}: {_describe_class(choice, [one for _, one in members])}"
     if any(joint_choice.reason != "short" for joint_choice in choice.joints):
         yield (
-            f"Laws are judged on {choice.fold_count} left-out parts of {choice.seconds:.3g} s and "
-            "fitted on all of them."
+            f"Laws are judged on {choice.fold_count} parts of the logs, {_format_seconds(choice)} "
+            "in all, each left out in turn, and fitted on all of them."
         )
 
 
@@ -85,11 +98,16 @@ def _describe_class(choice: Choice, members: Sequence[JointChoice]) -> str:
     law_title = title(first.law_name)
     plain = title(PLAIN)
     if first.reason == "short":
-        return f"too little motion to judge laws; {law_title} is used as on other joints."
+        is_alone = all(joint_choice.reason == "short" for joint_choice in choice.joints)
+        role = "" if is_alone else ", the law of all joints,"
+        return f"too little motion to judge laws; {law_title}{role} is used."
     if first.reason == "unexplained":
+        prediction = f"{title(first.replaced)} does not predict better"
+        if first.replaced in (CONSTANT, NONE):
+            prediction = "no law predicts clearly better"
         return (
-            "no law predicts better than a constant; no friction model is recommended. Record "
-            "motion that reverses at several speeds."
+            f"{prediction} than a constant; no friction model is recommended. Record motion that "
+            "reverses at several speeds."
         )
     if first.reason == "exploded":
         worst = max(one.worst_fold or 0.0 for one in members)
@@ -100,10 +118,23 @@ def _describe_class(choice: Choice, members: Sequence[JointChoice]) -> str:
     figures = _format_ratios(members)
     if first.known == "law":
         return f"{law_title}, {figures} of the error of {plain} on {_ROWS}."
-    if first.law_name == PLAIN:
-        return f"{law_title}; no law is better on {_ROWS} by two standard errors."
+    if first.reason == "better":
+        return f"{law_title}, better than {title(choice.base)} on {_ROWS} by two standard errors."
     use = "the law of all joints is used" if len(choice.joints) > 1 else "it is used nevertheless"
+    if first.law_name == PLAIN:
+        return f"{law_title}; the best other law is not better on {_ROWS} by two standard errors."
+    if is_worse(first):
+        return f"{law_title} has {figures} of the error of {plain} on {_ROWS}; {use}."
     return f"the {_ROWS} do not tell {law_title} from {plain}, {figures}; {use}."
+
+
+def is_worse(joint_choice: JointChoice) -> bool:
+    """Return whether the interval of a joint's law lies above Coulomb + viscous friction."""
+    return joint_choice.low is not None and joint_choice.low > 1.0
+
+
+def _format_seconds(choice: Choice) -> str:
+    return f"{choice.seconds:.0f} s" if choice.seconds >= 10.0 else f"{choice.seconds:.2g} s"
 
 
 def _format_ratios(members: Sequence[JointChoice]) -> str:

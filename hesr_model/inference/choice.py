@@ -78,6 +78,7 @@ class Choice:
     fold_count: int
     seconds: float  # [s] of the logs
     guaranteed: str = ""  # law that `base` replaced because its passivity is proven
+    is_short: bool = False  # logs of one joint that are too short to rank laws
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -140,6 +141,7 @@ def choose_laws(
         fold_count=errors.fold_count,
         seconds=errors.seconds,
         guaranteed=replaced,
+        is_short=is_short,
     )
 
 
@@ -200,7 +202,7 @@ def _choose_joint(
         reason = "unexplained"
     log_ratio = errors.log_ratio(law_name, PLAIN, j)
     standard_error = 0.0 if law_name == PLAIN else errors.standard_error(law_name, PLAIN, j)
-    margin = float(stdtrit(max(errors.block_count(j) - 1, 1), 0.975)) * standard_error
+    margin = float(stdtrit(errors.degrees_of_freedom(law_name, PLAIN, j), 0.975)) * standard_error
     known: Known = "nothing"
     if is_better(errors, law_name, PLAIN, j):
         known = "law"

@@ -132,10 +132,24 @@ class LeftOutErrors:
 
         From four logs on it is at least that of the differences between logs.
         """
+        return max(self._standard_errors(law_name, other, j))
+
+    def degrees_of_freedom(self, law_name: str, other: str, j: int) -> int:
+        """Return those of Student's t for an interval of `log_ratio`.
+
+        They are those of logs if differences between logs decide, else those of blocks.
+        """
+        within, between = self._standard_errors(law_name, other, j)
+        if between > within:
+            return self._count_logs(j) - 1
+        return max(self.block_count(j) - 1, 1)
+
+    def _standard_errors(self, law_name: str, other: str, j: int) -> tuple[float, float]:
+        """Return the standard errors from blocks and from logs; 0 from fewer than four logs."""
         is_counted = self._is_counted[:, j]
         count = int(np.count_nonzero(is_counted))
         if count < 3:
-            return float("inf")
+            return float("inf"), 0.0
         rows = self._block_rows[is_counted]
         mean_rows = rows.mean()
         influences = np.zeros(count)
@@ -146,7 +160,12 @@ class LeftOutErrors:
         correlation = _correlate_neighbours(influences)
         widening = (1.0 + correlation) / (1.0 - correlation)
         within = float(np.sqrt(np.var(influences, ddof=1) / count * widening))
-        return max(within, self._error_between_logs(influences, is_counted))
+        return within, self._error_between_logs(influences, is_counted)
+
+    def _count_logs(self, j: int) -> int:
+        is_counted = self._is_counted[:, j]
+        pairs = zip(self._blocks, is_counted, strict=True)
+        return len({self.log_names[log] for (log, *_), counted in pairs if counted})
 
     def _error_between_logs(self, influences: Array, is_counted: Mask) -> float:
         logs = [
