@@ -1,6 +1,5 @@
 """The verdict of a run and the marks in its tables: no more than the intervals support."""
 
-import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +11,7 @@ from containing import Containing, OneSentence
 
 from cosim.report.tables.scores import errors
 from cosim.study.scores import ORACLE, Comparison, LawScores, Ratios, compare
+from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import (
     Verdict,
     _list_improvements,
@@ -20,18 +20,17 @@ from cosim.study.verdict import (
     find_separations,
     judge_run,
     read_verdict,
-    recommend,
     write_verdict,
 )
 from fmu_src.friction.predictions import predict_model
 from hesr_model.audit.properties import EXPECTATIONS, JointProperties, Properties, PropertyResult
 from hesr_model.errors import ArtifactError
-from hesr_model.fitting.estimator import estimator
 from hesr_model.fitting.fit import fit, fit_joint
 from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
+from hesr_model.inference.choice import Choice, JointChoice
 from hesr_model.rigid_body.residual import FrictionRecord
 
 JOINTS = ("base", "arm")
@@ -75,9 +74,28 @@ def scores(
     return {"unseen": compare(tested, predicted | {ORACLE: truth})}
 
 
-def judged(scores, models, trained, tested, **more: bool) -> Verdict:  # type: ignore[no-untyped-def]
-    settings = {"gear_ratio": False} | more
-    return judge_run(scores, models, trained, tested, {}, **settings)
+def choose(*laws: str, ratio: float = 0.5) -> Choice:
+    """A choice of laws by joint, of which the first is the base."""
+    joints = tuple(
+        JointChoice(
+            law_name=law,
+            reason="base" if law == laws[0] else "better",
+            known="law",
+            ratio=ratio,
+            low=0.9 * ratio,
+            high=1.1 * ratio,
+            unexplained=0.2,
+        )
+        for law in laws
+    )
+    return Choice(base=laws[0], joints=joints, fold_count=5, seconds=100.0)
+
+
+def judged(scores, models, trained, tested, **more: Any) -> Verdict:  # type: ignore[no-untyped-def]
+    settings = {"gear_ratio": False, "choice": choose(*["lugre"] * len(trained))} | more
+    return judge_run(
+        scores, models, trained_records=trained, tested_records=tested, properties={}, **settings
+    )
 
 
 def test_a_verdict_names_the_fmu_the_reason_and_the_residual(
@@ -91,9 +109,30 @@ def test_a_verdict_names_the_fmu_the_reason_and_the_residual(
     assert list(found.unexplained) == list(JOINTS)
     text = "\n".join(found.sentences)
     assert text.startswith(
-        "Recommended: fmus/lugre.fmu (LuGre), for feed-forward: no law is significantly better, and"
+        "Recommended: fmus/lugre.fmu (LuGre), for feed-forward: it has the lowest mean error on "
+        "left-out rows."
     )
+    assert "J1, J2: LuGre, 0.50 of the error of Coulomb + viscous on left-out rows." in text
     assert f"J1 {expected[0]:.0f} %, J2 {expected[1]:.0f} %." in text
+
+
+def test_a_run_without_tests_says_nothing_of_one(scores, models, trained) -> None:
+    found = judged({LEFT_OUT: scores["unseen"]}, models, trained, trained)
+    assert not found.has_test
+    assert found.limits == ()
+    text = "\n".join(found.sentences)
+    assert "Unexplained friction on" not in text
+    assert "left out in turn" in text
+    assert list(found.unexplained) == list(JOINTS)
+
+
+def test_the_choice_decides_not_the_test(scores, models, trained, tested) -> None:
+    """The test shows that another law is better, and the verdict says so."""
+    found = judged(scores, models, trained, tested, choice=choose("stribeck", "stribeck"))
+    assert found.laws == ("stribeck", "stribeck")
+    for one in found.joints:
+        assert (one.law, one.best, one.better) == ("stribeck", "lugre", ("lugre",))
+    assert "On J1 'unseen' shows LuGre to be better." in found.limits
 
 
 def test_a_verdict_recommends_improvements(scores, models, trained, tested) -> None:
@@ -152,16 +191,6 @@ def test_a_verdict_is_read_back(scores, models, trained, tested, tmp_path: Path)
 
 # --- cases ------------------------------------------------------------------------------------
 
-INPUTS = {"stribeck": "v", "lugre": "v", "lugre_passive": "v", "lugre_load": "v, load"}
-STATES = {"stribeck": 0, "lugre": 1, "lugre_passive": 1, "lugre_load": 1}
-COEFFICIENTS = {"stribeck": 5, "lugre": 7, "lugre_passive": 7, "lugre_load": 8}
-TITLES = {
-    "Stribeck": "stribeck",
-    "LuGre": "lugre",
-    "LuGre, passive": "lugre_passive",
-    "LuGre+load": "lugre_load",
-}
-
 
 @cache
 def law_of(law: str) -> FrictionLaw:
@@ -171,10 +200,6 @@ def law_of(law: str) -> FrictionLaw:
 
 def model_of(law: str, joints: int, left_out: float = 1.0) -> FrictionModel:
     own = law_of(law)
-    inputs = {"dq": "v", "tau_load": "load"}
-    assert ", ".join(inputs[symbol.name] for symbol in own.form.inputs) == INPUTS[law]
-    assert (len(own.start), len(own.values)) == (STATES[law], COEFFICIENTS[law])
-    assert estimator(law).title in TITLES
     return FrictionModel(
         law=law,
         robot="r",
@@ -224,189 +249,75 @@ def made(sizes: dict[str, list[float]], seconds: float = 100.0) -> Comparison:
     return compare(records, predicted)
 
 
-REASON = re.compile(r"within 5 % .*simplest \((.+)\)\.$")
-
-
-def judge(scores: Comparison, laws: tuple[str, ...], why: str) -> None:
-    """Assert every statement of a reason, from errors and leading laws alone."""
-    said = REASON.search(why)
-    assert said, why
-    reasons = {
-        int(name[1:]) - 1: reason
-        for names, reason in (part.split(": ") for part in said[1].split("; "))
-        for name in names.split(", ")
-    }
-    error = {law: scores.laws[law].rmse for law in scores.laws}
-
-    def good(law: str, j: int) -> bool:
-        lowest = min(of[j] for of in error.values())
-        return law in scores.leading[j] and error[law][j] <= 1.05 * lowest
-
-    def simple(law: str) -> tuple[int, int, int]:
-        return len(INPUTS[law].split(", ")), STATES[law], COEFFICIENTS[law]
-
-    for j, law in enumerate(laws):
-        short = len(scores.leading[j]) > 1 and not scores.detectable[j]
-        assert short == (j not in reasons)
-        if short:
-            assert law in {laws[k] for k in reasons}
-            continue
-        such = [one for one in error if good(one, j)]
-        if "such law fits into this FMU" in reasons[j]:
-            assert law not in such
-            continue
-        assert law in such
-        assert not any(simple(one) < simple(law) for one in such)
-        equal = sum(simple(one) == simple(law) for one in such)
-        many = f"one of {len(such)}" + (f", {equal} equally simple" if equal > 1 else "")
-        assert reasons[j] == ("the only one" if len(such) == 1 else many)
-
-
-def test_the_simpler_of_two_equal_laws_is_recommended() -> None:
-    """Equal to four decimals: the law without load wins, although its error is larger."""
-    rmse = {"lugre_load": [1.00001, 1.0], "lugre": [1.00002, 1.00003], "stribeck": [2.0, 2.1]}
-    scores = case(rmse, [("lugre_load", "lugre"), ("lugre_load", "lugre")])
-    laws, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
-    assert laws == ("lugre", "lugre")
-    judge(scores, laws, why)
-    assert "(J1, J2: one of 2)" in why
-
-
-def test_the_more_accurate_of_equally_simple_laws_is_recommended() -> None:
-    rmse = {"lugre_passive": [1.02], "lugre": [1.01], "lugre_load": [1.0]}
-    scores = case(rmse, [("lugre_load", "lugre", "lugre_passive")])
-    laws, why = recommend(scores, {law: model_of(law, 1) for law in rmse})
-    assert laws == ("lugre",)
-    judge(scores, laws, why)
-    assert "(J1: one of 3, 2 equally simple)" in why
-
-
-def test_a_law_better_on_two_of_six_joints_is_recommended_for_them(trained, tested) -> None:
+def test_joints_of_different_laws_are_named(trained) -> None:
     """Torques with errors of known sizes: the first law is better on J1 to J4."""
     sizes = {"lugre": [1.0] * 4 + [2.0] * 2, "lugre_load": [2.0] * 4 + [1.0] * 2}
     scores = made(sizes)
     seen = (TrainedRange.from_records(trained[0]),) * 6
     models = {law: replace(model_of(law, 6), trained=seen) for law in sizes}
-    found = judge_run({"t": scores}, models, trained[:1] * 6, trained[:1] * 6, {}, gear_ratio=True)
-    assert found.laws == ("lugre",) * 4 + ("lugre_load",) * 2
+    laws = ("lugre",) * 4 + ("lugre_load",) * 2
+    records = trained[:1] * 6
+    found = judged({"t": scores}, models, records, records, choice=choose(*laws))
+    assert found.laws == laws
     assert (found.law, found.fmu) == ("recommended", "fmus/recommended.fmu")
-    judge(scores, found.laws, found.why)
     start = "Recommended: fmus/recommended.fmu (LuGre on J1, J2, J3, J4; LuGre+load on J5, J6), "
     assert found.sentences[0].startswith(start)
     lowest = [min(of.rmse[j] for of in scores.laws.values()) for j in range(6)]
     shares = [100 * e / std for e, std in zip(lowest, scores.tau_std, strict=True)]
     assert list(found.unexplained.values()) == pytest.approx(shares)
+    assert found.limits == ()
 
 
-def test_joints_that_do_not_fit_into_one_fmu_are_named() -> None:
-    """Euler and exact integration do not fit into one FMU."""
-    rmse = {"lugre": [1.0, 1.0, 1.3], "lugre_load": [1.3, 1.3, 1.0]}
-    scores = case(rmse, [("lugre",), ("lugre",), ("lugre_load",)])
-    models = {law: model_of(law, 3) for law in rmse}
-    euler = tuple(replace(law, discretisation="euler") for law in models["lugre"].laws)
-    models["lugre"] = replace(models["lugre"], laws=euler)
-    laws, why = recommend(scores, models)
-    assert laws == ("lugre",) * 3
-    judge(scores, laws, why)
-    assert "only one; J3: no such law" in why
+def limits_of(scores: Comparison, *laws: str) -> list[str]:
+    return list(describe_limits("'t'", list(find_separations(scores, laws))))
 
 
-def test_every_reason_is_true() -> None:
-    rng = np.random.default_rng(3)
-    kinds = set()
-    for _ in range(300):
-        names = rng.permutation(list(INPUTS))[: rng.integers(1, 5)].tolist()
-        count = int(rng.integers(1, 5))
-        rmse = {n: rng.choice([1.0, 1.01, 1.04, 1.2, 2.0], count).tolist() for n in names}
-        leading = []
-        for j in range(count):
-            first, *others = sorted(names, key=lambda name: rmse[name][j])
-            leading.append((first, *(n for n in others if rng.random() < 0.6)))
-        scores = case(rmse, leading)
-        laws, why = recommend(scores, {law: model_of(law, count) for law in names})
-        judge(scores, laws, why)
-        kinds.add((len(set(laws)) > 1, "the only one" in why, "equally simple" in why))
-    assert len(kinds) == 8
-
-
-def test_a_law_alone_is_not_a_short_test(scores, models, tested) -> None:
+def test_a_law_alone_is_not_a_short_test(models, tested) -> None:
     predicted = {"lugre": predict_model(models["lugre"], tested)}
     truth = [[r.tau + 0.0 for r in of_joint] for of_joint in tested]
     found = compare(tested, predicted | {ORACLE: truth})
     assert found.too_short == (False, False)
-    laws, why = recommend(found, {"lugre": models["lugre"]})
-    assert (laws, "too short" in why) == (("lugre", "lugre"), False)
+    assert limits_of(found, "lugre", "lugre") == []
 
 
-def test_a_test_of_five_seconds_decides_nothing() -> None:
-    """The law with the lowest error on left-out training logs, not on the test, is taken."""
+def test_a_test_of_five_seconds_shows_nothing() -> None:
     scores = made({"stribeck": [1.0, 1.0], "lugre": [3.0, 3.0]}, seconds=5.0)
     assert scores.too_short == (True, True)
-    models = {"stribeck": model_of("stribeck", 2, 2.0), "lugre": model_of("lugre", 2, 1.5)}
-    laws, why = recommend(scores, models)
-    assert (laws, "too short" in why) == (("lugre", "lugre"), True)
-    assert "left-out training logs" in why
-    (limit,) = describe_limits(
-        "'five seconds'", [replace(one, law="lugre") for one in find_separations(scores)]
-    )
-    assert "record at least 40 s" in limit
-    unknown = {law: replace(model, left_out_rmse=()) for law, model in models.items()}
-    laws, why = recommend(scores, unknown)
-    assert (laws, why.endswith("it has the lowest error.")) == (("stribeck", "stribeck"), True)
+    (limit,) = limits_of(scores, "stribeck", "stribeck")
+    assert limit == OneSentence("'t' is too short to compare laws; record at least 40 s")
 
 
-def test_a_joint_without_enough_rows_has_the_law_of_the_others() -> None:
+def test_a_joint_that_a_test_is_too_short_for_is_named() -> None:
     scores = case(
-        {"lugre": [1.0, 2.0], "stribeck": [2.0, 1.0]}, [("lugre",), ("stribeck", "lugre")]
+        {"lugre": [1.0, 1.0], "stribeck": [2.0, 2.0]}, [("lugre",), ("lugre", "stribeck")]
     )
     scores = replace(scores, detectable=(scores.detectable[0], {}))
-    laws, why = recommend(scores, {law: model_of(law, 2) for law in scores.laws})
-    assert laws == ("lugre", "lugre")
-    judge(scores, laws, why)
-    (limit,) = describe_limits(
-        "'t'", [replace(one, law="lugre") for one in find_separations(scores)]
-    )
+    (limit,) = limits_of(scores, "lugre", "lugre")
     assert "on J2; record at least 120 s" in limit
 
 
-def test_a_joint_without_load_dependence_has_a_law_without_load() -> None:
-    """The law with load is good on both joints, the simpler one on the second only."""
-    rmse = {"lugre": [1.4, 1.01], "lugre_load": [1.0, 1.0]}
-    scores = case(rmse, [("lugre_load",), ("lugre_load", "lugre")])
-    laws, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
-    assert laws == ("lugre_load", "lugre")
-    judge(scores, laws, why)
-
-
-def test_twice_the_error_is_not_recommended_even_if_the_test_cannot_show_it() -> None:
+def test_twice_the_error_is_not_separated_by_a_test_that_cannot_show_it() -> None:
     rmse = {"lugre_load": [1.0, 1.0], "stribeck": [2.0, 2.0]}
     scores = case(rmse, [("lugre_load", "stribeck")] * 2, found=2.5)
-    laws, why = recommend(scores, {law: model_of(law, 2) for law in rmse})
-    assert laws == ("lugre_load", "lugre_load")
-    judge(scores, laws, why)
-    first, second = describe_limits(
-        "'t'", [replace(one, law=laws[0]) for one in find_separations(scores)]
-    )
-    assert "1 law on J1 (150 %), 1 law on J2 (150 %)" in first
+    first, second = limits_of(scores, "lugre_load", "lugre_load")
+    assert "from 1 law on J1, J2; it would show 150 %" in first
     assert "about 120 s" in second
 
 
 def test_a_longer_test_is_advised_only_if_10_percent_would_not_show() -> None:
     rmse = {"lugre": [1.0, 1.0], "stribeck": [1.01, 1.5]}
     scores = case(rmse, [("lugre", "stribeck"), ("lugre",)], found=1.05)
-    (limit,) = describe_limits(
-        "'t'", [replace(one, law="lugre") for one in find_separations(scores)]
-    )
-    assert "from 1 law on J1 (5 %)" in limit
+    (limit,) = limits_of(scores, "lugre", "lugre")
+    assert "from 1 law on J1; it would show 5 %" in limit
 
 
 def test_twice_the_error_is_found_by_a_test_of_100_s() -> None:
     scores = made({"stribeck": [2.0, 2.0], "lugre": [1.0, 1.0]})
-    laws, why = recommend(scores, {law: model_of(law, 2) for law in scores.laws})
     assert scores.leading == (("lugre",), ("lugre",))
-    assert laws == ("lugre", "lugre")
-    judge(scores, laws, why)
-    assert "(J1, J2: the only one)" in why
+    assert limits_of(scores, "lugre", "lugre") == []
+    assert limits_of(scores, "stribeck", "lugre") == [
+        Containing("On J1 't' shows LuGre to be better")
+    ]
 
 
 def test_a_failed_check_of_all_laws_is_stated(scores, models, trained, tested) -> None:
@@ -433,17 +344,14 @@ def test_a_failed_check_of_all_laws_is_stated(scores, models, trained, tested) -
         )
         for law in models
     }
-    found = judge_run(scores, models, trained, tested, failed, gear_ratio=True)
+    choice = choose("lugre", "lugre")
+    found = judge_run(scores, models, choice, trained, tested, failed, gear_ratio=True)
     assert any(EXPECTATIONS[key].title in sentence for sentence in found.weak)
 
 
-def test_the_reason_agrees_with_the_scores(scores, models, trained, tested) -> None:
+def test_the_separations_agree_with_the_scores(scores, models, trained, tested) -> None:
     """The scores alone decide: only this law leads on both joints."""
     found = judged(scores, models, trained, tested)
-    assert all(found.law in of_joint for of_joint in scores["unseen"].leading)
-    others = set(models) - {found.law}
-    assert not any(law in of_joint for law in others for of_joint in scores["unseen"].leading)
-    assert "(J1, J2: the only one)" in found.why
     assert found.limits == ()
     for one, of_joint in zip(found.joints, scores["unseen"].leading, strict=True):
         assert (one.best, *one.tied) == of_joint
