@@ -15,6 +15,7 @@ from cosim.study.position_errors import SIMULATION, PositionErrors
 from cosim.study.replicates import Replicates, read_replicates
 from cosim.study.results import RUN, TRACES, TRUTHS, SavedLog, SavedRun, read_torques
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison, Errors
+from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import Verdict, read_verdict
 from fmu_src.pages.datasheet import ModelAudit
 from hesr_model.audit.properties import Properties, read_properties
@@ -75,6 +76,11 @@ class Results:
         """Names of test sets without bands."""
         bands = {band.name for band in self.run.bands}
         return [name for name in self.comparisons if name not in bands]
+
+    @property
+    def has_tests(self) -> bool:
+        """Whether the run has test sets; without, laws are judged on left-out rows only."""
+        return self.tests != [LEFT_OUT]
 
     @property
     def laws(self) -> list[str]:

@@ -124,7 +124,7 @@ def _describe_class(choice: Choice, members: Sequence[JointChoice]) -> str:
     if first.law_name == PLAIN:
         return f"{law_title}; the best other law is not better on {_ROWS} by two standard errors."
     if is_worse(first):
-        return f"{law_title} has {figures} of the error of {plain} on {_ROWS}; {use}."
+        return f"{law_title} has {figures} of the error of {plain}; {use}."
     return f"the {_ROWS} do not tell {law_title} from {plain}, {figures}; {use}."
 
 

@@ -95,7 +95,9 @@ def run_study(
                 test: select_records(names, records) for test, names in study.logs.judged.items()
             }
             replicates = write_replicates(folder, study, records, models, run.predictions)
-            position_errors = simulate_tests(models, test_records, run.robot, run.rigid_body)
+            # Laws were fitted to left-out rows as well: only tests show them as simulators.
+            simulated_records = test_records if study.logs.test else {}
+            position_errors = simulate_tests(models, simulated_records, run.robot, run.rigid_body)
             write_json(
                 folder / SIMULATION,
                 {test: to_json(test_errors) for test, test_errors in position_errors.items()},

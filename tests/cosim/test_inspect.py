@@ -11,17 +11,14 @@ import pytest
 from containing import OneSentence
 from small_study import Hesr, hesr_here
 
-from cosim.study.proposal import split, study_file
 from cosim.study.results import read_findings
 from cosim.study.run import score_study
 from cosim.study.steps import Job
 from cosim.study.study import Study
 from hesr_model.errors import ArtifactError, LogError, RobotError
 from hesr_model.friction.records import predict_record
-from hesr_model.health.examine import examine
 from hesr_model.health.joints import apply_changes, remove_joints
-from hesr_model.health.proposal import Proposal, inspect_logs, propose, robot_file
-from hesr_model.inference.comparison import LawErrors, law_errors
+from hesr_model.health.proposal import inspect_logs, propose, robot_file
 from hesr_model.logs.guess import guess_columns
 from hesr_model.logs.log_table import build_table
 from hesr_model.logs.robot_log import Log
@@ -114,126 +111,36 @@ def test_the_proposed_study_reads_the_inspected_log(
     assert read.name == "cell_7"
     assert "output_error" not in study.read_text(encoding="utf-8")  # of three joints
     job = Job(study=read, path=study, progress=silent)
-    first, rest = (job.read(name, messy) for name in ("first", "rest"))
+    assert read.logs.test == {}
+    assert read.logs.identification == read.logs.training == ("../messy.csv",)
     whole = Log.read(messy, RobotDescription.read(written))
-    assert len(first.t) + len(rest.t) == len(whole.t)
-    assert first.t[-1] < rest.t[0]
-    assert np.ptp(first.t) == pytest.approx(0.6 * np.ptp(whole.t), rel=0.01)
+    (name,) = read.logs.training
+    np.testing.assert_array_equal(job.read(name, messy).t, whole.t)
     second = messy.with_name("second.csv")
     second.write_bytes(messy.read_bytes())
     hesr(*looked_at[:2], second, *looked_at[2:], "--study", folder / "run 1.toml")
     several = Study.read(folder / "run 1.toml")
     assert several.name == "run_1"
-    assert several.logs.identification == ("../messy.csv",)
-    assert several.logs.test == {"test": ("../second.csv",)}
+    assert several.logs.identification == ("../messy.csv", "../second.csv")
+    assert several.logs.test == {}
     refused = hesr("inspect", messy, "--study", study)
     assert refused.code == 2
     assert refused.err.startswith("hesr: --study needs --write: a study names the robot file")
 
 
-def test_training_lasts_until_each_joint_has_reversed(
-    messy: Path, arm: RobotDescription, make_motion: Callable[..., Motion]
-) -> None:
-    robot = messy.with_name("robot.toml")
-    robot.write_text("", encoding="utf-8")
-    study = messy.with_name("study.toml")
-
-    def stop(reversed_at: float) -> float:
-        motion = make_motion(friction=0.8)
-        dq = np.abs(motion.dq) + 0.1
-        dq[motion.t > reversed_at, 1] *= -1.0
-        log = Log(name="late", path=messy, t=motion.t, q=motion.q, dq=dq, tau=motion.tau)
-        looked_at = Proposal(
-            description=arm,
-            reasons={},
-            logs=[log],
-            examination=examine([log], arm, None),
-            first_findings=(),
-        )
-        text = study_file(looked_at, robot, study)
-        return float(tomllib.loads(text)["logs"]["parts"]["first"]["stop"])
-
-    whole = make_motion(friction=0.8).t[-1]
-    assert stop(0.3 * whole) == pytest.approx(0.6 * whole, rel=1e-3)
-    assert stop(0.7 * whole) == pytest.approx(0.72 * whole, rel=1e-2)
-    assert stop(0.95 * whole) == pytest.approx(0.8 * whole, rel=1e-3)
-
-
-def made_log(seconds: float) -> Log:
-    """Log of 100 Hz whose joint reverses every second."""
-    t = np.arange(round(100 * seconds) + 1) / 100
-    dq = np.cos(np.pi * t)[:, None]
-    return Log(name="made", path=Path("made.csv"), t=t, q=np.sin(np.pi * t)[:, None], dq=dq, tau=dq)
-
-
-def errors_of(log: Log, cut: float) -> LawErrors:
-    """Errors of two laws on the rows of a log from a cut, one law twice the other."""
-    rows = log.t[log.t >= cut]
-    rng = np.random.default_rng(len(rows))
-    errors = {law: [size * rng.normal(size=len(rows))] for law, size in (("a", 1.0), ("b", 2.0))}
-    return law_errors(errors, [0.01])
-
-
-@pytest.mark.parametrize(
-    ("seconds", "cut", "tested"),
-    [
-        (60.0, 36.0, 24.0),
-        (80.0, 40.0, 40.0),
-        (87.23, 47.23, 40.0),
-        (90.0, 50.0, 40.0),
-        (100.0, 60.0, 40.0),
-        (200.0, 120.0, 80.0),
-    ],
-)
-def test_a_test_of_40_s_is_proposed_where_the_log_is_long_enough(
-    seconds: float, cut: float, tested: float
-) -> None:
-    log = made_log(seconds)
-    found = split([log])
-    assert (found.tested, found.cuts, found.seconds) == (1, (cut,), pytest.approx(tested))
-    short = errors_of(log, cut).too_short
-    assert short == (tested < 40)
-    assert ("proposed test lasts 24 s, too" in found.limit) == short
-    of_twice = errors_of(log, cut).ratios("a")["b"]
-    assert (of_twice.p is None) == short
-    assert short or of_twice.p < 0.05
-
-
-@pytest.mark.parametrize(
-    ("durations", "tested", "short"),
-    [
-        ((60, 60), 1, False),
-        ((20, 20, 20, 20), 2, False),
-        ((20, 20, 20), 1, True),
-        ((100, 30), 1, True),
-        ((80, 15, 15, 15), 3, False),
-    ],
-)
-def test_several_short_logs_together_are_the_test(
-    durations: tuple[int, ...], tested: int, *, short: bool
-) -> None:
-    found = split([made_log(seconds) for seconds in durations])
-    assert (found.tested, found.cuts) == (tested, ())
-    assert found.seconds == pytest.approx(sum(durations[-tested:]))
-    assert bool(found.limit) == short
-
-
-def test_what_a_short_test_cannot_show_is_said(
+def test_a_proposed_study_says_how_logs_of_other_days_are_named(
     messy: Path, arm: RobotDescription, hesr: Hesr
 ) -> None:
+    """All logs train; without its comment signs, the proposal of a test is part of the study."""
     robot, study = messy.with_name("robot.toml"), messy.with_name("study.toml")
-    answer, arguments = messy.with_name("a.json"), ("inspect", messy, "--robot", arm.model)
-    said = hesr(*arguments, "--write", robot, "--study", study, "--json", answer)
-    stop = tomllib.loads(study.read_text(encoding="utf-8"))["logs"]["parts"]["first"]["stop"]
-    seconds = np.ptp(Log.read(messy, RobotDescription.read(robot)).t) - stop
-    limit = json.loads(answer.read_text(encoding="utf-8"))["result"]["limit"]
-    assert f"proposed test lasts {seconds:.3g} s" in limit
-    assert f"\n{limit}\nNext: hesr run" in said.out
-    assert f"\n# {limit}\n[logs.test]\n" in study.read_text(encoding="utf-8")
-    assert "too short" not in hesr(*arguments).out
+    said = hesr("inspect", messy, "--robot", arm.model, "--write", robot, "--study", study)
+    assert "too short" not in said.out
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text.replace("# [logs.test]", "[logs.test]").replace("# test =", "test ="))
+    assert Study.read(study).logs.test == {"test": ("other.csv",)}
 
 
-def test_each_log_is_cut_where_each_moves_one_joint(
+def test_logs_that_each_move_one_joint_train_together(
     tmp_path: Path, make_motion: Callable[..., Motion], arm: RobotDescription, hesr: Hesr
 ) -> None:
     files, robot = [], Robot(arm)
@@ -250,8 +157,8 @@ def test_each_log_is_cut_where_each_moves_one_joint(
     said = hesr("inspect", *files, "--robot", arm.model, "--write", robot_file, "--study", study)
     assert said.code == 0, said.out
     read = Study.read(study)
-    assert read.logs.identification == ("first1", "first2", "first3")
-    assert read.logs.test == {"test": ("rest1", "rest2", "rest3")}
+    assert read.logs.identification == ("joint0.csv", "joint1.csv", "joint2.csv")
+    assert read.logs.test == {}
     # Ripple needs a gear ratio.
     of_load = ("lugre_load", "parfam_hx", "parfam_s")
     assert read.laws == ("stribeck", "lugre", *of_load, "parfam_s_v")
@@ -363,7 +270,7 @@ def test_a_clean_log_has_no_findings(
     assert "Nothing wrong or unusual was found." in said.out
     envelope = json.loads(answer.read_text("utf-8"))
     assert (envelope["passed"], envelope["findings"]) == (True, [])
-    empty = {"given": [], "proposed": [], "reasons": {}, "limit": "", "torque_constants": []}
+    empty = {"given": [], "proposed": [], "reasons": {}, "torque_constants": []}
     assert envelope["result"] == empty
 
 

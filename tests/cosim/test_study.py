@@ -173,7 +173,11 @@ HEAD = 'name = "x"\nrobot = "r.toml"\n'
             f'{HEAD}[logs]\nidentification = []\n[logs.test]\nunseen = ["two.csv"]',
             "key 'logs.identification' is []",
         ),
-        (f'{HEAD}[logs]\nidentification = ["a"]\n[logs.test]\n', "'logs.test'"),
+        (f"{HEAD}folds = 2\n{LOGS}", "key 'folds' is 2"),
+        (
+            f'{HEAD}bands = [{{ test = "unseen", name = "b" }}]\n[logs]\nidentification = ["a"]',
+            "band 'b': test set 'unseen' is unknown",
+        ),
         (
             f'{HEAD}[logs]\nidentification = ["a"]\n[logs.test]\nunseen = []',
             "test set 'unseen' has no log",

@@ -11,11 +11,16 @@ from cosim.report.figures.zoom import can_zoom
 from cosim.report.results import Results
 from cosim.report.tables.table import ResultTable, format_significant, make_row, number
 from cosim.study.results import HEALTH, SavedLog, read_findings
+from cosim.study.study import LEFT_OUT
 from cosim.study.verdict import VERDICT
 from hesr_model.rigid_body.identification import RigidBody
 
 _INTERVAL = 1.96  # half width of a 95 % interval in standard errors
-_ROLES = {"identification": "rigid body", "training": "training of the laws"}
+_ROLES = {
+    "identification": "rigid body",
+    "training": "training of the laws",
+    LEFT_OUT: "errors on left-out rows",
+}
 _FILES = ("evaluation.json", "rigid_body.json", VERDICT, HEALTH)
 """Linked files of a run, in addition to FMUs."""
 _METHODS = {
@@ -46,7 +51,12 @@ def data(results: Results) -> dict[str, Any]:
         "findings": findings,
         "of_logs": sum(bool(finding.logs) for finding in findings),
         "logs": ResultTable(
-            caption="Logs and their uses; no log of a test set was used for training",
+            caption="Logs and their uses; "
+            + (
+                "no log of a test set was used for training"
+                if results.has_tests
+                else "laws were judged on rows that they were not fitted to"
+            ),
             words=(1,),
             head=("log", "use", "rows", "duration [s]", "rate [Hz]"),
             rows=rows,

@@ -44,6 +44,7 @@ def errors_of_tests(results: Results) -> dict[str, Any]:
     laws = {title(law_name): row for law_name, row in law_ratios.laws.items()}
     return {
         "test": test,
+        "has_tests": results.has_tests,
         "reference": reference,
         "ratios": ratios(laws, results.joints, x=f"RMSE / RMSE of {reference}") if laws else None,
         "moving": f"{MOVING:g}",

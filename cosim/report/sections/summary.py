@@ -51,6 +51,7 @@ def summary(results: Results) -> dict[str, Any]:
         "plot": _plot(results, laws),
         "laws": len(results.models),
         "tests": len(results.tests),
+        "has_tests": results.has_tests,
         "has_loop": results.loop is not None,
         "floor": _floor(results),
         "winners": [

@@ -54,6 +54,8 @@ def run_seeds(
         raise ConfigError(
             f"{path}: --seeds needs the friction of the MJCF; remove the key 'twin.truth'."
         )
+    if not study.logs.test:
+        raise ConfigError(f"{path}: --seeds needs test sets; add the table 'logs.test'.")
     if seeds < MIN_DRAWS:
         raise ConfigError(f"--seeds is {seeds}; at least {MIN_DRAWS} are needed.")
     law_names = tuple(laws or study.laws)
