@@ -120,7 +120,7 @@ def _describe_class(choice: Choice, members: Sequence[JointChoice]) -> str:
         return f"{law_title}, {figures} of the error of {plain} on {_ROWS}."
     if first.reason == "better":
         return f"{law_title}, better than {title(choice.base)} on {_ROWS} by two standard errors."
-    use = "the law of all joints is used" if len(choice.joints) > 1 else "it is used nevertheless"
+    use = "the law of all joints" if len(choice.joints) > 1 else "it is used nevertheless"
     if first.law_name == PLAIN:
         return f"{law_title}; the best other law is not better on {_ROWS} by two standard errors."
     if is_worse(first):

@@ -59,12 +59,12 @@ def test_joints_of_one_class_share_a_sentence_with_the_range_of_their_ratios() -
         (
             make_joint(known="level", ratio=1.01, low=0.93, high=1.1),
             "the left-out rows do not tell ParFam-S from Coulomb + viscous, 1.01 (0.93 to 1.10); "
-            "the law of all joints is used.",
+            "the law of all joints.",
         ),
         (
             make_joint(known="level", ratio=1.1, low=1.04, high=1.16),
-            "ParFam-S has 1.10 (1.04 to 1.16) of the error of Coulomb + viscous; the law of all "
-            "joints is used.",
+            "ParFam-S has 1.10 (1.04 to 1.16) of the error of Coulomb + viscous; the law of "
+            "all joints.",
         ),
         (
             make_joint(PLAIN, reason="exploded", known="level", replaced="lugre", worst_fold=9.0),
