@@ -81,26 +81,6 @@ def test_a_fold_does_not_see_its_rows(arm_model: Robot, make_motion: MakeMotion)
     assert not np.allclose(other.errors[PLAIN][0][~judged], errors.errors[PLAIN][0][~judged])
 
 
-def test_only_training_logs_train_and_judge_laws(arm_model: Robot, make_motion: MakeMotion) -> None:
-    motions = [
-        noisy(make_motion(name=name, friction=friction, seconds=6.0), seed)
-        for seed, (name, friction) in enumerate((("excitation", 9.0), ("sweep", 3.0)))
-    ]
-    body = identify_motions(motions[1:], arm_model)
-    errors = judge_laws(
-        LAWS,
-        motions,
-        arm_model,
-        split_into_folds(motions, 4),
-        [body] * 4,
-        training=["sweep"],
-        workers=1,
-    )
-    assert errors.log_names == ("sweep",)
-    assert len(errors.errors[PLAIN]) == 1
-    assert all(errors.rmse(PLAIN, j) < 0.5 for j in range(3))
-
-
 def test_a_law_that_cannot_be_fitted_in_a_fold_has_a_reason(
     arm_model: Robot, make_motion: MakeMotion, monkeypatch: pytest.MonkeyPatch
 ) -> None:
