@@ -9,7 +9,6 @@ import numpy as np
 from cosim.report.tables.table import join_law_titles, title
 from cosim.report.tables.table import joints as short_names
 from cosim.study.forecast import Forecast
-from cosim.study.law_choice import describe_choice, state_rule
 from cosim.study.scores import RECORDED, Comparison, LawScores, find_unseparated
 from cosim.study.study import LEFT_OUT
 from fmu_src.friction.predictions import Records
@@ -18,7 +17,7 @@ from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.inputs import TAU_LOAD
 from hesr_model.friction.model import MIXED, FrictionModel
 from hesr_model.friction.trained_range import find_excess
-from hesr_model.inference.choice import Choice
+from hesr_model.inference.choice import CONSTANT, NONE, PLAIN, JointChoice, LawChoice
 from hesr_model.logs.signals import MOVING
 from hesr_model.rigid_body.residual import transform_all_records
 from hesr_model.robots.description import statements
@@ -27,6 +26,7 @@ from hesr_model.support.typed_files import from_json, read_json, to_json, write_
 VERDICT = "verdict.json"
 VERDICT_FORMAT = "hesr-verdict-1"
 
+_ROWS = LEFT_OUT
 _MAX_LISTED_LAWS = 3
 _MAX_UNEXPLAINED = 25.0  # [%] of friction unexplained
 _MAX_REVERSAL_RATIO = 1.5  # error near reversals over that of all rows
@@ -99,7 +99,7 @@ class Verdict:
     weak: tuple[str, ...]
     improve: tuple[str, ...]
     joints: tuple[Separation, ...] = ()  # empty in earlier versions
-    choice: Choice | None = None  # None in earlier versions
+    choice: LawChoice | None = None  # None in earlier versions
     limits: tuple[str, ...] = ()  # of the test
     constants: tuple[str, ...] = ()  # of the robot, with sources
     planned: str = ""  # comparison with the plan of the motion
@@ -137,7 +137,7 @@ class Verdict:
 def judge_run(
     comparisons: Mapping[str, Comparison],
     models: Mapping[str, FrictionModel],
-    choice: Choice,
+    choice: LawChoice,
     trained_records: Records,
     tested_records: Records,
     properties: Mapping[str, Properties],
@@ -188,6 +188,101 @@ def judge_run(
         limits=() if test == LEFT_OUT else tuple(describe_limits(f"'{test}'", joints)),
         constants=tuple(statements(models[laws[0]].provenance)),
     )
+
+
+def state_rule(choice: LawChoice) -> str:
+    """Return why a choice was made, as the end of a sentence."""
+    if all(joint_choice.reason == "short" for joint_choice in choice.joints):
+        return "the logs are too short to judge laws."
+    if choice.is_short:
+        return f"logs of {_format_seconds(choice)} of one joint are too short to rank laws."
+    if choice.guaranteed:
+        return (
+            f"its passivity is proven, and {title(choice.guaranteed)} is not better by a standard "
+            f"error on {_ROWS}."
+        )
+    if all(joint_choice.reason == "base" for joint_choice in choice.joints):
+        return f"it has the lowest mean error on {_ROWS}."
+    return (
+        f"{title(choice.base)} has the lowest mean error on {_ROWS}; exceptions are stated below."
+    )
+
+
+def describe_choice(choice: LawChoice) -> Iterator[str]:
+    """Yield what the left-out rows say, one sentence for each class of joints."""
+    names = short_names(len(choice.joints))
+    classes: dict[tuple[str | bool, ...], list[tuple[str, JointChoice]]] = {}
+    for name, joint_choice in zip(names, choice.joints, strict=True):
+        key = (
+            joint_choice.law_name,
+            joint_choice.reason,
+            joint_choice.known,
+            joint_choice.replaced,
+            is_worse(joint_choice),
+        )
+        classes.setdefault(key, []).append((name, joint_choice))
+    for members in classes.values():
+        joint_names = ", ".join(name for name, _ in members)
+        yield f"{joint_names}: {_describe_class(choice, [one for _, one in members])}"
+    if any(joint_choice.reason != "short" for joint_choice in choice.joints):
+        yield (
+            f"Laws are judged on {choice.fold_count} parts of the logs, {_format_seconds(choice)} "
+            "in all, each left out in turn, and fitted on all of them."
+        )
+
+
+def _describe_class(choice: LawChoice, members: Sequence[JointChoice]) -> str:
+    """Return the sentence of joints that differ only in their figures."""
+    first = members[0]
+    law_title = title(first.law_name)
+    plain = title(PLAIN)
+    if first.reason == "short":
+        is_alone = all(joint_choice.reason == "short" for joint_choice in choice.joints)
+        role = "" if is_alone else ", the law of all joints,"
+        return f"too little motion to judge laws; {law_title}{role} is used."
+    if first.reason == "unexplained":
+        prediction = f"{title(first.replaced)} does not predict better"
+        if first.replaced in (CONSTANT, NONE):
+            prediction = "no law predicts clearly better"
+        return (
+            f"{prediction} than a constant; no friction model is recommended. Record motion that "
+            "reverses at several speeds."
+        )
+    if first.reason == "exploded":
+        worst = max(one.worst_fold or 0.0 for one in members)
+        return (
+            f"{title(first.replaced)} explodes on {_ROWS} ({worst:.2g} times the error of "
+            f"{plain}); {law_title} is used."
+        )
+    figures = _format_ratios(members)
+    if first.known == "law":
+        return f"{law_title}, {figures} of the error of {plain} on {_ROWS}."
+    if first.reason == "better":
+        return f"{law_title}, better than {title(choice.base)} on {_ROWS} by two standard errors."
+    use = "the law of all joints" if len(choice.joints) > 1 else "it is used nevertheless"
+    if first.law_name == PLAIN:
+        return f"{law_title}; the best other law is not better on {_ROWS} by two standard errors."
+    if is_worse(first):
+        return f"{law_title} has {figures} of the error of {plain}; {use}."
+    return f"the {_ROWS} do not tell {law_title} from {plain}, {figures}; {use}."
+
+
+def is_worse(joint_choice: JointChoice) -> bool:
+    """Return whether the interval of a joint's law lies above Coulomb + viscous friction."""
+    return joint_choice.low is not None and joint_choice.low > 1.0
+
+
+def _format_seconds(choice: LawChoice) -> str:
+    return f"{choice.seconds:.0f} s" if choice.seconds >= 10.0 else f"{choice.seconds:.2g} s"
+
+
+def _format_ratios(members: Sequence[JointChoice]) -> str:
+    """Return the ratio of one joint with its interval, or the range of the ratios of several."""
+    ratios = [one.ratio for one in members if one.ratio is not None]
+    if len(members) == 1:
+        return f"{members[0].ratio:.2f} ({members[0].low:.2f} to {members[0].high:.2f})"
+    low, high = f"{min(ratios):.2f}", f"{max(ratios):.2f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def find_separations(comparison: Comparison, laws: Sequence[str]) -> Iterator[Separation]:

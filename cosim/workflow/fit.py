@@ -19,7 +19,6 @@ from cosim.workflow.arguments import (
     require_mapping,
 )
 from hesr_model.errors import ArgumentError, HesrError
-from hesr_model.inference.choice import CHOOSE
 from hesr_model.support import plugins
 from hesr_model.support.files import PathArg, newest, provenance, to_path
 from hesr_model.support.progress import Stages, silent
@@ -136,6 +135,7 @@ def fit(
     from hesr_model.fitting.days import adapt
     from hesr_model.fitting.fit import fit_models
     from hesr_model.health.examine import check_laws, check_owner
+    from hesr_model.inference.choice import CHOOSE
 
     sources = list_logs("logs", logs)
     additions = list_names("add", add)
@@ -225,6 +225,7 @@ def _read_fitted_law(
     from hesr_model.fitting.days import build_prior
     from hesr_model.fitting.estimator import estimator
     from hesr_model.friction.model import FrictionModel
+    from hesr_model.inference.choice import CHOOSE
 
     if (law is None) != bool(prior) or (prior and options):
         raise ArgumentError("give either 'law' or 'prior', fitted laws without 'options'.")
@@ -266,6 +267,7 @@ def _provenance(
 def answer(model: FrictionModel, output: PathArg | None) -> Answer:
     """Return the answer of a fitted law: equations, errors and passivity of each joint."""
     from fmu_src.pages import datasheet
+    from hesr_model.inference.choice import CHOOSE
     from hesr_model.robots.description import statements
 
     joints = ", ".join(model.joints)

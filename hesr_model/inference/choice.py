@@ -70,7 +70,7 @@ class JointChoice:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class LawChoice:
     """Recommended law of each joint."""
 
     base: str
@@ -91,7 +91,7 @@ def choose_laws(
     *,
     is_proven: Callable[[str, int], bool],
     can_join: Callable[[str, str], bool],
-) -> Choice:
+) -> LawChoice:
     """Choose the law of each joint.
 
     Parameters
@@ -135,7 +135,7 @@ def choose_laws(
         if replaced:  # the proof is why the base was taken
             joint_candidates = [name for name in joint_candidates if is_proven(name, j)]
         joints.append(_choose_joint(errors, j, base, joint_candidates, is_proven))
-    return Choice(
+    return LawChoice(
         base=base,
         joints=tuple(joints),
         fold_count=errors.fold_count,

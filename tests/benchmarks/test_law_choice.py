@@ -19,7 +19,7 @@ from hesr_model.fitting.left_out import judge_laws
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.predict import predict
-from hesr_model.inference.choice import PLAIN, Choice
+from hesr_model.inference.choice import PLAIN, LawChoice
 from hesr_model.inference.folds import Fold, split_into_folds, thin
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import Motion, smooth, smooth_logs
@@ -55,7 +55,7 @@ class Chosen:
     """Choice of the training part of a fold, and all laws fitted to it."""
 
     body: RigidBody
-    choice: Choice
+    choice: LawChoice
     models: dict[str, FrictionModel]
 
 

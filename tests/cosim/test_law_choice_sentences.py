@@ -7,8 +7,8 @@ import pytest
 
 from cosim.report.tables.scores import recommendation
 from cosim.report.tables.table import title
-from cosim.study.law_choice import describe_choice, is_worse, state_rule
-from hesr_model.inference.choice import CONSTANT, NONE, PLAIN, Choice, JointChoice
+from cosim.study.verdict import describe_choice, is_worse, state_rule
+from hesr_model.inference.choice import CONSTANT, NONE, PLAIN, JointChoice, LawChoice
 
 MAX_WORDS = 25
 
@@ -25,8 +25,8 @@ def make_joint(law_name: str = "parfam_s", **values: Any) -> JointChoice:
     return JointChoice(law_name=law_name, **settings | values)
 
 
-def make_choice(*joints: JointChoice, base: str = "parfam_s", **values: Any) -> Choice:
-    return Choice(base=base, joints=joints, **{"fold_count": 5, "seconds": 14.0} | values)
+def make_choice(*joints: JointChoice, base: str = "parfam_s", **values: Any) -> LawChoice:
+    return LawChoice(base=base, joints=joints, **{"fold_count": 5, "seconds": 14.0} | values)
 
 
 def describe(*joints: JointChoice, **values: Any) -> list[str]:
@@ -68,7 +68,7 @@ def test_joints_of_one_class_share_a_sentence_with_the_range_of_their_ratios() -
         ),
         (
             make_joint(PLAIN, reason="exploded", known="level", replaced="lugre", worst_fold=9.0),
-            "LuGre explodes on a left-out part (9 times the error of Coulomb + viscous); "
+            "LuGre explodes on left-out rows (9 times the error of Coulomb + viscous); "
             "Coulomb + viscous is used.",
         ),
         (
@@ -146,7 +146,7 @@ def test_logs_without_motion_are_not_said_to_be_judged() -> None:
         ),
     ],
 )
-def test_the_rule_that_decided_is_stated(choice: Choice, rule: str) -> None:
+def test_the_rule_that_decided_is_stated(choice: LawChoice, rule: str) -> None:
     """The base of a short log of one joint was not chosen by its error."""
     assert state_rule(choice) == rule
 

@@ -8,9 +8,9 @@ import pytest
 from small_study import uf850, write_study
 
 from cosim.report.results import Results
-from cosim.study.law_choice import describe_choice
 from cosim.study.run import Outcome, run_study
 from cosim.study.study import LEFT_OUT
+from cosim.study.verdict import describe_choice
 from hesr_model.fitting.estimator import select_laws
 
 pytestmark = pytest.mark.ci

@@ -30,7 +30,7 @@ from hesr_model.forward.output_error import RefinementResult
 from hesr_model.friction.law import FrictionLaw
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.trained_range import TrainedRange
-from hesr_model.inference.choice import Choice, JointChoice
+from hesr_model.inference.choice import JointChoice, LawChoice
 from hesr_model.rigid_body.residual import FrictionRecord
 
 JOINTS = ("base", "arm")
@@ -74,7 +74,7 @@ def scores(
     return {"unseen": compare(tested, predicted | {ORACLE: truth})}
 
 
-def choose(*laws: str, ratio: float = 0.5) -> Choice:
+def choose(*laws: str, ratio: float = 0.5) -> LawChoice:
     """A choice of laws by joint, of which the first is the base."""
     joints = tuple(
         JointChoice(
@@ -88,7 +88,7 @@ def choose(*laws: str, ratio: float = 0.5) -> Choice:
         )
         for law in laws
     )
-    return Choice(base=laws[0], joints=joints, fold_count=5, seconds=100.0)
+    return LawChoice(base=laws[0], joints=joints, fold_count=5, seconds=100.0)
 
 
 def judged(scores, models, trained, tested, **more: Any) -> Verdict:  # type: ignore[no-untyped-def]

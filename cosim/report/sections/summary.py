@@ -14,9 +14,9 @@ from cosim.report.sections.prediction import WINDOW, band
 from cosim.report.tables import table
 from cosim.report.tables.laws import find_most_passing
 from cosim.report.tables.scores import find_leader, ratio_notes, recommendation
-from cosim.study.law_choice import describe_choice
 from cosim.study.results import read_findings
 from cosim.study.scores import MEASURED_START, ORACLE, Comparison
+from cosim.study.verdict import describe_choice
 from hesr_model.audit.properties import EXPECTATIONS, combine_results
 from hesr_model.fitting.estimator import papers_law
 from hesr_model.inference.comparison import ErrorRatio

@@ -20,7 +20,7 @@ from cosim.study.verdict import format_excess_percent
 from hesr_model.audit.properties import EXPECTATIONS, FEED_FORWARD, Properties
 from hesr_model.friction.model import FrictionModel
 from hesr_model.friction.records import BandScore
-from hesr_model.inference.choice import PLAIN, Choice, JointChoice
+from hesr_model.inference.choice import PLAIN, JointChoice, LawChoice
 from hesr_model.inference.comparison import CALIBRATION, ErrorRatio
 from hesr_model.units import unit_of_joints
 
@@ -116,7 +116,7 @@ def errors(
     )
 
 
-def recommendation(choice: Choice, properties: Properties | None) -> ResultTable:
+def recommendation(choice: LawChoice, properties: Properties | None) -> ResultTable:
     """Return the law of each joint, its error on left-out rows, and whether it is safe.
 
     `properties` are the physics checks of the recommended laws, None if they were not run.

@@ -150,7 +150,7 @@ def test_the_first_layer_names_the_law_and_links_to_its_fmu(results: Path) -> No
         assert escape(sentence, quote=False).replace("'", "&#39;") in first
     count = len(read_findings(results))
     assert (f"{count} warning" if count else "No warnings about data and fits.") in first
-    assert first.count("<table") == 1
+    assert first.count("<table") == 2  # the recommended laws, and their errors
     assert page.figures[0] == "prediction"
 
 
@@ -187,7 +187,7 @@ def test_every_table_is_a_csv_file_with_the_same_data(
     files = {path.name for path in (results / "tables").iterdir()}
     assert set(described) == files
     linked = {Path(link).name for link in page.files}
-    assert files <= linked | {"joints.csv"}
+    assert files <= linked | {"joints.csv", "recommendation.csv"}
     captions = re.findall(r"<caption>([^<]+)</caption>", page.text)
     assert {unescape(one) for one in captions} <= {one.caption for one in described.values()}
     for name, shown in described.items():

@@ -11,7 +11,7 @@ from hesr_model.inference.choice import (
     NONE,
     PLAIN,
     PROVEN_LAWS,
-    Choice,
+    LawChoice,
     choose_laws,
     is_better,
 )
@@ -46,7 +46,7 @@ def choose(
     *,
     proven: Iterable[str] = PROVEN,
     can_join: Callable[[str, str], bool] = lambda *_: True,
-) -> Choice:
+) -> LawChoice:
     names = set(proven)
     return choose_laws(errors, is_proven=lambda law_name, _: law_name in names, can_join=can_join)
 
