@@ -42,8 +42,8 @@ from hesr_model.inference.left_out import LeftOutErrors
 from hesr_model.logs.robot_log import Log
 from hesr_model.logs.signals import smooth_logs
 from hesr_model.logs.tables import read_table
-from hesr_model.rigid_body.choice import identify_from_logs, identify_kind, identify_without
-from hesr_model.rigid_body.identification import RigidBody, identify, identify_motions
+from hesr_model.rigid_body.choice import identify_from_logs, identify_without
+from hesr_model.rigid_body.identification import RigidBody
 from hesr_model.rigid_body.refinement import identify_again
 from hesr_model.rigid_body.residual import friction_records
 from hesr_model.robots.robot import Robot, RobotDescription
