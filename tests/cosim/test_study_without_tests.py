@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from containing import Containing
 from small_study import uf850, write_study
 
 from cosim.report.results import Results
@@ -73,10 +74,9 @@ def test_the_page_does_not_speak_of_tests(outcome: Outcome, folder: Path) -> Non
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "unseen test" not in page
     assert "Test set" not in page
-    assert "judged on rows of the logs that neither they nor the body were fitted to" in page
-    assert "predicted by laws that were fitted without these rows" in page
-    assert "each row predicted by laws and a body that were fitted without it" in page
-    assert "laws were judged on rows that they were not fitted to" in page
+    assert page == Containing("judged on rows of the logs that neither", "laws were judged on rows")
+    assert "were fitted without these rows" in page
+    assert "that were fitted without it" in page
     # Laws were fitted to all rows, on which they cannot be scored as simulators.
     assert "As simulators" not in page
     assert outcome.verdict.choice is not None
